@@ -1,0 +1,1 @@
+"""Decides which robots test what, and which experience is transferred."""

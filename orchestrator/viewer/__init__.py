@@ -1,0 +1,1 @@
+"""Draws a running study in Rerun."""

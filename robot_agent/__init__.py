@@ -1,0 +1,1 @@
+"""What runs beside one robot: it owns that robot's safety and executes its tests."""

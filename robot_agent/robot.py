@@ -1,0 +1,63 @@
+"""The interface between an agent and the robot beside it, simulated or real."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from shared.arrays import FloatArray
+from shared.robot_spec import RobotSpec
+
+
+class Robot(ABC):
+    """A robot under its own baseline controller: references in, measured outputs out.
+
+    One sample is `spec.sample_time_s`. References and outputs hold one number per axis, in the order
+    and the units of `spec.axes`. Methods are called from one thread at a time. Each raises
+    `RobotError` when the robot cannot do what is asked.
+    """
+
+    @property
+    @abstractmethod
+    def spec(self) -> RobotSpec:
+        """What the robot is; may be read while disconnected."""
+
+    @abstractmethod
+    def connect(self) -> None:
+        """Make the robot ready to move, at rest."""
+
+    @abstractmethod
+    def step(self, reference: FloatArray) -> FloatArray:
+        """Follow a reference for one sample; return the output measured at the sample's start.
+
+        Args:
+            reference: shape (axes,).
+
+        Returns:
+            The measured output, shape (axes,). y(k) is measured before the reference y_r(k) acts.
+        """
+
+    def run(self, references: FloatArray) -> FloatArray:
+        """Follow a whole reference signal known ahead; the same as `step` for each row.
+
+        Args:
+            references: shape (samples, axes).
+
+        Returns:
+            The measured outputs, shape (samples, axes).
+        """
+        outputs = np.empty_like(references)
+        for k, reference in enumerate(references):
+            outputs[k] = self.step(reference)
+        return outputs
+
+    @abstractmethod
+    def rest(self) -> None:
+        """Bring the robot to rest from whatever it is doing; returns when it is."""
+
+    @abstractmethod
+    def disconnect(self) -> None:
+        """Leave the robot at rest and let go of it. Calling it twice does nothing more."""
+
+

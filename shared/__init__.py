@@ -1,0 +1,1 @@
+"""What the robot agents and the orchestrator must agree on."""

@@ -1,0 +1,71 @@
+"""Every error that nufleet raises on purpose, and the exit code a command ends with for each.
+
+A message says what was wrong, what was expected and what to do; it names the robot and the goal
+where there is one.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+
+class NufleetError(Exception):
+    """What nufleet could not do, in words for the person who asked for it."""
+
+    exit_code: ClassVar[int] = 1
+
+
+class InvalidInputError(NufleetError):
+    """A flag, a file or an argument that cannot be right, found before anything moves."""
+
+    exit_code = 2
+
+
+class FleetFileError(InvalidInputError):
+    """A fleet file that cannot be read: names the file, the field and what was expected."""
+
+
+class TransportError(NufleetError):
+    """The network did not carry a message."""
+
+
+class NoRouterError(TransportError):
+    """No Zenoh router answered at the endpoint."""
+
+
+class EndpointInUseError(TransportError):
+    """The endpoint to listen on is taken, or may not be listened on."""
+
+
+class NoReplyError(TransportError):
+    """Nobody answered a query within its time."""
+
+
+class MalformedMessageError(NufleetError):
+    """A payload that is not a valid message: wrong magic, version, type, field or size."""
+
+
+class ProtocolVersionError(MalformedMessageError):
+    """A payload written by another version of the protocol."""
+
+
+class RefusedError(NufleetError):
+    """A robot refused a request. `code` is for programs, the message for people."""
+
+    def __init__(self, code: str, reason: str, robot: str) -> None:
+        super().__init__(f"{robot} refused: {reason}")
+        self.code = code
+        self.reason = reason
+        self.robot = robot
+
+
+class RobotError(NufleetError):
+    """The robot itself (driver, simulator or sensor) failed."""
+
+
+class RobotLostError(NufleetError):
+    """A robot that was there is not there any more."""
+
+
+class StudyError(NufleetError):
+    """A study that cannot go on, for example because its target is gone."""

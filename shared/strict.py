@@ -1,0 +1,28 @@
+"""The strict pydantic base of everything that comes from outside, and the names inside it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+
+
+class Strict(BaseModel):
+    """A value that refuses unknown fields, coercion, NaN and infinity, and cannot be changed."""
+
+    model_config = ConfigDict(
+        extra="forbid", strict=True, frozen=True, allow_inf_nan=False, validate_default=True
+    )
+
+
+Name = Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$")]
+"""A robot, fleet or axis name: lower-case letters, digits, `-` and `_`; it becomes part of a key."""
+
+Identifier = Annotated[str, StringConstraints(pattern=r"^[0-9a-z][0-9a-z.-]{0,95}$")]
+"""A goal, boot or orchestrator id: made by a program, unique, also part of a key."""
+
+Reason = Annotated[str, StringConstraints(max_length=2000)]
+"""A sentence for people."""
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
