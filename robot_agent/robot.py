@@ -13,8 +13,8 @@ from shared.robot_spec import RobotSpec
 class Robot(ABC):
     """A robot under its own baseline controller: references in, measured outputs out.
 
-    One sample is `spec.sample_time_s`. References and outputs hold one number per axis, in the order
-    and the units of `spec.axes`. Methods are called from one thread at a time. Each raises
+    One sample is `spec.sample_time_s`. References and outputs hold one number per axis, in the
+    order and the units of `spec.axes`. Methods are called from one thread at a time. Each raises
     `RobotError` when the robot cannot do what is asked.
     """
 
@@ -52,6 +52,26 @@ class Robot(ABC):
             outputs[k] = self.step(reference)
         return outputs
 
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """What `observe` measures on every axis, for example ("position", "velocity", "tilt").
+
+        The first one is the axis's output. Empty for a robot that measures nothing but its output.
+        """
+        return ()
+
+    def observe(self) -> FloatArray:
+        """Measure the state now, between two samples; the robot does not move on.
+
+        Feedback reads it before choosing the next reference: `observe` at sample k and the y(k)
+        that the next `step` returns are one and the same measurement.
+
+        Returns:
+            Shape (axes, len(state_names)), in the axis's unit and its time derivatives; angles in
+            rad.
+        """
+        return np.empty((len(self.spec.axes), 0))
+
     @abstractmethod
     def rest(self) -> None:
         """Bring the robot to rest from whatever it is doing; returns when it is."""
@@ -59,5 +79,3 @@ class Robot(ABC):
     @abstractmethod
     def disconnect(self) -> None:
         """Leave the robot at rest and let go of it. Calling it twice does nothing more."""
-
-
