@@ -1,0 +1,195 @@
+"""The fleet as an orchestrator sees it: who is there, what each robot does, and requests to it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+from orchestrator.robot_watch import RobotWatch
+from shared.codec import Message, decode, encode
+from shared.errors import (
+    MalformedMessageError,
+    NoReplyError,
+    RefusedError,
+    RobotLostError,
+)
+from shared.keys import FleetKeys
+from shared.messages import (
+    AcknowledgeRequest,
+    CancelRequest,
+    DescribeRequest,
+    Description,
+    Done,
+    GoalAccepted,
+    GoalRequest,
+    GoalResult,
+    Refusal,
+    ReleaseRequest,
+    ResultRequest,
+    RobotState,
+    StopRequest,
+    Telemetry,
+)
+from shared.transport import Session
+
+QUERY_TIMEOUT_S = 3.0
+RESULT_TIMEOUT_S = 20.0
+
+_log = logging.getLogger(__name__)
+R = TypeVar("R", bound=Message)
+
+
+class Fleet:
+    """A client of all robots of one fleet, alive under its own id as long as its session is.
+
+    Observers are called on network threads, in order per robot; they must return at once.
+    """
+
+    def __init__(self, session: Session, keys: FleetKeys, orchestrator_id: str) -> None:
+        self.orchestrator_id = orchestrator_id
+        self._session = session
+        self._keys = keys
+        self._lock = threading.Lock()
+        self._watches: dict[str, RobotWatch] = {}
+        self._state_observers: list[Callable[[RobotState], None]] = []
+        self._telemetry_observers: list[Callable[[str, Telemetry], None]] = []
+        session.declare_alive(keys.orchestrator_alive(orchestrator_id))
+        session.watch_alive(keys.every_robot("alive"), self._on_presence)
+        session.subscribe_state(keys.every_robot("state"), self._on_state)
+
+    # Who is there.
+
+    def watch(self, robot: str) -> RobotWatch:
+        """Return the latest that is known of a robot, updated as it changes."""
+        with self._lock:
+            return self._watches.setdefault(robot, RobotWatch(robot))
+
+    def robots(self, *, timeout_s: float = QUERY_TIMEOUT_S) -> tuple[str, ...]:
+        """Return the names of the robots whose agents are alive now."""
+        keys = self._session.alive(self._keys.every_robot("alive"), timeout_s=timeout_s)
+        return tuple(self._keys.robot_of(key) for key in keys)
+
+    def wait_for(self, robots: tuple[str, ...], *, timeout_s: float) -> None:
+        """Wait until all these robots are alive; raises RobotLostError naming who is not."""
+        deadline = time.monotonic() + timeout_s
+        for robot in robots:
+            left_s = max(0.0, deadline - time.monotonic())
+            if not self.watch(robot).wait_until(lambda w: w.alive, timeout_s=left_s):
+                there = ", ".join(self.robots()) or "none"
+                raise RobotLostError(
+                    f"robot {robot} did not appear within {timeout_s:g} s; robots there: {there}"
+                )
+
+    def observe_states(self, observer: Callable[[RobotState], None]) -> None:
+        """Call an observer with every state that arrives."""
+        self._state_observers.append(observer)
+
+    def observe_telemetry(self, observer: Callable[[str, Telemetry], None]) -> None:
+        """Call an observer with every batch of samples that arrives, and the robot it is of."""
+        if not self._telemetry_observers:
+            self._session.subscribe(self._keys.every_robot("telemetry/*"), self._on_telemetry)
+        self._telemetry_observers.append(observer)
+
+    # Requests.
+
+    def describe(self, robot: str) -> Description:
+        """Return what a robot is.
+
+        Raises:
+            NoReplyError: it does not answer.
+            RobotLostError: two agents answer under this name.
+        """
+        replies = self._session.ask_all(
+            self._keys.robot(robot, "describe"),
+            encode(DescribeRequest()),
+            timeout_s=QUERY_TIMEOUT_S,
+        )
+        if not replies:
+            raise NoReplyError(
+                f"robot {robot} does not answer: is its agent running? "
+                "`nufleet fleet status` shows who is there"
+            )
+        descriptions = [self._decoded(robot, reply, Description) for reply in replies]
+        if len({description.boot_id for description in descriptions}) > 1:
+            raise RobotLostError(
+                f"{len(descriptions)} agents answer as {robot}: stop all but one of them"
+            )
+        return descriptions[0]
+
+    def submit(self, robot: str, request: GoalRequest) -> GoalAccepted:
+        """Ask for a motion; the same request may be sent again at any time."""
+        return self._ask(robot, "goal", request, GoalAccepted)
+
+    def cancel(self, robot: str, goal_id: str) -> None:
+        """Ask a robot to end a goal early."""
+        self._ask(robot, "cancel", CancelRequest(goal_id=goal_id), Done)
+
+    def result(self, robot: str, goal_id: str) -> GoalResult:
+        """Return how a goal ended, with its samples."""
+        request = ResultRequest(goal_id=goal_id)
+        return self._ask(robot, "result", request, GoalResult, timeout_s=RESULT_TIMEOUT_S)
+
+    def acknowledge(self, robot: str, goal_ids: tuple[str, ...]) -> None:
+        """Tell a robot that these results arrived."""
+        self._ask(robot, "acknowledge", AcknowledgeRequest(goal_ids=goal_ids), Done)
+
+    def stop(self, robot: str, reason: str) -> None:
+        """Stop a robot; returns when it says that it has, else raises."""
+        request = StopRequest(sender=self.orchestrator_id, reason=reason)
+        self._session.put_urgent(self._keys.robot(robot, "stop"), encode(request))
+        self._ask(robot, "stop", request, Done)
+
+    def release(self, robot: str) -> None:
+        """Let a stopped robot move again."""
+        self._ask(robot, "release", ReleaseRequest(sender=self.orchestrator_id), Done)
+
+    def _ask(
+        self,
+        robot: str,
+        leaf: str,
+        request: Message,
+        expected: type[R],
+        *,
+        timeout_s: float = QUERY_TIMEOUT_S,
+    ) -> R:
+        key = self._keys.robot(robot, leaf)
+        try:
+            payload = self._session.ask(key, encode(request), timeout_s=timeout_s)
+        except NoReplyError as error:
+            raise NoReplyError(f"robot {robot} did not answer {leaf!r}: {error}") from error
+        return self._decoded(robot, payload, expected)
+
+    def _decoded(self, robot: str, payload: bytes, expected: type[R]) -> R:
+        reply = decode(payload, expected, Refusal)
+        if isinstance(reply, Refusal):
+            raise RefusedError(reply.code, reply.reason, robot)
+        if not isinstance(reply, expected):
+            raise MalformedMessageError(f"robot {robot} answered with {type(reply).__name__}")
+        return reply
+
+    # Network threads.
+
+    def _on_presence(self, key: str, alive: bool) -> None:
+        self.watch(self._keys.robot_of(key)).set_alive(alive)
+
+    def _on_state(self, key: str, payload: bytes) -> None:
+        try:
+            state = decode(payload, RobotState)
+        except MalformedMessageError as error:
+            _log.warning("ignoring a malformed state on %s: %s", key, error)
+            return
+        self.watch(self._keys.robot_of(key)).set_state(state)
+        for observer in self._state_observers:
+            observer(state)
+
+    def _on_telemetry(self, key: str, payload: bytes) -> None:
+        try:
+            telemetry = decode(payload, Telemetry)
+        except MalformedMessageError as error:
+            _log.warning("ignoring malformed telemetry on %s: %s", key, error)
+            return
+        for observer in self._telemetry_observers:
+            observer(self._keys.robot_of(key), telemetry)

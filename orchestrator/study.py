@@ -1,0 +1,96 @@
+"""A study as ask and tell: which tests next, what has been learned. No network, no clock."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from shared.frequency_response import FrequencyResponse
+
+from shared.arrays import FloatArray
+
+Responses = Mapping[str, tuple[FrequencyResponse, ...]]
+"""Per robot, the response at each tone of its test."""
+
+
+@dataclass(frozen=True)
+class StudyPlan:
+    """What is to be found out: which source is closest to the target over a band, on one axis."""
+
+    target: str
+    sources: tuple[str, ...]
+    band_rad_s: tuple[float, float]
+    iterations: int
+    axis: str
+
+
+@dataclass(frozen=True)
+class Question:
+    """The next round: these robots play these tones, all at the same time."""
+
+    iteration: int
+    omega_rad_s: tuple[float, ...]
+    robots: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class SourceEstimate:
+    """A source's worst-case chordal distance to the target: mean, standard deviation and where."""
+
+    robot: str
+    psi: float
+    psi_std: float
+    omega_rad_s: float
+    tests: int
+
+
+@dataclass(frozen=True)
+class Curve:
+    """What is believed of one source's ψ_n(ω): posterior mean and standard deviation, and samples.
+
+    `omega_rad_s`, `mean` and `std` have shape (grid,), the samples shape (tests,).
+    """
+
+    source: str
+    omega_rad_s: FloatArray
+    mean: FloatArray
+    std: FloatArray
+    sampled_omega_rad_s: FloatArray
+    sampled_psi: FloatArray
+
+
+@dataclass(frozen=True)
+class Report:
+    """What one round taught: the ranking (best first), the curves, and who was dropped and why."""
+
+    iteration: int
+    omega_rad_s: tuple[float, ...]
+    responses: Responses
+    sampled_psi: Mapping[str, float]
+    curves: tuple[Curve, ...]
+    ranking: tuple[SourceEstimate, ...]
+    dropped: Mapping[str, str]
+
+    @property
+    def selected(self) -> str:
+        """The source believed closest to the target."""
+        return self.ranking[0].robot
+
+
+class Study(Protocol):
+    """An algorithm in the middle of its work."""
+
+    def ask(self) -> Question | None:
+        """Return the next round of tests; None when the study is complete."""
+
+    def tell(self, responses: Responses, failed: Mapping[str, str]) -> Report:
+        """Take in the answers to the last question.
+
+        Args:
+            responses: of the robots whose test succeeded.
+            failed: the reasons of those whose test did not.
+
+        Raises:
+            StudyError: the study cannot go on, because the target or every source is gone.
+        """

@@ -1,0 +1,44 @@
+"""Robots by name: drivers are found through the entry-point group `nufleet.robots`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from typing import Any, Protocol
+
+import numpy as np
+
+from shared.errors import FleetFileError
+from shared.strict import Strict
+
+ENTRY_POINT_GROUP = "nufleet.robots"
+
+
+class RobotDriver(Protocol):
+    """Builds robots of one kind (`robot_agent.robot.Robot`) from their settings.
+
+    Robots that share one simulator are built together: `build` takes all robots of its kind that
+    live in one process, and `shares_process` says that all of a fleet must.
+    """
+
+    @property
+    def settings(self) -> type[Strict]:
+        """The model of one robot's settings in a fleet file."""
+
+    @property
+    def shares_process(self) -> bool:
+        """Whether all robots of this kind in a fleet have to live in one process."""
+
+    def build(self, settings: Mapping[str, Any], rng: np.random.Generator) -> Mapping[str, Any]:
+        """Build the robots, disconnected, by name."""
+
+
+def load_driver(name: str) -> RobotDriver:
+    """Return the driver of that name; raises FleetFileError with the names there are."""
+    found = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
+    if name not in found:
+        raise FleetFileError(
+            f"unknown driver {name!r}; installed drivers: {', '.join(sorted(found)) or 'none'}"
+        )
+    driver: RobotDriver = found[name].load()
+    return driver

@@ -1,0 +1,62 @@
+"""Fleet files: which robots there are, each with its driver and the driver's settings, in TOML."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import BaseModel, Field, ValidationError
+
+from shared.codec import describe_validation
+from shared.errors import FleetFileError
+from shared.strict import Name, Strict
+
+
+class RobotEntry(Strict):
+    """One robot: the name of its driver (entry-point group `nufleet.robots`) and its settings."""
+
+    driver: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,62}$")]
+    settings: Annotated[dict[str, Any], Field(default_factory=dict)]
+
+
+class FleetFile(Strict):
+    """A fleet: `seed` starts the generators of every simulated noise."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")]
+    name: Name
+    description: str = ""
+    seed: Annotated[int, Field(ge=0)] = 0
+    robots: Annotated[dict[Name, RobotEntry], Field(min_length=1, max_length=4096)]
+
+
+S = TypeVar("S", bound=BaseModel)
+
+
+def read_fleet_file(path: Path) -> FleetFile:
+    """Read and check a fleet file.
+
+    Raises:
+        FleetFileError: naming the file, the field and what was expected.
+    """
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FleetFileError(f"{path}: cannot be read: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise FleetFileError(f"{path}: not valid TOML: {error}") from error
+    return _validated(FleetFile, document, str(path))
+
+
+def validated_settings(model: type[S], path: Path, robot: str, settings: dict[str, Any]) -> S:
+    """Check a robot's settings against its driver's model; raises FleetFileError."""
+    return _validated(model, settings, f"{path}: robots.{robot}.settings")
+
+
+def _validated(model: type[S], document: dict[str, Any], where: str) -> S:
+    try:
+        # Through JSON, since strict models take a list for a tuple from there only.
+        return model.model_validate_json(json.dumps(document, default=str))
+    except ValidationError as error:
+        raise FleetFileError(f"{where}: {describe_validation(error)}") from error
