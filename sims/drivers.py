@@ -1,0 +1,31 @@
+"""The drivers of the simulated robots that need no simulator beyond this package."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
+
+
+@dataclass(frozen=True)
+class DoubleIntegratorDriver:
+    """Builds the robots of the paper's Section V; each can live in a process of its own."""
+
+    settings: type[DoubleIntegratorSettings] = DoubleIntegratorSettings
+    shares_process: bool = False
+
+    def build(
+        self, settings: Mapping[str, DoubleIntegratorSettings], rng: np.random.Generator
+    ) -> Mapping[str, DoubleIntegrator]:
+        """Build the robots, disconnected, by name; each gets a noise stream of its own."""
+        streams = rng.spawn(len(settings))
+        return {
+            name: DoubleIntegrator(own, stream)
+            for (name, own), stream in zip(settings.items(), streams, strict=True)
+        }
+
+
+DOUBLE_INTEGRATOR = DoubleIntegratorDriver()
