@@ -21,6 +21,13 @@ class RobotEntry(Strict):
     settings: Annotated[dict[str, Any], Field(default_factory=dict)]
 
 
+class StudyDefaults(Strict):
+    """What a ranking of this fleet is about when the command line does not say."""
+
+    target: Name
+    band_rad_s: tuple[float, float]
+
+
 class FleetFile(Strict):
     """A fleet: `seed` starts the generators of every simulated noise."""
 
@@ -28,6 +35,7 @@ class FleetFile(Strict):
     name: Name
     description: str = ""
     seed: Annotated[int, Field(ge=0)] = 0
+    study: StudyDefaults | None = None
     robots: Annotated[dict[Name, RobotEntry], Field(min_length=1, max_length=4096)]
 
 
