@@ -9,8 +9,6 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from shared.frequency_response import FrequencyResponse, estimate_response
-
 from orchestrator.fleet import Fleet
 from orchestrator.robot_watch import HEARTBEAT_LOST_S, RobotWatch
 from shared.errors import (
@@ -21,6 +19,7 @@ from shared.errors import (
     RobotLostError,
 )
 from shared.excitation import Excitation
+from shared.frequency_response import FrequencyResponse, estimate_frequency_response
 from shared.messages import GoalAccepted, GoalRequest, GoalResult, Outcome
 
 ATTEMPTS = 3
@@ -34,10 +33,10 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Measured:
-    """A test that gave usable responses, one per tone, and the samples they came from."""
+    """A test that gave a usable response, and the samples it came from."""
 
     robot: str
-    responses: tuple[FrequencyResponse, ...]
+    response: FrequencyResponse
     result: GoalResult
     attempts: int
     robot_time_s: float
@@ -87,7 +86,12 @@ class Dispatcher:
                 robot: pool.submit(self._test, round_id, robot, excitation)
                 for robot, excitation in tests.items()
             }
-            return {robot: future.result() for robot, future in futures.items()}
+            try:
+                return {robot: future.result() for robot, future in futures.items()}
+            except BaseException:
+                # Ctrl-C, or one robot's test raised what nobody foresaw: no other flies on alone.
+                self.interrupt()
+                raise
 
     def interrupt(self) -> None:
         """End the round: cancel every running goal, so that the robots come to rest."""
@@ -131,11 +135,12 @@ class Dispatcher:
             if result.outcome is not Outcome.COMPLETED:
                 reason = f"{result.outcome}: {result.reason}"
             else:
-                responses = estimate_response(result.plan, result.reference, result.response)
-                problems = [p for response in responses for p in response.problems]
-                if not problems:
-                    return Measured(robot, responses, result, attempt, robot_time_s)
-                reason = "; ".join(dict.fromkeys(problems))
+                response = estimate_frequency_response(
+                    result.reference, result.response, result.plan
+                )
+                if response.quality.usable:
+                    return Measured(robot, response, result, attempt, robot_time_s)
+                reason = "; ".join(str(finding) for finding in response.quality.reasons)
                 excitation = _longer(excitation, result)
             self._on_attempt_failed(robot, attempt, reason)
         return Failed(robot, reason, ATTEMPTS, robot_time_s)

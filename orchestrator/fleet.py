@@ -142,6 +142,11 @@ class Fleet:
         self._session.put_urgent(self._keys.robot(robot, "stop"), encode(request))
         self._ask(robot, "stop", request, Done)
 
+    def stop_everyone(self, reason: str) -> None:
+        """Send one stop to the whole fleet; who heard it is found out with `stop` on each."""
+        request = StopRequest(sender=self.orchestrator_id, reason=reason)
+        self._session.put_urgent(self._keys.stop, encode(request))
+
     def release(self, robot: str) -> None:
         """Let a stopped robot move again."""
         self._ask(robot, "release", ReleaseRequest(sender=self.orchestrator_id), Done)

@@ -16,10 +16,13 @@ SEGMENT_MIN_S = 2.0
 
 
 class RankingObserver(Protocol):
-    """Is told what happens, in order, on the thread that conducts the study."""
+    """Is told what happens; `asked` and `told` come from the thread that conducts the study."""
 
     def asked(self, question: Question) -> None:
         """A round of tests begins."""
+
+    def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
+        """A test gave nothing usable and is repeated or given up; comes from other threads."""
 
     def told(self, question: Question, outcomes: Mapping[str, TestOutcome], report: Report) -> None:
         """A round ended, and this is what it taught."""
@@ -63,7 +66,7 @@ def conduct(
         )
         robot_time_s += sum(outcome.robot_time_s for outcome in outcomes.values())
         report = study.tell(
-            {r: o.responses for r, o in outcomes.items() if isinstance(o, Measured)},
+            {r: o.response for r, o in outcomes.items() if isinstance(o, Measured)},
             {r: o.reason for r, o in outcomes.items() if isinstance(o, Failed)},
         )
         observer.told(question, outcomes, report)

@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+from shared.arrays import FloatArray
 from shared.frequency_response import FrequencyResponse
 
-from shared.arrays import FloatArray
-
-Responses = Mapping[str, tuple[FrequencyResponse, ...]]
-"""Per robot, the response at each tone of its test."""
+Responses = Mapping[str, FrequencyResponse]
+"""Per robot, the response at the tones of its test."""
 
 
 @dataclass(frozen=True)

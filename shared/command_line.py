@@ -10,7 +10,8 @@ from __future__ import annotations
 import logging
 import signal
 import sys
-from importlib.metadata import entry_points, version
+from collections.abc import Mapping
+from importlib.metadata import EntryPoint, entry_points, version
 from types import FrameType
 from typing import NoReturn
 
@@ -18,54 +19,75 @@ import click
 
 from shared.errors import NufleetError
 
-_GROUPS = {
+ENTRY_POINT_GROUP = "nufleet.commands"
+_GROUP_HELP = {
     "fleet": "Launch a fleet of simulated robots, or see who is there.",
     "runs": "Look at what earlier runs left behind.",
 }
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
-@click.version_option(version("nufleet"), prog_name="nufleet")
-@click.option("-v", "--verbose", is_flag=True, help="Say more on stderr while working.")
-def _root(verbose: bool) -> None:
-    """Find out which robot's experience will help a new robot, before you transfer it.
+class EntryPointGroup(click.Group):
+    """A group whose commands are loaded from their packages when they are asked for."""
 
-    \b
-    Try it:       nufleet demo
-    Your robots:  nufleet router            (on one machine)
-                  nufleet agent ...         (beside each robot)
-                  nufleet rank --target ... (from anywhere)
-    """
-    logging.basicConfig(
-        level=logging.INFO if verbose else logging.WARNING,
-        format="%(name)s: %(message)s",
-        stream=sys.stderr,
-    )
+    def __init__(self, entries: Mapping[str, EntryPoint], **settings: object) -> None:
+        super().__init__(**settings)  # type: ignore[arg-type]
+        self._entries = entries
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the commands and groups below this one."""
+        return sorted({name.partition(".")[0] for name in self._entries})
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Load a command, or make the group of its sub-commands."""
+        if cmd_name in self._entries:
+            command: click.Command = self._entries[cmd_name].load()
+            return command
+        below = {
+            name.removeprefix(f"{cmd_name}."): entry
+            for name, entry in self._entries.items()
+            if name.startswith(f"{cmd_name}.")
+        }
+        if not below:
+            return None
+        return EntryPointGroup(below, name=cmd_name, help=_GROUP_HELP.get(cmd_name))
 
 
 def command_line() -> click.Group:
-    """Return the root command with every installed command in its place."""
-    for entry in sorted(entry_points(group="nufleet.commands"), key=lambda e: e.name):
-        group, _, name = entry.name.rpartition(".")
-        parent = _root
-        if group:
-            existing = _root.commands.get(group)
-            if isinstance(existing, click.Group):
-                parent = existing
-            else:
-                parent = click.Group(group, help=_GROUPS.get(group))
-                _root.add_command(parent)
-        parent.add_command(entry.load(), name)
-    return _root
+    """Return the root command."""
+    entries = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
+
+    def begin(verbose: bool) -> None:
+        logging.basicConfig(
+            level=logging.INFO if verbose else logging.WARNING,
+            format="%(name)s: %(message)s",
+            stream=sys.stderr,
+        )
+
+    return EntryPointGroup(
+        entries,
+        name="nufleet",
+        callback=begin,
+        help=_HELP,
+        context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+        params=[
+            click.Option(["-v", "--verbose"], is_flag=True, help="Say more on stderr."),
+            click.Option(
+                ["--version"],
+                is_flag=True,
+                is_eager=True,
+                expose_value=False,
+                callback=_print_version,
+                help="Print the version and exit.",
+            ),
+        ],
+    )
 
 
 def main() -> NoReturn:
     """Run the command line and exit with its code."""
     signal.signal(signal.SIGTERM, _interrupt)
     try:
-        command_line().main(standalone_mode=False)
-    except click.exceptions.Exit as error:
-        sys.exit(error.exit_code)
+        code = command_line().main(prog_name="nufleet", standalone_mode=False)
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)
@@ -76,7 +98,24 @@ def main() -> NoReturn:
         click.secho("error: ", fg="red", bold=True, nl=False, err=True)
         click.echo(str(error), err=True)
         sys.exit(error.exit_code)
-    sys.exit(0)
+    # Without its standalone mode click returns the code of `--help`, `--version` and `Exit`.
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+_HELP = """Find out which robot's experience will help a new robot, before you transfer it.
+
+\b
+Try it:       nufleet demo
+Your robots:  nufleet router             on one machine
+              nufleet agent FLEET.toml   beside each robot
+              nufleet rank --target ...  from anywhere
+"""
+
+
+def _print_version(ctx: click.Context, _option: click.Parameter, wanted: bool) -> None:
+    if wanted:
+        click.echo(f"nufleet {version('nufleet')}")
+        ctx.exit()
 
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:

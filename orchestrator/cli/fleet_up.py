@@ -1,0 +1,34 @@
+"""`nufleet fleet up`: a router and the simulated robots of a fleet file, in the foreground."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("fleet_file", type=click.Path(dir_okay=False, path_type=Path))
+@click.option(
+    "--listen",
+    default="tcp/127.0.0.1:7447",
+    show_default=True,
+    metavar="ENDPOINT",
+    help="Where the router listens, for example tcp/0.0.0.0:7447 for other machines too.",
+)
+@click.option("--processes", is_flag=True, help="Give every robot a process of its own.")
+@click.option(
+    "--realtime",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="FACTOR",
+    help="Play at this multiple of real time.  [default: as fast as possible]",
+)
+def up(fleet_file: Path, listen: str, processes: bool, realtime: float | None) -> None:
+    """Start a router and all robots of FLEET_FILE; Ctrl-C ends them, at rest.
+
+    \b
+    nufleet fleet up sims/fleets/paper_linear.toml --realtime 1
+    """
+    from orchestrator.fleet_up import fleet_up
+
+    fleet_up(fleet_file, listen=listen, processes=processes, realtime=realtime)

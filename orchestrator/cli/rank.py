@@ -1,0 +1,101 @@
+"""`nufleet rank`: which source's experience is closest to the target."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from orchestrator.cli.options import connect_options, json_option, runs_option
+
+
+@click.command()
+@click.option(
+    "--fleet",
+    "fleet_file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Start the simulated fleet of this file for this study, instead of joining a running one.",
+)
+@connect_options
+@click.option("--target", help="The robot that needs experience.  [default: the fleet file's]")
+@click.option(
+    "--sources",
+    metavar="NAME,NAME",
+    help="The robots that have some.  [default: all but the target]",
+)
+@click.option(
+    "--band",
+    type=float,
+    nargs=2,
+    metavar="LOW HIGH",
+    help="Operating band, rad/s.  [default: the fleet file's, or what all robots accept]",
+)
+@click.option("--axis", help="The axis to test.  [default: the target's first]")
+@click.option(
+    "--iterations",
+    type=click.IntRange(min=1),
+    default=7,
+    show_default=True,
+    help="Tests per robot.",
+)
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Draws the first test."
+)
+@click.option(
+    "--realtime",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="FACTOR",
+    help="With --fleet: play at this multiple of real time.  [default: as fast as possible]",
+)
+@click.option(
+    "--live",
+    is_flag=True,
+    help="Serve the recording while the study runs; `nufleet view --live` shows it.",
+)
+@runs_option
+@json_option
+def rank(
+    fleet_file: Path | None,
+    connect: str,
+    fleet_name: str | None,
+    target: str | None,
+    sources: str | None,
+    band: tuple[float, float] | None,
+    axis: str | None,
+    iterations: int,
+    seed: int,
+    realtime: float | None,
+    live: bool,
+    runs_root: Path,
+    as_json: bool,
+) -> None:
+    """Rank source robots by their worst-case chordal distance to a target.
+
+    All robots are tested at one frequency at a time, chosen by Bayesian optimisation (Algorithm 1
+    of Sorocky, Zhou, Schoellig, ICRA 2020); the closest source's experience is expected to help the
+    target most. Ctrl-C brings all robots to rest.
+
+    \b
+    nufleet rank --fleet sims/fleets/paper_linear.toml
+    nufleet rank --connect tcp/192.168.1.10:7447 --target drone-7 --band 0.1 5.4
+    """
+    from orchestrator.cli.rank_session import RankCommand, rank_and_print
+
+    rank_and_print(
+        RankCommand(
+            fleet_file=fleet_file,
+            connect=connect,
+            fleet_name=fleet_name,
+            target=target,
+            sources=None if sources is None else tuple(sources.split(",")),
+            band_rad_s=band,
+            axis=axis,
+            iterations=iterations,
+            seed=seed,
+            realtime=realtime,
+            live=live,
+            runs_root=runs_root,
+            as_json=as_json,
+        )
+    )

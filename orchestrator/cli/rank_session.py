@@ -1,0 +1,110 @@
+"""What `nufleet rank` does: reach a fleet, check the request, run the study, print the result."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+from rich.console import Console
+
+from orchestrator.connection import Connection, running_fleet, started_fleet
+from orchestrator.console import ConsoleObserver, ranking_table, stderr_console
+from orchestrator.preflight import check_band, check_names
+from orchestrator.rank_run import RankRequest, prepare, run_study
+from orchestrator.results import RunRecord
+from orchestrator.run_folder import RunFolder
+from shared.errors import InvalidInputError
+from shared.fleet_file import FleetFile, read_fleet_file
+
+
+@dataclass(frozen=True)
+class RankCommand:
+    """The command line of one ranking."""
+
+    fleet_file: Path | None
+    connect: str
+    fleet_name: str | None
+    target: str | None
+    sources: tuple[str, ...] | None
+    band_rad_s: tuple[float, float] | None
+    axis: str | None
+    iterations: int
+    seed: int
+    realtime: float | None
+    live: bool
+    runs_root: Path
+    as_json: bool
+    processes: int | None = 2
+
+
+def rank_and_print(command: RankCommand) -> None:
+    """Rank, with progress on stderr and, when asked for, the document on stdout."""
+    console = stderr_console()
+    record = rank(command, console)
+    if command.as_json:
+        click.echo(record.result.model_dump_json(by_alias=True))
+
+
+def rank(command: RankCommand, console: Console) -> RunRecord:
+    """Rank a fleet and return the stored record; raises before anything moves when it cannot."""
+    if command.band_rad_s is not None:
+        check_band(command.band_rad_s)
+    with ExitStack() as stack:
+        connection = stack.enter_context(_connection(command, console))
+        request = _request(command)
+        ready = prepare(connection.fleet, request, connection.fleet.robots())
+        folder = stack.enter_context(RunFolder(command.runs_root, connection.name))
+        observer = ConsoleObserver(console, command.iterations)
+        record = run_study(
+            connection.fleet, ready, seed=command.seed, folder=folder, observers=[observer]
+        )
+    console.print(ranking_table(record.result.ranking, record.closed_form))
+    console.print(
+        f"selected: [bold green]{record.result.selected}[/]  "
+        f"({record.result.robot_time_s:.0f} robot-seconds, {record.wall_time_s:.1f} s)"
+    )
+    return record
+
+
+def _connection(command: RankCommand, console: Console) -> AbstractContextManager[Connection]:
+    if command.fleet_file is None:
+        return running_fleet(command.connect, command.fleet_name)
+    file = read_fleet_file(command.fleet_file)
+    _check_against_file(command, file)
+    console.print(f"starting a router and {len(file.robots)} robots of {command.fleet_file}")
+    return started_fleet(command.fleet_file, processes=command.processes, realtime=command.realtime)
+
+
+def _check_against_file(command: RankCommand, file: FleetFile) -> None:
+    """Find what cannot be right before any process is started."""
+    there = tuple(file.robots)
+    target = _target(command)
+    sources = command.sources or tuple(robot for robot in there if robot != target)
+    check_names(target, sources, there)
+
+
+def _target(command: RankCommand) -> str:
+    if command.target is not None:
+        return command.target
+    if command.fleet_file is not None:
+        study = read_fleet_file(command.fleet_file).study
+        if study is not None:
+            return study.target
+    raise InvalidInputError("which robot needs experience? Name it with --target")
+
+
+def _request(command: RankCommand) -> RankRequest:
+    band = command.band_rad_s
+    if band is None and command.fleet_file is not None:
+        study = read_fleet_file(command.fleet_file).study
+        band = None if study is None else study.band_rad_s
+    return RankRequest(
+        target=_target(command),
+        sources=command.sources,
+        band_rad_s=band,
+        iterations=command.iterations,
+        seed=command.seed,
+        axis=command.axis,
+    )

@@ -1,0 +1,101 @@
+"""How a command reaches a fleet: a running one through its router, or one started for it alone."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from orchestrator.fleet import Fleet
+from orchestrator.fleet_processes import FleetProcesses, grouped, private_endpoint
+from shared.errors import InvalidInputError, NufleetError, RobotLostError
+from shared.fleet_file import FleetFile, read_fleet_file
+from shared.keys import FleetKeys
+from shared.transport import open_client
+
+CONNECT_TIMEOUT_S = 5.0
+START_TIMEOUT_S = 60.0
+
+
+@dataclass(frozen=True)
+class Connection:
+    """A fleet that can be reached, its name, and the processes started for it (none if it ran)."""
+
+    fleet: Fleet
+    name: str
+    processes: FleetProcesses | None
+
+
+def new_orchestrator_id() -> str:
+    """Return an id that no other orchestrator has."""
+    return f"orchestrator-{secrets.token_hex(6)}"
+
+
+@contextmanager
+def running_fleet(endpoint: str, fleet_name: str | None) -> Iterator[Connection]:
+    """Join the fleet at a router.
+
+    Args:
+        endpoint: where the router listens.
+        fleet_name: which fleet; None takes the only one there is.
+
+    Raises:
+        NoRouterError: no router answers.
+        InvalidInputError: there is no fleet, or several and none was named.
+    """
+    with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as session:
+        if fleet_name is None:
+            names = {
+                key.split("/")[1] for key in session.alive("nufleet/*/robot/*/alive", timeout_s=3)
+            }
+            if len(names) != 1:
+                found = f"there are {', '.join(sorted(names))}" if names else "no robot is there"
+                raise InvalidInputError(
+                    f"which fleet at {endpoint}? {found}; name one with --fleet-name, or start "
+                    "robots with `nufleet fleet up FLEET.toml` or `nufleet agent FLEET.toml`"
+                )
+            fleet_name = names.pop()
+        yield Connection(
+            Fleet(session, FleetKeys(fleet_name), new_orchestrator_id()), fleet_name, None
+        )
+
+
+@contextmanager
+def started_fleet(
+    path: Path, *, processes: int | None = None, realtime: float | None = None
+) -> Iterator[Connection]:
+    """Start the fleet of a file with a router of its own, and end it all afterwards.
+
+    Args:
+        path: the fleet file.
+        processes: how many processes to deal the robots to; None gives each its own.
+        realtime: at which multiple of real time simulated robots play; None as fast as they can.
+    """
+    file = read_fleet_file(path)
+    groups = grouped(file, processes=processes or len(file.robots))
+    with private_endpoint() as endpoint, FleetProcesses() as started:
+        started.start_router(endpoint)
+        started.start_agents(path, groups, endpoint, realtime)
+        with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as session:
+            fleet = Fleet(session, FleetKeys(file.name), new_orchestrator_id())
+            wait_for_robots(fleet, started, file)
+            yield Connection(fleet, file.name, started)
+
+
+def wait_for_robots(fleet: Fleet, started: FleetProcesses, file: FleetFile) -> None:
+    """Wait until all robots of a file are there; raise at once when a process of theirs died."""
+    waited_s = 0.0
+    missing = tuple(file.robots)
+    while missing:
+        dead = started.dead()
+        if dead:
+            raise NufleetError("; ".join(dead))
+        try:
+            fleet.wait_for(missing, timeout_s=0.5)
+        except RobotLostError:
+            waited_s += 0.5
+            if waited_s >= START_TIMEOUT_S:
+                raise
+        missing = tuple(robot for robot in missing if not fleet.watch(robot).alive)

@@ -1,0 +1,52 @@
+"""Keeps a simulated fleet up and shows it until it is interrupted."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from rich.live import Live
+
+from orchestrator.connection import CONNECT_TIMEOUT_S, new_orchestrator_id, wait_for_robots
+from orchestrator.console import stderr_console
+from orchestrator.fleet import Fleet
+from orchestrator.fleet_processes import FleetProcesses, grouped
+from orchestrator.fleet_table import fleet_table
+from shared.errors import NufleetError
+from shared.fleet_file import read_fleet_file
+from shared.keys import FleetKeys
+from shared.transport import open_client
+
+AGENT_PROCESSES = 2
+"""Robots are dealt to this many processes unless each is to have its own."""
+
+
+def fleet_up(path: Path, *, listen: str, processes: bool, realtime: float | None) -> None:
+    """Run a router and a file's robots until Ctrl-C, with a live table when on a terminal.
+
+    Raises:
+        FleetFileError: the file is not right.
+        EndpointInUseError: the router cannot listen there.
+        NufleetError: a process of the fleet ended by itself.
+    """
+    file = read_fleet_file(path)
+    console = stderr_console()
+    robots = tuple(file.robots)
+    groups = grouped(file, processes=len(robots) if processes else AGENT_PROCESSES)
+    with FleetProcesses() as started:
+        started.start_router(listen)
+        started.start_agents(path, groups, listen, realtime)
+        with open_client(listen, timeout_s=CONNECT_TIMEOUT_S) as session:
+            fleet = Fleet(session, FleetKeys(file.name), new_orchestrator_id())
+            wait_for_robots(fleet, started, file)
+            console.print(
+                f"{len(robots)} robots of fleet {file.name} are up at {listen}; "
+                f"rank them with: nufleet rank --connect {listen}   (Ctrl-C ends them)"
+            )
+            watches = [fleet.watch(robot) for robot in robots]
+            with Live(console=console, auto_refresh=False, transient=True) as live:
+                while not (dead := started.dead()):
+                    if console.is_terminal:
+                        live.update(fleet_table(file.name, watches), refresh=True)
+                    time.sleep(0.25)
+        raise NufleetError("; ".join(dead))

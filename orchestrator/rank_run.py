@@ -1,0 +1,197 @@
+"""One `nufleet rank` from the request to the stored result, on a fleet that is already reached."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from orchestrator.dispatcher import Dispatcher, Measured, TestOutcome
+from orchestrator.experience_selection import PaperStudy
+from orchestrator.fleet import Fleet
+from orchestrator.preflight import check_band, check_names, check_plan, chosen_axis
+from orchestrator.ranking import Conclusion, RankingObserver, conduct
+from orchestrator.results import (
+    ClosedForm,
+    IterationRecord,
+    RankResult,
+    RunRecord,
+)
+from orchestrator.run_folder import RunFolder
+from orchestrator.study import Question, Report, StudyPlan
+from shared.chordal import worst_case_chordal_distance
+from shared.messages import Description
+
+
+@dataclass(frozen=True)
+class RankRequest:
+    """What to rank; None leaves the choice to what the fleet says of itself."""
+
+    target: str
+    sources: tuple[str, ...] | None
+    band_rad_s: tuple[float, float] | None
+    iterations: int
+    seed: int
+    axis: str | None
+
+
+@dataclass(frozen=True)
+class ReadyStudy:
+    """A study that passed every check, and the robots' own descriptions."""
+
+    plan: StudyPlan
+    descriptions: Mapping[str, Description]
+    closed_form: Mapping[str, ClosedForm]
+
+
+def prepare(fleet: Fleet, request: RankRequest, there: tuple[str, ...]) -> ReadyStudy:
+    """Check a request against the fleet before anything moves.
+
+    Args:
+        fleet: the fleet, reached.
+        request: what to rank.
+        there: the robots that are there.
+
+    Raises:
+        InvalidInputError: what is asked cannot be done with these robots.
+        NoReplyError: a robot does not answer.
+    """
+    if request.band_rad_s is not None:
+        check_band(request.band_rad_s)
+    sources = request.sources
+    if sources is None:
+        sources = tuple(robot for robot in there if robot != request.target)
+    check_names(request.target, sources, there)
+    descriptions = {robot: fleet.describe(robot) for robot in (request.target, *sources)}
+    plan = StudyPlan(
+        target=request.target,
+        sources=sources,
+        band_rad_s=request.band_rad_s or _common_band(descriptions.values()),
+        iterations=request.iterations,
+        axis=chosen_axis(request.axis, descriptions[request.target]),
+    )
+    check_plan(plan, descriptions)
+    return ReadyStudy(plan, descriptions, _closed_form(plan, descriptions))
+
+
+def run_study(
+    fleet: Fleet,
+    ready: ReadyStudy,
+    *,
+    seed: int,
+    folder: RunFolder,
+    observers: Sequence[RankingObserver],
+) -> RunRecord:
+    """Run a prepared study, with everything it learns kept in the folder."""
+    began_s = time.monotonic()
+    recorder = _Recorder(folder)
+    everyone = _Together([recorder, *observers])
+    dispatcher = Dispatcher(fleet, on_attempt_failed=everyone.attempt_failed)
+    folder.write_configuration(_configuration(ready, seed))
+    study = PaperStudy(ready.plan, np.random.default_rng(seed))
+    conclusion = conduct(study, ready.plan.axis, folder.path.name.lower(), dispatcher, everyone)
+    record = RunRecord(
+        result=_result(ready.plan, conclusion, folder),
+        axis=ready.plan.axis,
+        seed=seed,
+        history=tuple(recorder.history),
+        dropped=dict(conclusion.dropped),
+        closed_form=dict(ready.closed_form),
+        wall_time_s=time.monotonic() - began_s,
+    )
+    folder.write_record(record)
+    return record
+
+
+def _common_band(descriptions: Any) -> tuple[float, float]:
+    specs = [description.spec for description in descriptions]
+    return max(s.omega_min_rad_s for s in specs), min(s.omega_max_rad_s for s in specs)
+
+
+def _closed_form(plan: StudyPlan, descriptions: Mapping[str, Description]) -> dict[str, ClosedForm]:
+    """Return the true distances of the sources whose model, like the target's, is known."""
+    at_target = descriptions[plan.target].spec.axis(plan.axis).model
+    known: dict[str, ClosedForm] = {}
+    for source in plan.sources:
+        model = descriptions[source].spec.axis(plan.axis).model
+        if at_target is not None and model is not None:
+            psi, omega = worst_case_chordal_distance(at_target, model, plan.band_rad_s)
+            known[source] = ClosedForm(psi=psi, omega_rad_s=omega)
+    return known
+
+
+def _configuration(ready: ReadyStudy, seed: int) -> dict[str, Any]:
+    return {
+        "kind": "rank",
+        "plan": asdict(ready.plan),
+        "seed": seed,
+        "robots": {
+            robot: description.model_dump(mode="json")
+            for robot, description in ready.descriptions.items()
+        },
+    }
+
+
+def _result(plan: StudyPlan, conclusion: Conclusion, folder: RunFolder) -> RankResult:
+    return RankResult(
+        target=plan.target,
+        band_rad_s=plan.band_rad_s,
+        selected=conclusion.selected,
+        ranking=conclusion.ranking,
+        iterations=conclusion.iterations,
+        robot_time_s=conclusion.robot_time_s,
+        run=str(folder.path),
+    )
+
+
+class _Recorder:
+    """Keeps what each round gave in the run's folder and for its record."""
+
+    def __init__(self, folder: RunFolder) -> None:
+        self._folder = folder
+        self.history: list[IterationRecord] = []
+
+    def asked(self, question: Question) -> None:
+        """Nothing is known yet."""
+
+    def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
+        """What failed for good is in the report that follows."""
+
+    def told(self, question: Question, outcomes: Mapping[str, TestOutcome], report: Report) -> None:
+        """Store samples and beliefs."""
+        for outcome in outcomes.values():
+            if isinstance(outcome, Measured):
+                self._folder.write_samples(question.iteration, outcome)
+        self.history.append(
+            IterationRecord(
+                iteration=question.iteration,
+                omega_rad_s=question.omega_rad_s,
+                sampled_psi=dict(report.sampled_psi),
+                ranking=report.ranking,
+            )
+        )
+
+
+class _Together:
+    """Several observers as one."""
+
+    def __init__(self, observers: Sequence[RankingObserver]) -> None:
+        self._observers = observers
+
+    def asked(self, question: Question) -> None:
+        """Tell all."""
+        for observer in self._observers:
+            observer.asked(question)
+
+    def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
+        """Tell all."""
+        for observer in self._observers:
+            observer.attempt_failed(robot, attempt, reason)
+
+    def told(self, question: Question, outcomes: Mapping[str, TestOutcome], report: Report) -> None:
+        """Tell all."""
+        for observer in self._observers:
+            observer.told(question, outcomes, report)

@@ -1,0 +1,53 @@
+"""The documents that a run leaves behind and that other programs read."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from orchestrator.study import SourceEstimate
+from shared.strict import NonNegative, Strict
+
+Count = Annotated[int, Field(ge=0)]
+
+
+class RankResult(Strict):
+    """What `nufleet rank --json` prints: the ranking, best first, and what it cost."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    target: str
+    band_rad_s: tuple[float, float]
+    selected: str
+    ranking: tuple[SourceEstimate, ...]
+    iterations: Count
+    robot_time_s: NonNegative
+    run: str
+
+
+class IterationRecord(Strict):
+    """One iteration: what was asked, what each source's sample was, what was believed after it."""
+
+    iteration: Count
+    omega_rad_s: tuple[float, ...]
+    sampled_psi: dict[str, float]
+    ranking: tuple[SourceEstimate, ...]
+
+
+class ClosedForm(Strict):
+    """A source's true worst-case chordal distance, where both robots' models are known."""
+
+    psi: float
+    omega_rad_s: float
+
+
+class RunRecord(Strict):
+    """`results.json` in a run's folder."""
+
+    result: RankResult
+    axis: str
+    seed: Count
+    history: tuple[IterationRecord, ...]
+    dropped: dict[str, str]
+    closed_form: dict[str, ClosedForm]
+    wall_time_s: NonNegative

@@ -1,0 +1,151 @@
+"""The folder that a run leaves: configuration, results, samples, recording, plots and report."""
+
+from __future__ import annotations
+
+import json
+import platform
+import sys
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ValidationError
+
+from orchestrator.dispatcher import Measured
+from orchestrator.results import RunRecord
+from shared.codec import describe_validation
+from shared.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    import pyarrow.parquet
+
+RECORDING = "run.rrd"
+RESULTS = "results.json"
+CONFIGURATION = "config.json"
+_PACKAGES = ("nufleet", "eclipse-zenoh", "numpy", "scipy", "numba", "pydantic", "rerun-sdk")
+
+
+class RunFolder:
+    """Writes one run's folder; close it (or leave its `with`) so that the samples are complete."""
+
+    def __init__(self, root: Path, name: str, *, now: datetime | None = None) -> None:
+        """Create the folder.
+
+        Raises:
+            InvalidInputError: the folder cannot be created.
+        """
+        stamp = (now or datetime.now(UTC)).strftime("%Y%m%dT%H%M%SZ")
+        self.path = _create(root, f"{stamp}-{name}")
+        self._samples: pyarrow.parquet.ParquetWriter | None = None
+
+    def __enter__(self) -> RunFolder:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def recording(self) -> Path:
+        """Where the Rerun recording goes."""
+        return self.path / RECORDING
+
+    def close(self) -> None:
+        """Complete the file of samples."""
+        if self._samples is not None:
+            self._samples.close()
+            self._samples = None
+
+    def write_configuration(self, configuration: Mapping[str, Any]) -> None:
+        """Write what was asked for, in full, and the versions that answer it."""
+        document = {
+            **configuration,
+            "versions": {
+                "python": platform.python_version(),
+                **{package: version(package) for package in _PACKAGES},
+            },
+            "command": sys.argv[1:],
+        }
+        text = json.dumps(document, indent=2, default=str)
+        (self.path / CONFIGURATION).write_text(text + "\n", encoding="utf-8")
+
+    def write_samples(self, iteration: int, measured: Measured) -> None:
+        """Append one test's samples: raw, so that a better estimator can be run on them later."""
+        import numpy as np
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        result = measured.result
+        count = len(result.reference)
+        table = pa.table(
+            {
+                "robot": pa.array([measured.robot] * count).dictionary_encode(),
+                "goal_id": pa.array([result.goal_id] * count).dictionary_encode(),
+                "iteration": np.full(count, iteration, dtype=np.int32),
+                "sample": np.arange(count, dtype=np.int32),
+                "t_s": np.arange(count) * result.plan.sample_time_s,
+                "reference": result.reference,
+                "response": result.response,
+            }
+        )
+        if self._samples is None:
+            self._samples = pq.ParquetWriter(
+                self.path / "telemetry.parquet", table.schema, compression="zstd"
+            )
+        self._samples.write_table(table)
+
+    def write_record(self, record: RunRecord) -> None:
+        """Write the results, and the report of them."""
+        text = record.model_dump_json(indent=2, by_alias=True)
+        (self.path / RESULTS).write_text(text + "\n", encoding="utf-8")
+
+
+def read_record(folder: Path) -> RunRecord:
+    """Return the results in a run's folder; raises InvalidInputError when there are none."""
+    path = folder / RESULTS
+    try:
+        return RunRecord.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise InvalidInputError(
+            f"{path} cannot be read: {error.strerror}; was the run interrupted?"
+        ) from error
+    except ValidationError as error:
+        raise InvalidInputError(f"{path}: {describe_validation(error)}") from error
+
+
+def list_runs(root: Path) -> list[Path]:
+    """Return the folders of all runs, oldest first."""
+    return sorted(path.parent for path in root.glob(f"*/{CONFIGURATION}"))
+
+
+def find_run(root: Path, run: str) -> Path:
+    """Return the folder of a run: given as a path, as a name in the root, or as `latest`."""
+    runs = list_runs(root)
+    if run == "latest" and runs:
+        return runs[-1]
+    for candidate in (Path(run), root / run):
+        if (candidate / CONFIGURATION).is_file():
+            return candidate
+    raise InvalidInputError(
+        f"no run {run!r}: expected a run's folder, its name in {root}, or `latest`; "
+        "`nufleet runs list` shows what there is"
+    )
+
+
+def _create(root: Path, name: str) -> Path:
+    try:
+        root.mkdir(parents=True, exist_ok=True)
+        for attempt in range(1, 1000):
+            path = root / (name if attempt == 1 else f"{name}-{attempt}")
+            try:
+                path.mkdir()
+            except FileExistsError:
+                continue
+            return path
+    except OSError as error:
+        raise InvalidInputError(
+            f"the run's folder cannot be created in {root}: {error.strerror}; "
+            "choose another place with --runs"
+        ) from error
+    raise InvalidInputError(f"{root} holds too many runs named {name}")
