@@ -1,0 +1,144 @@
+"""The response z(ω) of a robot from one frequency test, with its uncertainty and a verdict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.arrays import ComplexArray, FloatArray
+from shared.chordal import geodesic_radius
+from shared.excitation import ExcitationPlan
+from shared.response_quality import (
+    Finding,
+    Quality,
+    distortion,
+    f_quantile,
+    sensor_faults,
+    uncertain,
+    unexplained,
+    unsettled,
+    verdict,
+)
+from shared.sinusoid_fit import (
+    UnresolvableError,
+    fit_sinusoids,
+    resolvable_harmonics,
+    sum_of_tones,
+    variance_of_mean,
+)
+
+REFERENCE_TONE_MIN = 1e-9
+"""A tone below this share of the reference's largest sample is not in the reference."""
+
+
+@dataclass(frozen=True)
+class FrequencyResponse:
+    """Estimates ẑ of z(ω) = Y/U at the tones of one test, in the order of its plan.
+
+    `variance` is E|ẑ − z|² (of a circular error), estimated from `segments` segments. Where nothing
+    could be estimated ẑ is NaN and its variance infinite, and the test is not usable.
+    """
+
+    omega_rad_s: FloatArray  # (tones,)
+    z: ComplexArray  # (tones,)
+    variance: FloatArray  # (tones,)
+    segments: int
+    quality: Quality
+
+    def radius(self, alpha: float = 0.05) -> FloatArray:
+        """Return the radius ρ of the disc around each ẑ that holds z with probability 1 − α."""
+        return uncertainty_radius(self.variance, self.segments, alpha)
+
+
+def uncertainty_radius(variance: FloatArray, segments: int, alpha: float = 0.05) -> FloatArray:
+    """Return ρ with ρ² = (s²/P) F and F the 1 − α quantile of F with 2 and 2P − 2 degrees.
+
+    Args:
+        variance: s²/P of each estimate, shape (…).
+        segments: number of segments P.
+        alpha: probability that the disc misses z.
+    """
+    return np.sqrt(variance * f_quantile(alpha, segments - 1))
+
+
+def estimate_frequency_response(
+    reference: FloatArray, response: FloatArray, plan: ExcitationPlan
+) -> FrequencyResponse:
+    """Estimate z at every tone of a test from the samples of its measuring part.
+
+    All tones, an offset, a drift and second and third harmonics are fitted jointly to the whole
+    measuring part; what each segment contributes gives the variance. (The mean of phasors fitted to
+    each segment alone has up to 2.8 times the variance: within one period a drift looks like a
+    sine.) Whatever is wrong with the samples is a verdict, never an exception.
+
+    Args:
+        reference: one axis's reference, shape (samples,).
+        response: the output measured at the same times, shape (samples,).
+        plan: what was played.
+    """
+    omegas = np.array([tone.omega_rad_s for tone in plan.tones])
+    first = plan.first_measured_sample
+    end = first + plan.segments * plan.segment_samples
+    if min(len(reference), len(response)) < end:
+        text = f"the test ended early: {len(response)} samples, and measuring ends at sample {end}"
+        return _failed(omegas, plan, "ended-early", text)
+    u, y = reference[first:end], response[first:end]
+    for name, signal in (("reference", u), ("output", y)):
+        bad = np.flatnonzero(~np.isfinite(signal))
+        if len(bad):
+            text = f"the {name} holds {len(bad)} samples that are not finite"
+            return _failed(omegas, plan, "not-finite", text)
+    # Scaled to 1, so that no square overflows however far a robot has gone.
+    u_scale, y_scale = float(np.max(np.abs(u))), float(np.max(np.abs(y)))
+    if u_scale == 0.0:
+        return _failed(omegas, plan, "no-reference", "the reference is zero throughout")
+    u, y = u / u_scale, y / (y_scale or 1.0)
+    return _estimate(u, y, y_scale / u_scale, omegas, plan)
+
+
+def _estimate(
+    u: FloatArray, y: FloatArray, gain_scale: float, omegas: FloatArray, plan: ExcitationPlan
+) -> FrequencyResponse:
+    tones, samples, step_s = len(omegas), len(u), plan.sample_time_s
+    extra = resolvable_harmonics(omegas, step_s, samples * step_s)
+    every_omega = np.concatenate([omegas, extra])
+    try:
+        input_fit, output_fit = (
+            fit_sinusoids(signal, every_omega, step_s, plan.segments) for signal in (u, y)
+        )
+    except UnresolvableError as error:
+        return _failed(omegas, plan, "unresolvable", str(error))
+    input_tones = input_fit.phasors[:tones]
+    if np.min(np.abs(input_tones)) < REFERENCE_TONE_MIN:
+        return _failed(omegas, plan, "no-reference", "a tone is missing from the reference")
+    scaled_z = output_fit.phasors[:tones] / input_tones
+    # A segment's own z to first order: 1/U_p would be biased if the reference scattered too.
+    segment_output = output_fit.segment_phasors[:, :tones]
+    segment_input = input_fit.segment_phasors[:, :tones]
+    segment_z = scaled_z + (segment_output - scaled_z * segment_input) / input_tones
+
+    z, segment_z = gain_scale * scaled_z, gain_scale * segment_z
+    variance = variance_of_mean(segment_z)
+    radius = uncertainty_radius(variance, plan.segments)
+    # In the unit that the output was scaled to; an output of zeros has none.
+    reference_rms = float(np.std(u)) / gain_scale if gain_scale else 0.0
+    moving = sum_of_tones(output_fit.phasors[:tones], omegas, step_s, samples)
+    findings = [
+        *sensor_faults(y, moving),
+        unexplained(reference_rms, y, output_fit.fitted),
+        unsettled(segment_z, omegas),
+        distortion(output_fit, tones, y),
+        *uncertain(omegas, np.abs(z), radius, geodesic_radius(z, radius)),
+    ]
+    return FrequencyResponse(omegas, z, variance, plan.segments, verdict(findings))
+
+
+def _failed(omegas: FloatArray, plan: ExcitationPlan, code: str, text: str) -> FrequencyResponse:
+    return FrequencyResponse(
+        omega_rad_s=omegas,
+        z=np.full(len(omegas), complex(np.nan, np.nan)),
+        variance=np.full(len(omegas), np.inf),
+        segments=plan.segments,
+        quality=Quality(reasons=(Finding(code=code, text=text),)),
+    )

@@ -1,0 +1,139 @@
+"""Least squares of sinusoids with known frequencies, an offset and a drift, over equal segments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from shared.arrays import ComplexArray, FloatArray
+
+CONDITION_MAX = 1e10
+"""Above this condition number of the normal equations, frequencies cannot be told apart."""
+
+
+class UnresolvableError(ValueError):
+    """Two frequencies are too close (or one too near Nyquist) for the length of the signals."""
+
+
+@dataclass(frozen=True)
+class SinusoidFit:
+    """Phasors Y of y(t) = Re Σ Y e^{jωt} + offset + drift at F frequencies.
+
+    `segment_phasors` split the estimate into what each segment says: their mean over segments is
+    `phasors`, and where segments hold whole periods they are the phasors fitted to each segment
+    alone. Their scatter therefore measures the noise at each frequency, white or not.
+    """
+
+    omega_rad_s: FloatArray  # (F,)
+    phasors: ComplexArray  # (F,)
+    segment_phasors: ComplexArray  # (segments, F)
+    fitted: FloatArray  # (samples,)
+
+    @property
+    def variance(self) -> FloatArray:
+        """s²/P, the variance E|Ŷ − Y|² of each phasor, shape (F,)."""
+        return variance_of_mean(self.segment_phasors)
+
+
+def variance_of_mean(segment_values: ComplexArray) -> FloatArray:
+    """Return s²/P, the variance of the mean over segments; shape (segments, n) to (n,)."""
+    segments = len(segment_values)
+    spread = np.abs(segment_values - segment_values.mean(axis=0)) ** 2
+    return np.asarray(spread.sum(axis=0) / (segments * (segments - 1)), dtype=np.float64)
+
+
+def fit_sinusoids(
+    signal: FloatArray, omega_rad_s: FloatArray, sample_time_s: float, segments: int
+) -> SinusoidFit:
+    """Fit all frequencies jointly to the whole of a signal.
+
+    With H = [cos ωt, sin ωt, 1, t − t̄] the estimate is θ̂ = (HᵀH)⁻¹Hᵀy. Segment p adds
+    (HᵀH)⁻¹H_pᵀ(y_p − H_p θ̂) to it; these contributions sum to zero, and P times each, added to θ̂,
+    is that segment's own estimate (the clusters of a cluster-robust covariance: Liang and Zeger,
+    Biometrika 73, 1986).
+
+    Args:
+        signal: shape (samples,), a multiple of `segments`.
+        omega_rad_s: shape (F,), all different and below the Nyquist frequency.
+        sample_time_s: time between samples.
+        segments: number of segments P of equal length.
+
+    Raises:
+        UnresolvableError: the normal equations are singular to working precision.
+    """
+    samples = len(signal)
+    length = samples // segments
+    blocks = [slice(p * length, (p + 1) * length) for p in range(segments)]
+    size = 2 * len(omega_rad_s) + 2
+    gram = np.zeros((size, size))
+    moments = np.zeros(size)
+    # One segment of H at a time: all of it would be gigabytes for many tones in a long test.
+    for block in blocks:
+        columns = _columns(block, samples, omega_rad_s, sample_time_s)
+        gram += columns.T @ columns
+        moments += columns.T @ signal[block]
+    if np.linalg.cond(gram) > CONDITION_MAX:
+        raise UnresolvableError("the frequencies cannot be told apart in a signal of this length")
+    factor = cho_factor(gram)
+    theta = cho_solve(factor, moments)
+
+    fitted = np.empty_like(signal)
+    contributions = np.empty((segments, size))
+    for p, block in enumerate(blocks):
+        columns = _columns(block, samples, omega_rad_s, sample_time_s)
+        fitted[block] = columns @ theta
+        contributions[p] = cho_solve(factor, columns.T @ (signal[block] - fitted[block]))
+    return SinusoidFit(
+        omega_rad_s=omega_rad_s,
+        phasors=_phasors(theta),
+        segment_phasors=_phasors(theta + segments * contributions),
+        fitted=fitted,
+    )
+
+
+def sum_of_tones(
+    phasors: ComplexArray, omega_rad_s: FloatArray, sample_time_s: float, samples: int
+) -> FloatArray:
+    """Return Re Σ Y e^{jωt} at the samples of a fit, shape (samples,)."""
+    total = np.zeros(samples)
+    times_s = np.arange(samples) * sample_time_s
+    for phasor, omega in zip(phasors, omega_rad_s, strict=True):
+        total += np.real(phasor * np.exp(1j * omega * times_s))
+    return total
+
+
+def resolvable_harmonics(
+    omega_rad_s: FloatArray, sample_time_s: float, duration_s: float
+) -> FloatArray:
+    """Return 2ω and 3ω of each tone ω, without those too close to a tone, Nyquist or each other.
+
+    Closer than one period in `duration_s` counts as too close. Shape (at most 2 F,).
+    """
+    resolution_rad_s = 2 * np.pi / duration_s
+    taken = [np.pi / sample_time_s, *omega_rad_s.tolist()]
+    kept: list[float] = []
+    for order in (2, 3):
+        for omega in omega_rad_s.tolist():
+            harmonic = order * omega
+            above_nyquist = harmonic >= np.pi / sample_time_s
+            if not above_nyquist and min(abs(harmonic - t) for t in taken) >= resolution_rad_s:
+                taken.append(harmonic)
+                kept.append(harmonic)
+    return np.array(kept)
+
+
+def _columns(
+    block: slice, samples: int, omega_rad_s: FloatArray, sample_time_s: float
+) -> FloatArray:
+    index = np.arange(block.start, block.stop)
+    phase = np.outer(index * sample_time_s, omega_rad_s)
+    drift = (2.0 * index - (samples - 1)) / samples
+    return np.column_stack([np.cos(phase), np.sin(phase), np.ones(len(index)), drift])
+
+
+def _phasors(theta: FloatArray) -> ComplexArray:
+    """Turn a, b of a cos ωt + b sin ωt into a − jb; shape (…, 2F + 2) to (…, F)."""
+    frequencies = (theta.shape[-1] - 2) // 2
+    return theta[..., :frequencies] - 1j * theta[..., frequencies : 2 * frequencies]
