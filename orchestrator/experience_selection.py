@@ -29,7 +29,8 @@ class PaperSettings:
     `exploration` is ξ of the expected improvement (eq. 7). `psi_floor` keeps the acquisition's
     divisor ψ̂*_n (eq. 9) from zero, which a posterior mean can reach or cross while there are few
     points. The lengthscale is searched between these fractions of the band's width: a longer one
-    cannot be told from a constant, a shorter one would call for more tests than anybody runs. `noise_variance` is what responses scatter beyond their measured uncertainty.
+    cannot be told from a constant, a shorter one would call for more tests than anybody runs.
+    `noise_variance` is what responses scatter beyond their measured uncertainty.
     """
 
     exploration: float = 1e-3
