@@ -14,6 +14,7 @@ from orchestrator.experience_selection import PaperStudy
 from orchestrator.fleet import Fleet
 from orchestrator.preflight import check_band, check_names, check_plan, chosen_axis
 from orchestrator.ranking import Conclusion, RankingObserver, conduct
+from orchestrator.report import write_plots, write_report
 from orchestrator.results import (
     ClosedForm,
     IterationRecord,
@@ -21,8 +22,9 @@ from orchestrator.results import (
     RunRecord,
 )
 from orchestrator.run_folder import RunFolder
-from orchestrator.study import Question, Report, StudyPlan
-from shared.chordal import worst_case_chordal_distance
+from orchestrator.study import Curve, Question, Report, StudyPlan
+from shared.arrays import FloatArray
+from shared.chordal import chordal_distance, worst_case_chordal_distance
 from shared.messages import Description
 
 
@@ -103,6 +105,8 @@ def run_study(
         wall_time_s=time.monotonic() - began_s,
     )
     folder.write_record(record)
+    write_plots(folder.path, record, recorder.curves, _true_psi(ready, recorder.curves))
+    write_report(folder.path, record)
     return record
 
 
@@ -121,6 +125,21 @@ def _closed_form(plan: StudyPlan, descriptions: Mapping[str, Description]) -> di
             psi, omega = worst_case_chordal_distance(at_target, model, plan.band_rad_s)
             known[source] = ClosedForm(psi=psi, omega_rad_s=omega)
     return known
+
+
+def _true_psi(ready: ReadyStudy, curves: tuple[Curve, ...]) -> dict[str, FloatArray]:
+    """Return ψ_n(ω) on each curve's grid, for the sources whose closed form is known."""
+    axis = ready.plan.axis
+    at_target = ready.descriptions[ready.plan.target].spec.axis(axis).model
+    true_psi: dict[str, FloatArray] = {}
+    for curve in curves:
+        model = ready.descriptions[curve.source].spec.axis(axis).model
+        if at_target is not None and model is not None:
+            omega = curve.omega_rad_s
+            true_psi[curve.source] = chordal_distance(
+                at_target.frequency_response(omega), model.frequency_response(omega)
+            )
+    return true_psi
 
 
 def _configuration(ready: ReadyStudy, seed: int) -> dict[str, Any]:
@@ -153,6 +172,7 @@ class _Recorder:
     def __init__(self, folder: RunFolder) -> None:
         self._folder = folder
         self.history: list[IterationRecord] = []
+        self.curves: tuple[Curve, ...] = ()
 
     def asked(self, question: Question) -> None:
         """Nothing is known yet."""
@@ -165,6 +185,7 @@ class _Recorder:
         for outcome in outcomes.values():
             if isinstance(outcome, Measured):
                 self._folder.write_samples(question.iteration, outcome)
+        self.curves = report.curves
         self.history.append(
             IterationRecord(
                 iteration=question.iteration,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -12,6 +13,9 @@ from pydantic import BaseModel, Field, ValidationError
 from shared.codec import describe_validation
 from shared.errors import FleetFileError
 from shared.strict import Name, Strict
+
+
+ENTRY_POINT_GROUP = "nufleet.fleets"
 
 
 class RobotEntry(Strict):
@@ -40,6 +44,23 @@ class FleetFile(Strict):
 
 
 S = TypeVar("S", bound=BaseModel)
+
+
+def find_fleet_file(path_or_name: str) -> Path:
+    """Return the path of a fleet file given as a path, or by the name of one that is installed.
+
+    Raises:
+        FleetFileError: it is neither.
+    """
+    path = Path(path_or_name)
+    if path.exists():
+        return path
+    installed = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
+    if path_or_name not in installed:
+        names = ", ".join(sorted(installed))
+        raise FleetFileError(f"{path}: there is no such fleet file; known by name: {names}")
+    found: Path = installed[path_or_name].load()
+    return found
 
 
 def read_fleet_file(path: Path) -> FleetFile:

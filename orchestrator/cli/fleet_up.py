@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 
 @click.command()
-@click.argument("fleet_file", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("fleet_file", metavar="FLEET")
 @click.option(
     "--listen",
     default="tcp/127.0.0.1:7447",
@@ -23,12 +21,15 @@ import click
     metavar="FACTOR",
     help="Play at this multiple of real time.  [default: as fast as possible]",
 )
-def up(fleet_file: Path, listen: str, processes: bool, realtime: float | None) -> None:
-    """Start a router and all robots of FLEET_FILE; Ctrl-C ends them, at rest.
+def up(fleet_file: str, listen: str, processes: bool, realtime: float | None) -> None:
+    """Start a router and all robots of FLEET; Ctrl-C ends them, at rest.
+
+    FLEET is a fleet file, or the name of an installed one.
 
     \b
-    nufleet fleet up sims/fleets/paper_linear.toml --realtime 1
+    nufleet fleet up paper_linear --realtime 1
     """
     from orchestrator.fleet_up import fleet_up
+    from shared.fleet_file import find_fleet_file
 
-    fleet_up(fleet_file, listen=listen, processes=processes, realtime=realtime)
+    fleet_up(find_fleet_file(fleet_file), listen=listen, processes=processes, realtime=realtime)

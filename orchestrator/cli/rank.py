@@ -13,9 +13,8 @@ from orchestrator.cli.options import connect_options, json_option, runs_option
 @click.option(
     "--fleet",
     "fleet_file",
-    type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="Start the simulated fleet of this file for this study, instead of joining a running one.",
+    help="Start the simulated fleet of this file (or of this installed name) for this study alone.",
 )
 @connect_options
 @click.option("--target", help="The robot that needs experience.  [default: the fleet file's]")
@@ -56,7 +55,7 @@ from orchestrator.cli.options import connect_options, json_option, runs_option
 @runs_option
 @json_option
 def rank(
-    fleet_file: Path | None,
+    fleet_file: str | None,
     connect: str,
     fleet_name: str | None,
     target: str | None,
@@ -77,14 +76,15 @@ def rank(
     target most. Ctrl-C brings all robots to rest.
 
     \b
-    nufleet rank --fleet sims/fleets/paper_linear.toml
+    nufleet rank --fleet paper_linear
     nufleet rank --connect tcp/192.168.1.10:7447 --target drone-7 --band 0.1 5.4
     """
     from orchestrator.cli.rank_session import RankCommand, rank_and_print
+    from shared.fleet_file import find_fleet_file
 
     rank_and_print(
         RankCommand(
-            fleet_file=fleet_file,
+            fleet_file=None if fleet_file is None else find_fleet_file(fleet_file),
             connect=connect,
             fleet_name=fleet_name,
             target=target,

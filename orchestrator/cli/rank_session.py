@@ -17,25 +17,26 @@ from orchestrator.results import RunRecord
 from orchestrator.run_folder import RunFolder
 from shared.errors import InvalidInputError
 from shared.fleet_file import FleetFile, read_fleet_file
+from shared.transport import DEFAULT_ENDPOINT
 
 
 @dataclass(frozen=True)
 class RankCommand:
     """The command line of one ranking."""
 
-    fleet_file: Path | None
-    connect: str
-    fleet_name: str | None
-    target: str | None
-    sources: tuple[str, ...] | None
-    band_rad_s: tuple[float, float] | None
-    axis: str | None
-    iterations: int
-    seed: int
-    realtime: float | None
-    live: bool
     runs_root: Path
-    as_json: bool
+    fleet_file: Path | None = None
+    connect: str = DEFAULT_ENDPOINT
+    fleet_name: str | None = None
+    target: str | None = None
+    sources: tuple[str, ...] | None = None
+    band_rad_s: tuple[float, float] | None = None
+    axis: str | None = None
+    iterations: int = 7
+    seed: int = 0
+    realtime: float | None = None
+    live: bool = False
+    as_json: bool = False
     processes: int | None = 2
 
 
