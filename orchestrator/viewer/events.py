@@ -1,0 +1,100 @@
+"""What a study shows of itself while it runs: plain values, with no viewer in them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from shared.arrays import FloatArray
+
+RobotStatus = Literal["idle", "running", "resting", "stopped", "fault", "lost"]
+MessageLevel = Literal["debug", "info", "warning", "error"]
+
+# Times `t_s` are seconds since the study began. Events are compared by identity: they hold arrays.
+
+
+@dataclass(frozen=True, eq=False)
+class RobotStateEvent:
+    """What a robot is doing now; `progress` of its goal in [0, 1]; `reason` is a sentence or ""."""
+
+    t_s: float
+    robot: str
+    status: RobotStatus
+    goal_id: str | None
+    progress: float
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class TestSamplesEvent:
+    """Reference and response of a frequency test whose first sample is at `t_s`.
+
+    Both have shape (n,), in `unit`, one value every `sample_time_s`.
+    """
+
+    __test__ = False  # pytest: not a test case
+
+    t_s: float
+    robot: str
+    axis: str
+    unit: str
+    omega_rad_s: tuple[float, ...]
+    sample_time_s: float
+    reference: FloatArray
+    response: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class SurrogateCurve:
+    """What is believed of one source's ψ_n(ω): posterior mean and standard deviation, and samples.
+
+    `omega_rad_s`, `mean` and `std` have shape (g,), the samples shape (m,).
+    """
+
+    source: str
+    omega_rad_s: FloatArray
+    mean: FloatArray
+    std: FloatArray
+    sampled_omega_rad_s: FloatArray
+    sampled_psi: FloatArray
+
+
+@dataclass(frozen=True)
+class RankingRow:
+    """A source's estimated worst-case chordal distance to the target, and where in the band."""
+
+    robot: str
+    psi: float
+    psi_std: float
+    omega_rad_s: float
+    tests: int
+
+
+@dataclass(frozen=True, eq=False)
+class IterationEvent:
+    """What one round of tests taught; `ranking` is best first.
+
+    `responses` holds, for each robot that answered, z(ω) at each tone of `omega_rad_s`.
+    """
+
+    t_s: float
+    iteration: int
+    omega_rad_s: tuple[float, ...]
+    responses: Mapping[str, tuple[complex, ...]]
+    target: str
+    curves: tuple[SurrogateCurve, ...]
+    ranking: tuple[RankingRow, ...]
+    messages: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class MessageEvent:
+    """A sentence for the log."""
+
+    t_s: float
+    level: MessageLevel
+    text: str
+
+
+ViewerEvent = RobotStateEvent | TestSamplesEvent | IterationEvent | MessageEvent

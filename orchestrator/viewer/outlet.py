@@ -1,0 +1,171 @@
+"""One destination of a study's events: a bounded queue and the thread that empties it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from orchestrator.viewer.events import IterationEvent, TestSamplesEvent, ViewerEvent
+
+BATCH_S = 0.25
+"""Telemetry is written so often; per sample it would cost tens of times as much."""
+
+WAITING_MAX = 4096
+"""So many droppable events may wait; then the oldest go, since the newest are what one watches."""
+
+WAITING_BYTES_MAX = 64 * 2**20
+"""So much may wait in the arrays of droppable events."""
+
+log = logging.getLogger(__name__)
+
+
+class Sink(Protocol):
+    """Where events go. Used by one thread only; any call may block for as long as it likes."""
+
+    def write(self, events: Sequence[ViewerEvent]) -> None:
+        """Write events, oldest first."""
+
+    def close(self) -> None:
+        """Write out everything and let go."""
+
+
+class Outlet:
+    """Takes events without ever waiting and writes them to a sink from its own thread.
+
+    When the sink is slow, telemetry and messages are dropped, oldest first, and counted;
+    iterations wait. When the sink is gone everything is dropped and counted.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        open_sink: Callable[[], Sink],
+        *,
+        waiting_max: int = WAITING_MAX,
+        waiting_bytes_max: int = WAITING_BYTES_MAX,
+    ) -> None:
+        self.name = name
+        self._open_sink = open_sink
+        self._waiting_max = waiting_max
+        self._waiting_bytes_max = waiting_bytes_max
+        self._waiting_bytes = 0
+        self._changed = threading.Condition()
+        self._iterations: deque[tuple[int, ViewerEvent]] = deque()
+        self._droppable: deque[tuple[int, ViewerEvent]] = deque()
+        self._taken = 0
+        self._dropped = 0
+        self._closing = False
+        self._dead = False
+        self._opened = threading.Event()
+        self._open_error: Exception | None = None
+        # A daemon, since a thread that is stuck in a sink must not keep the process alive.
+        self._thread = threading.Thread(target=self._run, name=f"viewer-{name}", daemon=True)
+
+    @property
+    def dropped(self) -> int:
+        """Events that were not written."""
+        with self._changed:
+            return self._dropped
+
+    def start(self) -> None:
+        """Begin to open the sink."""
+        self._thread.start()
+
+    def wait_opened(self, timeout_s: float) -> None:
+        """Wait until the sink is open; raises what opening it raised, or TimeoutError."""
+        if not self._opened.wait(timeout_s):
+            raise TimeoutError(f"{self.name} did not open within {timeout_s:g} s")
+        if self._open_error is not None:
+            raise self._open_error
+
+    def offer(self, event: ViewerEvent) -> None:
+        """Take an event; never waits for the sink."""
+        with self._changed:
+            if self._dead or self._closing:
+                self._dropped += 1
+                return
+            self._taken += 1
+            if isinstance(event, IterationEvent):
+                self._iterations.append((self._taken, event))
+                return
+            self._droppable.append((self._taken, event))
+            self._waiting_bytes += _array_bytes(event)
+            while (
+                len(self._droppable) > self._waiting_max
+                or self._waiting_bytes > self._waiting_bytes_max
+            ):
+                self._waiting_bytes -= _array_bytes(self._droppable.popleft()[1])
+                self._dropped += 1
+
+    def ask_to_close(self) -> None:
+        """Take no more events and let the thread end once it has written those it has."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+
+    def join(self, timeout_s: float) -> bool:
+        """Wait for the thread to end; False when it did not, being stuck in its sink."""
+        if self._thread.ident is None:
+            return True
+        self._thread.join(max(0.0, timeout_s))
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        try:
+            sink = self._open_sink()
+        except Exception as error:  # noqa: BLE001 - raised again in wait_opened
+            self._open_error = error
+            self._die()
+            self._opened.set()
+            return
+        self._opened.set()
+        try:
+            while (events := self._take()) is not None:
+                self._write(sink, events)
+            sink.close()
+        except Exception:
+            log.exception("the viewer's %s failed", self.name)
+        finally:
+            self._die()
+
+    def _write(self, sink: Sink, events: list[ViewerEvent]) -> None:
+        try:
+            sink.write(events)
+        except Exception:
+            # What cannot be drawn must not cost the study its recording: say so and go on.
+            log.exception("the viewer's %s could not write %d events", self.name, len(events))
+            with self._changed:
+                self._dropped += len(events)
+
+    def _take(self) -> list[ViewerEvent] | None:
+        """Wait for the next batch; None when closing and nothing is left."""
+        with self._changed:
+            deadline = time.monotonic() + BATCH_S
+            while not self._closing and (left := deadline - time.monotonic()) > 0:
+                self._changed.wait(left)
+            batch = sorted((*self._iterations, *self._droppable), key=lambda entry: entry[0])
+            self._forget_waiting()
+            if not batch and self._closing:
+                return None
+        return [event for _, event in batch]
+
+    def _die(self) -> None:
+        with self._changed:
+            self._dead = True
+            self._dropped += len(self._iterations) + len(self._droppable)
+            self._forget_waiting()
+
+    def _forget_waiting(self) -> None:
+        self._iterations.clear()
+        self._droppable.clear()
+        self._waiting_bytes = 0
+
+
+def _array_bytes(event: ViewerEvent) -> int:
+    if isinstance(event, TestSamplesEvent):
+        return event.reference.nbytes + event.response.nbytes
+    return 0

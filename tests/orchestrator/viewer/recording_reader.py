@@ -1,0 +1,39 @@
+"""Reads a recording back, as any other program would."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from rerun.chunk import RrdReader
+
+from shared.arrays import FloatArray
+
+
+def entities(path: Path) -> set[str]:
+    """Return the paths of everything drawn, statically or over time."""
+    return {str(chunk.entity_path) for chunk in RrdReader(path).stream().to_chunks()}
+
+
+def column(path: Path, entity: str, component: str, timeline: str = "t") -> list[object]:
+    """Return what was drawn in a component of an entity, over time."""
+    values: list[tuple[float, object]] = []
+    for chunk in RrdReader(path).stream().filter(content=entity, is_static=False).to_chunks():
+        batch = chunk.to_record_batch()
+        if component not in batch.schema.names or timeline not in batch.schema.names:
+            continue
+        times = batch[timeline].cast("int64").to_numpy(zero_copy_only=False)
+        values += zip(times.tolist(), batch[component].to_pylist(), strict=True)
+    return [value for _, value in sorted(values, key=lambda entry: entry[0])]
+
+
+def scalars(path: Path, entity: str) -> tuple[FloatArray, FloatArray]:
+    """Return times in seconds and values of a series, in the order of time."""
+    rows: list[tuple[float, float]] = []
+    for chunk in RrdReader(path).stream().filter(content=entity, is_static=False).to_chunks():
+        batch = chunk.to_record_batch()
+        times_ns = batch["t"].cast("int64").to_numpy(zero_copy_only=False)
+        values = batch["Scalars:scalars"].flatten().to_numpy(zero_copy_only=False)
+        rows += zip((times_ns * 1e-9).tolist(), values.tolist(), strict=True)
+    times, values = np.array(sorted(rows)).T
+    return times, values

@@ -1,0 +1,93 @@
+"""What a study leaves in its recording, read back from the file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recording_reader import column, entities, scalars
+from study_events import SAMPLE_TIME_S, iteration_event, samples_event, state_event
+
+from orchestrator.viewer.events import MessageEvent, ViewerEvent
+from orchestrator.viewer.writer import RerunWriter
+from shared.errors import InvalidInputError
+
+
+def record(path: Path, *events: ViewerEvent) -> Path:
+    with RerunWriter("run-1", recording=path, serve=None) as writer:
+        for event in events:
+            writer.emit(event)
+    assert writer.dropped == 0
+    return path
+
+
+def test_a_test_is_recorded_sample_by_sample_from_its_start(tmp_path: Path) -> None:
+    event = samples_event("s1", t_s=7.5)
+    path = record(tmp_path / "run.rrd", event)
+    for signal, expected in (("reference", event.reference), ("response", event.response)):
+        times_s, values = scalars(path, f"/tests/{signal}/s1/x")
+        np.testing.assert_array_equal(values, expected)
+        np.testing.assert_allclose(times_s, 7.5 + np.arange(400) * SAMPLE_TIME_S, atol=1e-8)
+
+
+def test_a_long_test_keeps_its_peaks_in_a_bounded_number_of_points(tmp_path: Path) -> None:
+    event = samples_event("s1", samples=60_001)
+    event.response[31_234] = 5.0
+    path = record(tmp_path / "run.rrd", event)
+    times_s, values = scalars(path, "/tests/response/s1/x")
+    assert 1000 <= len(values) <= 2000
+    assert values.max() == 5.0
+    assert times_s[values.argmax()] == pytest.approx(31_234 * SAMPLE_TIME_S)
+
+
+def test_a_round_draws_every_robot_and_every_source(tmp_path: Path) -> None:
+    paths = entities(record(tmp_path / "run.rrd", iteration_event()))
+    for source in ("s1", "s2", "s3"):
+        assert f"/sphere/points/{source}" in paths
+        assert f"/sphere/chords/{source}" in paths
+        assert f"/psi/worst/{source}" in paths
+    assert "/sphere/points/target" in paths
+    assert "/sphere/chords/target" not in paths
+
+
+def test_estimates_carry_their_variance_on_both_timelines(tmp_path: Path) -> None:
+    path = record(tmp_path / "run.rrd", *(iteration_event(k, t_s=5.0 * k) for k in (1, 2)))
+    for timeline in ("t", "iteration"):
+        assert column(path, "/psi/worst/s2", "Measurements:values", timeline) == [[0.04], [0.04]]
+        variances = column(path, "/psi/worst/s2", "Measurements:variances", timeline)
+        np.testing.assert_allclose(np.array(variances), 0.008**2, rtol=1e-6)
+
+
+def test_a_lane_changes_only_when_the_status_does(tmp_path: Path) -> None:
+    statuses = ["idle", "running", "running", "running", "fault"]
+    events = [state_event("s1", 0.1 * k, status) for k, status in enumerate(statuses)]
+    path = record(tmp_path / "run.rrd", *events)
+    assert column(path, "/robots/state/s1", "StateChange:state") == [
+        ["idle"],
+        ["running"],
+        ["fault"],
+    ]
+
+
+def test_messages_are_recorded_with_their_levels(tmp_path: Path) -> None:
+    path = record(
+        tmp_path / "run.rrd",
+        MessageEvent(1.0, "warning", "s1 is slow"),
+        iteration_event(t_s=2.0),
+    )
+    assert column(path, "/log", "TextLog:text") == [["s1 is slow"], ["round 1 is done"]]
+    assert column(path, "/log", "TextLog:level") == [["WARN"], ["INFO"]]
+
+
+def test_a_recording_is_not_written_over(tmp_path: Path) -> None:
+    path = record(tmp_path / "run.rrd", iteration_event())
+    before = path.read_bytes()
+    with pytest.raises(InvalidInputError, match="exists already"):
+        RerunWriter("run-2", recording=path, serve=None).open()
+    assert path.read_bytes() == before
+
+
+def test_a_recording_that_cannot_be_written_is_refused_at_once(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInputError, match="No such file or directory"):
+        RerunWriter("run-1", recording=tmp_path / "missing" / "run.rrd", serve=None).open()
