@@ -5,11 +5,12 @@ from __future__ import annotations
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from orchestrator.fleet import Fleet
 from orchestrator.fleet_processes import FleetProcesses, grouped, private_endpoint
+from shared.drivers import check_settings
 from shared.errors import InvalidInputError, NufleetError, RobotLostError
 from shared.fleet_file import FleetFile, read_fleet_file
 from shared.keys import FleetKeys
@@ -19,13 +20,11 @@ CONNECT_TIMEOUT_S = 5.0
 START_TIMEOUT_S = 60.0
 
 
-@dataclass(frozen=True)
-class Connection:
-    """A fleet that can be reached, its name, and the processes started for it (none if it ran)."""
+class Connection(NamedTuple):
+    """A fleet that can be reached, and its name."""
 
     fleet: Fleet
     name: str
-    processes: FleetProcesses | None
 
 
 def new_orchestrator_id() -> str:
@@ -57,9 +56,7 @@ def running_fleet(endpoint: str, fleet_name: str | None) -> Iterator[Connection]
                     "robots with `nufleet fleet up FLEET.toml` or `nufleet agent FLEET.toml`"
                 )
             fleet_name = names.pop()
-        yield Connection(
-            Fleet(session, FleetKeys(fleet_name), new_orchestrator_id()), fleet_name, None
-        )
+        yield Connection(Fleet(session, FleetKeys(fleet_name), new_orchestrator_id()), fleet_name)
 
 
 @contextmanager
@@ -74,6 +71,7 @@ def started_fleet(
         realtime: at which multiple of real time simulated robots play; None as fast as they can.
     """
     file = read_fleet_file(path)
+    check_settings(file, path)
     groups = grouped(file, processes=processes or len(file.robots))
     with private_endpoint() as endpoint, FleetProcesses() as started:
         started.start_router(endpoint)
@@ -81,7 +79,7 @@ def started_fleet(
         with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as session:
             fleet = Fleet(session, FleetKeys(file.name), new_orchestrator_id())
             wait_for_robots(fleet, started, file)
-            yield Connection(fleet, file.name, started)
+            yield Connection(fleet, file.name)
 
 
 def wait_for_robots(fleet: Fleet, started: FleetProcesses, file: FleetFile) -> None:

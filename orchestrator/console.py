@@ -14,7 +14,7 @@ from orchestrator.study import Question, Report, SourceEstimate
 
 def stderr_console() -> Console:
     """Return the console that progress and tables go to, so that stdout stays for documents."""
-    return Console(stderr=True, highlight=False)
+    return Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 class ConsoleObserver:
@@ -64,7 +64,7 @@ def ranking_table(
     """Return the final table, beside the closed form where robots know their models."""
     table = Table(title="worst-case chordal distance to the target", title_justify="left")
     table.add_column("source")
-    for heading in ("ψ*", "± σ", "at ω [rad/s]", "tests"):
+    for heading in ("ψ*", "± σ", "at ω, rad/s", "tests"):
         table.add_column(heading, justify="right")
     if closed_form:
         table.add_column("closed form", justify="right")

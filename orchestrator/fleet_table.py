@@ -16,7 +16,7 @@ def fleet_table(fleet: str, watches: Iterable[RobotWatch]) -> Table:
     table = Table(title=f"fleet {fleet}", title_justify="left")
     for heading in ("robot", "status", "goal"):
         table.add_column(heading)
-    for heading in ("progress", "moved [s]", "heard [s ago]"):
+    for heading in ("progress", "moved, s", "heard, s ago"):
         table.add_column(heading, justify="right")
     table.add_column("reason")
     for watch in watches:

@@ -12,6 +12,7 @@ from orchestrator.console import stderr_console
 from orchestrator.fleet import Fleet
 from orchestrator.fleet_processes import FleetProcesses, grouped
 from orchestrator.fleet_table import fleet_table
+from shared.drivers import check_settings
 from shared.errors import NufleetError
 from shared.fleet_file import read_fleet_file
 from shared.keys import FleetKeys
@@ -30,6 +31,7 @@ def fleet_up(path: Path, *, listen: str, processes: bool, realtime: float | None
         NufleetError: a process of the fleet ended by itself.
     """
     file = read_fleet_file(path)
+    check_settings(file, path)
     console = stderr_console()
     robots = tuple(file.robots)
     groups = grouped(file, processes=len(robots) if processes else AGENT_PROCESSES)

@@ -46,7 +46,7 @@ def write_plots(
         ("psi_over_iterations.png", lambda axes: _draw_history(axes, record, colours)),
     ):
         figure = Figure(figsize=(8.0, 4.5), layout="constrained")
-        FigureCanvasAgg(figure)  # type: ignore[no-untyped-call]
+        FigureCanvasAgg(figure)
         axes = figure.add_subplot()
         draw(axes)
         axes.grid(alpha=0.3)
@@ -116,8 +116,8 @@ def write_report(folder: Path, record: RunRecord) -> None:
         ),
         "",
         (
-            f"Selected source: **{result.selected}**, after {result.robot_time_s:.0f} robot-seconds "
-            f"and {record.wall_time_s:.1f} s on the clock."
+            f"Selected source: **{result.selected}**, after {result.robot_time_s:.0f} robot-seconds"
+            f" and {record.wall_time_s:.1f} s on the clock."
         ),
         "",
         "| source | ψ* | σ | at ω [rad/s] | tests | closed form |",

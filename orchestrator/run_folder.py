@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import platform
 import sys
+import tempfile
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -31,7 +32,7 @@ class RunFolder:
     """Writes one run's folder; close it (or leave its `with`) so that the samples are complete."""
 
     def __init__(self, root: Path, name: str, *, now: datetime | None = None) -> None:
-        """Create the folder.
+        """Create the folder in a root that is there.
 
         Raises:
             InvalidInputError: the folder cannot be created.
@@ -133,9 +134,20 @@ def find_run(root: Path, run: str) -> Path:
     )
 
 
-def _create(root: Path, name: str) -> Path:
+def make_runs_root(root: Path) -> None:
+    """Make sure that runs can be stored there; raises InvalidInputError."""
     try:
         root.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=root):
+            pass
+    except OSError as error:
+        raise InvalidInputError(
+            f"runs cannot be stored in {root}: {error.strerror}; choose another place with --runs"
+        ) from error
+
+
+def _create(root: Path, name: str) -> Path:
+    try:
         for attempt in range(1, 1000):
             path = root / (name if attempt == 1 else f"{name}-{attempt}")
             try:

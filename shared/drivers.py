@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
 from shared.errors import FleetFileError
+from shared.fleet_file import FleetFile, validated_settings
 from shared.strict import Strict
 
 ENTRY_POINT_GROUP = "nufleet.robots"
@@ -34,11 +36,24 @@ class RobotDriver(Protocol):
 
 
 def load_driver(name: str) -> RobotDriver:
-    """Return the driver of that name; raises FleetFileError with the names there are."""
+    """Return the driver of that name.
+
+    Raises:
+        FleetFileError: there is none, with the names there are; or what it needs is not installed.
+    """
     found = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
     if name not in found:
         raise FleetFileError(
             f"unknown driver {name!r}; installed drivers: {', '.join(sorted(found)) or 'none'}"
         )
-    driver: RobotDriver = found[name].load()
+    try:
+        driver: RobotDriver = found[name].load()
+    except ImportError as error:
+        raise FleetFileError(f"driver {name!r} cannot be loaded: {error}") from error
     return driver
+
+
+def check_settings(fleet: FleetFile, path: Path) -> None:
+    """Check every robot's settings before anything is started; raises FleetFileError."""
+    for name, entry in fleet.robots.items():
+        validated_settings(load_driver(entry.driver).settings, path, name, entry.settings)

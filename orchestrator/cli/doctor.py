@@ -13,8 +13,8 @@ from orchestrator.cli.options import connect_options, json_option
 def doctor(connect: str, fleet_name: str | None, as_json: bool) -> None:
     """Check versions, ports, the viewer and the router, and say what to do about what is missing.
 
-    Ends with exit code 1 when something that `nufleet demo` needs is missing; that no router runs is
-    no fault.
+    Ends with exit code 1 when something that `nufleet demo` needs is missing; that no router runs
+    is no fault.
     """
     import json
 

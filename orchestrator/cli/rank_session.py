@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,10 +12,13 @@ from rich.console import Console
 
 from orchestrator.connection import Connection, running_fleet, started_fleet
 from orchestrator.console import ConsoleObserver, ranking_table, stderr_console
+from orchestrator.live_view import LiveView
 from orchestrator.preflight import check_band, check_names
 from orchestrator.rank_run import RankRequest, prepare, run_study
 from orchestrator.results import RunRecord
-from orchestrator.run_folder import RunFolder
+from orchestrator.run_folder import RunFolder, make_runs_root
+from orchestrator.study_clock import StudyClock
+from orchestrator.viewer.writer import WEB_PORT, RerunWriter, ServeOptions
 from shared.errors import InvalidInputError
 from shared.fleet_file import FleetFile, read_fleet_file
 from shared.transport import DEFAULT_ENDPOINT
@@ -52,20 +56,35 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
     """Rank a fleet and return the stored record; raises before anything moves when it cannot."""
     if command.band_rad_s is not None:
         check_band(command.band_rad_s)
+    make_runs_root(command.runs_root)
     with ExitStack() as stack:
-        connection = stack.enter_context(_connection(command, console))
-        request = _request(command)
-        ready = prepare(connection.fleet, request, connection.fleet.robots())
-        folder = stack.enter_context(RunFolder(command.runs_root, connection.name))
-        observer = ConsoleObserver(console, command.iterations)
+        fleet, name = stack.enter_context(_connection(command, console))
+        ready = prepare(fleet, _request(command), fleet.robots())
+        folder = stack.enter_context(RunFolder(command.runs_root, name))
+        serve = ServeOptions(web_port=WEB_PORT) if command.live else None
+        writer = stack.enter_context(
+            RerunWriter(folder.path.name, recording=folder.recording, serve=serve)
+        )
+        if command.live:
+            console.print(f"live: `nufleet view --live`, or {writer.web_url} in a browser")
+        unit = ready.descriptions[ready.plan.target].spec.axis(ready.plan.axis).unit
+        live = LiveView(ready.plan, unit, StudyClock(time.monotonic), writer.emit)
+        live.watch(fleet)
         record = run_study(
-            connection.fleet, ready, seed=command.seed, folder=folder, observers=[observer]
+            fleet,
+            ready,
+            seed=command.seed,
+            folder=folder,
+            observers=[ConsoleObserver(console, command.iterations), live],
         )
     console.print(ranking_table(record.result.ranking, record.closed_form))
     console.print(
         f"selected: [bold green]{record.result.selected}[/]  "
         f"({record.result.robot_time_s:.0f} robot-seconds, {record.wall_time_s:.1f} s)"
     )
+    if writer.dropped:
+        console.print(f"[yellow]the recording and its viewers missed {writer.dropped} events[/]")
+    console.print(f"open the recording with:  nufleet view {folder.path}")
     return record
 
 

@@ -1,0 +1,250 @@
+"""`nufleet rank` and `nufleet demo` as a user and as another program run them: real processes."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+ROOT = Path(__file__).parents[2]
+FLEET = ROOT / "sims" / "fleets" / "paper_linear.toml"
+NUFLEET = [sys.executable, "-m", "shared.command_line"]
+
+
+def nufleet(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*NUFLEET, *arguments], cwd=cwd, capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+def children_of(pid: int) -> list[psutil.Process]:
+    try:
+        return psutil.Process(pid).children(recursive=True)
+    except psutil.NoSuchProcess:
+        return []
+
+
+def test_rank_prints_the_documented_json_alone_on_stdout(tmp_path: Path) -> None:
+    done = nufleet(
+        *("rank", "--fleet", str(FLEET), "--target", "target", "--band", "0.05", "10"),
+        *("--iterations", "7", "--seed", "3", "--json"),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert list(document) == [
+        *("schema", "target", "band_rad_s", "selected", "ranking", "iterations"),
+        *("robot_time_s", "run"),
+    ]
+    assert document["schema"] == 1
+    assert document["target"] == "target"
+    assert document["band_rad_s"] == [0.05, 10.0]
+    assert document["selected"] == "source-2"
+    assert document["iterations"] == 7
+    assert [row["robot"] for row in document["ranking"]] == ["source-2", "source-1", "source-3"]
+    for row, closed_form in zip(document["ranking"], (0.0212, 0.0694, 0.0918), strict=True):
+        assert set(row) == {"robot", "psi", "psi_std", "omega_rad_s", "tests"}
+        assert row["psi"] == pytest.approx(closed_form, rel=0.01)
+        assert row["tests"] == 7
+    assert document["robot_time_s"] > 0
+
+
+def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(tmp_path: Path) -> None:
+    done = nufleet("rank", "--fleet", str(FLEET), "--iterations", "2", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    run = tmp_path / json.loads(done.stdout)["run"]
+    assert {path.name for path in run.iterdir()} == {
+        *("config.json", "results.json", "telemetry.parquet", "run.rrd", "plots", "report.md")
+    }
+    assert {path.suffix for path in (run / "plots").iterdir()} == {".png"}
+    listed = json.loads(nufleet("runs", "list", "--json", cwd=tmp_path).stdout)
+    assert [Path(entry["run"]).name for entry in listed["runs"]] == [run.name]
+    shown = json.loads(nufleet("runs", "show", "latest", "--json", cwd=tmp_path).stdout)
+    assert shown["result"] == json.loads(done.stdout)
+    assert len(shown["history"]) == 2
+
+
+def test_the_same_seed_gives_the_same_ranking_however_robots_share_processes(
+    tmp_path: Path,
+) -> None:
+    arguments = ("--seed", "11", "--json")
+    alone = nufleet("demo", *arguments, cwd=tmp_path)
+    together = nufleet("rank", "--fleet", "paper_linear", *arguments, cwd=tmp_path)
+    first, second = json.loads(alone.stdout), json.loads(together.stdout)
+    assert first["ranking"] == second["ranking"]
+
+
+def test_the_demo_shows_estimate_and_closed_form_and_how_to_open_the_recording(
+    tmp_path: Path,
+) -> None:
+    done = nufleet("demo", cwd=tmp_path)
+    assert done.returncode == 0
+    assert done.stdout == ""
+    assert "closed form" in done.stderr
+    assert "selected: source-2" in done.stderr
+    assert "nufleet view " in done.stderr
+
+
+@pytest.mark.parametrize("after_s", [0.3, 1.5, 3.0])
+def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, after_s: float) -> None:
+    demo = subprocess.Popen(
+        [*NUFLEET, "rank", "--fleet", str(FLEET), "--realtime", "1"],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    time.sleep(after_s)
+    children = children_of(demo.pid)
+    demo.send_signal(signal.SIGINT)
+    _, said = demo.communicate(timeout=30)
+    assert demo.returncode == 130, said
+    gone, alive = psutil.wait_procs(children, timeout=5)
+    assert not alive
+    assert len(gone) == len(children)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["--target", "nobody"], 2, "no robot 'nobody'"),
+        (["--sources", "source-1,nobody"], 2, "no robot 'nobody'"),
+        (["--sources", "target,source-1"], 2, "among the sources"),
+        (["--band", "10", "0.1"], 2, "reversed"),
+        (["--band", "1", "1"], 2, "empty"),
+        (["--band", "0", "10"], 2, "period is infinite"),
+        (["--band", "0.05", "90"], 2, "outside what robot target can be tested at"),
+        (["--axis", "yaw"], 2, "no axis 'yaw'; it has x"),
+        (["--iterations", "0"], 2, "--iterations"),
+    ],
+)
+def test_a_request_that_cannot_be_right_is_refused_with_the_reason(
+    tmp_path: Path, arguments: list[str], code: int, words: str
+) -> None:
+    done = nufleet("rank", "--fleet", str(FLEET), *arguments, "--json", cwd=tmp_path)
+    assert done.returncode == code
+    assert done.stdout == ""
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.glob("runs/*/telemetry.parquet"))
+
+
+def test_a_typo_in_a_fleet_file_names_file_field_and_expectation(tmp_path: Path) -> None:
+    fleet = tmp_path / "typo.toml"
+    fleet.write_text(FLEET.read_text().replace("alpha = 0.85", 'alpha = "big"'))
+    done = nufleet("rank", "--fleet", str(fleet), cwd=tmp_path)
+    assert done.returncode == 2
+    assert "typo.toml" in done.stderr
+    assert "robots.target.settings" in done.stderr
+    assert "alpha" in done.stderr
+    assert "number" in done.stderr
+
+
+def test_no_router_is_an_error_that_says_how_to_start_one(tmp_path: Path) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+        done = nufleet("rank", "--connect", endpoint, "--target", "target", cwd=tmp_path)
+    assert done.returncode == 1
+    assert endpoint in done.stderr
+    assert "nufleet router" in done.stderr
+
+
+def test_a_port_in_use_is_an_error_that_names_it(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        for command in (
+            ["router", "--listen", endpoint],
+            ["fleet", "up", str(FLEET), "--listen", endpoint],
+        ):
+            done = nufleet(*command, cwd=tmp_path)
+            assert done.returncode == 1
+            assert endpoint in done.stderr
+
+
+def test_a_runs_folder_that_cannot_be_written_is_refused_before_anything_starts(
+    tmp_path: Path,
+) -> None:
+    blocked = tmp_path / "runs"
+    blocked.write_text("a file where the folder should be")
+    done = nufleet("rank", "--fleet", str(FLEET), cwd=tmp_path)
+    assert done.returncode == 2
+    assert "runs" in done.stderr
+    assert "iteration 1" not in done.stderr
+
+
+def test_help_is_there_for_every_command(tmp_path: Path) -> None:
+    top = nufleet("--help", cwd=tmp_path)
+    assert top.returncode == 0
+    for command in ("demo", "rank", "router", "agent", "view", "runs", "fleet", "stop", "doctor"):
+        assert command in top.stdout
+        shown = nufleet(command, "--help", cwd=tmp_path)
+        assert shown.returncode == 0
+        assert "Usage: nufleet" in shown.stdout
+
+
+def test_doctor_finds_everything_that_the_demo_needs(tmp_path: Path) -> None:
+    done = nufleet("doctor", "--json", cwd=tmp_path)
+    checks = {check["what"]: check for check in json.loads(done.stdout)["checks"]}
+    assert done.returncode == 0, checks
+    assert checks["zenoh"]["verdict"] == "ok"
+    assert "double_integrator" in checks["robot drivers"]["found"]
+
+
+@pytest.fixture
+def tcp_endpoint() -> str:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+
+
+def test_a_running_fleet_is_shown_ranked_stopped_and_released(
+    tmp_path: Path, tcp_endpoint: str
+) -> None:
+    up = subprocess.Popen(
+        [*NUFLEET, "fleet", "up", str(FLEET), "--listen", tcp_endpoint, "--processes"],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert up.stderr is not None
+    try:
+        assert "4 robots of fleet paper-linear are up" in up.stderr.readline()
+        assert len(children_of(up.pid)) == 5
+        join = ("--connect", tcp_endpoint)
+        status = json.loads(nufleet("fleet", "status", *join, "--json", cwd=tmp_path).stdout)
+        assert {state["status"] for state in status["robots"].values()} == {"idle"}
+        ranked = nufleet(
+            *("rank", *join, "--target", "target", "--band", "0.5", "10"),
+            *("--iterations", "3", "--json"),
+            cwd=tmp_path,
+        )
+        assert json.loads(ranked.stdout)["selected"] == "source-2"
+        assert nufleet("stop", "source-2", *join, cwd=tmp_path).returncode == 0
+        without = nufleet(
+            *("rank", *join, "--target", "target", "--band", "0.5", "10"),
+            *("--iterations", "3", "--json"),
+            cwd=tmp_path,
+        )
+        assert [r["robot"] for r in json.loads(without.stdout)["ranking"]] == [
+            "source-1",
+            "source-3",
+        ]
+        assert "going on without source-2" in without.stderr
+        assert nufleet("release", "source-2", *join, cwd=tmp_path).returncode == 0
+        assert nufleet("stop", "nobody", *join, cwd=tmp_path).returncode == 1
+    finally:
+        up.send_signal(signal.SIGINT)
+        up.communicate(timeout=20)
+    assert up.returncode == 130
+    assert not [p for p in psutil.process_iter() if p.ppid() == up.pid]
