@@ -1,0 +1,1 @@
+"""Robot arms under joint-space position control, simulated with MuJoCo."""

@@ -1,0 +1,39 @@
+"""The driver `arm`: one simulated arm per entry, each in a process of its own if need be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from robot_agent.robot import Robot
+from shared.errors import InvalidInputError
+from shared.strict import Strict
+from sims.arms.settings import ArmSettings
+
+
+class ArmDriver:
+    """Builds arms; they share nothing."""
+
+    settings: type[Strict] = ArmSettings
+    shares_process = False
+    environment: Mapping[str, str] = {}
+
+    def build(
+        self, settings: Mapping[str, ArmSettings], rng: np.random.Generator
+    ) -> dict[str, Robot]:
+        """Build the robots, disconnected; raises InvalidInputError where MuJoCo is missing."""
+        try:
+            from sims.arms.robot import Arm
+        except ModuleNotFoundError as error:
+            raise InvalidInputError(
+                f"simulated arms need {error.name!r}: pip install 'nufleet[arms]'"
+            ) from error
+        generators = rng.spawn(len(settings))
+        return {
+            name: Arm(name, entry, own)
+            for (name, entry), own in zip(settings.items(), generators, strict=True)
+        }
+
+
+DRIVER = ArmDriver()

@@ -1,0 +1,174 @@
+"""A two-joint arm with its joint controllers as one MuJoCo model."""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.rollout import Rollout
+
+from shared.arrays import FloatArray
+from shared.errors import InvalidInputError
+from sims.arms.settings import SAMPLE_TIME_S, SERVO_HZ, ArmSettings
+
+STEPS_PER_SAMPLE = round(SAMPLE_TIME_S * SERVO_HZ)
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class _ShippedModel:
+    """Where an arm of gymnasium's is, which of its joints move, and from where, in rad."""
+
+    file: str
+    shoulder: str
+    elbow: str
+    tip: str
+    scenery: tuple[str, ...]
+    home: tuple[float, float]
+
+
+_MODELS = {
+    "pusher": _ShippedModel(
+        file="pusher_v5.xml",
+        shoulder="r_shoulder_pan_joint",
+        elbow="r_elbow_flex_joint",
+        tip="tips_arm",
+        scenery=("object", "goal"),
+        home=(0.0, -1.16),  # the middle of the elbow's range
+    ),
+    "reacher": _ShippedModel(
+        file="reacher.xml",
+        shoulder="joint0",
+        elbow="joint1",
+        tip="fingertip",
+        scenery=("target",),
+        home=(0.0, 1.5),  # bent by as much as the other arm can be, within ±3
+    ),
+}
+
+
+class Mechanism:
+    """The arm, its controllers and its state; plays whole reference signals in compiled code."""
+
+    def __init__(self, settings: ArmSettings) -> None:
+        """Build the model; raises InvalidInputError where gymnasium's files are missing."""
+        # MuJoCo would else write its warnings to a file in the working directory.
+        mujoco.set_mju_user_warning(lambda message: log.warning("mujoco: %s", message))
+        self._home = np.array(_MODELS[settings.model].home)
+        self._model = _controlled_arm(settings).compile()
+        self._data = mujoco.MjData(self._model)
+        self._velocity_gain = 1.0 if settings.velocity_reference else 0.0
+        self._rollout = Rollout(nthread=0)
+        self.put_home()
+
+    def put_home(self) -> None:
+        """Put the arm at rest in its home pose."""
+        size = mujoco.mj_stateSize(self._model, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
+        self._state = np.zeros(size)
+        self._state[1:3] = self._home  # after the time come the positions, then the velocities
+        self._reference = np.zeros(2)
+
+    @property
+    def state(self) -> FloatArray:
+        """Angle from home [rad] and angular velocity [rad/s] of each joint, shape (2, 2)."""
+        return np.asarray(self._joints(self._state[np.newaxis])[0])
+
+    def play(self, references: FloatArray) -> FloatArray:
+        """Move along `references` (samples, 2); return the states after each, (samples, 2, 2)."""
+        before = np.concatenate([self._reference[np.newaxis], references[:-1]])
+        velocity = self._velocity_gain * (references - before) / SAMPLE_TIME_S
+        control = np.concatenate([references + self._home, velocity], axis=1)
+        states, _ = self._rollout.rollout(
+            self._model,
+            self._data,
+            self._state[np.newaxis],
+            np.repeat(control, STEPS_PER_SAMPLE, axis=0)[np.newaxis],
+        )
+        ends = states[0, STEPS_PER_SAMPLE - 1 :: STEPS_PER_SAMPLE]
+        self._state = ends[-1]
+        self._reference = references[-1]
+        return self._joints(ends)
+
+    def _joints(self, states: FloatArray) -> FloatArray:
+        return np.stack([states[:, 1:3] - self._home, states[:, 3:5]], axis=2)
+
+
+def nominal_inertia_kg_m2(settings: ArmSettings) -> FloatArray:
+    """Return what the controller takes each joint's inertia to be, shape (2,).
+
+    It is the diagonal of the mass matrix in the home pose, without payload.
+    """
+    shipped = _MODELS[settings.model]
+    model = _bare_arm(shipped, settings.rotor_inertia_kg_m2).compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = shipped.home
+    mujoco.mj_forward(model, data)
+    diagonal, column = np.empty(2), np.empty(2)
+    for i, unit in enumerate(np.eye(2)):
+        mujoco.mj_mulM(model, data, column, unit)
+        diagonal[i] = column[i]
+    return diagonal
+
+
+def _bare_arm(shipped: _ShippedModel, rotor_inertia_kg_m2: float) -> Any:
+    """Return the shipped arm with two moving joints, without scenery, motors and contacts."""
+    package = importlib.util.find_spec("gymnasium")
+    if package is None or package.origin is None:
+        raise InvalidInputError("simulated arms need 'gymnasium': pip install 'nufleet[arms]'")
+    assets = Path(package.origin).parent / "envs" / "mujoco" / "assets"
+    spec = mujoco.MjSpec.from_file(str(assets / shipped.file))
+    for body in shipped.scenery:
+        spec.delete(spec.body(body))
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    for joint in list(spec.joints):
+        if joint.name not in (shipped.shoulder, shipped.elbow):
+            spec.delete(joint)
+        else:
+            joint.armature = rotor_inertia_kg_m2
+    spec.option.timestep = 1 / SERVO_HZ
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    return spec
+
+
+def _controlled_arm(settings: ArmSettings) -> Any:
+    """Return the arm with payload, damping and a PD of the nominal inertia on each joint."""
+    shipped = _MODELS[settings.model]
+    inertia = nominal_inertia_kg_m2(settings)
+    spec = _bare_arm(shipped, settings.rotor_inertia_kg_m2)
+    if settings.payload_kg > 0:
+        spec.body(shipped.tip).add_geom(
+            type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0, 0], mass=settings.payload_kg
+        )
+    stiffness = inertia * settings.natural_frequency_rad_s**2
+    damping = inertia * 2 * settings.damping_ratio * settings.natural_frequency_rad_s
+    names = (shipped.shoulder, shipped.elbow)
+    for name in names:
+        joint = spec.joint(name)
+        joint.damping = joint.damping * settings.joint_damping_scale
+        joint.actfrclimited = True
+        joint.actfrcrange = [-settings.torque_max_nm, settings.torque_max_nm]
+    for name, gain in zip(names, stiffness, strict=True):
+        _add_servo(spec, name, gain, bias=[0, -gain, 0])
+    for name, gain in zip(names, damping, strict=True):
+        _add_servo(spec, name, gain, bias=[0, 0, -gain])
+    return spec
+
+
+def _add_servo(spec: Any, joint: str, gain: float, bias: list[float]) -> None:
+    """Add torque = gain × control + bias · (1, angle, angular velocity)."""
+    spec.add_actuator(
+        target=joint,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        gainprm=[gain] + [0] * 9,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        biasprm=bias + [0] * 7,
+    )

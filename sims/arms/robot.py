@@ -1,0 +1,78 @@
+"""A simulated arm as a Robot: shoulder and elbow, measured from the home pose."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shared.arrays import FloatArray
+from shared.errors import RobotError
+from shared.robot_spec import AxisSpec, RobotSpec
+from sims.arms.mechanism import Mechanism
+from sims.arms.settings import SAMPLE_TIME_S, ArmSettings
+from sims.measurement_noise import MeasurementNoise
+from sims.simulated_robot import RestRule, SimulatedRobot
+
+STATE_NAMES = ("position", "velocity")
+
+AXIS_NAMES = ("shoulder", "elbow")
+
+ERROR_MAX_RAD = 1.0
+"""A joint this far from its reference has lost it: the torque limit or a stop holds it back."""
+
+REST = RestRule(speed=0.5, position_max=0.005, velocity_max=0.01, patience_s=30.0)
+
+
+class Arm(SimulatedRobot):
+    """An arm with its joint controllers: reference angles in, measured angles out."""
+
+    def __init__(self, name: str, settings: ArmSettings, rng: np.random.Generator) -> None:
+        sigma = np.array([settings.noise.position_rad, settings.noise.velocity_rad_s])
+        super().__init__(
+            name,
+            _spec(settings),
+            STATE_NAMES,
+            MeasurementNoise(np.tile(sigma, (2, 1)), rng),
+            REST,
+        )
+        self._mechanism = Mechanism(settings)
+
+    def _start(self) -> FloatArray:
+        self._mechanism.put_home()
+        return self._mechanism.state
+
+    def _play(self, references: FloatArray) -> FloatArray:
+        before = self._mechanism.state[np.newaxis]
+        after = self._mechanism.play(references)
+        error_rad = np.abs(references - after[:, :, 0]).max(axis=1)
+        lost = ~(error_rad < ERROR_MAX_RAD)  # true also for a number that is not finite
+        if lost.any():
+            k = int(np.argmax(lost))
+            raise RobotError(
+                f"{self._name} lost its reference {k * SAMPLE_TIME_S:.2f} s into its motion: "
+                f"{error_rad[k]:.2f} rad apart; drive it more gently"
+            )
+        return np.concatenate([before, after])
+
+
+def _spec(settings: ArmSettings) -> RobotSpec:
+    limits = settings.limits
+    axes = tuple(
+        AxisSpec(
+            name=name,
+            unit="rad",
+            amplitude_max=limits.amplitude_rad,
+            velocity_max=limits.velocity_rad_s,
+            acceleration_max=limits.acceleration_rad_s2,
+        )
+        for name in AXIS_NAMES
+    )
+    return RobotSpec(
+        kind="arm",
+        axes=axes,
+        sample_time_s=SAMPLE_TIME_S,
+        omega_min_rad_s=settings.omega_min_rad_s,
+        omega_max_rad_s=settings.omega_max_rad_s,
+        duration_max_s=settings.motion_time_max_s,
+        settling_time_s=settings.settling_time_s,
+        simulated=True,
+    )
