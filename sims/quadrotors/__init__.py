@@ -1,0 +1,1 @@
+"""Quadrotors under their own baseline controllers, simulated with crazyflow."""

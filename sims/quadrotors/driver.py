@@ -1,0 +1,66 @@
+"""The driver `quadrotor`: all simulated quadrotors of a fleet in one process."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+
+import numpy as np
+
+from robot_agent.robot import Robot
+from shared.errors import InvalidInputError
+from shared.strict import Strict
+from sims.quadrotors.environment import environment
+from sims.quadrotors.settings import QuadrotorSettings
+
+
+class QuadrotorDriver:
+    """Builds quadrotors that share crazyflow and its compiled programs."""
+
+    settings: type[Strict] = QuadrotorSettings
+    shares_process = True
+
+    @property
+    def environment(self) -> Mapping[str, str]:
+        """What the process that calls `build` needs in its environment from its start."""
+        return environment()
+
+    def build(
+        self, settings: Mapping[str, QuadrotorSettings], rng: np.random.Generator
+    ) -> dict[str, Robot]:
+        """Build the robots, disconnected; compiles one program per kind of vehicle.
+
+        Raises:
+            InvalidInputError: where crazyflow is missing or SciPy was imported without its array
+                interface.
+        """
+        try:
+            _require_scipy_array_interface()
+            from sims.quadrotors.robot import Quadrotor
+            from sims.quadrotors.simulator import Hangar
+        except ModuleNotFoundError as error:
+            raise InvalidInputError(
+                f"simulated quadrotors need {error.name!r}: pip install 'nufleet[quadrotors]'"
+            ) from error
+        hangar = Hangar()
+        generators = rng.spawn(len(settings))
+        return {
+            name: Quadrotor(name, entry, *hangar.plant(entry), own)
+            for (name, entry), own in zip(settings.items(), generators, strict=True)
+        }
+
+
+def _require_scipy_array_interface() -> None:
+    os.environ.setdefault("SCIPY_ARRAY_API", "1")  # early enough where SciPy is not imported yet
+    import jax
+    from scipy.spatial.transform import Rotation
+
+    level = Rotation.from_quat(jax.numpy.array([0.0, 0.0, 0.0, 1.0])).as_matrix()
+    if not isinstance(level, jax.Array):
+        raise InvalidInputError(
+            "SciPy was imported before SCIPY_ARRAY_API=1 was set, and crazyflow needs it: "
+            "set it in the environment of the process that hosts the quadrotors"
+        )
+
+
+DRIVER = QuadrotorDriver()

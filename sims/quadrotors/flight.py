@@ -1,0 +1,128 @@
+"""One compiled program that flies a vehicle through any number of samples up to a chunk."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from shared.arrays import FloatArray
+from sims.quadrotors.controllers import GroundStation, firmware_setpoint, offboard_command
+from sims.quadrotors.settings import CONTROL_HZ, PHYSICS_HZ, SAMPLE_TIME_S
+
+CHUNK_SAMPLES = 256
+"""Samples that one call of the compiled program can play."""
+
+TICKS_PER_SAMPLE = round(SAMPLE_TIME_S * CONTROL_HZ)
+STEPS_PER_TICK = PHYSICS_HZ // CONTROL_HZ
+
+Step = Callable[[Any, int], Any]
+
+
+class Plant(NamedTuple):
+    """One robot in flight: everything that changes, and its parameters; a JAX pytree.
+
+    `station` is None for a vehicle that takes full-state setpoints. `velocity_gain` is 1 where the
+    reference's velocity is sent along, else 0.
+    """
+
+    data: Any
+    station: GroundStation | None
+    reference: jax.Array
+    velocity_gain: jax.Array
+
+
+class Track(NamedTuple):
+    """Where a vehicle was: `states` (samples + 1, 2, 3) and what tells a crash, per sample.
+
+    A state is position [m], velocity [m/s] and tilt [rad] along x and y; the tilt is that of the
+    thrust, positive where it accelerates the vehicle along the axis.
+    """
+
+    states: FloatArray
+    height_m: FloatArray
+    cos_tilt: FloatArray
+
+
+class Flight:
+    """The compiled program of one kind of vehicle; parameters may differ from plant to plant.
+
+    The number of samples is an argument of the program and not part of its shape: one compilation
+    serves every length, and `step` and `run` execute the same instructions.
+    """
+
+    def __init__(self, step: Step, example: Plant) -> None:
+        """Compile for crazyflow's `step` and for plants of the structure of `example`."""
+
+        def advance(
+            plant: Plant, references: jax.Array, count: jax.Array
+        ) -> tuple[Plant, jax.Array]:
+            def body(k: jax.Array, carry: tuple[Plant, jax.Array]) -> tuple[Plant, jax.Array]:
+                plant, rows = carry
+                plant = _sample(step, plant, references[k])
+                return plant, rows.at[k + 1].set(_row(plant))
+
+            rows = jnp.zeros((CHUNK_SAMPLES + 1, 8)).at[0].set(_row(plant))
+            moved: tuple[Plant, jax.Array] = jax.lax.fori_loop(0, count, body, (plant, rows))
+            return moved
+
+        references = jnp.zeros((CHUNK_SAMPLES, 2))
+        self._advance = jax.jit(advance).lower(example, references, jnp.int32(0)).compile()
+
+    def fly(self, plant: Plant, references: FloatArray) -> tuple[Plant, Track]:
+        """Fly along `references` (samples, 2); return the plant after them and its track."""
+        pieces = []
+        for first in range(0, len(references), CHUNK_SAMPLES):
+            piece = references[first : first + CHUNK_SAMPLES]
+            padded = np.zeros((CHUNK_SAMPLES, 2), dtype=np.float32)
+            padded[: len(piece)] = piece
+            plant, rows = self._advance(plant, padded, np.int32(len(piece)))
+            pieces.append(np.asarray(rows, dtype=np.float64)[: len(piece) + 1])
+        rows = np.concatenate([*(piece[:-1] for piece in pieces), pieces[-1][-1:]])
+        return plant, Track(rows[:, :6].reshape(-1, 2, 3), rows[:, 6], rows[:, 7])
+
+
+def _sample(step: Step, plant: Plant, reference: jax.Array) -> Plant:
+    velocity = plant.velocity_gain * (reference - plant.reference) / SAMPLE_TIME_S
+    plant = plant._replace(reference=reference)
+    for _ in range(TICKS_PER_SAMPLE):
+        plant = _command(plant, reference, velocity)
+        plant = plant._replace(data=step(plant.data, STEPS_PER_TICK))
+    return plant
+
+
+def _command(plant: Plant, reference: jax.Array, velocity: jax.Array) -> Plant:
+    controls = plant.data.controls
+    if plant.station is None:
+        setpoint = firmware_setpoint(reference, velocity)[jnp.newaxis, jnp.newaxis]
+        controls = controls.replace(state=controls.state.replace(staged_cmd=setpoint))
+        return plant._replace(data=plant.data.replace(controls=controls))
+    states = plant.data.states
+    station, command = offboard_command(
+        plant.station,
+        states.pos[0, 0],
+        states.vel[0, 0],
+        reference,
+        velocity,
+        _thrust_axis(plant)[2],
+    )
+    staged = controls.attitude.replace(staged_cmd=command[jnp.newaxis, jnp.newaxis])
+    data = plant.data.replace(controls=controls.replace(attitude=staged))
+    return plant._replace(data=data, station=station)
+
+
+def _row(plant: Plant) -> jax.Array:
+    position, velocity = plant.data.states.pos[0, 0], plant.data.states.vel[0, 0]
+    thrust = _thrust_axis(plant)
+    tilt = jnp.arctan2(thrust[:2], thrust[2])
+    states = jnp.stack([position[:2], velocity[:2], tilt], axis=1)
+    return jnp.concatenate([states.ravel(), position[2:], thrust[2:]])
+
+
+def _thrust_axis(plant: Plant) -> jax.Array:
+    """Return the body's z axis in the world frame, from the quaternion (x, y, z, w)."""
+    x, y, z, w = plant.data.states.quat[0, 0]
+    return jnp.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])

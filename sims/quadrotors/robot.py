@@ -1,0 +1,101 @@
+"""A simulated quadrotor as a Robot: two horizontal axes, held at its hovering height."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from shared.arrays import FloatArray
+from shared.errors import RobotError
+from shared.robot_spec import AxisSpec, RobotSpec
+from sims.measurement_noise import MeasurementNoise
+from sims.quadrotors.controllers import HOVER_HEIGHT_M
+from sims.quadrotors.flight import Flight, Plant, Track
+from sims.quadrotors.settings import SAMPLE_TIME_S, QuadrotorSettings
+from sims.simulated_robot import RestRule, SimulatedRobot
+
+STATE_NAMES = ("position", "velocity", "tilt")
+
+HEIGHT_ERROR_MAX_M = 0.5
+"""Half the hovering height: whoever is further off has lost control of it."""
+
+COS_TILT_MIN = 0.36
+"""Of a tilt of 69 degrees, where less than 36 % of the thrust carries the vehicle."""
+
+HOVER_SETTLE_S = 20.0
+"""The firmware's height integrator fills within 7 s; then the vehicle hovers where it will stay."""
+
+REST = RestRule(speed=0.5, position_max=0.02, velocity_max=0.02, patience_s=30.0)
+
+
+class Quadrotor(SimulatedRobot):
+    """A vehicle with its baseline controller: horizontal references in, measured position out."""
+
+    def __init__(
+        self,
+        name: str,
+        settings: QuadrotorSettings,
+        flight: Flight,
+        plant: Plant,
+        rng: np.random.Generator,
+    ) -> None:
+        noise = settings.noise
+        sigma = np.array([noise.position_m, noise.velocity_m_s, noise.tilt_rad])
+        super().__init__(
+            name,
+            _spec(settings),
+            STATE_NAMES,
+            MeasurementNoise(np.tile(sigma, (2, 1)), rng),
+            REST,
+        )
+        self._flight = flight
+        self._fresh_plant = plant
+        self._plant = plant
+
+    def _start(self) -> FloatArray:
+        self._plant = self._fresh_plant
+        hover = np.zeros((round(HOVER_SETTLE_S / SAMPLE_TIME_S), 2))
+        return np.asarray(self._play(hover)[-1])
+
+    def _play(self, references: FloatArray) -> FloatArray:
+        self._plant, track = self._flight.fly(self._plant, references)
+        self._raise_if_crashed(track)
+        return track.states
+
+    def _raise_if_crashed(self, track: Track) -> None:
+        # A number that is not finite is not "well" either: every comparison with it is false.
+        well = (
+            np.isfinite(track.states).all(axis=(1, 2))
+            & (np.abs(track.height_m - HOVER_HEIGHT_M) < HEIGHT_ERROR_MAX_M)
+            & (track.cos_tilt > COS_TILT_MIN)
+        )
+        if not well.all():
+            k = int(np.argmin(well))
+            raise RobotError(
+                f"{self._name} crashed {k * SAMPLE_TIME_S:.2f} s into its motion: height "
+                f"{track.height_m[k]:.2f} m instead of {HOVER_HEIGHT_M:g} m, cosine of the tilt "
+                f"{track.cos_tilt[k]:.2f}; drive it more gently"
+            )
+
+
+def _spec(settings: QuadrotorSettings) -> RobotSpec:
+    limits = settings.limits
+    axes = tuple(
+        AxisSpec(
+            name=name,
+            unit="m",
+            amplitude_max=limits.amplitude_m,
+            velocity_max=limits.velocity_m_s,
+            acceleration_max=limits.acceleration_m_s2,
+        )
+        for name in ("x", "y")
+    )
+    return RobotSpec(
+        kind="quadrotor",
+        axes=axes,
+        sample_time_s=SAMPLE_TIME_S,
+        omega_min_rad_s=settings.omega_min_rad_s,
+        omega_max_rad_s=settings.omega_max_rad_s,
+        duration_max_s=settings.flight_time_max_s,
+        settling_time_s=settings.settling_time_s,
+        simulated=True,
+    )
