@@ -1,0 +1,146 @@
+"""What a run leaves on disk, and finding it again."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from orchestrator.dispatcher import Measured
+from orchestrator.results import ClosedForm, IterationRecord, RankResult, RunRecord
+from orchestrator.run_folder import (
+    RunFolder,
+    find_run,
+    list_runs,
+    make_runs_root,
+    read_record,
+)
+from orchestrator.study import SourceEstimate
+from robot_agent.excitation import plan_excitation, reference_of
+from shared.errors import InvalidInputError
+from shared.excitation import Excitation, Tone
+from shared.frequency_response import estimate_frequency_response
+from shared.messages import GoalResult, Outcome
+from sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
+
+NOON = datetime(2026, 1, 2, 12, 0, 0, tzinfo=UTC)
+
+
+def a_record(run: Path) -> RunRecord:
+    estimate = SourceEstimate("source-1", 0.07, 0.001, 4.5, 2)
+    return RunRecord(
+        result=RankResult(
+            target="target",
+            band_rad_s=(0.1, 10.0),
+            selected="source-1",
+            ranking=(estimate,),
+            iterations=1,
+            robot_time_s=12.5,
+            run=str(run),
+        ),
+        axis="x",
+        seed=3,
+        history=(
+            IterationRecord(
+                iteration=1,
+                omega_rad_s=(4.5,),
+                sampled_psi={"source-1": 0.07},
+                ranking=(estimate,),
+            ),
+        ),
+        dropped={"source-2": "lost"},
+        closed_form={"source-1": ClosedForm(psi=0.0694, omega_rad_s=4.49)},
+        wall_time_s=1.5,
+    )
+
+
+def a_test(robot_name: str) -> Measured:
+    robot = DoubleIntegrator(
+        DoubleIntegratorSettings(alpha=1.0, beta=0.003), np.random.default_rng(0)
+    )
+    plan = plan_excitation(
+        Excitation(axis="x", tones=(Tone(omega_rad_s=5.0),)), robot.spec, robot_name
+    )
+    reference = reference_of(plan)
+    robot.connect()
+    response = robot.run(reference[:, None])[:, 0]
+    result = GoalResult(
+        goal_id=f"g.{robot_name}",
+        boot_id="b",
+        outcome=Outcome.COMPLETED,
+        reason="",
+        plan=plan,
+        reference=reference,
+        response=response,
+    )
+    z = estimate_frequency_response(reference, response, plan)
+    return Measured(robot_name, z, result, attempts=1, robot_time_s=plan.duration_s)
+
+
+def test_a_record_reads_back_as_it_was_written(tmp_path: Path) -> None:
+    with RunFolder(tmp_path, "fleet", now=NOON) as folder:
+        folder.write_record(a_record(folder.path))
+    assert folder.path.name == "20260102T120000Z-fleet"
+    assert read_record(folder.path) == a_record(folder.path)
+
+
+def test_two_runs_in_one_second_get_two_folders(tmp_path: Path) -> None:
+    first, second = RunFolder(tmp_path, "f", now=NOON), RunFolder(tmp_path, "f", now=NOON)
+    assert first.path != second.path
+
+
+def test_samples_are_kept_exactly_and_by_robot(tmp_path: Path) -> None:
+    tests = [a_test("a"), a_test("b")]
+    with RunFolder(tmp_path, "fleet") as folder:
+        for measured in tests:
+            folder.write_samples(1, measured)
+    table = pq.read_table(folder.path / "telemetry.parquet").to_pydict()
+    for measured in tests:
+        rows = [k for k, robot in enumerate(table["robot"]) if robot == measured.robot]
+        response = [table["response"][k] for k in rows]
+        assert response == measured.result.response.tolist()
+        assert table["t_s"][rows[-1]] == pytest.approx(measured.result.plan.duration_s, abs=0.02)
+
+
+def test_the_configuration_holds_what_was_asked_and_the_versions(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path, "fleet")
+    folder.write_configuration({"kind": "rank", "seed": 3})
+    document = json.loads((folder.path / "config.json").read_text())
+    assert document["seed"] == 3
+    assert {"python", "nufleet", "eclipse-zenoh", "numpy"} <= set(document["versions"])
+
+
+def test_a_run_is_found_by_path_by_name_and_as_the_latest(tmp_path: Path) -> None:
+    older = RunFolder(tmp_path, "older", now=NOON)
+    newer = RunFolder(tmp_path, "newer", now=NOON.replace(hour=13))
+    for folder in (older, newer):
+        folder.write_configuration({})
+    assert list_runs(tmp_path) == [older.path, newer.path]
+    assert find_run(tmp_path, "latest") == newer.path
+    assert find_run(tmp_path, older.path.name) == older.path
+    assert find_run(Path("elsewhere"), str(older.path)) == older.path
+
+
+def test_a_run_that_is_not_there_is_an_error_that_says_where_to_look(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInputError, match="nufleet runs list"):
+        find_run(tmp_path, "nothing")
+
+
+def test_altered_results_are_refused_naming_file_and_field(tmp_path: Path) -> None:
+    folder = RunFolder(tmp_path, "fleet")
+    folder.write_record(a_record(folder.path))
+    path = folder.path / "results.json"
+    path.write_text(path.read_text().replace('"seed": 3', '"seed": -3'))
+    with pytest.raises(InvalidInputError, match=r"results\.json: seed"):
+        read_record(folder.path)
+
+
+def test_a_place_that_cannot_be_written_is_refused_in_words(tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    with pytest.raises(InvalidInputError, match="choose another place with --runs"):
+        make_runs_root(blocked / "runs")
