@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import os
+import sys
 
 import click
 
 
 @click.command()
-@click.argument("fleet_file", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("fleet_file", metavar="FLEET")
 @click.option(
     "--robot",
     "robots",
@@ -32,22 +33,33 @@ import click
 )
 @click.option("--until-stdin-closes", is_flag=True, hidden=True)
 def agent(
-    fleet_file: Path,
+    fleet_file: str,
     robots: tuple[str, ...],
     connect: str,
     realtime: float | None,
     until_stdin_closes: bool,
 ) -> None:
-    """Serve robots of FLEET_FILE to the fleet, each at rest when nothing is asked of it.
+    """Serve robots of FLEET (a file, or an installed fleet's name) to the fleet.
 
     Runs until Ctrl-C. It waits for the router when there is none yet, and survives its restarts.
     The robot is brought to rest when this agent ends, when the orchestrator that commands it
     disappears, and when anyone stops it.
     """
+    from shared.drivers import needed_environment
+    from shared.fleet_file import find_fleet_file, read_fleet_file
+
+    path = find_fleet_file(fleet_file)
+    fleet = read_fleet_file(path)
+    needed = needed_environment(fleet, [r for r in robots if r in fleet.robots] or fleet.robots)
+    missing = {name: value for name, value in needed.items() if os.environ.get(name) != value}
+    if missing:
+        # Some simulators read it while they are imported, so this process begins once more.
+        os.execve(sys.executable, sys.orig_argv, {**os.environ, **missing})
+
     from robot_agent.serve import serve
 
     serve(
-        fleet_file,
+        path,
         robots,
         connect=connect,
         realtime=realtime,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Protocol
@@ -31,6 +31,10 @@ class RobotDriver(Protocol):
     def shares_process(self) -> bool:
         """Whether all robots of this kind in a fleet have to live in one process."""
 
+    @property
+    def environment(self) -> Mapping[str, str]:
+        """Environment variables that have to be set before the process imports anything."""
+
     def build(self, settings: Mapping[str, Any], rng: np.random.Generator) -> Mapping[str, Any]:
         """Build the robots, disconnected, by name."""
 
@@ -57,3 +61,9 @@ def check_settings(fleet: FleetFile, path: Path) -> None:
     """Check every robot's settings before anything is started; raises FleetFileError."""
     for name, entry in fleet.robots.items():
         validated_settings(load_driver(entry.driver).settings, path, name, entry.settings)
+
+
+def needed_environment(fleet: FleetFile, robots: Iterable[str]) -> dict[str, str]:
+    """Return the environment variables that these robots' drivers need to find set."""
+    drivers = {fleet.robots[robot].driver for robot in robots}
+    return {k: v for name in sorted(drivers) for k, v in load_driver(name).environment.items()}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -16,6 +17,7 @@ class DoubleIntegratorDriver:
 
     settings: type[DoubleIntegratorSettings] = DoubleIntegratorSettings
     shares_process: bool = False
+    environment: Mapping[str, str] = MappingProxyType({})
 
     def build(
         self, settings: Mapping[str, DoubleIntegratorSettings], rng: np.random.Generator

@@ -4,4 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
+ARMS = Path(__file__).with_name("arms.toml")
 PAPER_LINEAR = Path(__file__).with_name("paper_linear.toml")
+PAPER_QUADROTORS = Path(__file__).with_name("paper_quadrotors.toml")
