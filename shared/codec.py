@@ -14,6 +14,8 @@ from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from pydantic import (
+    BaseModel,
+    ConfigDict,
     Field,
     PlainSerializer,
     PlainValidator,
@@ -30,20 +32,37 @@ PROTOCOL_VERSION = 1
 MAX_MESSAGE_BYTES = 64 * 2**20
 """Default cap on one frame; a test of ten minutes at 100 Hz on one axis is about 1 MB."""
 
+MAX_BODY_BYTES = 4 * 2**20
+"""Cap on the JSON of one frame: parsed it takes many times its length. Bulk travels as arrays."""
+
 _MAGIC = b"NUF1"
 _LENGTHS = struct.Struct("<II")
 _PREFIX_BYTES = len(_MAGIC) + _LENGTHS.size
 _MAX_HEADER_BYTES = 4096
 _ITEM_BYTES = {"<f8": 8, "|u1": 1}
+_MAX_DIMENSIONS = 3
+_SHOWN_PROBLEMS = 4
+_SHOWN_CHARACTERS = 200
 
 
 class Message(Strict):
     """Base of everything that crosses the network."""
 
 
+class _Versioned(BaseModel):
+    """The one field of a header that every version of the protocol has."""
+
+    model_config = ConfigDict(strict=True)
+    protocol: Annotated[int, Field(ge=0, lt=2**31)]
+
+
 class _ArrayHeader(Strict):
+    # A length beyond what a frame may hold would overflow NumPy's, even beside a length of 0.
     dtype: Literal["<f8", "|u1"]
-    shape: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1, max_length=3)]
+    shape: Annotated[
+        tuple[Annotated[int, Field(ge=0, le=MAX_MESSAGE_BYTES)], ...],
+        Field(min_length=1, max_length=_MAX_DIMENSIONS),
+    ]
 
     @property
     def size_bytes(self) -> int:
@@ -57,16 +76,32 @@ class _Header(Strict):
     arrays: Annotated[tuple[_ArrayHeader, ...], Field(max_length=16)] = ()
 
 
+class _FrameArrays:
+    """The arrays of a frame that is being decoded; each belongs to exactly one field."""
+
+    def __init__(self, arrays: list[np.ndarray]) -> None:
+        self._left: dict[int, np.ndarray] = dict(enumerate(arrays))
+
+    def take(self, index: int) -> np.ndarray:
+        if index not in self._left:
+            raise ValueError(f"there is no array {index}, or another field has it")
+        return self._left.pop(index)
+
+    @property
+    def unclaimed(self) -> bool:
+        return bool(self._left)
+
+
 def _resolve_array(value: object, info: ValidationInfo) -> np.ndarray:
     """Take an array as it is, or the one of the frame that the body refers to by its index."""
     if isinstance(value, np.ndarray):
         array = value
-    elif isinstance(value, int) and isinstance(info.context, list):
-        if not 0 <= value < len(info.context):
-            raise ValueError(f"there is no array {value} in this message")
-        array = info.context[value]
+    elif type(value) is int and isinstance(info.context, _FrameArrays):
+        array = info.context.take(value)
     else:
-        raise ValueError("expected an array")  # noqa: TRY004 - pydantic reports ValueError
+        raise ValueError("expected an array")
+    if not 1 <= array.ndim <= _MAX_DIMENSIONS:
+        raise ValueError(f"an array has {array.ndim} dimensions")
     if array.dtype == np.float64 and not np.isfinite(array).all():
         raise ValueError("an array holds NaN or infinity")
     return array
@@ -90,16 +125,25 @@ Float64Array = Annotated[
     PlainValidator(lambda value, info: _float64_only(_resolve_array(value, info))),
     PlainSerializer(_refer_to_array, return_type=int),
 ]
-"""A field of finite float64 numbers that travels as raw bytes."""
+"""A field of finite float64 numbers that travels as raw bytes; a decoded one is read-only."""
 
 M = TypeVar("M", bound=Message)
 
 
 def encode(message: Message) -> bytes:
-    """Return a message as one frame."""
+    """Return a message as one frame.
+
+    Raises:
+        MalformedMessageError: the message is larger than `decode` takes.
+    """
     arrays: list[np.ndarray] = []
     body = message.model_dump_json(context=arrays).encode()
     raw = [np.ascontiguousarray(a, dtype=a.dtype.newbyteorder("<")) for a in arrays]
+    size_bytes = len(body) + sum(a.nbytes for a in raw)
+    if len(body) > MAX_BODY_BYTES or size_bytes > MAX_MESSAGE_BYTES - 2 * _MAX_HEADER_BYTES:
+        raise MalformedMessageError(
+            f"a {type(message).__name__} of {size_bytes} bytes is too large to be sent"
+        )
     header = _Header(
         protocol=PROTOCOL_VERSION,
         type=type(message).__name__,
@@ -108,6 +152,9 @@ def encode(message: Message) -> bytes:
         ),
     )
     head = header.model_dump_json().encode()
+    if raw:
+        # Spaces behind the JSON, so that the receiver's arrays lie at multiples of 8 bytes.
+        body += b" " * (-(_PREFIX_BYTES + len(head) + len(body)) % 8)
     lengths = _LENGTHS.pack(len(head), len(body))
     return b"".join([_MAGIC, lengths, head, body, *(a.tobytes() for a in raw)])
 
@@ -124,43 +171,57 @@ def decode(payload: bytes, *expected: type[M], max_bytes: int = MAX_MESSAGE_BYTE
     if len(payload) < _PREFIX_BYTES or payload[: len(_MAGIC)] != _MAGIC:
         raise MalformedMessageError("not a nufleet message")
     header_bytes, body_bytes = _LENGTHS.unpack_from(payload, len(_MAGIC))
+    if header_bytes > _MAX_HEADER_BYTES or body_bytes > MAX_BODY_BYTES + 8:
+        raise MalformedMessageError("a length in the frame is larger than allowed")
     body_start = _PREFIX_BYTES + header_bytes
     arrays_start = body_start + body_bytes
-    if header_bytes > _MAX_HEADER_BYTES or arrays_start > len(payload):
+    if arrays_start > len(payload):
         raise MalformedMessageError("a length in the frame is larger than the frame")
     header = _parse_header(payload[_PREFIX_BYTES:body_start])
     message_type = next((t for t in expected if t.__name__ == header.type), None)
     if message_type is None:
         wanted = " or ".join(t.__name__ for t in expected)
         raise MalformedMessageError(f"expected {wanted}, got {header.type!r}")
-    arrays = _take_arrays(payload, arrays_start, header.arrays)
+    arrays = _FrameArrays(_take_arrays(payload, arrays_start, header.arrays))
     try:
-        return message_type.model_validate_json(payload[body_start:arrays_start], context=arrays)
+        message = message_type.model_validate_json(payload[body_start:arrays_start], context=arrays)
     except ValidationError as error:
         raise MalformedMessageError(f"{header.type}: {describe_validation(error)}") from error
+    if arrays.unclaimed:
+        raise MalformedMessageError(f"{header.type}: the frame holds an array of no field")
+    return message
 
 
 def describe_validation(error: ValidationError) -> str:
-    """Say in one line which fields were wrong and what was expected."""
+    """Say in one line which fields were wrong and what was expected.
+
+    The line stays short whatever was sent: it goes into refusals and logs.
+    """
+    found = error.errors(include_url=False, include_context=False, include_input=False)
     problems = [
-        f"{'.'.join(str(part) for part in item['loc']) or 'message'}: {item['msg']}"
-        for item in error.errors(include_url=False, include_context=False, include_input=False)
+        f"{_shortened('.'.join(str(part) for part in item['loc']) or 'message')}: "
+        f"{_shortened(item['msg'])}"
+        for item in found[:_SHOWN_PROBLEMS]
     ]
-    more = f" (and {len(problems) - 4} more)" if len(problems) > 4 else ""
-    return "; ".join(problems[:4]) + more
+    more = f" (and {len(found) - len(problems)} more)" if len(found) > len(problems) else ""
+    return "; ".join(problems) + more
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _SHOWN_CHARACTERS else f"{text[: _SHOWN_CHARACTERS - 1]}…"
 
 
 def _parse_header(raw: bytes) -> _Header:
     try:
-        header = _Header.model_validate_json(raw)
+        protocol = _Versioned.model_validate_json(raw).protocol
+        if protocol != PROTOCOL_VERSION:
+            raise ProtocolVersionError(
+                f"the message speaks protocol version {protocol}, this side speaks "
+                f"{PROTOCOL_VERSION}; install the same nufleet on both"
+            )
+        return _Header.model_validate_json(raw)
     except ValidationError as error:
         raise MalformedMessageError(f"frame header: {describe_validation(error)}") from error
-    if header.protocol != PROTOCOL_VERSION:
-        raise ProtocolVersionError(
-            f"the message speaks protocol version {header.protocol}, this side speaks "
-            f"{PROTOCOL_VERSION}; install the same nufleet on both"
-        )
-    return header
 
 
 def _take_arrays(payload: bytes, start: int, headers: tuple[_ArrayHeader, ...]) -> list[np.ndarray]:

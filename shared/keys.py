@@ -24,6 +24,17 @@ def checked_name(value: str, what: str) -> str:
         ) from error
 
 
+def checked_identifier(value: str, what: str) -> str:
+    """Return a goal's, boot's or orchestrator's id if it can be one; raise InvalidInputError."""
+    try:
+        return _IDENTIFIER.validate_python(value)
+    except ValidationError as error:
+        raise InvalidInputError(
+            f"{what} {value!r} is not an identifier: expected lower-case letters, digits, dots, "
+            "- and _, starting with a letter or digit, at most 200 characters"
+        ) from error
+
+
 @dataclass(frozen=True)
 class FleetKeys:
     """The keys under `nufleet/{fleet}/`."""
@@ -39,7 +50,7 @@ class FleetKeys:
         return f"nufleet/{self.fleet}"
 
     def robot(self, robot: str, leaf: str) -> str:
-        """One key of one robot, for example `state`, `goal` or `result/{goal}`."""
+        """One key of one robot, for example `state`, `goal` or `telemetry/motion`."""
         return f"{self.root}/robot/{checked_name(robot, 'robot')}/{leaf}"
 
     def every_robot(self, leaf: str) -> str:
@@ -52,7 +63,8 @@ class FleetKeys:
 
     def orchestrator_alive(self, orchestrator_id: str) -> str:
         """The liveliness token of one orchestrator."""
-        return f"{self.root}/orchestrator/{_IDENTIFIER.validate_python(orchestrator_id)}/alive"
+        checked = checked_identifier(orchestrator_id, "orchestrator")
+        return f"{self.root}/orchestrator/{checked}/alive"
 
     @property
     def every_orchestrator_alive(self) -> str:

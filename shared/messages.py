@@ -5,8 +5,9 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
+from shared.arrays import FloatArray
 from shared.codec import Float64Array, Message
 from shared.excitation import Excitation, ExcitationPlan
 from shared.robot_spec import RobotSpec
@@ -97,7 +98,7 @@ class GoalResult(Message):
     """How a goal ended and what was measured: reference and response, shape (samples,) each.
 
     Sample k was taken at k × `plan.sample_time_s` on the robot's own clock. A goal that ended early
-    holds the samples up to its end.
+    holds the samples up to its end; a completed one holds all of its plan.
     """
 
     goal_id: Identifier
@@ -107,6 +108,14 @@ class GoalResult(Message):
     plan: ExcitationPlan
     reference: Float64Array
     response: Float64Array
+
+    @model_validator(mode="after")
+    def _samples_agree(self) -> GoalResult:
+        samples = _samples(self.reference, self.response)
+        whole = self.plan.samples
+        if samples > whole or (self.outcome is Outcome.COMPLETED and samples != whole):
+            raise ValueError(f"{samples} samples of a {self.outcome} plan of {whole}")
+        return self
 
 
 class StopRequest(Message):
@@ -148,3 +157,18 @@ class Telemetry(Message):
     sample_time_s: NonNegative
     reference: Float64Array
     response: Float64Array
+
+    @model_validator(mode="after")
+    def _samples_agree(self) -> Telemetry:
+        _samples(self.reference, self.response)
+        return self
+
+
+def _samples(reference: FloatArray, response: FloatArray) -> int:
+    """Return how many samples two arrays hold; raise ValueError unless both hold as many."""
+    if reference.ndim != 1 or reference.shape != response.shape:
+        raise ValueError(
+            "reference and response must have one shape (samples,), "
+            f"got {reference.shape} and {response.shape}"
+        )
+    return len(reference)

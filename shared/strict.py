@@ -16,10 +16,12 @@ class Strict(BaseModel):
 
 
 Name = Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}$")]
-"""A robot, fleet or axis name: lower-case letters, digits, `-` and `_`; it becomes part of a key."""
+"""A robot, fleet or axis name: lower-case letters, digits, `-` and `_`; it is part of a key."""
 
-Identifier = Annotated[str, StringConstraints(pattern=r"^[0-9a-z][0-9a-z.-]{0,95}$")]
-"""A goal, boot or orchestrator id: made by a program, unique, also part of a key."""
+Identifier = Annotated[str, StringConstraints(pattern=r"^[0-9a-z][0-9a-z._-]{0,199}$")]
+"""A goal, boot or orchestrator id: made by a program, unique, may be part of a key.
+
+Long enough for names joined by dots, such as `{run}.{iteration}.{robot}.{attempt}`."""
 
 Reason = Annotated[str, StringConstraints(max_length=2000)]
 """A sentence for people."""
