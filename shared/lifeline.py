@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 import threading
 from collections.abc import Callable
+
+_log = logging.getLogger(__name__)
 
 
 def when_stdin_closes(act: Callable[[], None]) -> None:
@@ -16,8 +19,12 @@ def when_stdin_closes(act: Callable[[], None]) -> None:
     """
 
     def wait() -> None:
-        while os.read(sys.stdin.fileno(), 4096):
-            pass
+        try:
+            while os.read(sys.stdin.fileno(), 4096):
+                pass
+        except OSError as error:
+            # A pipe that cannot be read says as much as one that was closed: nobody holds it.
+            _log.warning("standard input: %s", error)
         act()
 
     threading.Thread(target=wait, name="lifeline", daemon=True).start()

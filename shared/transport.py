@@ -1,17 +1,19 @@
 """The network as nufleet uses it: the only module that imports Zenoh.
 
-Handlers given to a session run on Zenoh's own threads: they must only hand the event on and return.
-Zero replies to a query is an error with a name, never an empty result.
+Handlers given to a session run on threads that Zenoh feeds, one for each: they must only hand the
+event on and return. Zero replies to a query is an error with a name, never an empty result.
 """
 
 from __future__ import annotations
 
 import json
+import logging
 import re
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import zenoh
 from zenoh.ext import (
@@ -21,42 +23,89 @@ from zenoh.ext import (
     declare_advanced_subscriber,
 )
 
-from shared.errors import EndpointInUseError, NoReplyError, NoRouterError, TransportError
+from shared.errors import (
+    EndpointInUseError,
+    InvalidInputError,
+    NoReplyError,
+    NoRouterError,
+    TransportError,
+)
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 LEASE_MS = 2000
 """A silent session is given up after this long: what a partition costs to be noticed."""
 
+PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream")
+"""What an endpoint may begin with."""
 
-@dataclass(frozen=True)
+LONGEST_TRY_S = 3.0
+"""How long one attempt to reach a router lasts at most: Zenoh cannot be interrupted meanwhile."""
+
+_log = logging.getLogger(__name__)
+
+
 class Request:
-    """A query that arrived; it must be answered exactly once."""
+    """A query that arrived; it must be answered exactly once, from any thread."""
 
-    key: str
-    payload: bytes
-    _query: zenoh.Query
+    def __init__(self, query: zenoh.Query) -> None:
+        self.key = str(query.key_expr)
+        self._query = query
+
+    @property
+    def is_wildcard(self) -> bool:
+        """Whether it was asked of many keys at once."""
+        return "*" in self.key
+
+    @property
+    def size_bytes(self) -> int:
+        """Length of the payload, known without copying it."""
+        payload = self._query.payload
+        return 0 if payload is None else len(payload)
+
+    @property
+    def payload(self) -> bytes:
+        """A copy of what was sent along; not to be read after the answer."""
+        payload = self._query.payload
+        return b"" if payload is None else payload.to_bytes()
 
     def answer(self, payload: bytes) -> None:
-        """Send the reply and end the query; raises TransportError when nobody can hear it."""
-        try:
-            with self._query as query:
+        """Send the reply and end the query; raises TransportError when nobody can hear it.
+
+        A reply to many keys at once has none it could stand under; it goes as an error reply,
+        which `Session.ask_all` returns as any other.
+        """
+        with _transport_errors(f"replying on {self.key}"), self._query as query:
+            if self.is_wildcard:
+                query.reply_err(payload)
+            else:
                 query.reply(self.key, payload)
-        except zenoh.ZError as error:
-            raise TransportError(f"replying on {self.key}: {_cause(error)}") from error
 
 
-class Publisher:
+class Declaration:
+    """Something declared on a session: a subscriber, a queryable, a token, a publisher."""
+
+    def __init__(self, declared: Any) -> None:
+        self._declared = declared
+
+    def withdraw(self) -> None:
+        """Undeclare it now rather than when the session closes; twice does nothing more.
+
+        A handler that is running goes on until it returns.
+        """
+        with suppress(zenoh.ZError):  # withdrawn before, or the session is closed
+            self._declared.undeclare()
+
+
+class Publisher(Declaration):
     """Publishes on one key."""
-
-    def __init__(self, put: Callable[[bytes], Any]) -> None:
-        self._put = put
 
     def put(self, payload: bytes) -> None:
         """Send a payload to every subscriber there is now; raises TransportError."""
-        try:
-            self._put(payload)
-        except zenoh.ZError as error:
-            raise TransportError(f"publishing: {_cause(error)}") from error
+        with _transport_errors("publishing"):
+            self._declared.put(payload)
+
+
+D = TypeVar("D", bound=Declaration)
 
 
 class Session:
@@ -64,7 +113,7 @@ class Session:
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
-        self._declared: list[Any] = []
+        self._declarations: list[Declaration] = []
 
     def __enter__(self) -> Session:
         return self
@@ -74,22 +123,25 @@ class Session:
 
     def close(self) -> None:
         """Withdraw everything declared and close; calling it twice does nothing more."""
-        for declared in reversed(self._declared):
-            with suppress(zenoh.ZError):  # already withdrawn by its owner, or the link is gone
-                declared.undeclare()
-        self._declared.clear()
+        for declaration in reversed(self._declarations):
+            declaration.withdraw()
+        self._declarations.clear()
         if not self._session.is_closed():
             self._session.close()  # type: ignore[no-untyped-call]
 
-    def serve(self, key_expr: str, handler: Callable[[Request], None]) -> None:
+    def serve(self, key_expr: str, handler: Callable[[Request], None]) -> Declaration:
         """Answer queries on a key expression."""
 
         def on_query(query: zenoh.Query) -> None:
-            payload = query.payload
-            body = b"" if payload is None else payload.to_bytes()
-            handler(Request(str(query.key_expr), body, query))
+            try:
+                handler(Request(query))
+            except Exception:  # noqa: BLE001 - whoever asked must not wait for a handler's mistake
+                _log.exception("a query on %s has no answer", query.key_expr)
+                query.drop()  # type: ignore[no-untyped-call]
 
-        self._declared.append(self._session.declare_queryable(key_expr, on_query))
+        return self._declared(
+            key_expr, lambda: Declaration(self._session.declare_queryable(key_expr, on_query))
+        )
 
     def ask(self, key: str, payload: bytes, *, timeout_s: float) -> bytes:
         """Return the one reply to a query on a concrete key.
@@ -104,7 +156,7 @@ class Session:
 
     def ask_all(self, key: str, payload: bytes, *, timeout_s: float) -> list[bytes]:
         """Return the replies of everyone who serves a key."""
-        try:
+        with _transport_errors(f"asking on {key}"):
             replies = self._session.get(
                 key,
                 payload=payload,
@@ -113,15 +165,11 @@ class Session:
                 consolidation=zenoh.ConsolidationMode.NONE,
                 congestion_control=zenoh.CongestionControl.BLOCK,
             )
-            samples = [reply.ok for reply in replies]
-        except zenoh.ZError as error:
-            raise TransportError(f"asking on {key}: {_cause(error)}") from error
-        # An error reply is Zenoh's own word for a timeout; the handlers here always answer in full.
-        return [sample.payload.to_bytes() for sample in samples if sample is not None]
+            return [said for reply in replies if (said := _said(reply)) is not None]
 
     def put_urgent(self, key: str, payload: bytes) -> None:
         """Send a payload ahead of everything else that waits to be sent."""
-        try:
+        with _transport_errors(f"sending on {key}"):
             self._session.put(
                 key,
                 payload,
@@ -129,84 +177,98 @@ class Session:
                 congestion_control=zenoh.CongestionControl.BLOCK,
                 express=True,
             )
-        except zenoh.ZError as error:
-            raise TransportError(f"sending on {key}: {_cause(error)}") from error
 
     def state_publisher(self, key: str) -> Publisher:
         """Publish a state whose last value late subscribers also get."""
-        publisher = declare_advanced_publisher(
-            self._session,
-            key,
-            cache=CacheConfig(max_samples=1),
-            publisher_detection=True,
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.INTERACTIVE_HIGH,
-        )
-        self._declared.append(publisher)
-        return Publisher(publisher.put)
+
+        def declare() -> Publisher:
+            return Publisher(
+                declare_advanced_publisher(
+                    self._session,
+                    key,
+                    cache=CacheConfig(max_samples=1),
+                    publisher_detection=True,
+                    congestion_control=zenoh.CongestionControl.DROP,
+                    priority=zenoh.Priority.INTERACTIVE_HIGH,
+                )
+            )
+
+        return self._declared(key, declare)
 
     def telemetry_publisher(self, key: str) -> Publisher:
         """Publish measurements of which some may be lost under load."""
-        publisher = self._session.declare_publisher(
-            key,
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.DATA_LOW,
-            express=False,
-        )
-        self._declared.append(publisher)
-        return Publisher(publisher.put)
 
-    def subscribe_state(self, key_expr: str, handler: Callable[[str, bytes], None]) -> None:
+        def declare() -> Publisher:
+            return Publisher(
+                self._session.declare_publisher(
+                    key,
+                    congestion_control=zenoh.CongestionControl.DROP,
+                    priority=zenoh.Priority.DATA_LOW,
+                    express=False,
+                )
+            )
+
+        return self._declared(key, declare)
+
+    def subscribe_state(self, key_expr: str, handler: Callable[[str, bytes], None]) -> Declaration:
         """Receive states, the last one of each publisher first."""
 
-        def on_sample(sample: zenoh.Sample) -> None:
-            handler(str(sample.key_expr), sample.payload.to_bytes())
-
-        self._declared.append(
-            declare_advanced_subscriber(
-                self._session,
-                key_expr,
-                on_sample,
-                history=HistoryConfig(detect_late_publishers=True, max_samples=1),
+        def declare() -> Declaration:
+            history = HistoryConfig(detect_late_publishers=True, max_samples=1)
+            return Declaration(
+                declare_advanced_subscriber(
+                    self._session, key_expr, _on_sample(handler), history=history
+                )
             )
+
+        return self._declared(key_expr, declare)
+
+    def subscribe(self, key_expr: str, handler: Callable[[str, bytes], None]) -> Declaration:
+        """Receive what is put on a key expression from now on."""
+        return self._declared(
+            key_expr,
+            lambda: Declaration(self._session.declare_subscriber(key_expr, _on_sample(handler))),
         )
 
-    def subscribe(self, key_expr: str, handler: Callable[[str, bytes], None]) -> None:
-        """Receive what is put on a key expression from now on."""
-
-        def on_sample(sample: zenoh.Sample) -> None:
-            handler(str(sample.key_expr), sample.payload.to_bytes())
-
-        self._declared.append(self._session.declare_subscriber(key_expr, on_sample))
-
-    def declare_alive(self, key: str) -> None:
-        """Be seen as alive under a key until the session closes or its process is gone."""
-        self._declared.append(self._session.liveliness().declare_token(key))
+    def declare_alive(self, key: str) -> Declaration:
+        """Be seen as alive under a key until withdrawn or the process is gone."""
+        return self._declared(
+            key, lambda: Declaration(self._session.liveliness().declare_token(key))
+        )
 
     def alive(self, key_expr: str, *, timeout_s: float) -> list[str]:
         """Return the keys of the tokens that are alive now."""
-        replies = self._session.liveliness().get(key_expr, timeout=timeout_s)
-        samples = [reply.ok for reply in replies]
+        with _transport_errors(f"looking for {key_expr}"):
+            replies = self._session.liveliness().get(key_expr, timeout=timeout_s)
+            samples = [reply.ok for reply in replies]
         return sorted({str(sample.key_expr) for sample in samples if sample is not None})
 
-    def watch_alive(self, key_expr: str, handler: Callable[[str, bool], None]) -> None:
+    def watch_alive(self, key_expr: str, handler: Callable[[str, bool], None]) -> Declaration:
         """Report each token that is there, appears (True) or disappears (False)."""
 
         def on_sample(sample: zenoh.Sample) -> None:
             handler(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
-        subscriber = self._session.liveliness().declare_subscriber(
-            key_expr, on_sample, history=True
-        )
-        self._declared.append(subscriber)
+        def declare() -> Declaration:
+            liveliness = self._session.liveliness()
+            return Declaration(liveliness.declare_subscriber(key_expr, on_sample, history=True))
+
+        return self._declared(key_expr, declare)
 
     def listening_on(self) -> list[str]:
         """Return the endpoints this router really listens on, with the ports it was given."""
-        zid = self._session.info.zid()
-        for reply in self._session.get(f"@/{zid}/router", timeout=5.0):
-            if reply.ok is not None:
-                return list(json.loads(reply.ok.payload.to_string())["locators"])
+        with _transport_errors("asking the router"):
+            zid = self._session.info.zid()
+            for reply in self._session.get(f"@/{zid}/router", timeout=5.0):
+                if reply.ok is not None:
+                    return list(json.loads(reply.ok.payload.to_string())["locators"])
         raise TransportError("the router does not say where it listens")
+
+    def _declared(self, key_expr: str, declare: Callable[[], D]) -> D:
+        with _transport_errors(f"declaring {key_expr}"):
+            declaration = declare()
+        self._declarations.append(declaration)
+        return declaration
 
 
 @contextmanager
@@ -218,11 +280,12 @@ def open_router(listen: list[str], *, connect: list[str] | None = None) -> Itera
         connect: other routers to join.
 
     Raises:
+        InvalidInputError: an endpoint is not one.
         EndpointInUseError: an endpoint is taken or may not be used.
     """
     config = _base_config("router")
-    config.insert_json5("listen/endpoints", json.dumps(listen))
-    config.insert_json5("connect/endpoints", json.dumps(connect or []))
+    _insert_endpoints(config, "listen", listen)
+    _insert_endpoints(config, "connect", connect or [])
     config.insert_json5("adminspace/enabled", "true")
     try:
         session = zenoh.open(config)
@@ -236,30 +299,79 @@ def open_router(listen: list[str], *, connect: list[str] | None = None) -> Itera
 
 
 @contextmanager
-def open_client(connect: str, *, timeout_s: float | None) -> Iterator[Session]:
-    """Open a session through the router at an endpoint.
+def open_client(
+    connect: str, *, timeout_s: float | None, given_up: threading.Event | None = None
+) -> Iterator[Session]:
+    """Open a session through the router at an endpoint; it survives the router's restarts.
 
     Args:
         connect: the router's endpoint.
-        timeout_s: how long to look for it; None waits for ever and survives its restarts.
+        timeout_s: how long to look for it; None looks for ever.
+        given_up: ends the looking from another thread.
 
     Raises:
+        InvalidInputError: the endpoint is not one.
         NoRouterError: there is none.
     """
     config = _base_config("client")
-    config.insert_json5("connect/endpoints", json.dumps([connect]))
-    timeout_ms = -1 if timeout_s is None else round(timeout_s * 1000)
-    config.insert_json5("connect/timeout_ms", str(timeout_ms))
-    config.insert_json5("connect/exit_on_failure", "false" if timeout_s is None else "true")
-    try:
-        session = zenoh.open(config)
-    except zenoh.ZError as error:
-        raise NoRouterError(
-            f"no router answers at {connect}: start one with `nufleet router` or "
-            "`nufleet fleet up FLEET.toml`, or name another with --connect"
-        ) from error
-    with Session(session) as opened:
+    _insert_endpoints(config, "connect", [connect])
+    config.insert_json5("connect/exit_on_failure", "true")
+    with Session(_reach(config, connect, timeout_s, given_up)) as opened:
         yield opened
+
+
+def _insert_endpoints(config: zenoh.Config, role: str, endpoints: list[str]) -> None:
+    for endpoint in endpoints:
+        protocol, _, address = endpoint.partition("/")
+        if protocol not in PROTOCOLS or not address:
+            raise InvalidInputError(
+                f"{endpoint!r} is not an endpoint: expected {' or '.join(PROTOCOLS)}, a slash and "
+                "an address, for example tcp/192.168.1.5:7447"
+            )
+    config.insert_json5(f"{role}/endpoints", json.dumps(endpoints))
+
+
+def _reach(
+    config: zenoh.Config, connect: str, timeout_s: float | None, given_up: threading.Event | None
+) -> zenoh.Session:
+    """Open a client session in short attempts, since a waiting `zenoh.open` hears no Ctrl-C."""
+    deadline = None if timeout_s is None else time.monotonic() + timeout_s
+    try_s = 0.5
+    while True:
+        try_s = min(2 * try_s, LONGEST_TRY_S)
+        left_s = try_s if deadline is None else deadline - time.monotonic()
+        wait_ms = max(1, round(1000 * min(try_s, left_s)))
+        config.insert_json5("connect/timeout_ms", str(wait_ms))
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as error:
+            over = deadline is not None and time.monotonic() >= deadline
+            if over or (given_up is not None and given_up.is_set()):
+                raise NoRouterError(
+                    f"no router answers at {connect}: start one with `nufleet router` or "
+                    "`nufleet fleet up FLEET.toml`, or name another with --connect"
+                ) from error
+
+
+def _on_sample(handler: Callable[[str, bytes], None]) -> Callable[[zenoh.Sample], None]:
+    return lambda sample: handler(str(sample.key_expr), sample.payload.to_bytes())
+
+
+def _said(reply: zenoh.Reply) -> bytes | None:
+    """Return what a handler answered; None for Zenoh's own words, such as a timeout's."""
+    if reply.ok is not None:
+        return reply.ok.payload.to_bytes()
+    if reply.err is not None and reply.err.encoding == zenoh.Encoding.ZENOH_BYTES:
+        return reply.err.payload.to_bytes()
+    return None
+
+
+@contextmanager
+def _transport_errors(doing: str) -> Iterator[None]:
+    try:
+        yield
+    except zenoh.ZError as error:
+        raise TransportError(f"{doing}: {_cause(error)}") from error
 
 
 def _cause(error: zenoh.ZError) -> str:
