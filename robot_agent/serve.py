@@ -37,7 +37,7 @@ def serve(
     keys = FleetKeys(fleet.name)
     with ExitStack() as stack:
         for name, robot in robots.items():
-            session = stack.enter_context(open_client(connect, timeout_s=None))
+            session = stack.enter_context(open_client(connect, timeout_s=None, given_up=ended))
             stack.enter_context(Agent(session, keys, name, robot, realtime=realtime))
         click.echo(f"serving {', '.join(chosen)} of fleet {fleet.name} at {connect}", err=True)
         ended.wait()

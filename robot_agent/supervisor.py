@@ -21,9 +21,14 @@ class StopOrder:
 
 @dataclass(frozen=True)
 class Supervision:
-    """`stop` is latched until a release; `motion_owner` commands the motion in progress, if any."""
+    """What keeps the robot from moving, and who commands the motion in progress.
+
+    `stop` is latched until a release, `fault` (why the robot cannot be trusted to obey) until it
+    has been connected anew; `motion_owner` is None while no motion is in progress.
+    """
 
     stop: StopOrder | None = None
+    fault: str | None = None
     motion_owner: str | None = None
 
 
@@ -57,10 +62,19 @@ class MotionBegan:
 
 @dataclass(frozen=True)
 class MotionEnded:
-    """No motion is in progress any more."""
+    """No motion is in progress any more; `fault` says what the robot did wrong, if anything."""
+
+    fault: str | None = None
 
 
-Event = StopOrdered | ReleaseOrdered | OwnerLost | MotionBegan | MotionEnded
+@dataclass(frozen=True)
+class Reconnected:
+    """The robot was connected anew; `fault` says why that failed, if it did."""
+
+    fault: str | None = None
+
+
+Event = StopOrdered | ReleaseOrdered | OwnerLost | MotionBegan | MotionEnded | Reconnected
 
 
 @dataclass(frozen=True)
@@ -87,16 +101,23 @@ def supervise(state: Supervision, event: Event) -> tuple[Supervision, Halt | Non
             return state, _halt_if_moving(state, f"its owner {owner} is gone")
         case MotionBegan(owner):
             return replace(state, motion_owner=owner), None
-        case MotionEnded():
-            return replace(state, motion_owner=None), None
+        case MotionEnded(fault):
+            return replace(state, motion_owner=None, fault=state.fault or fault), None
+        case Reconnected(fault):
+            return replace(state, fault=fault), None
 
 
 def refusal_to_start(state: Supervision, *, owner: str, owner_alive: bool) -> Refusal | None:
     """Return why a motion may not begin, or None when it may."""
+    if state.fault is not None:
+        return Refusal(
+            code="fault",
+            reason=f"{state.fault[:1500]}; see to the robot, then release it: it is connected anew",
+        )
     if state.stop is not None:
         return Refusal(
             code="stopped",
-            reason=f"stopped by {state.stop.sender}: {state.stop.reason}; release it first",
+            reason=f"stopped by {state.stop.sender}: {state.stop.reason[:1500]}; release it first",
         )
     if not owner_alive:
         return Refusal(

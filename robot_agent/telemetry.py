@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 
 import numpy as np
 
 from shared.arrays import FloatArray
 from shared.codec import encode
+from shared.errors import TransportError
 from shared.messages import Telemetry
 from shared.transport import Publisher
 
 PERIOD_S = 0.1
+
+_log = logging.getLogger(__name__)
 
 
 class TelemetryBatcher:
@@ -44,20 +48,22 @@ class TelemetryBatcher:
             self.flush()
 
     def flush(self) -> None:
-        """Publish what has been collected."""
+        """Publish what has been collected; a motion goes on whether or not anybody can hear it."""
         self._last_s = self._clock()
         if not self._reference:
             return
-        self._publisher.put(
-            encode(
-                Telemetry(
-                    goal_id=self._goal_id,
-                    first_sample=self._first,
-                    sample_time_s=self._sample_time_s,
-                    reference=np.concatenate(self._reference),
-                    response=np.concatenate(self._response),
-                )
-            )
+        batch = Telemetry(
+            goal_id=self._goal_id,
+            first_sample=self._first,
+            sample_time_s=self._sample_time_s,
+            reference=np.concatenate(self._reference),
+            response=np.concatenate(self._response),
         )
         self._reference.clear()
         self._response.clear()
+        try:
+            self._publisher.put(encode(batch))
+        except TransportError as error:
+            _log.warning(
+                "samples of %s from %d on were lost: %s", self._goal_id, self._first, error
+            )
