@@ -72,7 +72,8 @@ def geodesic_radius(z: ComplexArray, radius: FloatArray) -> FloatArray:
     r = arctan |z| − arctan(|z| − ρ). Beyond π/2 the disc holds the point opposite z, at π/2.
     """
     gain = np.abs(z)
-    return np.minimum(np.arctan(gain) - np.arctan(gain - radius), np.pi / 2)
+    reach: FloatArray = np.minimum(np.arctan(gain) - np.arctan(gain - radius), np.pi / 2)
+    return reach
 
 
 def chordal_interval(

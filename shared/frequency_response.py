@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,24 +10,32 @@ import numpy as np
 from shared.arrays import ComplexArray, FloatArray
 from shared.chordal import geodesic_radius
 from shared.excitation import ExcitationPlan
+from shared.nonlinearity import harmonic_distortion, nonlinear, power_distortion
 from shared.response_quality import (
+    NO_RESPONSE_SIGNIFICANCE,
+    SILENCE,
     Finding,
     Quality,
-    distortion,
+    disturbed,
     f_quantile,
-    sensor_faults,
     uncertain,
     unexplained,
     unsettled,
     verdict,
 )
+from shared.sensor_faults import sensor_faults
 from shared.sinusoid_fit import (
+    SinusoidFit,
     UnresolvableError,
+    complex_median,
     fit_sinusoids,
     resolvable_harmonics,
     sum_of_tones,
     variance_of_mean,
 )
+
+GAIN_MAX = 1e12
+"""An output larger than this multiple of the reference is no response to it."""
 
 REFERENCE_TONE_MIN = 1e-9
 """A tone below this share of the reference's largest sample is not in the reference."""
@@ -93,19 +102,30 @@ def estimate_frequency_response(
     u_scale, y_scale = float(np.max(np.abs(u))), float(np.max(np.abs(y)))
     if u_scale == 0.0:
         return _failed(omegas, plan, "no-reference", "the reference is zero throughout")
-    u, y = u / u_scale, y / (y_scale or 1.0)
-    return _estimate(u, y, y_scale / u_scale, omegas, plan)
+    if y_scale > GAIN_MAX * u_scale:
+        text = f"the output reaches {y_scale:.2g} at a reference of {u_scale:.2g}: it ran away"
+        return _failed(omegas, plan, "unexplained", text)
+    return _estimate(_Samples(u / u_scale, y / (y_scale or 1.0), u_scale, y_scale), omegas, plan)
 
 
-def _estimate(
-    u: FloatArray, y: FloatArray, gain_scale: float, omegas: FloatArray, plan: ExcitationPlan
-) -> FrequencyResponse:
-    tones, samples, step_s = len(omegas), len(u), plan.sample_time_s
-    extra = resolvable_harmonics(omegas, step_s, samples * step_s)
+@dataclass(frozen=True)
+class _Samples:
+    """The measuring part, scaled to largest samples of 1; its scales are in the axis's unit."""
+
+    u: FloatArray
+    y: FloatArray
+    u_scale: float
+    y_scale: float
+
+
+def _estimate(samples: _Samples, omegas: FloatArray, plan: ExcitationPlan) -> FrequencyResponse:
+    tones, step_s = len(omegas), plan.sample_time_s
+    extra = resolvable_harmonics(omegas, step_s, len(samples.u) * step_s)
     every_omega = np.concatenate([omegas, extra])
     try:
         input_fit, output_fit = (
-            fit_sinusoids(signal, every_omega, step_s, plan.segments) for signal in (u, y)
+            fit_sinusoids(signal, every_omega, step_s, plan.segments)
+            for signal in (samples.u, samples.y)
         )
     except UnresolvableError as error:
         return _failed(omegas, plan, "unresolvable", str(error))
@@ -117,21 +137,60 @@ def _estimate(
     segment_output = output_fit.segment_phasors[:, :tones]
     segment_input = input_fit.segment_phasors[:, :tones]
     segment_z = scaled_z + (segment_output - scaled_z * segment_input) / input_tones
+    gain = samples.y_scale / samples.u_scale
+    findings = _findings(samples, input_fit, output_fit, gain * segment_z, omegas, plan)
+    return FrequencyResponse(
+        omega_rad_s=omegas,
+        z=gain * scaled_z,
+        variance=variance_of_mean(gain * segment_z),
+        segments=plan.segments,
+        quality=verdict(findings),
+    )
 
-    z, segment_z = gain_scale * scaled_z, gain_scale * segment_z
-    variance = variance_of_mean(segment_z)
-    radius = uncertainty_radius(variance, plan.segments)
+
+def _findings(
+    samples: _Samples,
+    input_fit: SinusoidFit,
+    output_fit: SinusoidFit,
+    segment_z: ComplexArray,
+    omegas: FloatArray,
+    plan: ExcitationPlan,
+) -> list[Finding | None]:
+    tones, segments, step_s = len(omegas), plan.segments, plan.sample_time_s
+    z, variance = segment_z.mean(axis=0), variance_of_mean(segment_z)
+    played, moved, usual = (
+        sum_of_tones(phasors, omegas, step_s, len(samples.y))
+        for phasors in (
+            input_fit.phasors[:tones],
+            output_fit.phasors[:tones],
+            # The median resists one bad segment, which spreads its error over all in the mean.
+            complex_median(output_fit.segment_phasors[:, :tones]),
+        )
+    )
+    residual = samples.y - output_fit.fitted
+    silent = (np.abs(output_fit.phasors[:tones]) <= SILENCE) | (
+        np.abs(z) <= uncertainty_radius(variance, segments, NO_RESPONSE_SIGNIFICANCE)
+    )
     # In the unit that the output was scaled to; an output of zeros has none.
-    reference_rms = float(np.std(u)) / gain_scale if gain_scale else 0.0
-    moving = sum_of_tones(output_fit.phasors[:tones], omegas, step_s, samples)
-    findings = [
-        *sensor_faults(y, moving),
-        unexplained(reference_rms, y, output_fit.fitted),
-        unsettled(segment_z, omegas),
-        distortion(output_fit, tones, y),
-        *uncertain(omegas, np.abs(z), radius, geodesic_radius(z, radius)),
+    reference_rms = float(np.std(samples.u)) * samples.u_scale / (samples.y_scale or math.inf)
+    findings: list[Finding | None] = [
+        *sensor_faults(samples.y, moved, samples.y_scale),
+        unexplained(reference_rms, samples.y, residual),
+        *uncertain(omegas, silent, geodesic_radius(z, uncertainty_radius(variance, segments))),
     ]
-    return FrequencyResponse(omegas, z, variance, plan.segments, verdict(findings))
+    if silent.all():
+        return findings
+    distortion = harmonic_distortion(output_fit, tones, residual)
+    # The powers of a single tone are its harmonics.
+    if tones > 1:
+        powers = power_distortion(residual, (moved, played), omegas, step_s, segments)
+        distortion = max(distortion, powers)
+    return [
+        *findings,
+        disturbed(residual + moved - usual, moved, segments),
+        unsettled(segment_z, omegas),
+        nonlinear(distortion),
+    ]
 
 
 def _failed(omegas: FloatArray, plan: ExcitationPlan, code: str, text: str) -> FrequencyResponse:

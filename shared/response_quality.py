@@ -6,16 +6,12 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from shared.arrays import ComplexArray, FloatArray
-from shared.sinusoid_fit import SinusoidFit
 from shared.strict import Name, Reason, Strict
 
-RUN_MIN_SAMPLES = 10
-"""Shorter runs of identical samples are a matter of resolution, not a fault."""
-
-RUN_MOTION_MIN = 0.02
-"""A run is a fault when the output should have moved by this share of its range meanwhile."""
+BoolArray = NDArray[np.bool_]
 
 SETTLED_CHORDAL = 1e-3
 UNSETTLED_CHORDAL = 1e-2
@@ -23,18 +19,21 @@ UNSETTLED_CHORDAL = 1e-2
 both as chordal distance, which is what z is used for."""
 
 SETTLED_SIGNIFICANCE = 1e-3
-HARMONIC_SIGNIFICANCE = 1e-3
-HARMONIC_SCATTER_SIGNIFICANCE = 1e-2
-"""Chances of a false report in noise: of a change, of a harmonic against white noise, and of one
-against the scatter between segments."""
-
-DISTORTION_REPORTED = 0.01
-DISTORTION_MAX = 0.25
-"""Amplitude of all harmonics relative to all tones: reported above the first, failed above the
-second, where one complex number does not describe the response any more."""
+"""Chance that noise alone is reported as a change."""
 
 R_SQUARED_REPORTED = 0.9
 R_SQUARED_MIN = 0.5
+
+DISTURBED_RATIO = 10.0
+DISTURBED_SHARE = 0.1
+"""A segment is disturbed when its residual has so many times the power of the other segments' and
+this share of the tones' root mean square."""
+
+NO_RESPONSE_SIGNIFICANCE = 1e-3
+"""Chance that the noise of a robot that does not move at all is taken for a response."""
+
+SILENCE = 1e-9
+"""Tones below this share of the output's largest sample are rounding errors of its offset."""
 
 UNCERTAINTY_MAX_RAD = 0.2
 """A disc of a larger geodesic radius tells no robots apart; π/2 is the whole sphere."""
@@ -65,61 +64,19 @@ class Quality(Strict):
         return "; ".join(str(finding) for finding in (*self.reasons, *self.warnings)) or "good"
 
 
-def sensor_faults(measured: FloatArray, tones: FloatArray) -> Iterator[Finding]:
-    """Yield what runs of identical samples say of the sensor.
-
-    Args:
-        measured: the output, shape (samples,).
-        tones: the fitted tones alone, shape (samples,): how the output should have moved.
-    """
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(measured)) + 1])
-    lengths = np.diff(np.concatenate([starts, [len(measured)]]))
-    if len(starts) == 1:
-        yield Finding(
-            code="frozen", text=f"the output stays at exactly {measured[0]:.6g} throughout"
-        )
-        return
-    # A coarse or slow sensor repeats itself too, but never by more than its resolution or rate.
-    levels = np.unique(measured)
-    resolution = float(np.min(np.diff(levels)))
-    motion_min = max(2 * resolution, RUN_MOTION_MIN * float(np.ptp(tones)))
-    length_min = RUN_MIN_SAMPLES * max(1.0, float(np.median(lengths)))
-    stuck = [
-        (int(start), int(length))
-        for start, length in zip(starts, lengths, strict=True)
-        if length >= length_min and np.ptp(tones[start : start + length]) > motion_min
-    ]
-    extremes = {float(levels[0]), float(levels[-1])}
-    clipped = [start for start, _ in stuck if float(measured[start]) in extremes]
-    if len(clipped) > 1:
-        bounds = sorted({float(measured[start]) for start in clipped})
-        yield Finding(
-            code="clipped",
-            text=f"the output is cut off at {' and '.join(f'{b:.6g}' for b in bounds)} "
-            f"({len(clipped)} times): a sensor or actuator saturates",
-        )
-    elif stuck:
-        start, length = max(stuck, key=lambda run: run[1])
-        yield Finding(
-            code="frozen",
-            text=f"the output stays at exactly {measured[start]:.6g} for {length} samples while "
-            "the reference moves",
-        )
-
-
-def unexplained(reference_rms: float, measured: FloatArray, fitted: FloatArray) -> Finding | None:
+def unexplained(reference_rms: float, measured: FloatArray, residual: FloatArray) -> Finding | None:
     """Return the finding that the output is not a response to the reference.
 
     Args:
         reference_rms: root mean square of the reference, in the unit of the output given here.
         measured: the output, shape (samples,).
-        fitted: all that was fitted to it, shape (samples,).
+        residual: what the fit leaves over of it, shape (samples,).
 
     A small coefficient of determination alone is a matter of noise, which
     the variance carries; together with a residual larger than the reference the robot did something
     else.
     """
-    residual_rms = float(np.std(measured - fitted))
+    residual_rms = float(np.std(residual))
     total_rms = float(np.std(measured))
     if total_rms == 0.0:
         return None
@@ -136,6 +93,24 @@ def unexplained(reference_rms: float, measured: FloatArray, fitted: FloatArray) 
             text=f"the tones explain {100 * max(0.0, r_squared):.0f} % of the output's variance",
         )
     return None
+
+
+def disturbed(residual: FloatArray, tones: FloatArray, segments: int) -> Finding | None:
+    """Return the finding that one segment does not fit, as after a collision or a fall.
+
+    Both of shape (samples,): what the fit leaves over, and the fitted tones.
+    """
+    power = np.mean(residual.reshape(segments, -1) ** 2, axis=1)
+    worst = int(np.argmax(power))
+    usual = float(np.median(np.delete(power, worst)))
+    share = math.sqrt(float(power[worst]) / (float(np.mean(tones**2)) or math.inf))
+    if power[worst] <= DISTURBED_RATIO * usual or share <= DISTURBED_SHARE:
+        return None
+    return Finding(
+        code="disturbed",
+        text=f"segment {worst + 1} of {segments} departs from the others by {100 * share:.0f} % of "
+        "the response: something disturbed the robot",
+    )
 
 
 def unsettled(segment_z: ComplexArray, omega_rad_s: FloatArray) -> Finding | None:
@@ -168,48 +143,18 @@ def unsettled(segment_z: ComplexArray, omega_rad_s: FloatArray) -> Finding | Non
     )
 
 
-def distortion(fit: SinusoidFit, tones: int, measured: FloatArray) -> Finding | None:
-    """Return the finding that the response is not linear at this amplitude.
-
-    Args:
-        fit: the fit of the output; tones first, then harmonics.
-        tones: how many of its frequencies are tones.
-        measured: the output, shape (samples,).
-    """
-    power = np.abs(fit.phasors) ** 2
-    white = 4 * np.var(measured - fit.fitted) / len(measured)
-    significant = (power > white * math.log(1 / HARMONIC_SIGNIFICANCE)) & (
-        power
-        > fit.variance * f_quantile(HARMONIC_SCATTER_SIGNIFICANCE, len(fit.segment_phasors) - 1)
-    )
-    harmonic_power = np.where(significant, power, 0.0)[tones:]
-    linear_power = float(np.sum(power[:tones]))
-    if linear_power == 0.0 or not harmonic_power.any():
-        return None
-    ratio = math.sqrt(float(np.sum(harmonic_power)) / linear_power)
-    if ratio <= DISTORTION_REPORTED:
-        return None
-    strongest = float(fit.omega_rad_s[tones + int(np.argmax(harmonic_power))])
-    return Finding(
-        code="distorted" if ratio > DISTORTION_MAX else "nonlinear",
-        text=f"the response is not linear at this amplitude: harmonics of {100 * ratio:.2g} %, "
-        f"the strongest at {strongest:.4g} rad/s; repeat at half the amplitude",
-    )
-
-
 def uncertain(
-    omega_rad_s: FloatArray, gain: FloatArray, radius: FloatArray, geodesic_rad: FloatArray
+    omega_rad_s: FloatArray, silent: BoolArray, geodesic_rad: FloatArray
 ) -> Iterator[Finding]:
     """Yield the findings that the noise hides the response, at some tones or at all.
 
     Args:
         omega_rad_s: the tones; the rest has the same shape (tones,).
-        gain: |z|.
-        radius: radius of the disc that holds z.
-        geodesic_rad: the same on the sphere.
+        silent: whether no response stands out of noise and rounding.
+        geodesic_rad: radius of the disc that holds z, on the sphere.
     """
     for code, bad, text in (
-        ("no-response", gain <= radius, "no response stands out of the noise at"),
+        ("no-response", silent, "no response stands out of the noise at"),
         ("uncertain", geodesic_rad > UNCERTAINTY_MAX_RAD, "the noise leaves z all but unknown at"),
     ):
         if bad.any():
@@ -221,7 +166,16 @@ def uncertain(
 
 
 FATAL = frozenset(
-    {"frozen", "clipped", "unexplained", "unsettled", "distorted", "no-response", "uncertain"}
+    {
+        "frozen",
+        "clipped",
+        "unexplained",
+        "disturbed",
+        "unsettled",
+        "distorted",
+        "no-response",
+        "uncertain",
+    }
 )
 
 

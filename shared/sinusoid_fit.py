@@ -44,6 +44,14 @@ def variance_of_mean(segment_values: ComplexArray) -> FloatArray:
     return np.asarray(spread.sum(axis=0) / (segments * (segments - 1)), dtype=np.float64)
 
 
+def complex_median(segment_values: ComplexArray) -> ComplexArray:
+    """Return the median over segments of real and imaginary parts; shape (segments, n) to (n,)."""
+    median: ComplexArray = np.median(segment_values.real, axis=0) + 1j * np.median(
+        segment_values.imag, axis=0
+    )
+    return median
+
+
 def fit_sinusoids(
     signal: FloatArray, omega_rad_s: FloatArray, sample_time_s: float, segments: int
 ) -> SinusoidFit:
