@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
 from orchestrator.robot_watch import RobotWatch
@@ -102,22 +103,13 @@ class Fleet:
             NoReplyError: it does not answer.
             RobotLostError: two agents answer under this name.
         """
-        replies = self._session.ask_all(
-            self._keys.robot(robot, "describe"),
-            encode(DescribeRequest()),
-            timeout_s=QUERY_TIMEOUT_S,
-        )
-        if not replies:
+        try:
+            return self._ask(robot, "describe", DescribeRequest(), Description)
+        except NoReplyError as error:
             raise NoReplyError(
                 f"robot {robot} does not answer: is its agent running? "
                 "`nufleet fleet status` shows who is there"
-            )
-        descriptions = [self._decoded(robot, reply, Description) for reply in replies]
-        if len({description.boot_id for description in descriptions}) > 1:
-            raise RobotLostError(
-                f"{len(descriptions)} agents answer as {robot}: stop all but one of them"
-            )
-        return descriptions[0]
+            ) from error
 
     def submit(self, robot: str, request: GoalRequest) -> GoalAccepted:
         """Ask for a motion; the same request may be sent again at any time."""
@@ -161,14 +153,14 @@ class Fleet:
         timeout_s: float = QUERY_TIMEOUT_S,
     ) -> R:
         key = self._keys.robot(robot, leaf)
-        try:
-            payload = self._session.ask(key, encode(request), timeout_s=timeout_s)
-        except NoReplyError as error:
-            raise NoReplyError(f"robot {robot} did not answer {leaf!r}: {error}") from error
-        return self._decoded(robot, payload, expected)
-
-    def _decoded(self, robot: str, payload: bytes, expected: type[R]) -> R:
-        reply = decode(payload, expected, Refusal)
+        replies = self._session.ask_all(key, encode(request), timeout_s=timeout_s)
+        if not replies:
+            raise NoReplyError(f"robot {robot} did not answer {leaf!r} within {timeout_s:g} s")
+        if len(replies) > 1:
+            raise RobotLostError(
+                f"{len(replies)} agents answer as {robot}: stop all but one of them"
+            )
+        reply = decode(replies[0], expected, Refusal)
         if isinstance(reply, Refusal):
             raise RefusedError(reply.code, reply.reason, robot)
         if not isinstance(reply, expected):
@@ -181,14 +173,18 @@ class Fleet:
         self.watch(self._keys.robot_of(key)).set_alive(alive)
 
     def _on_state(self, key: str, payload: bytes) -> None:
+        robot = self._keys.robot_of(key)
         try:
             state = decode(payload, RobotState)
         except MalformedMessageError as error:
             _log.warning("ignoring a malformed state on %s: %s", key, error)
             return
-        self.watch(self._keys.robot_of(key)).set_state(state)
+        if state.robot != robot:
+            _log.warning("ignoring a state of %s on %s", state.robot, key)
+            return
+        self.watch(robot).set_state(state)
         for observer in self._state_observers:
-            observer(state)
+            _tell(partial(observer, state))
 
     def _on_telemetry(self, key: str, payload: bytes) -> None:
         try:
@@ -197,4 +193,11 @@ class Fleet:
             _log.warning("ignoring malformed telemetry on %s: %s", key, error)
             return
         for observer in self._telemetry_observers:
-            observer(self._keys.robot_of(key), telemetry)
+            _tell(partial(observer, self._keys.robot_of(key), telemetry))
+
+
+def _tell(observer: Callable[[], None]) -> None:
+    try:
+        observer()
+    except Exception:  # noqa: BLE001 - one observer's mistake must not blind the others
+        _log.exception("an observer failed")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import shutil
 import subprocess
@@ -22,6 +23,11 @@ from shared.transport import open_client
 
 GRACE_S = 5.0
 """How long a process may take to leave its robots at rest before it is killed."""
+
+
+ROUTER = "router"
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass
@@ -61,7 +67,7 @@ class FleetProcesses:
 
     def start_router(self, endpoint: str, *, timeout_s: float = 20.0) -> None:
         """Start a router and wait until it answers; raises EndpointInUseError when it cannot."""
-        child = self._start("router", ["router", "--listen", endpoint])
+        child = self._start(ROUTER, ["router", "--listen", endpoint])
         deadline = time.monotonic() + timeout_s
         while "router listening on" not in child.last_words():
             if child.process.poll() is not None:
@@ -97,18 +103,17 @@ class FleetProcesses:
 
     def stop(self) -> None:
         """End all processes: agents first, so that robots rest while the router still is there."""
-        for child in reversed(self._children):
-            if child.process.stdin is not None:
-                child.process.stdin.close()
-        deadline = time.monotonic() + GRACE_S
-        for child in reversed(self._children):
-            try:
-                child.process.wait(max(0.0, deadline - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                child.process.kill()
+        agents = [child for child in self._children if child.what != ROUTER]
+        routers = [child for child in self._children if child.what == ROUTER]
+        try:
+            for children in (agents, routers):
+                _end(children)
+        finally:
+            for child in self._children:
+                child.process.kill()  # does nothing to one that has ended
                 child.process.wait()
-            child.log.close()
-        self._children.clear()
+                child.log.close()
+            self._children.clear()
 
     def _start(self, what: str, arguments: list[str]) -> _Child:
         log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
@@ -124,8 +129,33 @@ class FleetProcesses:
         return child
 
 
+def _end(children: list[_Child]) -> None:
+    """Ask processes to end, all at once, and kill those that do not within `GRACE_S`."""
+    for child in children:
+        if child.process.stdin is not None:
+            child.process.stdin.close()
+    deadline = time.monotonic() + GRACE_S
+    for child in children:
+        try:
+            child.process.wait(max(0.0, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            _log.warning(
+                "%s did not end within %g s and is killed; its robots may not be at rest",
+                child.what,
+                GRACE_S,
+            )
+            child.process.kill()
+            child.process.wait()
+
+
 def grouped(fleet: FleetFile, *, processes: int) -> list[tuple[str, ...]]:
-    """Deal a fleet's robots to at most so many processes, keeping together what must share one."""
+    """Deal a fleet's robots to at most so many processes, keeping together what must share one.
+
+    Raises:
+        ValueError: for no processes at all.
+    """
+    if processes < 1:
+        raise ValueError(f"a fleet needs at least one process, got {processes}")
     together: dict[str, list[str]] = {}
     alone: list[str] = []
     shares = {e.driver: load_driver(e.driver).shares_process for e in fleet.robots.values()}
