@@ -79,10 +79,10 @@ def measure(
         path = Path(directory) / "fleet.toml"
         write_fleet(path, robots, np.random.default_rng(robots))
         began_s = time.perf_counter()
-        with started_fleet(path, processes=PROCESSES, realtime=realtime) as (fleet, _):
+        with started_fleet(path, processes=PROCESSES, realtime=realtime) as (fleet, _, there):
             started_s = time.perf_counter() - began_s
             request = RankRequest("target", None, band, iterations, 0, None)
-            ready = prepare(fleet, request, fleet.robots())
+            ready = prepare(fleet, request, there)
             prepared_s = time.perf_counter() - began_s - started_s
             timer = Timer()
             dispatcher = Dispatcher(fleet, on_attempt_failed=timer.attempt_failed)

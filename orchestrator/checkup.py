@@ -116,7 +116,7 @@ def _ports() -> Iterator[Finding]:
 def _fleet(endpoint: str, fleet_name: str | None) -> Finding:
     try:
         with running_fleet(endpoint, fleet_name) as connection:
-            robots = connection.fleet.robots()
+            found = f"{connection.name}: {', '.join(connection.robots)}"
     except NufleetError as error:
         return Finding(f"fleet at {endpoint}", "note", str(error))
-    return Finding(f"fleet at {endpoint}", "ok", f"{connection.name}: {', '.join(robots)}")
+    return Finding(f"fleet at {endpoint}", "ok", found)

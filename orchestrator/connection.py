@@ -21,10 +21,11 @@ START_TIMEOUT_S = 60.0
 
 
 class Connection(NamedTuple):
-    """A fleet that can be reached, and its name."""
+    """A fleet that can be reached, its name, and the robots that are there."""
 
     fleet: Fleet
     name: str
+    robots: tuple[str, ...]
 
 
 def new_orchestrator_id() -> str:
@@ -56,7 +57,8 @@ def running_fleet(endpoint: str, fleet_name: str | None) -> Iterator[Connection]
                     "robots with `nufleet fleet up FLEET.toml` or `nufleet agent FLEET.toml`"
                 )
             fleet_name = names.pop()
-        yield Connection(Fleet(session, FleetKeys(fleet_name), new_orchestrator_id()), fleet_name)
+        fleet = Fleet(session, FleetKeys(fleet_name), new_orchestrator_id())
+        yield Connection(fleet, fleet_name, fleet.robots())
 
 
 @contextmanager
@@ -79,7 +81,7 @@ def started_fleet(
         with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as session:
             fleet = Fleet(session, FleetKeys(file.name), new_orchestrator_id())
             wait_for_robots(fleet, started, file)
-            yield Connection(fleet, file.name)
+            yield Connection(fleet, file.name, tuple(file.robots))
 
 
 def wait_for_robots(fleet: Fleet, started: FleetProcesses, file: FleetFile) -> None:

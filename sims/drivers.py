@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,7 +16,7 @@ class DoubleIntegratorDriver:
 
     settings: type[DoubleIntegratorSettings] = DoubleIntegratorSettings
     shares_process: bool = False
-    environment: Mapping[str, str] = MappingProxyType({})
+    environment: Mapping[str, str] = field(default_factory=dict)
 
     def build(
         self, settings: Mapping[str, DoubleIntegratorSettings], rng: np.random.Generator

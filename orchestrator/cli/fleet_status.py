@@ -20,7 +20,7 @@ def status(connect: str, fleet_name: str | None, as_json: bool) -> None:
 
     with running_fleet(connect, fleet_name) as connection:
         fleet = connection.fleet
-        robots = fleet.robots()
+        robots = connection.robots
         for robot in robots:
             fleet.watch(robot).wait_until(lambda w: w.state is not None, timeout_s=2.0)
         watches = [fleet.watch(robot) for robot in robots]

@@ -58,8 +58,8 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
         check_band(command.band_rad_s)
     make_runs_root(command.runs_root)
     with ExitStack() as stack:
-        fleet, name = stack.enter_context(_connection(command, console))
-        ready = prepare(fleet, _request(command), fleet.robots())
+        fleet, name, robots = stack.enter_context(_connection(command, console))
+        ready = prepare(fleet, _request(command), robots)
         folder = stack.enter_context(RunFolder(command.runs_root, name))
         serve = ServeOptions(web_port=WEB_PORT) if command.live else None
         writer = stack.enter_context(

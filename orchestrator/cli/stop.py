@@ -26,7 +26,7 @@ def stop(
     if everyone == bool(robots):
         raise click.UsageError("name the robots to stop, or give --all")
     with running_fleet(connect, fleet_name) as connection:
-        names = connection.fleet.robots() if everyone else robots
+        names = connection.robots if everyone else robots
         if everyone:
             connection.fleet.stop_everyone(reason)
         unconfirmed = stop_robots(connection.fleet, names, reason)
