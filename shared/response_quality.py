@@ -100,7 +100,8 @@ def disturbed(residual: FloatArray, tones: FloatArray, segments: int) -> Finding
 
     Both of shape (samples,): what the fit leaves over, and the fitted tones.
     """
-    power = np.mean(residual.reshape(segments, -1) ** 2, axis=1)
+    # Slow noise moves whole segments; it says nothing of what happened within one.
+    power = np.mean(_detrended(residual.reshape(segments, -1)) ** 2, axis=1)
     worst = int(np.argmax(power))
     usual = float(np.median(np.delete(power, worst)))
     share = math.sqrt(float(power[worst]) / (float(np.mean(tones**2)) or math.inf))
@@ -191,6 +192,14 @@ def verdict(findings: list[Finding | None]) -> Quality:
 def f_quantile(alpha: float, pairs: int) -> float:
     """Return the upper α quantile of F with 2 and 2 × `pairs` degrees of freedom."""
     return pairs * math.expm1(-math.log(alpha) / pairs)
+
+
+def _detrended(rows: FloatArray) -> FloatArray:
+    """Return rows without their least-squares lines; shape (rows, samples)."""
+    ramp = np.linspace(-1.0, 1.0, rows.shape[1])
+    centred = rows - rows.mean(axis=1, keepdims=True)
+    slopes: FloatArray = (centred @ ramp) / (ramp @ ramp)
+    return centred - np.outer(slopes, ramp)
 
 
 def _projection(segment_values: ComplexArray, unit: FloatArray) -> tuple[FloatArray, FloatArray]:
