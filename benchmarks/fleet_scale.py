@@ -87,7 +87,7 @@ def measure(
             timer = Timer()
             dispatcher = Dispatcher(fleet, on_attempt_failed=timer.attempt_failed)
             study = PaperStudy(ready.plan, np.random.default_rng(0))
-            conclusion = conduct(study, "x", f"scale-{robots}", dispatcher, timer)
+            conclusion = conduct(study, f"scale-{robots}", dispatcher, timer)
             agents = [
                 child
                 for child in psutil.Process().children(recursive=True)

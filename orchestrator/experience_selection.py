@@ -17,9 +17,14 @@ from orchestrator.study import Curve, Question, Report, Responses, SourceEstimat
 from shared.arrays import FloatArray
 from shared.chordal import chordal_distance, chordal_variance
 from shared.errors import StudyError
+from shared.excitation import Excitation, Tone
 from shared.gaussian_process import Batch, Bounds, Hyperparameters, fit, posterior
 
 GRID_POINTS = 1001
+
+SEGMENTS = 4
+SEGMENT_MIN_S = 2.0
+"""A measuring segment is at least this long, so that fast tones are averaged over many periods."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +75,14 @@ class PaperStudy:
         if self._asked == self._plan.iterations:
             return None
         self._asked += 1
-        self._open = Question(
-            self._asked, (self._next_omega,), (self._plan.target, *self._remaining())
+        test = Excitation(
+            axis=self._plan.axis,
+            tones=(Tone(omega_rad_s=self._next_omega),),
+            segments=SEGMENTS,
+            segment_min_s=SEGMENT_MIN_S,
         )
+        robots = (self._plan.target, *self._remaining())
+        self._open = Question(self._asked, dict.fromkeys(robots, test))
         return self._open
 
     def tell(self, responses: Responses, failed: Mapping[str, str]) -> Report:

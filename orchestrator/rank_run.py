@@ -94,7 +94,7 @@ def run_study(
     dispatcher = Dispatcher(fleet, on_attempt_failed=everyone.attempt_failed)
     folder.write_configuration(_configuration(ready, seed))
     study = PaperStudy(ready.plan, np.random.default_rng(seed))
-    conclusion = conduct(study, ready.plan.axis, folder.path.name.lower(), dispatcher, everyone)
+    conclusion = conduct(study, folder.path.name.lower(), dispatcher, everyone)
     record = RunRecord(
         result=_result(ready.plan, conclusion, folder),
         axis=ready.plan.axis,

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from orchestrator.dispatcher import Dispatcher, Failed, Measured, TestOutcome
 from orchestrator.study import Question, Report, SourceEstimate, Study
-from shared.excitation import Excitation, Tone
-
-SEGMENTS = 4
-SEGMENT_MIN_S = 2.0
-"""A measuring segment is at least this long, so that fast tones are averaged over many periods."""
 
 
 class RankingObserver(Protocol):
@@ -36,6 +31,10 @@ class Conclusion:
     iterations: int
     robot_time_s: float
     dropped: Mapping[str, str]
+    confidence: float | None = None
+    eliminated: Mapping[str, str] = field(default_factory=dict)
+    findings: tuple[str, ...] = ()
+    stopped_because: str | None = None
 
     @property
     def selected(self) -> str:
@@ -44,7 +43,7 @@ class Conclusion:
 
 
 def conduct(
-    study: Study, axis: str, run_id: str, dispatcher: Dispatcher, observer: RankingObserver
+    study: Study, run_id: str, dispatcher: Dispatcher, observer: RankingObserver
 ) -> Conclusion:
     """Run a study to its end.
 
@@ -55,15 +54,7 @@ def conduct(
     report: Report | None = None
     while (question := study.ask()) is not None:
         observer.asked(question)
-        excitation = Excitation(
-            axis=axis,
-            tones=tuple(Tone(omega_rad_s=omega) for omega in question.omega_rad_s),
-            segments=SEGMENTS,
-            segment_min_s=SEGMENT_MIN_S,
-        )
-        outcomes = dispatcher.run(
-            f"{run_id}.{question.iteration}", dict.fromkeys(question.robots, excitation)
-        )
+        outcomes = dispatcher.run(f"{run_id}.{question.iteration}", question.tests)
         robot_time_s += sum(outcome.robot_time_s for outcome in outcomes.values())
         report = study.tell(
             {r: o.response for r, o in outcomes.items() if isinstance(o, Measured)},
@@ -73,4 +64,13 @@ def conduct(
     dispatcher.acknowledge_all()
     if report is None:
         raise ValueError("a study asks at least one question")
-    return Conclusion(report.ranking, report.iteration, robot_time_s, report.dropped)
+    return Conclusion(
+        ranking=report.ranking,
+        iterations=report.iteration,
+        robot_time_s=robot_time_s,
+        dropped=report.dropped,
+        confidence=report.confidence,
+        eliminated=report.eliminated,
+        findings=report.findings,
+        stopped_because=report.stopped_because,
+    )

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from shared.arrays import FloatArray
+from shared.excitation import Excitation
 from shared.frequency_response import FrequencyResponse
 
 Responses = Mapping[str, FrequencyResponse]
@@ -26,11 +27,21 @@ class StudyPlan:
 
 @dataclass(frozen=True)
 class Question:
-    """The next round: these robots play these tones, all at the same time."""
+    """The next round: what each robot plays, all at the same time."""
 
     iteration: int
-    omega_rad_s: tuple[float, ...]
-    robots: tuple[str, ...]
+    tests: Mapping[str, Excitation]
+
+    @property
+    def robots(self) -> tuple[str, ...]:
+        """The robots that are tested."""
+        return tuple(self.tests)
+
+    @property
+    def omega_rad_s(self) -> tuple[float, ...]:
+        """Every frequency that any of the robots plays, rising."""
+        played = {tone.omega_rad_s for test in self.tests.values() for tone in test.tones}
+        return tuple(sorted(played))
 
 
 @dataclass(frozen=True)
@@ -61,7 +72,12 @@ class Curve:
 
 @dataclass(frozen=True)
 class Report:
-    """What one round taught: the ranking (best first), the curves, and who was dropped and why."""
+    """What one round taught: the ranking (best first), the curves, and who was dropped and why.
+
+    An algorithm that knows how sure it is says so: `confidence` is the probability that the source
+    selected is the right one, `eliminated` names the sources that cannot win any more and why,
+    `findings` what weakens the confidence, and `stopped_because` is set once the study is complete.
+    """
 
     iteration: int
     omega_rad_s: tuple[float, ...]
@@ -70,6 +86,10 @@ class Report:
     curves: tuple[Curve, ...]
     ranking: tuple[SourceEstimate, ...]
     dropped: Mapping[str, str]
+    confidence: float | None = None
+    eliminated: Mapping[str, str] = field(default_factory=dict)
+    findings: tuple[str, ...] = ()
+    stopped_because: str | None = None
 
     @property
     def selected(self) -> str:
