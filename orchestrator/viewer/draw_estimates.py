@@ -24,6 +24,7 @@ class Estimates:
                     values=[row.psi],
                     variances=[row.psi_std**2],
                     colors=[self._palette.of(row.robot)],
+                    widths=[2.0],
                     names=[row.robot],
                 ),
             )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import rerun as rr
 
+from orchestrator.viewer.draw_log import Log
 from orchestrator.viewer.events import RobotStateEvent
 from orchestrator.viewer.palette import Colour
 
@@ -21,8 +22,9 @@ _STATES: dict[str, Colour] = {
 class RobotStates:
     """One lane for each robot: idle, running, resting, stopped, fault or lost, and its progress."""
 
-    def __init__(self, stream: rr.RecordingStream) -> None:
+    def __init__(self, stream: rr.RecordingStream, log: Log) -> None:
         self._stream = stream
+        self._log = log
         self._waiting: dict[str, list[RobotStateEvent]] = {}
         self._status: dict[str, str] = {}
         self._reason: dict[str, str] = {}
@@ -40,13 +42,13 @@ class RobotStates:
 
     def _draw_progress(self, robot: str, events: list[RobotStateEvent]) -> None:
         self._stream.send_columns(
-            f"robots/progress/{robot}",
+            f"progress/{robot}",
             indexes=[rr.TimeColumn("t", duration=[event.t_s for event in events])],
             columns=rr.Scalars.columns(scalars=[event.progress for event in events]),
         )
 
     def _draw_changes(self, robot: str, events: list[RobotStateEvent]) -> None:
-        path = f"robots/state/{robot}"
+        path = f"state/{robot}"
         if robot not in self._status:
             self._stream.log(
                 path,
@@ -59,7 +61,9 @@ class RobotStates:
                 self._status[robot] = event.status
                 changes.append(event)
             if event.reason and self._reason.get(robot) != event.reason:
-                self._say(event)
+                bad = event.status in ("stopped", "fault", "lost")
+                text = f"{robot}: {event.reason}"
+                self._log.say(event.t_s, "warning" if bad else "info", text)
             self._reason[robot] = event.reason
         if changes:
             self._stream.send_columns(
@@ -67,14 +71,3 @@ class RobotStates:
                 indexes=[rr.TimeColumn("t", duration=[event.t_s for event in changes])],
                 columns=rr.StateChange.columns(state=[event.status for event in changes]),
             )
-
-    def _say(self, event: RobotStateEvent) -> None:
-        bad = event.status in ("stopped", "fault", "lost")
-        self._stream.send_columns(
-            "log",
-            indexes=[rr.TimeColumn("t", duration=[event.t_s])],
-            columns=rr.TextLog.columns(
-                text=[f"{event.robot}: {event.reason}"],
-                level=["WARN" if bad else "INFO"],
-            ),
-        )

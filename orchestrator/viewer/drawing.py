@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import rerun as rr
 
+from orchestrator.viewer.draw_differences import Differences
 from orchestrator.viewer.draw_estimates import Estimates
+from orchestrator.viewer.draw_log import Log
 from orchestrator.viewer.draw_robots import RobotStates
 from orchestrator.viewer.draw_samples import TestSamples
 from orchestrator.viewer.draw_sphere import Sphere
@@ -16,9 +18,8 @@ from orchestrator.viewer.events import (
     TestSamplesEvent,
     ViewerEvent,
 )
+from orchestrator.viewer.leaders import leading_sources
 from orchestrator.viewer.palette import Palette
-
-_LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR"}
 
 
 class Drawing:
@@ -28,14 +29,17 @@ class Drawing:
         self._stream = stream
         self._palette = Palette()
         self._sphere = Sphere(stream, self._palette)
+        self._differences = Differences(stream, self._palette)
         self._surrogates = Surrogates(stream, self._palette)
         self._estimates = Estimates(stream, self._palette)
-        self._robots = RobotStates(stream)
+        self._log = Log(stream)
+        self._robots = RobotStates(stream, self._log)
         self._samples = TestSamples(stream, self._palette)
 
     def begin(self) -> None:
         """Draw what never changes."""
         self._sphere.begin()
+        self._surrogates.begin()
 
     def draw(self, event: ViewerEvent) -> None:
         """Draw an event, or keep it for `end_batch`."""
@@ -47,29 +51,24 @@ class Drawing:
             case IterationEvent():
                 self._draw_iteration(event)
             case MessageEvent():
-                self._log(event.t_s, event.text, _LEVELS[event.level])
+                self._log.say(event.t_s, event.level, event.text)
 
     def end_batch(self) -> None:
         """Draw what was kept to be drawn at once."""
         self._robots.draw()
 
     def _draw_iteration(self, event: IterationEvent) -> None:
-        if self._palette.name_target(event.target):
-            self._samples.repaint()
+        leaders = leading_sources(event)
+        self._palette.assign(event.target, sorted(leaders))
+        self._samples.show(event.target, leaders)
         self._stream.set_time("t", duration=event.t_s)
         self._stream.set_time("iteration", sequence=event.iteration)
         try:
             self._sphere.draw(event)
+            self._differences.draw(event)
             self._surrogates.draw(event)
             self._estimates.draw(event)
         finally:
             self._stream.reset_time()
         for text in event.messages:
-            self._log(event.t_s, text, "INFO")
-
-    def _log(self, t_s: float, text: str, level: str) -> None:
-        self._stream.send_columns(
-            "log",
-            indexes=[rr.TimeColumn("t", duration=[t_s])],
-            columns=rr.TextLog.columns(text=[text], level=[level]),
-        )
+            self._log.say(event.t_s, "info", text)

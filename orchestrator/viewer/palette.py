@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 Colour = tuple[int, int, int]
 
 TARGET: Colour = (255, 255, 255)
 """No source is white."""
 
 REFERENCE: Colour = (130, 136, 148)
+
 QUIET: Colour = (92, 98, 112)
-"""For what is there but not the point: sources far down the ranking, grids."""
+"""Robots that have no colour of their own, being far down the ranking."""
+
+GRID: Colour = (44, 48, 56)
+TEXT: Colour = (168, 174, 186)
+GROUND: Colour = (16, 18, 22)
+"""Behind the drawn views, whatever the viewer's theme."""
 
 # Okabe and Ito's palette (2008), its blue made lighter and its black left out for a dark ground.
 _BASE: tuple[Colour, ...] = (
@@ -24,30 +32,32 @@ _BASE: tuple[Colour, ...] = (
 
 
 class Palette:
-    """Gives robots their colours in the order in which they are first seen."""
+    """Gives robots their colours.
+
+    A source gets its own when it first is among the leading ones and keeps it from then on, so
+    that a large fleet, too, has its contenders in colours that are easy to tell apart.
+    """
 
     def __init__(self) -> None:
-        self._index: dict[str, int] = {}
-        self._target: str | None = None
+        self._colours: dict[str, Colour] = {}
 
-    def name_target(self, robot: str) -> bool:
-        """Say which robot is the target; whether that is news."""
-        news = self._target != robot
-        self._target = robot
-        return news
+    def assign(self, target: str, leaders: Iterable[str]) -> bool:
+        """Give the target and these sources their colours; whether any was new."""
+        before = dict(self._colours)
+        self._colours[target] = TARGET
+        for source in leaders:
+            if source not in self._colours:
+                index = sum(colour != TARGET for colour in self._colours.values())
+                self._colours[source] = _tint(_BASE[index % len(_BASE)], index // len(_BASE))
+        return self._colours != before
 
     def of(self, robot: str) -> Colour:
-        """The robot's colour."""
-        if robot == self._target:
-            return TARGET
-        index = self._index.setdefault(robot, len(self._index))
-        return _shade(_BASE[index % len(_BASE)], index // len(_BASE))
+        """The robot's colour; quiet while it has none of its own."""
+        return self._colours.get(robot, QUIET)
 
 
-def _shade(colour: Colour, step: int) -> Colour:
-    """Lighter and darker versions for fleets of more robots than the palette has colours."""
-    if step == 0:
-        return colour
-    towards, share = ((255, 0)[step % 2 == 0], min(0.25 * ((step + 1) // 2 + 1), 0.7))
-    red, green, blue = (round(c + (towards - c) * share) for c in colour)
+def _tint(colour: Colour, step: int) -> Colour:
+    """Lighter versions for those who come when all colours are given; dark ones would not show."""
+    share = 1 - 0.55**step
+    red, green, blue = (round(c + (255 - c) * share) for c in colour)
     return red, green, blue

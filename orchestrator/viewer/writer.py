@@ -15,6 +15,9 @@ from orchestrator.viewer.outlet import Outlet, Sink
 from orchestrator.viewer.web_page import WebPage
 from shared.errors import NufleetError
 
+GRPC_PORT = 9876
+WEB_PORT = 9090
+
 OPEN_TIMEOUT_S = 30.0
 """Importing Rerun and its first log take a second or two; on a busy machine more."""
 
@@ -27,7 +30,7 @@ log = logging.getLogger(__name__)
 class ServeOptions:
     """Where live viewers connect to; a port of 0 stands for any free one, None for no web page."""
 
-    grpc_port: int = 9876
+    grpc_port: int = GRPC_PORT
     web_port: int | None = None
     bind_ip: str = "127.0.0.1"
 

@@ -63,7 +63,7 @@ def test_a_lane_changes_only_when_the_status_does(tmp_path: Path) -> None:
     statuses = ["idle", "running", "running", "running", "fault"]
     events = [state_event("s1", 0.1 * k, status) for k, status in enumerate(statuses)]
     path = record(tmp_path / "run.rrd", *events)
-    assert column(path, "/robots/state/s1", "StateChange:state") == [
+    assert column(path, "/state/s1", "StateChange:state") == [
         ["idle"],
         ["running"],
         ["fault"],
@@ -76,7 +76,10 @@ def test_messages_are_recorded_with_their_levels(tmp_path: Path) -> None:
         MessageEvent(1.0, "warning", "s1 is slow"),
         iteration_event(t_s=2.0),
     )
-    assert column(path, "/log", "TextLog:text") == [["s1 is slow"], ["round 1 is done"]]
+    assert column(path, "/log", "TextLog:text") == [
+        ["    1.0 s  s1 is slow"],
+        ["    2.0 s  round 1 is done"],
+    ]
     assert column(path, "/log", "TextLog:level") == [["WARN"], ["INFO"]]
 
 
