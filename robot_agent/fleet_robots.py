@@ -16,7 +16,7 @@ def build_robots(fleet: FleetFile, path: Path, names: tuple[str, ...]) -> dict[s
     """Build some robots of a fleet file, in the order of the names given.
 
     A robot's noise depends on the fleet's seed and the robot's place in the file, not on which
-    other robots its process serves.
+    other robots its process serves; but robots that share one simulator share its noise too.
 
     Raises:
         FleetFileError: for a name, driver or setting that is not right.
@@ -27,7 +27,7 @@ def build_robots(fleet: FleetFile, path: Path, names: tuple[str, ...]) -> dict[s
             f"{path}: no robot {unknown[0]!r}; there are {', '.join(fleet.robots)}"
         )
     by_driver: dict[str, list[str]] = {}
-    for name in names:
+    for name in (name for name in fleet.robots if name in names):
         by_driver.setdefault(fleet.robots[name].driver, []).append(name)
     places = {name: place for place, name in enumerate(fleet.robots)}
     built: dict[str, Robot] = {}

@@ -8,12 +8,11 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from shared.codec import describe_validation
 from shared.errors import FleetFileError
 from shared.strict import Name, Strict
-
 
 ENTRY_POINT_GROUP = "nufleet.fleets"
 
@@ -41,6 +40,14 @@ class FleetFile(Strict):
     seed: Annotated[int, Field(ge=0)] = 0
     study: StudyDefaults | None = None
     robots: Annotated[dict[Name, RobotEntry], Field(min_length=1, max_length=4096)]
+
+    @model_validator(mode="after")
+    def _target_exists(self) -> FleetFile:
+        if self.study is not None and self.study.target not in self.robots:
+            raise ValueError(
+                f"study.target: no robot {self.study.target!r}; there are {', '.join(self.robots)}"
+            )
+        return self
 
 
 S = TypeVar("S", bound=BaseModel)
