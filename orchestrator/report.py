@@ -50,7 +50,8 @@ def write_plots(
         axes = figure.add_subplot()
         draw(axes)
         axes.grid(alpha=0.3)
-        axes.spines[["top", "right"]].set_visible(False)
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
         axes.legend(frameon=False, fontsize=9)
         figure.savefig(plots / name, dpi=130)
 
