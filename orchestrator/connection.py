@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -34,30 +35,45 @@ def new_orchestrator_id() -> str:
 
 
 @contextmanager
-def running_fleet(endpoint: str, fleet_name: str | None) -> Iterator[Connection]:
+def running_fleet(
+    endpoint: str,
+    fleet_name: str | None,
+    *,
+    robots: tuple[str, ...] = (),
+    wait_s: float = 0.0,
+) -> Iterator[Connection]:
     """Join the fleet at a router.
 
     Args:
         endpoint: where the router listens.
         fleet_name: which fleet; None takes the only one there is.
+        robots: who is needed.
+        wait_s: how long to wait for router, fleet and robots to appear.
 
     Raises:
         NoRouterError: no router answers.
         InvalidInputError: there is no fleet, or several and none was named.
+        RobotLostError: a robot that was waited for did not appear.
     """
-    with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as session:
-        if fleet_name is None:
-            names = {
+    deadline_s = time.monotonic() + wait_s
+    with open_client(endpoint, timeout_s=max(CONNECT_TIMEOUT_S, wait_s)) as session:
+        while fleet_name is None:
+            found = {
                 key.split("/")[1] for key in session.alive("nufleet/*/robot/*/alive", timeout_s=3)
             }
-            if len(names) != 1:
-                found = f"there are {', '.join(sorted(names))}" if names else "no robot is there"
+            if len(found) == 1:
+                fleet_name = found.pop()
+            elif found or time.monotonic() >= deadline_s:
+                there = f"there are {', '.join(sorted(found))}" if found else "no robot is there"
                 raise InvalidInputError(
-                    f"which fleet at {endpoint}? {found}; name one with --fleet-name, or start "
-                    "robots with `nufleet fleet up FLEET.toml` or `nufleet agent FLEET.toml`"
+                    f"which fleet at {endpoint}? {there}; name one with --fleet-name, or start "
+                    "robots with `nufleet fleet up FLEET` or `nufleet agent FLEET`"
                 )
-            fleet_name = names.pop()
+            else:
+                time.sleep(0.2)
         fleet = Fleet(session, FleetKeys(fleet_name), new_orchestrator_id())
+        if wait_s > 0:
+            fleet.wait_for(robots, timeout_s=max(0.0, deadline_s - time.monotonic()))
         yield Connection(fleet, fleet_name, fleet.robots())
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -41,10 +41,11 @@ def write_plots(
     plots.mkdir(exist_ok=True)
     drawn = [estimate.robot for estimate in record.result.ranking[:CURVES_DRAWN]]
     colours = dict(zip(drawn, COLOURS, strict=False))
-    for name, draw in (
-        ("psi_over_frequency.png", lambda axes: _draw_curves(axes, curves, true_psi, colours)),
-        ("psi_over_iterations.png", lambda axes: _draw_history(axes, record, colours)),
-    ):
+    drawings: dict[str, Callable[[Axes], None]] = {
+        "psi_over_frequency.png": lambda axes: _draw_curves(axes, curves, true_psi, colours),
+        "psi_over_iterations.png": lambda axes: _draw_history(axes, record, colours),
+    }
+    for name, draw in drawings.items():
         figure = Figure(figsize=(8.0, 4.5), layout="constrained")
         FigureCanvasAgg(figure)
         axes = figure.add_subplot()

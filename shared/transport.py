@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Any, TypeVar
 
 import zenoh
@@ -42,6 +43,8 @@ LONGEST_TRY_S = 3.0
 """How long one attempt to reach a router lasts at most: Zenoh cannot be interrupted meanwhile."""
 
 _log = logging.getLogger(__name__)
+_ANSWER = zenoh.Encoding.APPLICATION_OCTET_STREAM
+"""Marks an error reply that a handler gave; Zenoh's own, such as a timeout's, have another."""
 
 
 class Request:
@@ -76,7 +79,7 @@ class Request:
         """
         with _transport_errors(f"replying on {self.key}"), self._query as query:
             if self.is_wildcard:
-                query.reply_err(payload)
+                query.reply_err(payload, encoding=_ANSWER)
             else:
                 query.reply(self.key, payload)
 
@@ -287,11 +290,33 @@ def open_router(listen: list[str], *, connect: list[str] | None = None) -> Itera
     _insert_endpoints(config, "listen", listen)
     _insert_endpoints(config, "connect", connect or [])
     config.insert_json5("adminspace/enabled", "true")
+    with _opened_router(config, ", ".join(listen)) as opened:
+        yield opened
+
+
+@contextmanager
+def open_configured_router(path: Path) -> Iterator[Session]:
+    """Open a router as a Zenoh configuration file (JSON5) describes it.
+
+    Raises:
+        InvalidInputError: the file is not a Zenoh configuration.
+        EndpointInUseError: an endpoint of it is taken or may not be used.
+    """
+    try:
+        config = zenoh.Config.from_file(path)
+    except zenoh.ZError as error:
+        raise InvalidInputError(f"{path}: not a Zenoh configuration: {_cause(error)}") from error
+    with _opened_router(config, f"the endpoints of {path}") as opened:
+        yield opened
+
+
+@contextmanager
+def _opened_router(config: zenoh.Config, endpoints: str) -> Iterator[Session]:
     try:
         session = zenoh.open(config)
     except zenoh.ZError as error:
         raise EndpointInUseError(
-            f"cannot listen on {', '.join(listen)}: {_cause(error)}. Is a router running "
+            f"cannot listen on {endpoints}: {_cause(error)}. Is a router running "
             "there already? Choose another endpoint with --listen"
         ) from error
     with Session(session) as opened:
@@ -361,7 +386,7 @@ def _said(reply: zenoh.Reply) -> bytes | None:
     """Return what a handler answered; None for Zenoh's own words, such as a timeout's."""
     if reply.ok is not None:
         return reply.ok.payload.to_bytes()
-    if reply.err is not None and reply.err.encoding == zenoh.Encoding.ZENOH_BYTES:
+    if reply.err is not None and reply.err.encoding == _ANSWER:
         return reply.err.payload.to_bytes()
     return None
 

@@ -17,6 +17,14 @@ from orchestrator.cli.options import connect_options, json_option, runs_option
     help="Start the simulated fleet of this file (or of this installed name) for this study alone.",
 )
 @connect_options
+@click.option(
+    "--wait",
+    "wait_s",
+    type=click.FloatRange(min=0),
+    default=0.0,
+    metavar="SECONDS",
+    help="With --connect: how long to wait for the router and the robots named.",
+)
 @click.option("--target", help="The robot that needs experience.  [default: the fleet file's]")
 @click.option(
     "--sources",
@@ -58,6 +66,7 @@ def rank(
     fleet_file: str | None,
     connect: str,
     fleet_name: str | None,
+    wait_s: float,
     target: str | None,
     sources: str | None,
     band: tuple[float, float] | None,
@@ -87,6 +96,7 @@ def rank(
             fleet_file=None if fleet_file is None else find_fleet_file(fleet_file),
             connect=connect,
             fleet_name=fleet_name,
+            wait_s=wait_s,
             target=target,
             sources=None if sources is None else tuple(sources.split(",")),
             band_rad_s=band,

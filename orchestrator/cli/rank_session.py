@@ -39,6 +39,7 @@ class RankCommand:
     iterations: int = 7
     seed: int = 0
     realtime: float | None = None
+    wait_s: float = 0.0
     live: bool = False
     as_json: bool = False
     processes: int | None = 2
@@ -90,7 +91,12 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
 
 def _connection(command: RankCommand, console: Console) -> AbstractContextManager[Connection]:
     if command.fleet_file is None:
-        return running_fleet(command.connect, command.fleet_name)
+        return running_fleet(
+            command.connect,
+            command.fleet_name,
+            robots=(_target(command), *(command.sources or ())),
+            wait_s=command.wait_s,
+        )
     file = read_fleet_file(command.fleet_file)
     _check_against_file(command, file)
     console.print(f"starting a router and {len(file.robots)} robots of {command.fleet_file}")

@@ -1,0 +1,56 @@
+"""What deploy/ ships works with the program it ships for."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import pytest
+
+from shared.command_line import command_line
+from shared.fleet_file import read_fleet_file
+from shared.transport import open_client, open_configured_router
+
+DEPLOY = Path(__file__).parents[1] / "deploy"
+UNITS = sorted(DEPLOY.glob("systemd/*.service"))
+
+
+def test_the_router_configuration_opens_a_router_that_clients_reach(tmp_path: Path) -> None:
+    shipped = (DEPLOY / "zenoh" / "router.json5").read_text()
+    assert "tcp/0.0.0.0:7447" in shipped
+    private = tmp_path / "router.json5"
+    private.write_text(shipped.replace("tcp/0.0.0.0:7447", "tcp/127.0.0.1:0"))
+    with open_configured_router(private) as router:
+        (endpoint,) = router.listening_on()
+        with (
+            open_client(endpoint, timeout_s=5.0) as one,
+            open_client(endpoint, timeout_s=5.0) as other,
+        ):
+            one.declare_alive("nufleet/lab/robot/r1/alive")
+            assert other.alive("nufleet/*/robot/*/alive", timeout_s=5.0) == [
+                "nufleet/lab/robot/r1/alive"
+            ]
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.name)
+def test_a_service_runs_a_command_that_exists_with_options_that_it_takes(unit: Path) -> None:
+    line = next(ln for ln in unit.read_text().splitlines() if ln.startswith("ExecStart="))
+    program, name, *arguments = shlex.split(line.removeprefix("ExecStart="))
+    assert program.endswith("/bin/nufleet")
+    root = command_line()
+    command = root.get_command(
+        root.make_context("nufleet", ["--verbose"], resilient_parsing=True), name
+    )
+    assert command is not None
+    command.make_context(name, list(arguments))
+
+
+def test_the_compose_file_names_robots_that_its_fleet_file_has() -> None:
+    compose = (DEPLOY / "containers" / "compose.yaml").read_text()
+    fleet = read_fleet_file(DEPLOY.parent / "sims" / "fleets" / "paper_linear.toml")
+    named = {
+        line.split('"--robot", "')[1].split('"')[0]
+        for line in compose.splitlines()
+        if '"--robot", "' in line
+    }
+    assert named == set(fleet.robots)
