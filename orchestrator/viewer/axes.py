@@ -11,7 +11,7 @@ import numpy as np
 from orchestrator.viewer.events import SurrogateCurve
 from shared.arrays import FloatArray
 
-WIDTH, HEIGHT = 160.0, 100.0
+WIDTH, HEIGHT = 160.0, 125.0
 """The plot's extent in its own units; x to the right and y down, as in an image."""
 
 

@@ -37,3 +37,13 @@ def claim_port(bind_ip: str, port: int) -> int:
                 f"the viewer cannot listen on {bind_ip}:{port}: {reason}; choose another port"
             ) from error
         return int(probe.getsockname()[1])
+
+
+def reachable(bind_ip: str) -> str:
+    """Return the address under which this machine reaches what listens on `bind_ip`."""
+    return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(bind_ip, bind_ip)  # noqa: S104 - compared only
+
+
+def host_in_url(ip: str) -> str:
+    """Return an address as URLs write it."""
+    return f"[{ip}]" if ":" in ip else ip

@@ -10,7 +10,14 @@ import rerun as rr
 from orchestrator.viewer.palette import Colour
 from shared.arrays import FloatArray
 
-_BLOCKS = ((0x20, 0x7E), (0xA0, 0x17F), (0x391, 0x3C9), (0x400, 0x45F))
+_BLOCKS = (
+    (0x20, 0x7E),
+    (0xA0, 0x148),
+    (0x14A, 0x17F),
+    (0x391, 0x3A1),
+    (0x3A3, 0x3C9),
+    (0x400, 0x45F),
+)
 """Latin, Greek and Cyrillic letters, as code points."""
 
 _SYMBOLS = "‘’“”–—…•−±×→←≤≥∞√№€"

@@ -10,6 +10,7 @@ import rerun as rr
 
 from orchestrator.viewer.blueprint import layout
 from orchestrator.viewer.drawing import Drawing
+from orchestrator.viewer.endpoint import host_in_url, reachable
 from orchestrator.viewer.events import ViewerEvent
 from shared.errors import EndpointInUseError
 
@@ -45,7 +46,7 @@ class RerunSink:
             bind_ip=bind_ip,
             port=port,
             server_memory_limit=SERVER_MEMORY,
-            cors_allow_origin=[f"http://{bind_ip}:*"],
+            cors_allow_origin=[f"http://{host_in_url(reachable(bind_ip))}:*"],
         )
         stream.set_sinks(server, default_blueprint=layout())
         try:

@@ -1,4 +1,4 @@
-"""Serves the page that shows a live study in a browser."""
+"""Serves the page that shows a recording or a live study in a browser."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ import subprocess
 import sys
 import tempfile
 import time
+from types import TracebackType
 from typing import IO
 from urllib.parse import quote
 
-from orchestrator.viewer.endpoint import claim_port
+from orchestrator.viewer.endpoint import claim_port, host_in_url, reachable
 from orchestrator.viewer.rerun_program import rerun_environment, rerun_program
 from shared.errors import EndpointInUseError
 
 START_TIMEOUT_S = 20.0
-END_TIMEOUT_S = 3.0
+END_TIMEOUT_S = 5.0
 HOSTING = "Hosting a web-viewer"
 """What the program prints once it listens."""
 
@@ -24,35 +25,43 @@ log = logging.getLogger(__name__)
 
 
 class WebPage:
-    """The web viewer, as a process of its own, which ends with this one.
+    """The web viewer, as a process of its own, which ends with this one; a context manager.
 
     Rerun can also host it in our process, but then only on every network interface.
     """
 
-    def __init__(self, live_url: str, *, bind_ip: str, port: int) -> None:
-        self._live_url = live_url
+    def __init__(self, source: str, *, bind_ip: str, port: int) -> None:
+        self._source = source
         self._bind_ip = bind_ip
         self._port = port
+        self._data_url = source
         self._process: subprocess.Popen[bytes] | None = None
         self._output: IO[bytes] | None = None
 
     @property
     def url(self) -> str:
-        """The page, showing the study."""
-        host = "127.0.0.1" if self._bind_ip == "0.0.0.0" else self._bind_ip  # noqa: S104
+        """The page, showing the recording or the study."""
         # As in a notebook the page sends no usage statistics, and it keeps no layout of old runs.
-        options = f"url={quote(self._live_url, safe='')}&notebook=true&persist=false"
-        return f"http://{host}:{self._port}/?{options}"
+        options = f"url={quote(self._data_url, safe='')}&notebook=true&persist=false"
+        return f"{self._origin}/?{options}"
+
+    @property
+    def _origin(self) -> str:
+        return f"http://{host_in_url(reachable(self._bind_ip))}:{self._port}"
 
     def open(self) -> None:
         """Start serving; returns when the page is there. Raises EndpointInUseError."""
         self._port = claim_port(self._bind_ip, self._port)
-        self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed in close
         command = [
             *(sys.executable, "-m", "orchestrator.viewer.tethered", str(rerun_program())),
-            *("--serve-web", self._live_url, "--bind", self._bind_ip),
+            *("--serve-web", self._source, "--bind", self._bind_ip),
             *("--web-viewer-port", str(self._port)),
         ]
+        if "://" not in self._source:
+            data_port = claim_port(self._bind_ip, 0)
+            self._data_url = live_url(self._bind_ip, data_port)
+            command += ["--port", str(data_port), "--cors-allow-origin", self._origin]
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed in close
         self._process = subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
@@ -69,6 +78,11 @@ class WebPage:
                 )
             time.sleep(0.02)
 
+    def wait(self) -> None:
+        """Wait until somebody ends the page's process."""
+        if self._process is not None:
+            self._process.wait()
+
     def close(self) -> None:
         """Stop serving. Calling it twice does nothing more."""
         if self._process is not None and self._process.stdin is not None:
@@ -84,8 +98,24 @@ class WebPage:
             self._output.close()
             self._output = None
 
+    def __enter__(self) -> WebPage:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
     def _said(self) -> str:
         if self._output is None:
             return ""
         # The process writes at the same file offset, so it is read without moving that.
         return os.pread(self._output.fileno(), 4000, 0).decode(errors="replace").strip()
+
+
+def live_url(bind_ip: str, port: int) -> str:
+    """Return what a viewer on this machine connects to."""
+    return f"rerun+http://{host_in_url(reachable(bind_ip))}:{port}/proxy"

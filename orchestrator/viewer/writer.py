@@ -12,7 +12,7 @@ from types import TracebackType
 from orchestrator.viewer.endpoint import claim_port, claim_recording
 from orchestrator.viewer.events import ViewerEvent
 from orchestrator.viewer.outlet import Outlet, Sink
-from orchestrator.viewer.web_page import WebPage
+from orchestrator.viewer.web_page import WebPage, live_url
 from shared.errors import NufleetError
 
 GRPC_PORT = 9876
@@ -154,13 +154,8 @@ class RerunWriter:
             return RerunSink.to_viewers(self._run_id, serve.bind_ip, port)
 
         self._start(Outlet("live server", open_sink))
-        self._live_url = f"rerun+http://{_reachable(serve.bind_ip)}:{port}/proxy"
+        self._live_url = live_url(serve.bind_ip, port)
 
     def _start(self, outlet: Outlet) -> None:
         self._outlets.append(outlet)
         outlet.start()
-
-
-def _reachable(bind_ip: str) -> str:
-    """The address under which this machine reaches what listens on `bind_ip`."""
-    return "127.0.0.1" if bind_ip == "0.0.0.0" else bind_ip  # noqa: S104 - only compared
