@@ -15,7 +15,7 @@ from typing import Any, Literal
 from packaging.requirements import Requirement
 
 from orchestrator.connection import running_fleet
-from orchestrator.viewer.show import viewer_binary
+from orchestrator.viewer.rerun_program import rerun_program
 from orchestrator.viewer.writer import GRPC_PORT, WEB_PORT
 from shared.drivers import ENTRY_POINT_GROUP
 from shared.errors import NufleetError
@@ -80,7 +80,7 @@ def _drivers() -> Finding:
 
 def _viewer() -> Finding:
     try:
-        binary = viewer_binary()
+        binary = rerun_program()
     except NufleetError as error:
         return Finding("viewer", "missing", str(error))
     display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))

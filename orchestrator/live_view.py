@@ -38,11 +38,17 @@ class LiveView:
         self._asked_s = 0.0
         self._omega_rad_s: tuple[float, ...] = ()
         self._drawn: dict[str, int] = {}
+        self._watching = False
 
     def watch(self, fleet: Fleet) -> None:
         """Draw the states and running tests of the study's robots from now on."""
+        self._watching = True
         fleet.observe_states(self._on_state)
         fleet.observe_telemetry(self._on_telemetry)
+
+    def stop_watching(self) -> None:
+        """Draw nothing more of the fleet: the study is over, whatever its robots do next."""
+        self._watching = False
 
     def asked(self, question: Question) -> None:
         """A round begins: its samples are drawn from this time on."""
@@ -82,7 +88,7 @@ class LiveView:
         )
 
     def _on_state(self, state: RobotState) -> None:
-        if state.robot in (self._plan.target, *self._plan.sources):
+        if self._watching and state.robot in (self._plan.target, *self._plan.sources):
             self._emit(
                 RobotStateEvent(
                     t_s=self._clock.now_s(),
@@ -95,7 +101,7 @@ class LiveView:
             )
 
     def _on_telemetry(self, robot: str, telemetry: Telemetry) -> None:
-        if robot not in (self._plan.target, *self._plan.sources):
+        if not self._watching or robot not in (self._plan.target, *self._plan.sources):
             return
         with self._lock:
             drawn = self._drawn.get(telemetry.goal_id, 0) + len(telemetry.reference)

@@ -71,6 +71,7 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
         unit = ready.descriptions[ready.plan.target].spec.axis(ready.plan.axis).unit
         live = LiveView(ready.plan, unit, StudyClock(time.monotonic), writer.emit)
         live.watch(fleet)
+        stack.callback(live.stop_watching)
         record = run_study(
             fleet,
             ready,

@@ -15,31 +15,41 @@ from orchestrator.cli.options import runs_option
 @click.option("--web", is_flag=True, help="In a browser instead of the native viewer.")
 @click.option(
     "--screenshot",
+    "picture",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="Write a picture (PNG) instead; needs no display.",
+    help="Write a picture (PNG) of a recording instead; needs no display.",
 )
 @runs_option
-def view(run: str | None, live: bool, web: bool, screenshot: Path | None, runs_root: Path) -> None:
+def view(run: str | None, live: bool, web: bool, picture: Path | None, runs_root: Path) -> None:
     """Open the recording of RUN: a folder, its name, or `latest` (the default)."""
+    import threading
+
     from orchestrator.run_folder import RECORDING, find_run
-    from orchestrator.viewer.show import open_native, open_web, take_screenshot
+    from orchestrator.viewer.picture import screenshot
+    from orchestrator.viewer.show import open_native, open_web
     from orchestrator.viewer.writer import GRPC_PORT
-    from shared.errors import InvalidInputError
 
     if live and run is not None:
         raise click.UsageError("name a run, or watch the running one with --live")
+    if live and picture is not None:
+        raise click.UsageError("a picture is taken of a recording: leave --live")
+    source: Path | str
     if live:
         source = f"rerun+http://127.0.0.1:{GRPC_PORT}/proxy"
     else:
-        recording = find_run(runs_root, run or "latest") / RECORDING
-        if not recording.exists():
-            raise InvalidInputError(f"{recording} is missing: that run was not recorded")
-        source = str(recording)
-    if screenshot is not None:
-        take_screenshot(source, screenshot)
-        click.echo(f"wrote {screenshot}", err=True)
+        source = find_run(runs_root, run or "latest") / RECORDING
+    if picture is not None:
+        problems = screenshot(Path(source), picture)
+        for problem in problems:
+            click.secho(f"not drawn: {problem}", fg="yellow", err=True)
+        click.echo(f"wrote {picture}", err=True)
     elif web:
-        open_web(source)
+        page = open_web(source)
+        try:
+            click.echo(f"{page.url}   (Ctrl-C ends it)", err=True)
+            threading.Event().wait()
+        finally:
+            page.close()
     else:
         open_native(source)
