@@ -10,7 +10,7 @@ CSV holds a measured response, with those four or three names as its header.
 A measured response goes on to python-control in three lines::
 
     measured = read_model(Path("response.csv"))
-    response = control.FrequencyResponseData(measured.z, measured.omega_rad_s)
+    response = control.frd(measured.z, measured.omega_rad_s, name="robot")
     control.bode_plot(response)
 """
 
