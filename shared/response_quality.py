@@ -199,7 +199,8 @@ def _detrended(rows: FloatArray) -> FloatArray:
     ramp = np.linspace(-1.0, 1.0, rows.shape[1])
     centred = rows - rows.mean(axis=1, keepdims=True)
     slopes: FloatArray = (centred @ ramp) / (ramp @ ramp)
-    return centred - np.outer(slopes, ramp)
+    straight: FloatArray = centred - slopes[:, None] * ramp
+    return straight
 
 
 def _projection(segment_values: ComplexArray, unit: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from robot_agent.excitation import (
@@ -79,6 +79,7 @@ def excitations(draw: st.DrawFn, amplitude: float | None = None) -> Excitation:
     return Excitation(axis="x", tones=tones, amplitude=amplitude, segments=draw(st.integers(3, 6)))
 
 
+@settings(deadline=None)
 @given(excitations(), st.floats(0.1, 10.0), st.floats(0.1, 10.0), st.floats(0.1, 100.0))
 def test_an_amplitude_the_robot_chooses_uses_its_headroom_of_the_tightest_limit(
     excitation: Excitation, amplitude_max: float, velocity_max: float, acceleration_max: float
@@ -94,6 +95,7 @@ def test_an_amplitude_the_robot_chooses_uses_its_headroom_of_the_tightest_limit(
     assert used == pytest.approx(HEADROOM, rel=1e-9)
 
 
+@settings(deadline=None)
 @given(excitations(amplitude=0.7))
 def test_a_reference_begins_and_ends_at_rest_and_never_exceeds_its_amplitude(
     excitation: Excitation,
@@ -106,6 +108,7 @@ def test_a_reference_begins_and_ends_at_rest_and_never_exceeds_its_amplitude(
     assert np.max(np.abs(reference)) <= 0.7
 
 
+@settings(deadline=None)
 @given(excitations(amplitude=0.5), st.sampled_from(["amplitude", "velocity", "acceleration"]))
 def test_a_motion_is_accepted_at_a_limit_and_refused_just_over_it(
     excitation: Excitation, limit: str
@@ -123,6 +126,7 @@ def test_a_motion_is_accepted_at_a_limit_and_refused_just_over_it(
     assert refused.value.robot == "r1"
 
 
+@settings(deadline=None)
 @given(excitations())
 def test_a_test_is_accepted_at_the_longest_duration_and_refused_one_sample_over_it(
     excitation: Excitation,
@@ -143,6 +147,7 @@ def test_the_edges_of_the_band_belong_to_it(omega: float) -> None:
     assert plan_excitation(excitation, spec_with(), "r1").tones == excitation.tones
 
 
+@settings(deadline=None)
 @given(st.one_of(st.floats(5e-324, BAND[0] * (1 - 1e-9)), st.floats(BAND[1] * (1 + 1e-9), 1e300)))
 def test_a_tone_outside_the_band_is_refused(omega: float) -> None:
     excitation = Excitation(axis="x", tones=tones_at(1.0, omega))
@@ -178,6 +183,7 @@ def test_an_absurd_length_is_refused_without_allocating_it(excitation: Excitatio
     assert refused.value.code == "duration"
 
 
+@settings(deadline=None)
 @given(excitations())
 def test_every_segment_holds_a_period_of_every_tone_and_all_of_them_two_beats(
     excitation: Excitation,
@@ -211,6 +217,13 @@ def test_a_slow_tone_is_measured_for_most_of_its_test() -> None:
     plan = plan_excitation(Excitation(axis="x", tones=tones_at(0.05)), spec_with(), "r1")
     measured = plan.segments * plan.segment_samples
     assert measured / plan.samples > 0.9
+
+
+def test_a_reference_that_jumps_from_rest_or_to_rest_counts_its_jump() -> None:
+    for reference in ([1.0, 1.0, 0.0], [0.0, 0.5, 1.0]):
+        velocity, acceleration = peak_velocity_and_acceleration(np.array(reference), 0.1)
+        assert velocity == pytest.approx(10.0)
+        assert acceleration >= 100.0
 
 
 @pytest.mark.parametrize(

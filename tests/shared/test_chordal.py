@@ -47,11 +47,13 @@ def exact_psi(z_1: complex, z_2: complex) -> float:
         return float(distance)
 
 
+@settings(deadline=None)
 @given(responses, responses)
 def test_it_is_the_papers_equation_four_for_numbers_of_any_size(z_1: complex, z_2: complex) -> None:
     assert psi(z_1, z_2) == pytest.approx(exact_psi(z_1, z_2), rel=1e-14, abs=1e-149)
 
 
+@settings(deadline=None)
 @given(extended, extended, extended)
 def test_it_is_a_metric_bounded_by_one(z_1: complex, z_2: complex, z_3: complex) -> None:
     assert psi(z_1, z_1) == 0.0
@@ -60,12 +62,14 @@ def test_it_is_a_metric_bounded_by_one(z_1: complex, z_2: complex, z_3: complex)
     assert psi(z_1, z_3) <= psi(z_1, z_2) + psi(z_2, z_3) + 1e-15
 
 
+@settings(deadline=None)
 @given(moderate, moderate)
 def test_different_responses_are_apart(z_1: complex, z_2: complex) -> None:
     assume(z_1 != z_2)
     assert psi(z_1, z_2) > 0.0
 
 
+@settings(deadline=None)
 @given(responses, responses, angles)
 def test_inversion_and_rotation_keep_distances(z_1: complex, z_2: complex, angle: float) -> None:
     assume(min(abs(z_1), abs(z_2)) > 1e-300)
@@ -75,12 +79,14 @@ def test_inversion_and_rotation_keep_distances(z_1: complex, z_2: complex, angle
     assert psi(turn * z_1, turn * z_2) == expected
 
 
+@settings(deadline=None)
 @given(extended, extended)
 def test_it_is_the_euclidean_distance_between_projections(z_1: complex, z_2: complex) -> None:
     points = riemann_sphere(array(z_1, z_2))
     assert np.linalg.norm(points[0] - points[1]) == pytest.approx(psi(z_1, z_2), abs=1e-15)
 
 
+@settings(deadline=None)
 @given(extended)
 def test_projections_lie_on_the_sphere_of_radius_one_half_that_touches_the_plane_at_zero(
     z: complex,
@@ -89,6 +95,7 @@ def test_projections_lie_on_the_sphere_of_radius_one_half_that_touches_the_plane
     assert np.linalg.norm(point - [0.0, 0.0, 0.5]) == pytest.approx(0.5, abs=1e-15)
 
 
+@settings(deadline=None)
 @given(moderate)
 def test_a_projection_lies_on_the_line_from_the_north_pole_to_its_point(z: complex) -> None:
     point = riemann_sphere(array(z))[0]
@@ -111,6 +118,7 @@ def test_distances_broadcast_and_keep_shapes() -> None:
     assert riemann_sphere(np.zeros((3, 5), complex)).shape == (3, 5, 3)
 
 
+@settings(deadline=None)
 @given(moderate, st.floats(0.0, 60.0), angles, st.floats(0.0, 1.0))
 def test_no_point_of_a_disc_is_further_on_the_sphere_than_its_geodesic_radius(
     centre: complex, radius: float, angle: float, share: float
@@ -120,6 +128,7 @@ def test_no_point_of_a_disc_is_further_on_the_sphere_than_its_geodesic_radius(
     assert math.asin(psi(centre, inside)) <= reach + 1e-7
 
 
+@settings(deadline=None)
 @given(moderate.filter(lambda z: abs(z) > 1e-3), st.floats(0.0, 60.0))
 def test_a_geodesic_radius_is_reached_by_some_point_of_the_disc(
     centre: complex, radius: float
@@ -132,6 +141,7 @@ def test_a_geodesic_radius_is_reached_by_some_point_of_the_disc(
     assert furthest <= math.sin(reach) + 1e-12
 
 
+@settings(deadline=None)
 @given(moderate, moderate, st.floats(0.0, 2.0), st.floats(0.0, 2.0), angles, angles)
 def test_an_interval_holds_the_distance_between_any_points_of_two_discs(
     z_1: complex, z_2: complex, radius_1: float, radius_2: float, angle_1: float, angle_2: float

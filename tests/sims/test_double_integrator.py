@@ -62,7 +62,7 @@ def test_the_model_in_its_spec_is_the_loop_it_runs(alpha: float, beta: float) ->
 
 
 @given(st.integers(1, 60), st.floats(0.0, 0.1))
-@settings(max_examples=30)
+@settings(max_examples=30, deadline=None)
 def test_running_a_signal_is_the_same_as_stepping_through_it(
     samples: int, noise_std_m: float
 ) -> None:
