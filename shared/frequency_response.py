@@ -123,9 +123,8 @@ def _estimate(samples: _Samples, omegas: FloatArray, plan: ExcitationPlan) -> Fr
     extra = resolvable_harmonics(omegas, step_s, len(samples.u) * step_s)
     every_omega = np.concatenate([omegas, extra])
     try:
-        input_fit, output_fit = (
-            fit_sinusoids(signal, every_omega, step_s, plan.segments)
-            for signal in (samples.u, samples.y)
+        input_fit, output_fit = fit_sinusoids(
+            [samples.u, samples.y], every_omega, step_s, plan.segments
         )
     except UnresolvableError as error:
         return _failed(omegas, plan, "unresolvable", str(error))

@@ -87,10 +87,8 @@ def power_distortion(
         for signal, scale in zip(signals, scales, strict=True)
         for exponent in (2, 3)
     ]
-    unexplained = [
-        power - fit_sinusoids(power, omega_rad_s, sample_time_s, segments).fitted
-        for power in powers
-    ]
+    fits = fit_sinusoids(powers, omega_rad_s, sample_time_s, segments)
+    unexplained = [power - fit.fitted for power, fit in zip(powers, fits, strict=True)]
     columns = np.stack(unexplained, axis=-1).reshape(segments, -1, len(powers))
     left = residual.reshape(segments, -1)
     gram = np.einsum("pni,pnj->pij", columns, columns)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,9 +54,9 @@ def complex_median(segment_values: ComplexArray) -> ComplexArray:
 
 
 def fit_sinusoids(
-    signal: FloatArray, omega_rad_s: FloatArray, sample_time_s: float, segments: int
-) -> SinusoidFit:
-    """Fit all frequencies jointly to the whole of a signal.
+    signals: Sequence[FloatArray], omega_rad_s: FloatArray, sample_time_s: float, segments: int
+) -> list[SinusoidFit]:
+    """Fit all frequencies jointly to the whole of each signal.
 
     With H = [cos ωt, sin ωt, 1, t − t̄] the estimate is θ̂ = (HᵀH)⁻¹Hᵀy. Segment p adds
     (HᵀH)⁻¹H_pᵀ(y_p − H_p θ̂) to it; these contributions sum to zero, and P times each, added to θ̂,
@@ -63,7 +64,7 @@ def fit_sinusoids(
     Biometrika 73, 1986).
 
     Args:
-        signal: shape (samples,), a multiple of `segments`.
+        signals: all of the same shape (samples,), a multiple of `segments`.
         omega_rad_s: shape (F,), all different and below the Nyquist frequency.
         sample_time_s: time between samples.
         segments: number of segments P of equal length.
@@ -71,34 +72,39 @@ def fit_sinusoids(
     Raises:
         UnresolvableError: the normal equations are singular to working precision.
     """
-    samples = len(signal)
+    stacked = np.column_stack(signals)
+    samples, count = stacked.shape
     length = samples // segments
     blocks = [slice(p * length, (p + 1) * length) for p in range(segments)]
     size = 2 * len(omega_rad_s) + 2
     gram = np.zeros((size, size))
-    moments = np.zeros(size)
+    moments = np.zeros((size, count))
     # One segment of H at a time: all of it would be gigabytes for many tones in a long test.
     for block in blocks:
         columns = _columns(block, samples, omega_rad_s, sample_time_s)
         gram += columns.T @ columns
-        moments += columns.T @ signal[block]
-    if np.linalg.cond(gram) > CONDITION_MAX:
-        raise UnresolvableError("the frequencies cannot be told apart in a signal of this length")
+        moments += columns.T @ stacked[block]
+    eigenvalues = np.linalg.eigvalsh(gram)
+    if eigenvalues[-1] > CONDITION_MAX * eigenvalues[0]:
+        raise UnresolvableError("the frequencies cannot be told apart in signals of this length")
     factor = cho_factor(gram)
     theta = cho_solve(factor, moments)
 
-    fitted = np.empty_like(signal)
-    contributions = np.empty((segments, size))
+    fitted = np.empty_like(stacked)
+    contributions = np.empty((segments, size, count))
     for p, block in enumerate(blocks):
         columns = _columns(block, samples, omega_rad_s, sample_time_s)
         fitted[block] = columns @ theta
-        contributions[p] = cho_solve(factor, columns.T @ (signal[block] - fitted[block]))
-    return SinusoidFit(
-        omega_rad_s=omega_rad_s,
-        phasors=_phasors(theta),
-        segment_phasors=_phasors(theta + segments * contributions),
-        fitted=fitted,
-    )
+        contributions[p] = cho_solve(factor, columns.T @ (stacked[block] - fitted[block]))
+    return [
+        SinusoidFit(
+            omega_rad_s=omega_rad_s,
+            phasors=_phasors(theta[:, s]),
+            segment_phasors=_phasors(theta[:, s] + segments * contributions[:, :, s]),
+            fitted=fitted[:, s],
+        )
+        for s in range(count)
+    ]
 
 
 def sum_of_tones(

@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 from shared.arrays import ComplexArray, FloatArray
 from shared.sinusoid_fit import (
+    SinusoidFit,
     UnresolvableError,
     fit_sinusoids,
     resolvable_harmonics,
@@ -17,6 +18,12 @@ from shared.sinusoid_fit import (
 )
 
 STEP_S = 0.015
+
+
+def fit_one(
+    signal: FloatArray, omega_rad_s: FloatArray, sample_time_s: float, segments: int
+) -> SinusoidFit:
+    return fit_sinusoids([signal], omega_rad_s, sample_time_s, segments)[0]
 
 
 def a_period_each(omega_min_rad_s: float) -> int:
@@ -40,7 +47,7 @@ def test_phasors_are_recovered_under_any_offset_and_drift(
     true = rng.standard_normal(len(omegas)) + 1j * rng.standard_normal(len(omegas))
     ramp = offset + drift * np.arange(samples) / samples
     signal = sum_of_tones(true, omega_rad_s, STEP_S, samples) + ramp
-    fit = fit_sinusoids(signal, omega_rad_s, STEP_S, segments)
+    fit = fit_one(signal, omega_rad_s, STEP_S, segments)
     np.testing.assert_allclose(fit.phasors, true, atol=1e-9)
     np.testing.assert_allclose(fit.segment_phasors, np.tile(true, (segments, 1)), atol=1e-9)
     np.testing.assert_allclose(fit.fitted, signal, atol=1e-9)
@@ -53,14 +60,14 @@ def test_it_is_the_least_squares_solution() -> None:
     t = np.arange(samples) * STEP_S
     h = np.column_stack([f(w * t) for f in (np.cos, np.sin) for w in omega_rad_s] + [t**0, t])
     theta = np.linalg.lstsq(h, signal, rcond=None)[0]
-    fit = fit_sinusoids(signal, omega_rad_s, STEP_S, 4)
+    fit = fit_one(signal, omega_rad_s, STEP_S, 4)
     np.testing.assert_allclose(fit.phasors, theta[:3] - 1j * theta[3:6], rtol=1e-9)
     np.testing.assert_allclose(fit.fitted, h @ theta, rtol=1e-6, atol=1e-9)
 
 
 def test_the_mean_of_the_segments_is_the_estimate() -> None:
     signal = np.random.default_rng(3).standard_normal(5 * 321)
-    fit = fit_sinusoids(signal, np.array([2.0, 5.0]), STEP_S, 5)
+    fit = fit_one(signal, np.array([2.0, 5.0]), STEP_S, 5)
     np.testing.assert_allclose(fit.segment_phasors.mean(axis=0), fit.phasors, atol=1e-13)
 
 
@@ -71,7 +78,7 @@ def test_over_whole_periods_a_segment_says_what_its_own_fourier_sum_says() -> No
     signal = rng.standard_normal((segments, length))
     t = np.arange(segments * length).reshape(segments, length) * STEP_S
     own: ComplexArray = 2 / length * np.sum(signal * np.exp(-1j * omega * t), axis=1)
-    fit = fit_sinusoids(signal.ravel(), np.array([omega]), STEP_S, segments)
+    fit = fit_one(signal.ravel(), np.array([omega]), STEP_S, segments)
     # The drift that is removed from the whole signal makes the only difference.
     np.testing.assert_allclose(fit.segment_phasors[:, 0], own, atol=0.01)
 
@@ -90,7 +97,7 @@ def test_the_variance_is_that_of_the_estimates_in_white_and_coloured_noise(
     length, segments, trials = 100, 4, 800
     omega = np.array([periods * 2 * np.pi / (length * STEP_S)])
     fits = [
-        fit_sinusoids(coloured(rng, length * segments, memory), omega, STEP_S, segments)
+        fit_one(coloured(rng, length * segments, memory), omega, STEP_S, segments)
         for _ in range(trials)
     ]
     error = np.mean([abs(fit.phasors[0]) ** 2 for fit in fits])
@@ -106,7 +113,7 @@ def test_the_joint_fit_has_less_variance_than_fitting_each_segment_with_its_own_
     joint_error, separate_error = 0.0, 0.0
     for _ in range(trials):
         signal = rng.standard_normal((segments, length))
-        joint = fit_sinusoids(signal.ravel(), np.array([omega]), STEP_S, segments)
+        joint = fit_one(signal.ravel(), np.array([omega]), STEP_S, segments)
         joint_error += abs(joint.phasors[0]) ** 2
         separate_error += float(np.sum((own[:2] @ signal.T).mean(axis=1) ** 2))
     assert joint_error < 0.65 * separate_error
@@ -117,7 +124,7 @@ def test_the_joint_fit_has_less_variance_than_fitting_each_segment_with_its_own_
 )
 def test_frequencies_that_cannot_be_told_apart_are_an_error(omega_rad_s: list[float]) -> None:
     with pytest.raises(UnresolvableError):
-        fit_sinusoids(np.ones(1600), np.array(omega_rad_s), STEP_S, 4)
+        fit_one(np.ones(1600), np.array(omega_rad_s), STEP_S, 4)
 
 
 def test_harmonics_are_the_second_and_third_that_can_be_told_from_all_else() -> None:
@@ -127,3 +134,13 @@ def test_harmonics_are_the_second_and_third_that_can_be_told_from_all_else() -> 
     np.testing.assert_allclose(harmonics, [2.0, 6.04, 160.0, 9.06])
     nothing = resolvable_harmonics(np.array([150.0]), STEP_S, minute)
     assert nothing.shape == (0,)
+
+
+def test_signals_fitted_together_are_fitted_as_if_alone() -> None:
+    signals = list(np.random.default_rng(4).standard_normal((3, 4 * 250)))
+    omega_rad_s = np.array([3.0, 7.0])
+    together = fit_sinusoids(signals, omega_rad_s, STEP_S, 4)
+    for signal, fit in zip(signals, together, strict=True):
+        alone = fit_one(signal, omega_rad_s, STEP_S, 4)
+        np.testing.assert_allclose(fit.segment_phasors, alone.segment_phasors, atol=1e-13)
+        np.testing.assert_allclose(fit.fitted, alone.fitted, atol=1e-13)
