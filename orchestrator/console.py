@@ -53,9 +53,14 @@ class ConsoleObserver:
             leader = "  [green]← closest[/]" if estimate.robot == report.selected else ""
             self._console.print(
                 f"  {estimate.robot:<16} {measured:<12}  "
-                f"ψ* = {estimate.psi:.4f} ± {estimate.psi_std:.4f} "
+                f"ψ* = {estimate.psi:.4f} ± {_deviation(estimate.psi_std)} "
                 f"at {estimate.omega_rad_s:.3f} rad/s{leader}"
             )
+
+
+def _deviation(std: float) -> str:
+    """Return a standard deviation to four places, and not as nothing where it is less."""
+    return f"{std:.4f}" if std >= 5e-5 else "<0.0001"
 
 
 def ranking_table(
@@ -73,7 +78,7 @@ def ranking_table(
         row = [
             estimate.robot,
             f"{estimate.psi:.4f}",
-            f"{estimate.psi_std:.4f}",
+            _deviation(estimate.psi_std),
             f"{estimate.omega_rad_s:.3f}",
             str(estimate.tests),
         ]

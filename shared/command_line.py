@@ -8,10 +8,12 @@ Commands are entry points of the group `nufleet.commands`; a dot in a name makes
 from __future__ import annotations
 
 import logging
+import shutil
 import signal
 import sys
 from collections.abc import Mapping
 from importlib.metadata import EntryPoint, entry_points, version
+from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
@@ -100,6 +102,15 @@ def main() -> NoReturn:
         sys.exit(error.exit_code)
     # Without its standalone mode click returns the code of `--help`, `--version` and `Exit`.
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def invocation() -> str:
+    """Return how this program was called, for commands that a person is told to type next."""
+    called = Path(sys.argv[0])
+    if called.suffix == ".py":
+        return f"{sys.executable} -m shared.command_line"
+    found = shutil.which(called.name)
+    return called.name if found and Path(found).samefile(called) else str(called)
 
 
 _HELP = """Find out which robot's experience will help a new robot, before you transfer it.

@@ -19,6 +19,7 @@ from orchestrator.results import RunRecord
 from orchestrator.run_folder import RunFolder, make_runs_root
 from orchestrator.study_clock import StudyClock
 from orchestrator.viewer.writer import WEB_PORT, RerunWriter, ServeOptions
+from shared.command_line import invocation
 from shared.errors import InvalidInputError
 from shared.fleet_file import FleetFile, read_fleet_file
 from shared.transport import DEFAULT_ENDPOINT
@@ -86,7 +87,7 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
     )
     if writer.dropped:
         console.print(f"[yellow]the recording and its viewers missed {writer.dropped} events[/]")
-    console.print(f"open the recording with:  nufleet view {folder.path}")
+    console.print(f"open the recording with:  {invocation()} view {folder.path}")
     return record
 
 

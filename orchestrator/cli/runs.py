@@ -52,6 +52,7 @@ def show(run: str, runs_root: Path, as_json: bool) -> None:
     """Show the result of RUN: a folder, its name, or `latest`."""
     from orchestrator.console import ranking_table, stderr_console
     from orchestrator.run_folder import find_run, read_record
+    from shared.command_line import invocation
 
     folder = find_run(runs_root, run)
     record = read_record(folder)
@@ -68,4 +69,4 @@ def show(run: str, runs_root: Path, as_json: bool) -> None:
     for robot, reason in record.dropped.items():
         console.print(f"[red]without {robot}: {reason}[/]")
     console.print(f"files: {', '.join(sorted(p.name for p in folder.iterdir()))}")
-    console.print(f"open the recording with: nufleet view {folder}")
+    console.print(f"open the recording with:  {invocation()} view {folder}")
