@@ -202,6 +202,18 @@ def test_threads_and_repetition_change_nothing() -> None:
     np.testing.assert_array_equal(one, three)
 
 
+def test_where_memory_lies_changes_nothing() -> None:
+    x, y = wavy(40, 2, seed=40)
+    rng = np.random.default_rng(0)
+    found = set()
+    for _ in range(100):
+        elsewhere = [np.empty(size) for size in rng.integers(1, 2000, 3)]
+        result = fit(one_problem(x, y), [START], WIDE)
+        found.add(result.hyperparameters.log(1).tobytes())
+        del elsewhere
+    assert len(found) == 1
+
+
 def test_inputs_may_be_shared_or_each_problems_own() -> None:
     x = np.linspace(0, 1, 6)
     y = np.random.default_rng(0).standard_normal((3, 6))
@@ -278,6 +290,16 @@ def test_repeated_points_without_noise_get_a_recorded_jitter() -> None:
     mean, variance = posterior(one_problem(x, y), found.hyperparameters, x)
     np.testing.assert_allclose(mean[0], y, atol=1e-4)
     assert np.all((variance >= 0.0) & (variance < 1e-3))
+
+
+def test_rounding_makes_no_variance_negative() -> None:
+    x = np.linspace(0, 1, 40)
+    noiseless = Hyperparameters(0.7, 0.2, 0.0)
+    _, at_points = posterior(one_problem(x, np.sin(x)), noiseless, x)
+    assert np.all((at_points >= 0.0) & (at_points < 1e-14))
+    assert np.any(at_points == 0.0)
+    _, between = posterior(one_problem(x, np.sin(x)), noiseless, 0.5 * (x[1:] + x[:-1]))
+    assert np.all(between > 1e-6)
 
 
 def test_repeated_points_with_noise_need_no_jitter() -> None:
