@@ -16,7 +16,7 @@ from packaging.requirements import Requirement
 
 from orchestrator.connection import running_fleet
 from orchestrator.viewer.rerun_program import rerun_program
-from orchestrator.viewer.writer import GRPC_PORT, WEB_PORT
+from orchestrator.viewer.ports import GRPC_PORT, WEB_PORT
 from shared.drivers import ENTRY_POINT_GROUP
 from shared.errors import NufleetError
 from shared.transport import open_router

@@ -18,7 +18,8 @@ from orchestrator.rank_run import RankRequest, prepare, run_study
 from orchestrator.results import RunRecord
 from orchestrator.run_folder import RunFolder, make_runs_root
 from orchestrator.study_clock import StudyClock
-from orchestrator.viewer.writer import WEB_PORT, RerunWriter, ServeOptions
+from orchestrator.viewer.ports import GRPC_PORT, WEB_PORT
+from orchestrator.viewer.writer import RerunWriter, ServeOptions
 from shared.command_line import invocation
 from shared.errors import InvalidInputError
 from shared.fleet_file import FleetFile, read_fleet_file
@@ -63,7 +64,7 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
         fleet, name, robots = stack.enter_context(_connection(command, console))
         ready = prepare(fleet, _request(command), robots)
         folder = stack.enter_context(RunFolder(command.runs_root, name))
-        serve = ServeOptions(web_port=WEB_PORT) if command.live else None
+        serve = ServeOptions(grpc_port=GRPC_PORT, web_port=WEB_PORT) if command.live else None
         writer = stack.enter_context(
             RerunWriter(folder.path.name, recording=folder.recording, serve=serve)
         )
