@@ -56,7 +56,7 @@ def _differences() -> rrb.View:
         name="Sources around the target, at the latest frequency",
         background=GROUND,
         visual_bounds=rrb.VisualBounds2D(
-            x_range=[-RADIUS * 1.2, RADIUS * 2.05], y_range=[-RADIUS * 1.15, RADIUS * 1.15]
+            x_range=[-RADIUS * 1.25, RADIUS * 2.2], y_range=[-RADIUS * 1.15, RADIUS * 1.15]
         ),
     )
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from orchestrator.viewer.events import IterationEvent, TestSamplesEvent, ViewerEvent
+from shared.errors import NufleetError
 
 BATCH_S = 0.25
 """Telemetry is written so often; per sample it would cost tens of times as much."""
@@ -119,27 +120,23 @@ class Outlet:
             sink = self._open_sink()
         except Exception as error:  # noqa: BLE001 - raised again in wait_opened
             self._open_error = error
-            self._die()
+            self._die(0)
             self._opened.set()
             return
         self._opened.set()
+        in_hand = 0
         try:
             while (events := self._take()) is not None:
-                self._write(sink, events)
+                in_hand = len(events)
+                sink.write(events)
+                in_hand = 0
             sink.close()
+        except NufleetError as error:
+            log.warning("the viewer's %s failed: %s; the study goes on", self.name, error)
         except Exception:
-            log.exception("the viewer's %s failed", self.name)
+            log.exception("the viewer's %s failed; the study goes on", self.name)
         finally:
-            self._die()
-
-    def _write(self, sink: Sink, events: list[ViewerEvent]) -> None:
-        try:
-            sink.write(events)
-        except Exception:
-            # What cannot be drawn must not cost the study its recording: say so and go on.
-            log.exception("the viewer's %s could not write %d events", self.name, len(events))
-            with self._changed:
-                self._dropped += len(events)
+            self._die(in_hand)
 
     def _take(self) -> list[ViewerEvent] | None:
         """Wait for the next batch; None when closing and nothing is left."""
@@ -153,10 +150,10 @@ class Outlet:
                 return None
         return [event for _, event in batch]
 
-    def _die(self) -> None:
+    def _die(self, in_hand: int) -> None:
         with self._changed:
             self._dead = True
-            self._dropped += len(self._iterations) + len(self._droppable)
+            self._dropped += in_hand + len(self._iterations) + len(self._droppable)
             self._forget_waiting()
 
     def _forget_waiting(self) -> None:

@@ -9,7 +9,7 @@ import webbrowser
 from pathlib import Path
 
 from orchestrator.viewer.rerun_program import rerun_environment, rerun_program
-from orchestrator.viewer.web_page import WebPage
+from orchestrator.viewer.viewer_server import ViewerServer
 from shared.errors import InvalidInputError, NufleetError
 
 
@@ -39,7 +39,7 @@ def open_native(source: Path | str) -> subprocess.Popen[bytes]:
 
 def open_web(
     source: Path | str, *, bind_ip: str = "127.0.0.1", port: int = 0, browse: bool = True
-) -> WebPage:
+) -> ViewerServer:
     """Show a recording, or a running study by its `live_url`, in a browser.
 
     Args:
@@ -49,17 +49,17 @@ def open_web(
         browse: open the user's browser, too.
 
     Returns:
-        The page, which is served until it is closed.
+        The server, whose page is there until it is closed.
 
     Raises:
         InvalidInputError: there is no such recording.
         EndpointInUseError: the port is taken.
     """
-    page = WebPage(checked_source(source), bind_ip=bind_ip, port=port)
-    page.open()
-    if browse:
-        webbrowser.open(page.url)
-    return page
+    server = ViewerServer(checked_source(source), bind_ip=bind_ip, web_port=port)
+    server.open()
+    if browse and server.web_url is not None:
+        webbrowser.open(server.web_url)
+    return server
 
 
 def checked_source(source: Path | str) -> str:

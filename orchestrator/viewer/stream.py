@@ -1,70 +1,69 @@
-"""A Rerun stream to a file or to viewers, and what is drawn on it. Imports Rerun."""
+"""A Rerun stream to a file or to the viewers' server, and what is drawn on it. Imports Rerun."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import rerun as rr
 
 from orchestrator.viewer.blueprint import layout
 from orchestrator.viewer.drawing import Drawing
-from orchestrator.viewer.endpoint import host_in_url, reachable
 from orchestrator.viewer.events import ViewerEvent
-from shared.errors import EndpointInUseError
+from shared.errors import InvalidInputError, NufleetError
 
 APPLICATION = "nufleet"
 
-SERVER_MEMORY = "256MB"
-"""A viewer that connects late gets at most so much of the history."""
-
-FLUSH_S = 5.0
+CONNECT_S = 10.0
 
 log = logging.getLogger(__name__)
 
 
 class RerunSink:
-    """Draws events on one Rerun stream; every call may block for as long as its viewers do."""
+    """Draws events on one Rerun stream; any call may block for as long as its other end does."""
 
-    def __init__(self, stream: rr.RecordingStream) -> None:
+    def __init__(self, stream: rr.RecordingStream, before_write: Callable[[], None]) -> None:
         self._stream = stream
+        self._before_write = before_write
         self._drawing = Drawing(stream)
+        self._drawing.begin()
 
     @staticmethod
     def to_file(run_id: str, path: Path) -> RerunSink:
-        """Write to a file."""
+        """Write to a file; raises InvalidInputError when that fails."""
         stream = _stream(run_id)
-        stream.set_sinks(rr.FileSink(path), default_blueprint=layout())
-        return RerunSink._warmed_up(stream)
-
-    @staticmethod
-    def to_viewers(run_id: str, bind_ip: str, port: int) -> RerunSink:
-        """Serve viewers; raises EndpointInUseError when the port is taken after all."""
-        stream = _stream(run_id)
-        server = rr.GrpcServerSink(
-            bind_ip=bind_ip,
-            port=port,
-            server_memory_limit=SERVER_MEMORY,
-            cors_allow_origin=[f"http://{host_in_url(reachable(bind_ip))}:*"],
-        )
-        stream.set_sinks(server, default_blueprint=layout())
         try:
-            return RerunSink._warmed_up(stream)
+            stream.set_sinks(rr.FileSink(path), default_blueprint=layout())
+            # So a recording that is cut off by a power failure misses a quarter of a second, and
+            # a full disk is noticed: then this raises.
+            sink = RerunSink(stream, stream.flush)
+            stream.flush()
         except RuntimeError as error:
-            raise EndpointInUseError(
-                f"the viewer cannot listen on {bind_ip}:{port}: {error}; choose another port"
-            ) from error
+            raise InvalidInputError(f"cannot record to {path}: {error}") from error
+        return sink
 
     @staticmethod
-    def _warmed_up(stream: rr.RecordingStream) -> RerunSink:
-        sink = RerunSink(stream)
-        sink._drawing.begin()
-        stream.flush(timeout_sec=FLUSH_S)
+    def to_server(run_id: str, url: str, alive: Callable[[], bool]) -> RerunSink:
+        """Write to a server; raises NufleetError when it does not answer."""
+
+        def check() -> None:
+            # Rerun itself would drop everything from then on and say nothing.
+            if not alive():
+                raise NufleetError("the viewer's server is gone")
+
+        stream = _stream(run_id)
+        stream.set_sinks(rr.GrpcSink(url), default_blueprint=layout())
+        sink = RerunSink(stream, check)
+        try:
+            stream.flush(timeout_sec=CONNECT_S)
+        except RuntimeError as error:
+            raise NufleetError(f"the viewer's server does not answer: {error}") from error
         return sink
 
     def write(self, events: Sequence[ViewerEvent]) -> None:
-        """Draw events and hand them to the file or the server."""
+        """Draw events; raises when the file or the server is gone."""
+        self._before_write()
         for event in events:
             try:
                 self._drawing.draw(event)
@@ -72,13 +71,14 @@ class RerunSink:
                 # What cannot be drawn must not cost the study the rest of its recording.
                 log.exception("cannot draw %s", type(event).__name__)
         self._drawing.end_batch()
-        # A recording that is cut off by a power failure misses a quarter of a second.
-        self._stream.flush(timeout_sec=FLUSH_S)
 
     def close(self) -> None:
-        """Write the file's footer, or let the viewers go."""
-        self._stream.flush(timeout_sec=FLUSH_S)
-        self._stream.disconnect()
+        """Hand everything over and let go; a file gets its footer."""
+        try:
+            self._before_write()
+            self._stream.flush()
+        finally:
+            self._stream.disconnect()
 
 
 def _stream(run_id: str) -> rr.RecordingStream:

@@ -5,7 +5,6 @@ For programs that know nothing of their parent: when it dies, however it dies, t
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
 
@@ -16,8 +15,6 @@ GRACE_S = 1.0
 
 def main(command: list[str]) -> int:
     """Run the command to its end; returns its exit code."""
-    # The terminal's Ctrl-C is for the parent, which closes standard input when it is done.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     with subprocess.Popen(command, stdin=subprocess.DEVNULL) as process:
 
         def end() -> None:
@@ -27,7 +24,6 @@ def main(command: list[str]) -> int:
             except subprocess.TimeoutExpired:
                 process.kill()
 
-        signal.signal(signal.SIGTERM, lambda *_: process.terminate())
         when_stdin_closes(end)
         return process.wait()
 

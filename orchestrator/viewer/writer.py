@@ -9,19 +9,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-from orchestrator.viewer.endpoint import claim_port, claim_recording
+from orchestrator.viewer.endpoint import claim_recording
 from orchestrator.viewer.events import ViewerEvent
 from orchestrator.viewer.outlet import Outlet, Sink
-from orchestrator.viewer.web_page import WebPage, live_url
+from orchestrator.viewer.viewer_server import ViewerServer
 from shared.errors import NufleetError
-
-GRPC_PORT = 9876
-WEB_PORT = 9090
 
 OPEN_TIMEOUT_S = 30.0
 """Importing Rerun and its first log take a second or two; on a busy machine more."""
 
 CLOSE_TIMEOUT_S = 10.0
+
+LIVE_CLOSE_S = 2.0
+"""The live viewers have so long to take what is left; a recording has the whole time."""
 
 log = logging.getLogger(__name__)
 
@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 class ServeOptions:
     """Where live viewers connect to; a port of 0 stands for any free one, None for no web page."""
 
-    grpc_port: int = GRPC_PORT
+    grpc_port: int = 9876
     web_port: int | None = None
     bind_ip: str = "127.0.0.1"
 
@@ -39,33 +39,36 @@ class RerunWriter:
     """Draws a study's events; a context manager.
 
     The recording and the live viewers have a thread, a queue and a Rerun stream each: Rerun makes
-    whoever logs to a server wait for its slowest viewer (measured: 25 s, for one that is stopped),
-    and a recording must not wait for that.
+    whoever writes to a server wait for its slowest viewer (measured: 25 s for one that is
+    stopped), and a recording must not wait for that.
     """
 
     def __init__(self, run_id: str, *, recording: Path | None, serve: ServeOptions | None) -> None:
         self._run_id = run_id
         self._recording = recording
-        self._serve = serve
-        self._outlets: list[Outlet] = []
-        self._web_page: WebPage | None = None
-        self._live_url: str | None = None
-        self._lost = 0
+        self._server: ViewerServer | None = None
+        if serve is not None:
+            self._server = ViewerServer(
+                bind_ip=serve.bind_ip, data_port=serve.grpc_port, web_port=serve.web_port
+            )
+        self._to_recording: Outlet | None = None
+        self._to_viewers: Outlet | None = None
+        self._unheard = 0
 
     @property
     def live_url(self) -> str | None:
-        """What a native viewer connects to: `nufleet view URL`, `rerun --connect URL`."""
-        return self._live_url
+        """What a native viewer connects to, once it is open."""
+        return None if self._server is None else self._server.live_url
 
     @property
     def web_url(self) -> str | None:
-        """The page that shows the study in a browser."""
-        return None if self._web_page is None else self._web_page.url
+        """The page that shows the study in a browser, once it is open."""
+        return None if self._server is None else self._server.web_url
 
     @property
     def dropped(self) -> int:
         """Events that the recording or the live viewers missed, counted for each."""
-        return self._lost + sum(outlet.dropped for outlet in self._outlets)
+        return self._unheard + sum(outlet.dropped for outlet in self._outlets)
 
     def open(self) -> None:
         """Make sure that everything can be written and served, before anything moves.
@@ -77,28 +80,24 @@ class RerunWriter:
         """
         with ExitStack() as undo:
             undo.callback(self.close)
+            if self._server is not None:
+                self._open_server(self._server)
             if self._recording is not None:
                 self._open_recording(claim_recording(self._recording))
-            if self._serve is not None:
-                self._open_server(self._serve)
             deadline = time.monotonic() + OPEN_TIMEOUT_S
             for outlet in self._outlets:
                 try:
                     outlet.wait_opened(deadline - time.monotonic())
                 except TimeoutError as error:
                     raise NufleetError(f"the viewer's {error}") from error
-            if self._serve is not None and self._serve.web_port is not None and self._live_url:
-                self._web_page = WebPage(
-                    self._live_url, bind_ip=self._serve.bind_ip, port=self._serve.web_port
-                )
-                self._web_page.open()
             undo.pop_all()
 
     def emit(self, event: ViewerEvent) -> None:
         """Take an event; returns at once, whatever has become of the viewers."""
-        if not self._outlets:
-            self._lost += 1
-        for outlet in self._outlets:
+        outlets = self._outlets
+        if not outlets:
+            self._unheard += 1
+        for outlet in outlets:
             outlet.offer(event)
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
@@ -110,18 +109,20 @@ class RerunWriter:
         deadline = time.monotonic() + timeout_s
         for outlet in self._outlets:
             outlet.ask_to_close()
-        stuck = [o for o in self._outlets if not o.join(deadline - time.monotonic())]
-        if self._web_page is not None:
-            self._web_page.close()
-            self._web_page = None
-        for outlet in stuck:
-            log.warning("the viewer's %s is stuck; what it had not written is lost", outlet.name)
-        if stuck:
-            import rerun
-
-            # Otherwise Rerun would wait for the stuck viewer again when the process ends.
-            rerun.unregister_shutdown()
-        return not stuck
+        complete = True
+        if self._to_viewers is not None:
+            complete &= self._to_viewers.join(min(LIVE_CLOSE_S, timeout_s / 2))
+        if self._server is not None:
+            # With it goes whatever a stuck viewer was holding up.
+            self._server.close(timeout_s=max(0.1, min(LIVE_CLOSE_S, timeout_s / 4)))
+        for outlet in self._outlets:
+            if not outlet.join(deadline - time.monotonic()):
+                complete = False
+                log.warning(
+                    "the viewer's %s is stuck; what it has not written is lost", outlet.name
+                )
+                _leave_behind()
+        return complete
 
     def __enter__(self) -> RerunWriter:
         self.open()
@@ -135,27 +136,33 @@ class RerunWriter:
     ) -> None:
         self.close()
 
+    @property
+    def _outlets(self) -> tuple[Outlet, ...]:
+        return tuple(o for o in (self._to_recording, self._to_viewers) if o is not None)
+
     def _open_recording(self, path: Path) -> None:
         def open_sink() -> Sink:
             from orchestrator.viewer.stream import RerunSink
 
             return RerunSink.to_file(self._run_id, path)
 
-        self._start(Outlet("recording", open_sink))
+        self._to_recording = Outlet("recording", open_sink)
+        self._to_recording.start()
 
-    def _open_server(self, serve: ServeOptions) -> None:
-        port = claim_port(serve.bind_ip, serve.grpc_port)
-        if serve.web_port:
-            claim_port(serve.bind_ip, serve.web_port)
+    def _open_server(self, server: ViewerServer) -> None:
+        server.open()
 
         def open_sink() -> Sink:
             from orchestrator.viewer.stream import RerunSink
 
-            return RerunSink.to_viewers(self._run_id, serve.bind_ip, port)
+            return RerunSink.to_server(self._run_id, server.live_url, lambda: server.alive)
 
-        self._start(Outlet("live server", open_sink))
-        self._live_url = live_url(serve.bind_ip, port)
+        self._to_viewers = Outlet("live view", open_sink)
+        self._to_viewers.start()
 
-    def _start(self, outlet: Outlet) -> None:
-        self._outlets.append(outlet)
-        outlet.start()
+
+def _leave_behind() -> None:
+    """Keep Rerun from waiting for a stuck stream again when the process ends."""
+    import rerun
+
+    rerun.unregister_shutdown()

@@ -29,11 +29,11 @@ def column(path: Path, entity: str, component: str, timeline: str = "t") -> list
 
 def scalars(path: Path, entity: str) -> tuple[FloatArray, FloatArray]:
     """Return times in seconds and values of a series, in the order of time."""
-    rows: list[tuple[float, float]] = []
+    times_ns, values = [], []
     for chunk in RrdReader(path).stream().filter(content=entity, is_static=False).to_chunks():
         batch = chunk.to_record_batch()
-        times_ns = batch["t"].cast("int64").to_numpy(zero_copy_only=False)
-        values = batch["Scalars:scalars"].flatten().to_numpy(zero_copy_only=False)
-        rows += zip((times_ns * 1e-9).tolist(), values.tolist(), strict=True)
-    times, values = np.array(sorted(rows)).T
-    return times, values
+        times_ns.append(batch["t"].cast("int64").to_numpy(zero_copy_only=False))
+        values.append(batch["Scalars:scalars"].flatten().to_numpy(zero_copy_only=False))
+    all_ns, all_values = np.concatenate(times_ns), np.concatenate(values)
+    order = np.argsort(all_ns, kind="stable")
+    return all_ns[order] * 1e-9, all_values[order]

@@ -1,0 +1,205 @@
+"""Live viewers: they see the study, and whatever becomes of them, the study goes on."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import psutil  # type: ignore[import-untyped]
+import pytest
+from bare_viewer import BareViewer
+from recording_reader import column, scalars
+from study_events import iteration_event, samples_event
+
+from orchestrator.viewer.show import open_web
+from orchestrator.viewer.writer import RerunWriter, ServeOptions
+from shared.errors import EndpointInUseError, InvalidInputError
+
+EPHEMERAL = ServeOptions(grpc_port=0)
+
+
+@pytest.fixture
+def taken_port() -> Iterator[int]:
+    with socket.socket() as owner:
+        owner.bind(("127.0.0.1", 0))
+        owner.listen()
+        yield owner.getsockname()[1]
+
+
+def port_of(url: str | None) -> int:
+    assert url is not None
+    port = urlsplit(url.replace("rerun+http", "http")).port
+    assert port is not None
+    return port
+
+
+def servers_of(pid: int) -> list[psutil.Process]:
+    return [p for p in psutil.Process(pid).children(recursive=True) if p.name() == "rerun"]
+
+
+def test_a_viewer_that_connects_late_gets_the_study_from_its_beginning() -> None:
+    with RerunWriter("run-1", recording=None, serve=EPHEMERAL) as writer:
+        writer.emit(iteration_event())
+        time.sleep(0.6)
+        with BareViewer(port_of(writer.live_url)) as viewer:
+            viewer.subscribe(more=2**20)
+            assert b"run-1" in viewer.read_until(b"/psi/worst/s3")
+
+
+def test_the_page_is_served_on_this_machine_alone_and_without_usage_statistics() -> None:
+    with RerunWriter("run-1", recording=None, serve=ServeOptions(0, 0)) as writer:
+        assert writer.web_url is not None
+        with urllib.request.urlopen(writer.web_url) as page:  # noqa: S310 - our own address
+            assert b"Rerun" in page.read()
+        assert "notebook=true" in writer.web_url
+        (server,) = servers_of(os.getpid())
+        listening = [c.laddr for c in server.net_connections("tcp") if c.status == "LISTEN"]
+        assert {address.ip for address in listening} == {"127.0.0.1"}
+        ports = {port_of(writer.live_url), port_of(writer.web_url)}
+        assert {address.port for address in listening} == ports
+    assert servers_of(os.getpid()) == []
+
+
+@pytest.mark.parametrize("taken", ["grpc", "web"])
+def test_a_taken_port_is_found_before_anything_is_recorded(
+    tmp_path: Path, taken_port: int, taken: str
+) -> None:
+    serve = ServeOptions(taken_port, None) if taken == "grpc" else ServeOptions(0, taken_port)
+    writer = RerunWriter("run-1", recording=tmp_path / "run.rrd", serve=serve)
+    with pytest.raises(EndpointInUseError, match=f"127.0.0.1:{taken_port}"):
+        writer.open()
+    assert not (tmp_path / "run.rrd").exists()
+    assert servers_of(os.getpid()) == []
+
+
+def test_a_foreign_address_cannot_be_listened_on() -> None:
+    # 192.0.2.0/24 is reserved for documentation (RFC 5737).
+    serve = ServeOptions(0, None, bind_ip="192.0.2.1")
+    with pytest.raises(EndpointInUseError, match=r"192\.0\.2\.1"):
+        RerunWriter("run-1", recording=None, serve=serve).open()
+
+
+def test_no_server_is_left_when_the_recording_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInputError):
+        RerunWriter("run-1", recording=tmp_path, serve=EPHEMERAL).open()
+    assert servers_of(os.getpid()) == []
+
+
+@pytest.mark.parametrize("stuck", ["viewers", "server"])
+def test_what_is_stuck_costs_neither_the_study_nor_its_recording(
+    tmp_path: Path, stuck: str
+) -> None:
+    path = tmp_path / "run.rrd"
+    writer = RerunWriter("run-1", recording=path, serve=EPHEMERAL)
+    writer.open()
+    port = port_of(writer.live_url)
+    with BareViewer(port), BareViewer(port) as silent:
+        silent.subscribe()
+        if stuck == "server":
+            for server in servers_of(os.getpid()):
+                server.suspend()
+        longest_s = 0.0
+        tests = 300
+        for k in range(tests):
+            event = samples_event("s1", t_s=30.0 * k, samples=2000)
+            start = time.monotonic()
+            writer.emit(event)
+            if k % 100 == 99:
+                writer.emit(iteration_event(k))
+            longest_s = max(longest_s, time.monotonic() - start)
+            time.sleep(0.0005)
+        start = time.monotonic()
+        assert writer.close(8.0) == (stuck == "viewers")
+        assert time.monotonic() - start < 8.5
+    assert longest_s < 0.2
+    assert len(scalars(path, "/tests/response/s1/x")[1]) == 2000 * tests
+    assert len(column(path, "/psi/worst/s1", "Measurements:values")) == tests // 100
+    assert servers_of(os.getpid()) == []
+    assert not [t for t in threading.enumerate() if t.name.startswith("viewer-")]
+
+
+def test_a_server_that_dies_is_reported_and_the_recording_goes_on(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "run.rrd"
+    with RerunWriter("run-1", recording=path, serve=EPHEMERAL) as writer:
+        (server,) = servers_of(os.getpid())
+        server.kill()
+        server.wait(5.0)
+        deadline = time.monotonic() + 10.0
+        sent = 0
+        while writer.dropped < 3 and time.monotonic() < deadline:
+            writer.emit(iteration_event(sent))
+            sent += 1
+            time.sleep(0.1)
+        assert writer.dropped >= 3
+    assert "server is gone" in caplog.text
+    assert len(column(path, "/psi/worst/s1", "Measurements:values")) == sent
+
+
+STUDY = """
+import signal, sys, time
+sys.path.insert(0, sys.argv[1])
+from pathlib import Path
+from study_events import iteration_event
+from orchestrator.viewer.writer import RerunWriter, ServeOptions
+
+def end(*_):
+    raise SystemExit(3)
+
+signal.signal(signal.SIGTERM, end)
+with RerunWriter("run-1", recording=Path(sys.argv[2]), serve=ServeOptions(0)) as writer:
+    writer.emit(iteration_event())
+    print("ready", flush=True)
+    time.sleep(60)
+"""
+
+
+def started_study(path: Path) -> subprocess.Popen[bytes]:
+    study = subprocess.Popen(
+        [sys.executable, "-c", STUDY, str(Path(__file__).parent), str(path)],
+        stdout=subprocess.PIPE,
+    )
+    assert study.stdout is not None
+    assert study.stdout.readline() == b"ready\n"
+    return study
+
+
+def test_a_study_that_is_terminated_leaves_a_whole_recording(tmp_path: Path) -> None:
+    with started_study(tmp_path / "run.rrd") as study:
+        study.send_signal(signal.SIGTERM)
+        assert study.wait(10.0) == 3
+    # A recording without its footer would be read with a warning, which is an error here.
+    assert len(column(tmp_path / "run.rrd", "/psi/worst/s1", "Measurements:values")) == 1
+
+
+def test_a_study_that_is_killed_leaves_no_server(tmp_path: Path) -> None:
+    with started_study(tmp_path / "run.rrd") as study:
+        servers = servers_of(study.pid)
+        assert len(servers) == 1
+        study.kill()
+    _, alive = psutil.wait_procs(servers, timeout=10.0)
+    assert alive == []
+
+
+def test_a_recording_is_shown_in_a_browser_until_it_is_closed(tmp_path: Path) -> None:
+    path = tmp_path / "run.rrd"
+    with RerunWriter("run-1", recording=path, serve=None) as writer:
+        writer.emit(iteration_event())
+    with open_web(path, browse=False) as server:
+        assert server.web_url is not None
+        with urllib.request.urlopen(server.web_url) as page:  # noqa: S310 - our own address
+            assert page.status == 200
+        with BareViewer(port_of(server.live_url)) as viewer:
+            viewer.subscribe(more=2**20)
+            viewer.read_until(b"/psi/worst/s3")
+    assert servers_of(os.getpid()) == []
