@@ -68,10 +68,11 @@ class Fleet:
         with self._lock:
             return self._watches.setdefault(robot, RobotWatch(robot))
 
-    def robots(self, *, timeout_s: float = QUERY_TIMEOUT_S) -> tuple[str, ...]:
+    def robots(self) -> tuple[str, ...]:
         """Return the names of the robots whose agents are alive now."""
-        keys = self._session.alive(self._keys.every_robot("alive"), timeout_s=timeout_s)
-        return tuple(self._keys.robot_of(key) for key in keys)
+        with self._lock:
+            watches = list(self._watches.values())
+        return tuple(sorted(watch.robot for watch in watches if watch.alive))
 
     def wait_for(self, robots: tuple[str, ...], *, timeout_s: float) -> None:
         """Wait until all these robots are alive; raises RobotLostError naming who is not."""
