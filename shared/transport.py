@@ -254,13 +254,23 @@ class Session:
     def watch_alive(self, key_expr: str, handler: Callable[[str, bool], None]) -> Declaration:
         """Report each token that is there, appears (True) or disappears (False).
 
-        Who is there now is reported before this returns, and may be reported again.
+        Who is there now is reported before this returns; each change is reported once.
         """
+        lock = threading.Lock()
+        there: set[str] = set()
+
+        def report(key: str, alive: bool) -> None:
+            with lock:
+                if alive == (key in there):
+                    return
+                (there.add if alive else there.discard)(key)
+            handler(key, alive)
+
         for key in self.alive(key_expr, timeout_s=PRESENCE_TIMEOUT_S):
-            handler(key, True)
+            report(key, True)
 
         def on_sample(sample: zenoh.Sample) -> None:
-            handler(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+            report(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
         def declare() -> Declaration:
             liveliness = self._session.liveliness()

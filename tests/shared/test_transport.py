@@ -12,6 +12,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
+from polling import PATIENCE_S, wait_until
 
 from shared.errors import (
     EndpointInUseError,
@@ -21,15 +22,6 @@ from shared.errors import (
     TransportError,
 )
 from shared.transport import Request, Session, open_client, open_router
-
-PATIENCE_S = 10.0
-
-
-def wait_until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen in time"
-        time.sleep(0.005)
 
 
 @pytest.fixture(autouse=True)
@@ -259,7 +251,7 @@ def test_a_token_is_seen_to_appear_and_to_disappear(clients: Callable[[], Sessio
     other.declare_alive("lab/robot/a/alive")
     early.watch_alive("lab/robot/*/alive", lambda key, alive: seen.put((key, alive)))
     assert seen.get(timeout=PATIENCE_S) == ("lab/robot/a/alive", True)
-    assert early.alive("lab/robot/*/alive", timeout_s=PATIENCE_S) == ["lab/robot/a/alive"]
+    assert clients().alive("lab/robot/*/alive", timeout_s=PATIENCE_S) == ["lab/robot/a/alive"]
     token = other.declare_alive("lab/robot/b/alive")
     assert seen.get(timeout=PATIENCE_S) == ("lab/robot/b/alive", True)
     token.withdraw()
@@ -267,7 +259,18 @@ def test_a_token_is_seen_to_appear_and_to_disappear(clients: Callable[[], Sessio
     assert seen.get(timeout=PATIENCE_S) == ("lab/robot/b/alive", False)
     other.close()
     assert seen.get(timeout=PATIENCE_S) == ("lab/robot/a/alive", False)
-    assert early.alive("lab/robot/*/alive", timeout_s=PATIENCE_S) == []
+    assert clients().alive("lab/robot/*/alive", timeout_s=PATIENCE_S) == []
+
+
+def test_who_is_there_is_reported_before_watching_returns(clients: Callable[[], Session]) -> None:
+    present = clients()
+    keys = {f"lab/robot/{name}/alive" for name in ("a", "b", "c")}
+    for key in keys:
+        present.declare_alive(key)
+    for _ in range(20):
+        seen: list[str] = []
+        clients().watch_alive("lab/robot/*/alive", lambda key, _alive, seen=seen: seen.append(key))
+        assert set(seen) == keys
 
 
 def test_a_withdrawn_handler_hears_no_more(clients: Callable[[], Session]) -> None:
