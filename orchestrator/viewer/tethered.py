@@ -1,21 +1,37 @@
-"""Runs a command for as long as standard input stays open: `python -m …tethered COMMAND…`.
+"""Runs Rerun's server for as long as standard input stays open, and its page beside it.
 
-For programs that know nothing of their parent: when it dies, however it dies, they end.
+Rerun knows nothing of its parent: without this it would live on when that dies.
 """
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 import sys
 
+from orchestrator.viewer.page import serve_page
 from shared.lifeline import when_stdin_closes
 
 GRACE_S = 1.0
 
 
-def main(command: list[str]) -> int:
-    """Run the command to its end; returns its exit code."""
-    with subprocess.Popen(command, stdin=subprocess.DEVNULL) as process:
+def main(arguments: list[str]) -> int:
+    """Run the command that follows the options to its end; returns its exit code."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--bind", required=True)
+    parser.add_argument("--page", type=int, help="serve the web viewer's page on this port")
+    parser.add_argument("--upstream", type=int, help="where the web viewer itself listens")
+    parser.add_argument("--data", type=int, help="the only other port the page may connect to")
+    parser.add_argument("command", nargs="+")
+    options = parser.parse_args(arguments)
+    if options.page is not None:
+        serve_page(
+            options.bind,
+            options.page,
+            upstream_port=options.upstream,
+            data_port=options.data,
+        )
+    with subprocess.Popen(options.command, stdin=subprocess.DEVNULL) as process:
 
         def end() -> None:
             process.terminate()

@@ -10,7 +10,7 @@ import tempfile
 import time
 from types import TracebackType
 from typing import IO
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 from orchestrator.viewer.endpoint import claim_port, host_in_url, reachable
 from orchestrator.viewer.rerun_program import rerun_environment, rerun_program
@@ -68,9 +68,9 @@ class ViewerServer:
         """The page that shows it in a browser."""
         if self._web_port is None:
             return None
-        # As in a notebook the page sends no usage statistics, and it keeps no layout of old runs.
-        options = f"url={quote(self.live_url, safe='')}&notebook=true&persist=false"
-        return f"{self._origin}/?{options}"
+        # It shows this alone, without what it remembers of the layout of earlier runs.
+        options = "hide_welcome_screen=true&persist=false&theme=dark"
+        return f"{self._origin}/?url={quote(self.live_url, safe='')}&{options}"
 
     @property
     def alive(self) -> bool:
@@ -144,23 +144,28 @@ class ViewerServer:
         return f"http://{self._host}:{self._web_port}"
 
     def _command(self) -> tuple[list[str], list[str]]:
-        """The command to run, and what it prints when it serves."""
+        """The arguments for `tethered`, and what Rerun prints when it serves."""
+        options = ["--bind", self._bind_ip]
         command = [str(rerun_program()), "--bind", self._bind_ip]
         expected = []
+        if self._source is None or "://" not in self._source:
+            self._data_port = claim_port(self._bind_ip, self._data_port)
+            command += ["--port", str(self._data_port), "--server-memory-limit", MEMORY]
+            command += ["--cors-allow-origin", "http://*"]
+            expected += [_SERVING]
         if self._web_port is None:
             command += ["--serve-grpc"]
         else:
             self._web_port = claim_port(self._bind_ip, self._web_port)
-            command += ["--serve-web", "--web-viewer-port", str(self._web_port)]
+            upstream_port = claim_port(self._bind_ip, 0)
+            command += ["--serve-web", "--web-viewer-port", str(upstream_port)]
             expected += [_HOSTING]
-        if self._source is None or "://" not in self._source:
-            self._data_port = claim_port(self._bind_ip, self._data_port)
-            command += ["--port", str(self._data_port), "--server-memory-limit", MEMORY]
-            command += ["--cors-allow-origin", self._origin]
-            expected += [_SERVING]
+            data_port = urlsplit(self.live_url).port or 0
+            options += ["--page", str(self._web_port), "--upstream", str(upstream_port)]
+            options += ["--data", str(data_port)]
         if self._source is not None:
             command += [self._source]
-        return command, expected
+        return [*options, "--", *command], expected
 
     def _said(self) -> str:
         if self._output is None:

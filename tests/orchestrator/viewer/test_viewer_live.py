@@ -55,18 +55,27 @@ def test_a_viewer_that_connects_late_gets_the_study_from_its_beginning() -> None
             assert b"run-1" in viewer.read_until(b"/psi/worst/s3")
 
 
-def test_the_page_is_served_on_this_machine_alone_and_without_usage_statistics() -> None:
+def test_the_page_is_served_on_this_machine_alone_and_may_connect_to_its_data_alone() -> None:
     with RerunWriter("run-1", recording=None, serve=ServeOptions(0, 0)) as writer:
         assert writer.web_url is not None
-        with urllib.request.urlopen(writer.web_url) as page:  # noqa: S310 - our own address
+        with urllib.request.urlopen(writer.web_url) as page:  # noqa: S310 - our own
             assert b"Rerun" in page.read()
-        assert "notebook=true" in writer.web_url
-        (server,) = servers_of(os.getpid())
-        listening = [c.laddr for c in server.net_connections("tcp") if c.status == "LISTEN"]
+            policy = page.headers["Content-Security-Policy"]
+        assert f"connect-src 'self' blob: data: http://*:{port_of(writer.live_url)};" in policy
+        script_url = writer.web_url.split("?")[0] + "re_viewer.js"
+        with urllib.request.urlopen(script_url) as script:  # noqa: S310 - our own
+            assert script.headers["Content-Type"].endswith("javascript")
+            assert b"wasm_bindgen" in script.read()
+        listening = [
+            connection.laddr
+            for process in psutil.Process().children(recursive=True)
+            for connection in process.net_connections("tcp")
+            if connection.status == "LISTEN"
+        ]
         assert {address.ip for address in listening} == {"127.0.0.1"}
         ports = {port_of(writer.live_url), port_of(writer.web_url)}
-        assert {address.port for address in listening} == ports
-    assert servers_of(os.getpid()) == []
+        assert ports <= {address.port for address in listening}
+    assert psutil.Process().children() == []
 
 
 @pytest.mark.parametrize("taken", ["grpc", "web"])
@@ -197,7 +206,7 @@ def test_a_recording_is_shown_in_a_browser_until_it_is_closed(tmp_path: Path) ->
         writer.emit(iteration_event())
     with open_web(path, browse=False) as server:
         assert server.web_url is not None
-        with urllib.request.urlopen(server.web_url) as page:  # noqa: S310 - our own address
+        with urllib.request.urlopen(server.web_url) as page:  # noqa: S310 - our own
             assert page.status == 200
         with BareViewer(port_of(server.live_url)) as viewer:
             viewer.subscribe(more=2**20)
