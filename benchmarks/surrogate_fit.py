@@ -4,6 +4,8 @@ Every robot is a random second-order loop with a delay; a pair's data are noisy 
 M frequencies. All libraries get the same data, start and bounds, and maximise the marginal
 likelihood with no priors. What they find is compared by the likelihood, by one formula for all.
 Processor time is that of all threads; it says more than wall time on a machine shared with others.
+The peers' BLAS and torch get one thread unless told otherwise: on matrices this small more threads
+made scikit-learn several times slower.
 
     python -m benchmarks.surrogate_fit --pairs 100 1000 10000 --points 5 10 20
 """
@@ -21,6 +23,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from shared.arrays import FloatArray
 from shared.chordal import chordal_distance
@@ -253,7 +256,8 @@ def measure(pairs: int, points: int, arguments: argparse.Namespace) -> dict[str,
             continue
         some = part(batch, min(pairs, limit))
         scale = pairs / len(some)
-        costs = PEERS[name](some, grid)
+        with threadpool_limits(arguments.peer_threads):
+            costs = PEERS[name](some, grid)
         peer_fit, peer_posterior = costs[0].scaled(scale), costs[1].scaled(scale)
         how = "all measured" if scale == 1 else f"MEASURED ON {len(some)} PAIRS, × {scale:g}"
         print(
@@ -292,22 +296,27 @@ def main() -> None:
     parser.add_argument("--points", type=int, nargs="+", default=[5, 10, 20], help="M")
     parser.add_argument("--grid", type=int, default=1000, help="frequencies of the posterior")
     parser.add_argument(
-        "--starts", type=int, default=5, help="starts of our second fit, apart in ℓ"
+        "--starts", type=int, default=3, help="starts of our second fit, apart in ℓ"
     )
     parser.add_argument("--repeats", type=int, default=3, help="of our timings; the best counts")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--peers", nargs="*", choices=list(PEERS), default=list(PEERS))
+    parser.add_argument("--peer-threads", type=int, default=1)
     parser.add_argument(
         "--subset",
         type=int,
         nargs=2,
-        default=[200, 1000],
+        default=[200, 10000],
         metavar=("SKLEARN", "BOTORCH"),
         help="fit at most so many problems with a peer and scale its times",
     )
     parser.add_argument("--json", type=Path, help="also write the numbers to this file")
     arguments = parser.parse_args()
     warm_up()
+    if "BoTorch" in arguments.peers:
+        import torch
+
+        torch.set_num_threads(arguments.peer_threads)
     # The peers warn of parameters at their bounds and of inputs that are not in the unit cube.
     warnings.simplefilter("ignore")
     print(
