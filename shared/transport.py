@@ -31,9 +31,13 @@ from shared.errors import (
     NoRouterError,
     TransportError,
 )
+from shared.presence import OnPresence, Presence
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 PRESENCE_TIMEOUT_S = 3.0
+PRESENCE_SETTLED_S = 1.0
+"""How long a watch may take to tell of a token that was there before it; normally milliseconds."""
+
 LEASE_MS = 2000
 """A silent session is given up after this long: what a partition costs to be noticed."""
 
@@ -251,32 +255,24 @@ class Session:
             samples = [reply.ok for reply in replies]
         return sorted({str(sample.key_expr) for sample in samples if sample is not None})
 
-    def watch_alive(self, key_expr: str, handler: Callable[[str, bool], None]) -> Declaration:
+    def watch_alive(self, key_expr: str, handler: OnPresence) -> Declaration:
         """Report each token that is there, appears (True) or disappears (False).
 
-        Who is there now is reported before this returns; each change is reported once.
+        Who is there now is reported before this returns.
         """
-        lock = threading.Lock()
-        there: set[str] = set()
-
-        def report(key: str, alive: bool) -> None:
-            with lock:
-                if alive == (key in there):
-                    return
-                (there.add if alive else there.discard)(key)
-            handler(key, alive)
-
-        for key in self.alive(key_expr, timeout_s=PRESENCE_TIMEOUT_S):
-            report(key, True)
+        presence = Presence(handler)
+        presence.asked(self.alive(key_expr, timeout_s=PRESENCE_TIMEOUT_S))
 
         def on_sample(sample: zenoh.Sample) -> None:
-            report(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+            presence.watched(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
         def declare() -> Declaration:
             liveliness = self._session.liveliness()
             return Declaration(liveliness.declare_subscriber(key_expr, on_sample, history=True))
 
-        return self._declared(key_expr, declare)
+        declaration = self._declared(key_expr, declare)
+        presence.settle(timeout_s=PRESENCE_SETTLED_S)
+        return declaration
 
     def listening_on(self) -> list[str]:
         """Return the endpoints this router really listens on, with the ports it was given."""
