@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 import rerun as rr
@@ -15,6 +17,9 @@ from shared.arrays import FloatArray
 
 POINTS_MAX = 2000
 """Points drawn of one signal of one test; a screen is not wider."""
+
+POINTS_PER_S = 200.0
+"""Points drawn of one second, for tests that come in parts; a robot follows no faster wave."""
 
 
 class TestSamples:
@@ -28,25 +33,41 @@ class TestSamples:
     def __init__(self, stream: rr.RecordingStream, palette: Palette) -> None:
         self._stream = stream
         self._palette = palette
+        self._waiting: dict[tuple[str, str], list[TestSamplesEvent]] = {}
         self._units: dict[tuple[str, str], str] = {}
         self._painted: dict[str, tuple[Colour, bool]] = {}
         self._shown: set[str] | None = None
 
-    def draw(self, event: TestSamplesEvent) -> None:
-        """Draw one test."""
-        if (event.robot, event.axis) not in self._units:
-            self._units[event.robot, event.axis] = event.unit
-            self._painted.pop(event.robot, None)
-            self._paint()
-        for signal, values in (("reference", event.reference), ("response", event.response)):
-            kept = outline(values, POINTS_MAX)
-            if not len(kept):
-                continue
-            self._stream.send_columns(
-                f"tests/{signal}/{event.robot}/{event.axis}",
-                indexes=[rr.TimeColumn("t", duration=event.t_s + kept * event.sample_time_s)],
-                columns=rr.Scalars.columns(scalars=values[kept]),
-            )
+    def add(self, event: TestSamplesEvent) -> None:
+        """Keep a test, or a part of one, for the next `draw`."""
+        self._waiting.setdefault((event.robot, event.axis), []).append(event)
+
+    def draw(self) -> None:
+        """Draw what was kept, one message for each signal."""
+        waiting, self._waiting = self._waiting, {}
+        for (robot, axis), events in waiting.items():
+            if (robot, axis) not in self._units:
+                self._units[robot, axis] = events[0].unit
+                self._painted.pop(robot, None)
+                self._paint()
+            self._draw_signal(f"tests/reference/{robot}/{axis}", events, "reference")
+            self._draw_signal(f"tests/response/{robot}/{axis}", events, "response")
+
+    def _draw_signal(
+        self, path: str, events: list[TestSamplesEvent], signal: Literal["reference", "response"]
+    ) -> None:
+        times_s, values = [], []
+        for event in events:
+            samples: FloatArray = getattr(event, signal)
+            seconds = len(samples) * event.sample_time_s
+            kept = outline(samples, min(POINTS_MAX, 2 * math.ceil(seconds * POINTS_PER_S / 2)))
+            times_s.append(event.t_s + kept * event.sample_time_s)
+            values.append(samples[kept])
+        self._stream.send_columns(
+            path,
+            indexes=[rr.TimeColumn("t", duration=np.concatenate(times_s))],
+            columns=rr.Scalars.columns(scalars=np.concatenate(values)),
+        )
 
     def show(self, target: str, leaders: Iterable[str]) -> None:
         """Show these robots, in the palette's colours, and no others."""

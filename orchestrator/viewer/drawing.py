@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import rerun as rr
 
 from orchestrator.viewer.draw_differences import Differences
@@ -42,20 +44,21 @@ class Drawing:
         self._surrogates.begin()
 
     def draw(self, event: ViewerEvent) -> None:
-        """Draw an event, or keep it for `end_batch`."""
+        """Draw an event, or keep it for the rest of its batch."""
         match event:
             case RobotStateEvent():
                 self._robots.add(event)
             case TestSamplesEvent():
-                self._samples.draw(event)
+                self._samples.add(event)
             case IterationEvent():
                 self._draw_iteration(event)
             case MessageEvent():
                 self._log.say(event.t_s, event.level, event.text)
 
-    def end_batch(self) -> None:
-        """Draw what was kept to be drawn at once."""
-        self._robots.draw()
+    @property
+    def rest(self) -> tuple[Callable[[], None], ...]:
+        """What draws the events of a batch that were kept to be drawn at once."""
+        return self._robots.draw, self._samples.draw
 
     def _draw_iteration(self, event: IterationEvent) -> None:
         leaders = leading_sources(event)

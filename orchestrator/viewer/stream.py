@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import rerun as rr
@@ -64,13 +65,13 @@ class RerunSink:
     def write(self, events: Sequence[ViewerEvent]) -> None:
         """Draw events; raises when the file or the server is gone."""
         self._before_write()
-        for event in events:
+        draws: list[Callable[[], None]] = [partial(self._drawing.draw, event) for event in events]
+        for draw in [*draws, *self._drawing.rest]:
             try:
-                self._drawing.draw(event)
+                draw()
             except Exception:
                 # What cannot be drawn must not cost the study the rest of its recording.
-                log.exception("cannot draw %s", type(event).__name__)
-        self._drawing.end_batch()
+                log.exception("the viewer cannot draw something")
 
     def close(self) -> None:
         """Hand everything over and let go; a file gets its footer."""

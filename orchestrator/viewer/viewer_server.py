@@ -73,6 +73,11 @@ class ViewerServer:
         return f"{self._origin}/?url={quote(self.live_url, safe='')}&{options}"
 
     @property
+    def url(self) -> str:
+        """What to open: the page, or without one what native viewers connect to."""
+        return self.web_url or self.live_url
+
+    @property
     def alive(self) -> bool:
         """Whether it is being served."""
         return self._process is not None and self._process.poll() is None

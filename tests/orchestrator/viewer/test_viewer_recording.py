@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -94,3 +95,46 @@ def test_a_recording_is_not_written_over(tmp_path: Path) -> None:
 def test_a_recording_that_cannot_be_written_is_refused_at_once(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match="No such file or directory"):
         RerunWriter("run-1", recording=tmp_path / "missing" / "run.rrd", serve=None).open()
+
+
+def test_a_test_that_comes_in_parts_is_drawn_as_one_line(tmp_path: Path) -> None:
+    whole = samples_event("s1", t_s=2.0, samples=400)
+    parts = [
+        replace(
+            whole,
+            t_s=2.0 + first * SAMPLE_TIME_S,
+            reference=whole.reference[first : first + 50],
+            response=whole.response[first : first + 50],
+        )
+        for first in range(0, 400, 50)
+    ]
+    times_s, values = scalars(record(tmp_path / "run.rrd", *parts), "/tests/response/s1/x")
+    np.testing.assert_array_equal(values, whole.response)
+    np.testing.assert_allclose(times_s, 2.0 + np.arange(400) * SAMPLE_TIME_S, atol=1e-8)
+
+
+def test_an_event_that_cannot_be_drawn_costs_nothing_but_itself(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    good = iteration_event(2, t_s=9.0)
+    curve = replace(good.curves[0], mean=np.zeros(3))
+    path = record(tmp_path / "run.rrd", replace(good, iteration=1, curves=(curve,)), good)
+    assert "cannot draw" in caplog.text
+    assert column(path, "/psi/worst/s2", "Measurements:values") == [[0.04]]
+
+
+def test_a_robot_that_did_not_answer_is_taken_off_the_sphere(tmp_path: Path) -> None:
+    first, second = (iteration_event(k, t_s=5.0 * k) for k in (1, 2))
+    answers = {robot: z for robot, z in second.responses.items() if robot != "s3"}
+    path = record(tmp_path / "run.rrd", first, replace(second, responses=answers))
+    assert column(path, "/sphere/points/s3", "Clear:is_recursive") == [[False]]
+    assert column(path, "/sphere/points/s2", "Clear:is_recursive") == []
+
+
+def test_a_study_that_lost_its_target_is_still_drawn(tmp_path: Path) -> None:
+    event = iteration_event()
+    answers = {robot: z for robot, z in event.responses.items() if robot != "target"}
+    path = record(tmp_path / "run.rrd", replace(event, responses=answers))
+    assert column(path, "/psi/worst/s2", "Measurements:values") == [[0.04]]
+    assert "/sphere/points/s1" in entities(path)
+    assert "/sphere/chords/s1" not in entities(path)
