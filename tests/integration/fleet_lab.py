@@ -1,0 +1,120 @@
+"""Agents and orchestrators on a test's own network, and what tests ask of them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from polling import PATIENCE_S
+from puppet_robot import PuppetRobot
+
+from orchestrator.fleet import Fleet
+from robot_agent.agent import Agent
+from robot_agent.robot import Robot
+from shared.errors import RefusedError
+from shared.excitation import Excitation, Tone
+from shared.keys import FleetKeys
+from shared.messages import GoalAccepted, GoalRequest, GoalResult, RobotState
+from shared.transport import Session, open_client
+from sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
+
+KEYS = FleetKeys("lab")
+
+SLOW = {"tones": (Tone(omega_rad_s=1.0),)}
+"""A test of more than half a minute, for what happens while one runs in real time."""
+
+
+@dataclass
+class Orchestrator:
+    """One orchestrator: its session and the fleet as it sees it."""
+
+    session: Session
+    fleet: Fleet
+
+    def request(self, goal_id: str, **excitation: object) -> GoalRequest:
+        """A test that takes a double integrator or a puppet about two seconds of its time."""
+        settings = {"axis": "x", "tones": (Tone(omega_rad_s=20.0),), "settle_s": 0.5}
+        return GoalRequest(
+            goal_id=goal_id,
+            owner=self.fleet.orchestrator_id,
+            excitation=Excitation.model_validate({**settings, **excitation}),
+        )
+
+    def submit(self, robot: str, goal_id: str, **excitation: object) -> GoalAccepted:
+        return self.fleet.submit(robot, self.request(goal_id, **excitation))
+
+    def state(self, robot: str, condition: Callable[[RobotState], bool]) -> RobotState:
+        """Wait for a state of a robot that fulfils a condition, and return it."""
+        watch = self.fleet.watch(robot)
+
+        def fulfilled() -> bool:
+            return watch.state is not None and condition(watch.state)
+
+        assert watch.wait_until(lambda _: fulfilled(), timeout_s=PATIENCE_S), watch.state
+        assert watch.state is not None
+        return watch.state
+
+    def result(self, robot: str, goal_id: str) -> GoalResult:
+        """Wait for the end of a goal and return its result."""
+        self.state(robot, lambda state: state.last_goal_id == goal_id)
+        return self.fleet.result(robot, goal_id)
+
+    def run(self, robot: str, goal_id: str, **excitation: object) -> GoalResult:
+        self.submit(robot, goal_id, **excitation)
+        return self.result(robot, goal_id)
+
+
+@dataclass
+class Lab:
+    """Starts agents and orchestrators on the test's own network, and ends what is left of them."""
+
+    endpoint: str
+    stack: ExitStack
+    robots: dict[str, Robot] = field(default_factory=dict)
+
+    def session(self) -> Session:
+        return self.stack.enter_context(open_client(self.endpoint, timeout_s=PATIENCE_S))
+
+    def agent(self, name: str, robot: Robot, *, realtime: float | None = None) -> Agent:
+        self.robots[name] = robot
+        agent = Agent(self.session(), KEYS, name, robot, realtime=realtime)
+        return self.stack.enter_context(agent)
+
+    def orchestrator(self, name: str = "orchestrator-1", *robots: str) -> Orchestrator:
+        """A client that sees these robots, or all that were started here."""
+        session = self.session()
+        fleet = Fleet(session, KEYS, name)
+        fleet.wait_for(robots or tuple(self.robots), timeout_s=PATIENCE_S)
+        return Orchestrator(session, fleet)
+
+
+def double_integrator(alpha: float, seed: int) -> DoubleIntegrator:
+    settings = DoubleIntegratorSettings(alpha=alpha, beta=0.003, noise_std_m=1e-3)
+    return DoubleIntegrator(settings, np.random.default_rng(seed))
+
+
+class Gate:
+    """Holds a puppet at a sample until it is opened."""
+
+    def __init__(self, robot: PuppetRobot, at_sample: int = 0) -> None:
+        self.reached = threading.Event()
+        self.opened = threading.Event()
+        self._at = at_sample
+        robot.on_sample = self._wait
+
+    def _wait(self, sample: int) -> None:
+        if sample == self._at:
+            self.reached.set()
+            assert self.opened.wait(PATIENCE_S)
+
+
+def refusal(call: Callable[[], object]) -> str:
+    """The code with which a call is refused."""
+    with pytest.raises(RefusedError) as raised:
+        call()
+    assert raised.value.reason
+    return raised.value.code

@@ -1,0 +1,211 @@
+"""What no honest peer sends: every robot refuses it in words, stays at rest and lives on."""
+
+from __future__ import annotations
+
+import json
+import struct
+
+import pytest
+from fleet_lab import KEYS, Lab, Orchestrator
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from polling import PATIENCE_S, wait_until
+from puppet_robot import PuppetRobot
+
+from robot_agent.endpoint import MAX_REQUEST_BYTES
+from shared.codec import Message, decode, encode
+from shared.messages import (
+    AcknowledgeRequest,
+    CancelRequest,
+    DescribeRequest,
+    Description,
+    Done,
+    Outcome,
+    Refusal,
+    ReleaseRequest,
+    ResultRequest,
+    RobotState,
+    RobotStatus,
+    StopRequest,
+)
+from shared.transport import Session
+
+SERVED = ("describe", "goal", "cancel", "result", "acknowledge", "release", "stop")
+NOT_SERVED = ("state", "alive", "telemetry/motion", "result/g", "Goal", "goal/x", "x" * 3000)
+ANY_REPLY: tuple[type[Message], ...] = (Refusal, Done, Description)
+VALID: dict[str, Message] = {
+    "describe": DescribeRequest(),
+    "cancel": CancelRequest(goal_id="g"),
+    "result": ResultRequest(goal_id="g"),
+    "acknowledge": AcknowledgeRequest(goal_ids=("g",)),
+    "release": ReleaseRequest(sender="me"),
+    "stop": StopRequest(sender="me", reason="smoke"),
+}
+
+
+def framed(header: object, body: bytes = b"{}") -> bytes:
+    head = json.dumps(header).encode()
+    return b"NUF1" + struct.pack("<II", len(head), len(body)) + head + body
+
+
+MALFORMED = {
+    "empty": b"",
+    "text": b"please stop",
+    "magic alone": b"NUF1",
+    "lying lengths": b"NUF1" + struct.pack("<II", 2**32 - 1, 2**32 - 1),
+    "no JSON": b"NUF1" + struct.pack("<II", 2, 2) + b"\xff\xff\xff\xff",
+    "older protocol": framed({"protocol": 0, "type": "StopRequest"}),
+    "unknown type": framed({"protocol": 1, "type": "SelfDestruct"}),
+    "lying array": framed(
+        {"protocol": 1, "type": "Done", "arrays": [{"dtype": "<f8", "shape": [2**40]}]}
+    ),
+    "a field of 50 kB": framed(
+        {"protocol": 1, "type": "StopRequest"}, json.dumps({"x" * 50_000: 1}).encode()
+    ),
+    "a sender that is none": framed(
+        {"protocol": 1, "type": "StopRequest"}, b'{"sender": "**", "reason": ""}'
+    ),
+    "too large": b"\0" * (MAX_REQUEST_BYTES + 1),
+    "much too large": b"\0" * 2**21,
+}
+
+
+def asked(session: Session, leaf: str, payload: bytes) -> Message:
+    (reply,) = session.ask_all(KEYS.robot("a", leaf), payload, timeout_s=PATIENCE_S)
+    return decode(reply, *ANY_REPLY)
+
+
+def assert_well(orchestrator: Orchestrator, robot: PuppetRobot, goal_id: str) -> None:
+    """It answers, and after a release it moves: once."""
+    orchestrator.fleet.release("a")
+    motions = robot.motions
+    assert orchestrator.run("a", goal_id).outcome is Outcome.COMPLETED
+    assert robot.motions == motions + 1
+
+
+@pytest.fixture
+def robot(lab: Lab) -> PuppetRobot:
+    robot = PuppetRobot()
+    lab.agent("a", robot)
+    return robot
+
+
+@pytest.fixture
+def orchestrator(robot: PuppetRobot, lab: Lab) -> Orchestrator:
+    return lab.orchestrator()
+
+
+@pytest.mark.parametrize("kind", MALFORMED)
+def test_a_malformed_request_on_any_key_gets_a_refusal_and_the_agent_lives(
+    kind: str, orchestrator: Orchestrator, robot: PuppetRobot
+) -> None:
+    for leaf in SERVED:
+        reply = asked(orchestrator.session, leaf, MALFORMED[kind])
+        assert isinstance(reply, Refusal), leaf
+        assert reply.code in ("malformed", "too-large")
+        assert reply.reason
+        assert robot.motions == 0
+        if "protocol" in kind:
+            assert "protocol version 0" in reply.reason
+    state = orchestrator.state("a", lambda s: s.status is RobotStatus.STOPPED)
+    # Whoever sent that to the stop key wanted the robot to stop, however badly they said so.
+    assert "malformed stop" in state.reason
+    assert_well(orchestrator, robot, "g")
+
+
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(leaf=st.sampled_from(SERVED), payload=st.binary(max_size=200), framed=st.booleans())
+def test_no_bytes_get_more_than_a_refusal(
+    leaf: str, payload: bytes, framed: bool, orchestrator: Orchestrator, robot: PuppetRobot
+) -> None:
+    reply = asked(orchestrator.session, leaf, b"NUF1" + payload if framed else payload)
+    assert isinstance(reply, Refusal)
+    assert reply.code == "malformed"
+    assert robot.motions == 0
+
+
+def test_a_valid_message_on_another_requests_key_is_refused(
+    orchestrator: Orchestrator, robot: PuppetRobot
+) -> None:
+    for leaf in SERVED:
+        for other, message in VALID.items():
+            if leaf not in (other, "stop"):
+                reply = asked(orchestrator.session, leaf, encode(message))
+                assert isinstance(reply, Refusal)
+                assert reply.code == "malformed"
+                assert "expected" in reply.reason
+    assert_well(orchestrator, robot, "g")
+
+
+@pytest.mark.parametrize("leaf", NOT_SERVED, ids=lambda leaf: leaf[:20])
+def test_a_key_that_is_not_served_is_named_in_the_refusal(
+    leaf: str, orchestrator: Orchestrator
+) -> None:
+    reply = asked(orchestrator.session, leaf, encode(DescribeRequest()))
+    assert isinstance(reply, Refusal)
+    assert reply.code == "unknown-key"
+    assert leaf[:100] in reply.reason
+
+
+@pytest.mark.parametrize(
+    "key", ["robot/*/describe", "robot/a/*", "robot/a/**", "**", "robot/$*a/goal"]
+)
+def test_a_question_to_many_keys_is_refused_by_every_robot(
+    key: str, orchestrator: Orchestrator, lab: Lab
+) -> None:
+    other = PuppetRobot()
+    lab.agent("ba", other)
+    orchestrator.fleet.wait_for(("ba",), timeout_s=PATIENCE_S)
+    replies = orchestrator.session.ask_all(
+        f"{KEYS.root}/{key}", encode(DescribeRequest()), timeout_s=PATIENCE_S
+    )
+    refusals = [decode(reply, Refusal).code for reply in replies]
+    # The states' own histories answer to `robot/a/state/@adv/...` alone, not to these.
+    assert refusals == ["wildcard"] * (1 if key.startswith("robot/a/") else 2)
+
+
+def test_a_question_that_would_stop_many_robots_stops_them(
+    orchestrator: Orchestrator, lab: Lab
+) -> None:
+    lab.agent("b", PuppetRobot())
+    orchestrator.fleet.wait_for(("b",), timeout_s=PATIENCE_S)
+    replies = orchestrator.session.ask_all(
+        KEYS.every_robot("stop"), encode(VALID["stop"]), timeout_s=PATIENCE_S
+    )
+    assert [type(decode(reply, Done, Refusal)) for reply in replies] == [Done, Done]
+    for name in ("a", "b"):
+        orchestrator.state(name, lambda s: s.status is RobotStatus.STOPPED)
+
+
+@pytest.mark.parametrize("kind", MALFORMED)
+@pytest.mark.parametrize("everyone", [False, True])
+def test_a_garbled_stop_stops(
+    kind: str, everyone: bool, orchestrator: Orchestrator, robot: PuppetRobot
+) -> None:
+    key = KEYS.stop if everyone else KEYS.robot("a", "stop")
+    orchestrator.session.put_urgent(key, MALFORMED[kind])
+    orchestrator.state("a", lambda s: s.status is RobotStatus.STOPPED)
+    assert_well(orchestrator, robot, "g")
+
+
+def test_an_orchestrator_passes_over_garbled_and_foreign_states_and_samples(
+    orchestrator: Orchestrator, lab: Lab, caplog: pytest.LogCaptureFixture
+) -> None:
+    told: list[str] = []
+    orchestrator.fleet.observe_states(lambda state: told.append(state.robot))
+    orchestrator.fleet.observe_telemetry(lambda robot, _batch: told.append(robot))
+    stranger = lab.session()
+    state = orchestrator.state("a", lambda s: True)
+    lie = RobotState.model_validate({**dict(state), "robot": "b", "sequence": 10**6})
+    for payload in (*list(MALFORMED.values())[:8], encode(lie), encode(Done())):
+        stranger.put_urgent(KEYS.robot("a", "state"), payload)
+        stranger.put_urgent(KEYS.robot("a", "telemetry/motion"), payload)
+        stranger.put_urgent(KEYS.every_robot("state"), payload)
+    wait_until(lambda: "ignoring a state of b" in caplog.text)
+    wait_until(lambda: "ignoring malformed telemetry" in caplog.text)
+    assert orchestrator.run("a", "g").outcome is Outcome.COMPLETED
+    wait_until(lambda: len(told) > 1)
+    assert set(told) == {"a"}
+    assert orchestrator.fleet.robots() == ("a",)
