@@ -1,0 +1,1 @@
+"""What outlives a run: robots, responses, experiences, studies, trials and leases in a database."""

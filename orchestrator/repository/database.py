@@ -1,0 +1,205 @@
+"""One database: its address, its connections and transactions, and its errors by name."""
+
+from __future__ import annotations
+
+import sqlite3
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url, text
+from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
+
+from orchestrator.repository.errors import (
+    RecordConflictError,
+    RepositoryBusyError,
+    RepositoryError,
+    RepositoryFullError,
+    RepositoryReadOnlyError,
+    RepositoryUnreachableError,
+    RepositoryUrlError,
+    UnknownRecordError,
+)
+
+FILE_NAME = "nufleet.sqlite"
+BUSY_S = 10.0
+"""How long a transaction waits for those of other processes."""
+
+_WRITES = "nufleet_writes"
+_Classes = tuple[tuple[str, type[RepositoryError]], ...]
+_POSTGRESQL_CLASSES: _Classes = (
+    ("53", RepositoryFullError),
+    ("25006", RepositoryReadOnlyError),
+    ("55P03", RepositoryBusyError),
+    ("40", RepositoryBusyError),
+    ("23503", UnknownRecordError),
+    ("23", RecordConflictError),
+    ("08", RepositoryUnreachableError),
+    ("28", RepositoryUnreachableError),
+    ("3D", RepositoryUnreachableError),
+    ("57", RepositoryUnreachableError),
+)
+_SQLITE_CLASSES: _Classes = (
+    ("SQLITE_FULL", RepositoryFullError),
+    ("SQLITE_READONLY", RepositoryReadOnlyError),
+    ("SQLITE_BUSY", RepositoryBusyError),
+    ("SQLITE_CONSTRAINT_FOREIGNKEY", UnknownRecordError),
+    ("SQLITE_CONSTRAINT", RecordConflictError),
+    ("SQLITE_CANTOPEN", RepositoryUnreachableError),
+    ("SQLITE_NOTADB", RepositoryUnreachableError),
+    ("SQLITE_CORRUPT", RepositoryUnreachableError),
+    ("SQLITE_IOERR", RepositoryUnreachableError),
+)
+_ADVICE = {
+    RepositoryFullError: "make room and resume the run",
+    RepositoryReadOnlyError: "make it writable, or choose another repository",
+    RepositoryBusyError: "another process holds it; try again when it has ended",
+    RepositoryUnreachableError: "check the address, and that its server runs",
+}
+
+
+def default_url(runs: Path) -> str:
+    """Return the address of the repository of a folder of runs.
+
+    It lies beside the runs that it tells of, so that one option names both, a copy of the folder
+    is complete, and two folders know nothing of each other.
+    """
+    return f"sqlite:///{runs / FILE_NAME}"
+
+
+def parse_url(address: str) -> URL:
+    """Return the URL of a database given as such, or as the path of an SQLite file.
+
+    Raises:
+        RepositoryUrlError: it names no file of SQLite and no database of PostgreSQL.
+    """
+    expected = "expected a file, sqlite:///FILE or postgresql://USER@HOST/DATABASE"
+    try:
+        url = make_url(address) if ":" in address else URL.create("sqlite", database=address)
+    except ArgumentError as error:
+        # The address is not shown: there may be a password in it.
+        raise RepositoryUrlError(f"the repository's address is no URL; {expected}") from error
+    if url.drivername in ("postgresql", "postgresql+psycopg"):
+        return url.set(drivername="postgresql+psycopg")
+    if url.drivername in ("sqlite", "sqlite+pysqlite") and url.database not in (
+        None,
+        "",
+        ":memory:",
+    ):
+        return url
+    raise RepositoryUrlError(f"{url.render_as_string(hide_password=True)}: {expected}")
+
+
+class Database:
+    """Connections to one database; close it. Usable from many threads."""
+
+    def __init__(self, url: URL) -> None:
+        """Prepare; nothing is opened yet."""
+        self.name = url.render_as_string(hide_password=True)
+        self.is_sqlite = url.get_backend_name() == "sqlite"
+        self._engine = _sqlite(url) if self.is_sqlite else _postgresql(url)
+
+    def close(self) -> None:
+        """Close every connection."""
+        self._engine.dispose()
+
+    @contextmanager
+    def read(self) -> Iterator[Connection]:
+        """A transaction that only reads."""
+        with self._named_errors(), self._engine.begin() as connection:
+            yield connection
+
+    @contextmanager
+    def write(self) -> Iterator[Connection]:
+        """A transaction that may write: committed and on disk at its end, or undone on an error."""
+        writing = self._engine.execution_options(**{_WRITES: True})
+        with self._named_errors(), writing.begin() as connection:
+            yield connection
+
+    def now_s(self, connection: Connection) -> float:
+        """Return the database's own time in seconds: one clock for all who use it."""
+        if self.is_sqlite:
+            query = "SELECT (julianday('now') - 2440587.5) * 86400.0"
+        else:
+            query = "SELECT extract(epoch FROM clock_timestamp())"
+        return float(connection.execute(text(query)).scalar_one())
+
+    def prepare(self) -> None:
+        """Make an SQLite file keep a write-ahead log, so that readers and writers do not wait."""
+        if not self.is_sqlite:
+            return
+        deadline_s = time.monotonic() + BUSY_S
+        while (problem := self._use_write_ahead_log()) is not None:
+            # SQLite does not wait by itself for the lock that this change needs.
+            if not isinstance(problem, RepositoryBusyError) or time.monotonic() > deadline_s:
+                raise problem
+            time.sleep(0.01)
+
+    def _use_write_ahead_log(self) -> RepositoryError | None:
+        try:
+            with closing(self._engine.raw_connection()) as raw:
+                raw.cursor().execute("PRAGMA journal_mode = WAL")
+        except sqlite3.Error as error:
+            return _named(error, self.name)
+        except DBAPIError as error:
+            return _named(error.orig, self.name)
+        return None
+
+    @contextmanager
+    def _named_errors(self) -> Iterator[None]:
+        try:
+            yield
+        except DBAPIError as error:
+            raise _named(error.orig, self.name) from error
+        except SQLAlchemyError as error:
+            raise RepositoryError(f"{self.name}: {error}") from error
+
+
+def _sqlite(url: URL) -> Engine:
+    engine = create_engine(url, connect_args={"timeout": BUSY_S})
+
+    @event.listens_for(engine, "connect")
+    def configure(connection: Any, _: object) -> None:
+        connection.isolation_level = None  # transactions begin below, not where the driver guesses
+        connection.execute("PRAGMA foreign_keys = ON")
+        # What was said to be stored must survive a power cut: an intent that is lost is a motion
+        # that nobody knows of.
+        connection.execute("PRAGMA synchronous = FULL")
+
+    @event.listens_for(engine, "begin")
+    def begin(connection: Connection) -> None:
+        writes = connection.get_execution_options().get(_WRITES, False)
+        # Taking the lock at once, since a read that becomes a write may find itself out of date.
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
+    return engine
+
+
+def _postgresql(url: URL) -> Engine:
+    limits = f"-c lock_timeout={int(BUSY_S * 1000)}"
+    return create_engine(
+        url,
+        pool_pre_ping=True,
+        connect_args={"connect_timeout": int(BUSY_S), "options": limits},
+    )
+
+
+def _named(cause: BaseException | None, database: str) -> RepositoryError:
+    """Return a driver's error as one of ours, with what to do about it."""
+    if isinstance(cause, sqlite3.Error):
+        code = getattr(cause, "sqlite_errorname", "")
+        kind = _first(_SQLITE_CLASSES, code) or RepositoryError
+    else:
+        code = getattr(cause, "sqlstate", None) or ""
+        kind = _first(_POSTGRESQL_CLASSES, code) or RepositoryError
+        if not code:  # no server ever answered
+            kind = RepositoryUnreachableError
+    advice = _ADVICE.get(kind)
+    sentence = " ".join(str(cause).split())
+    return kind(f"repository {database}: {sentence}" + (f"; {advice}" if advice else ""))
+
+
+def _first(classes: _Classes, code: str) -> type[RepositoryError] | None:
+    return next((kind for prefix, kind in classes if code.startswith(prefix)), None)

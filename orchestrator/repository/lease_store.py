@@ -1,0 +1,128 @@
+"""Leases on robots, given out so that of several orchestrators one wins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from sqlalchemy import Connection, select, tuple_
+
+from orchestrator.repository.database import Database
+from orchestrator.repository.lease_rules import StoredLease, acquired, check_held
+from orchestrator.repository.records import Lease
+from orchestrator.repository.tables import LEASES
+from orchestrator.repository.upsert import insert_new
+
+
+class LeaseStore:
+    """Acquires, renews and releases leases; each call does all that it names, or nothing."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def acquire(
+        self,
+        fleet: str,
+        robots: Iterable[str],
+        *,
+        owner: str,
+        term_s: float,
+        above_epochs: Mapping[str, int] | None = None,
+    ) -> tuple[Lease, ...]:
+        """Take robots for an owner, all or none.
+
+        Args:
+            fleet: the fleet.
+            robots: of that fleet.
+            owner: an id that no other process has.
+            term_s: how long a lease holds without being renewed.
+            above_epochs: per robot, the latest epoch that it has seen; the new one is higher.
+
+        Raises:
+            LeaseHeldError: one of them belongs to another owner.
+        """
+        names = sorted(set(robots))
+        seen = above_epochs or {}
+        with self._database.write() as connection:
+            for name in names:
+                free = {"owner": None, "epoch": 0, "term_s": term_s, "expires_s": 0.0}
+                row = {"fleet": fleet, "robot": name, **free}
+                connection.execute(insert_new(connection, LEASES, row))
+            stored = _locked(connection, [(fleet, name) for name in names])
+            now_s = self._database.now_s(connection)
+            leases = tuple(
+                acquired(
+                    stored[fleet, name],
+                    owner=owner,
+                    term_s=term_s,
+                    above_epoch=seen.get(name, 0),
+                    now_s=now_s,
+                )
+                for name in names
+            )
+            for lease in leases:
+                _store(connection, lease, owner, now_s + term_s)
+        return leases
+
+    def renew(self, leases: Iterable[Lease]) -> None:
+        """Begin the term of leases anew.
+
+        Raises:
+            LeaseLostError: one of them holds no more; none is renewed.
+        """
+        self._change(tuple(leases), renewing=True)
+
+    def release(self, leases: Iterable[Lease]) -> None:
+        """Give leases back, so that others need not wait; one that is lost already is left alone.
+
+        The epoch stays, so that the next is higher.
+        """
+        self._change(tuple(leases), renewing=False)
+
+    def held(self, fleet: str) -> Mapping[str, tuple[str, int, float]]:
+        """Return, per robot that is owned now, its owner, the epoch and the seconds left."""
+        query = select(LEASES).where(LEASES.c.fleet == fleet).order_by(LEASES.c.robot)
+        with self._database.read() as connection:
+            rows = [StoredLease(*row) for row in connection.execute(query)]
+            now_s = self._database.now_s(connection)
+        return {
+            row.robot: (row.owner, row.epoch, row.remaining_s(now_s))
+            for row in rows
+            if row.owner is not None and row.remaining_s(now_s) > 0.0
+        }
+
+    def _change(self, leases: tuple[Lease, ...], *, renewing: bool) -> None:
+        with self._database.write() as connection:
+            stored = _locked(connection, [(lease.fleet, lease.robot) for lease in leases])
+            now_s = self._database.now_s(connection)
+            for lease in leases:
+                known = stored[lease.fleet, lease.robot]
+                if renewing:
+                    check_held(known, lease, now_s)
+                    _store(connection, lease, lease.owner, now_s + lease.term_s)
+                elif (known.owner, known.epoch) == (lease.owner, lease.epoch):
+                    _store(connection, lease, None, 0.0)
+
+
+def _locked(
+    connection: Connection, keys: list[tuple[str, str]]
+) -> dict[tuple[str, str], StoredLease]:
+    """Return the rows of robots, which nobody else can change before the transaction ends.
+
+    They are locked in one order by all, so that no two wait for each other.
+    """
+    query = (
+        select(LEASES)
+        .where(tuple_(LEASES.c.fleet, LEASES.c.robot).in_(keys))
+        .order_by(LEASES.c.fleet, LEASES.c.robot)
+        .with_for_update()
+    )
+    rows = (StoredLease(*row) for row in connection.execute(query))
+    return {(row.fleet, row.robot): row for row in rows}
+
+
+def _store(connection: Connection, lease: Lease, owner: str | None, expires_s: float) -> None:
+    connection.execute(
+        LEASES.update()
+        .where(LEASES.c.fleet == lease.fleet, LEASES.c.robot == lease.robot)
+        .values(owner=owner, epoch=lease.epoch, term_s=lease.term_s, expires_s=expires_s)
+    )

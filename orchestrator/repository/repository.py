@@ -1,0 +1,64 @@
+"""The repository: one database that holds every durable fact of the orchestrators that share it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import TracebackType
+
+from orchestrator.repository.database import Database, parse_url
+from orchestrator.repository.lease_store import LeaseStore
+from orchestrator.repository.robot_store import RobotStore
+from orchestrator.repository.schema import MIGRATIONS, migrate
+from orchestrator.repository.study_store import StudyStore
+
+
+class Repository:
+    """Stores by what they hold; a context manager. Usable from many threads and processes."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self.robots = RobotStore(database)
+        self.studies = StudyStore(database)
+        self.leases = LeaseStore(database)
+
+    @property
+    def name(self) -> str:
+        """The database's address, without a password."""
+        return self._database.name
+
+    def __enter__(self) -> Repository:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close every connection."""
+        self._database.close()
+
+
+def open_repository(address: str, *, migrations: Path = MIGRATIONS) -> Repository:
+    """Open a repository, make it if it is new, and bring its schema up to date.
+
+    Args:
+        address: a file, `sqlite:///FILE` or `postgresql://USER@HOST/DATABASE`.
+        migrations: the folder of the schemas known.
+
+    Raises:
+        RepositoryUrlError: the address names no database.
+        SchemaVersionError: it was written by a newer nufleet.
+        RepositoryError: it cannot be reached, read or written.
+    """
+    database = Database(parse_url(address))
+    try:
+        database.prepare()
+        migrate(database, migrations)
+    except BaseException:
+        database.close()
+        raise
+    return Repository(database)

@@ -1,0 +1,187 @@
+"""Rows of the database from our values and back; what comes back is checked like any input."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+from pydantic import JsonValue, TypeAdapter, ValidationError
+from sqlalchemy import RowMapping
+
+from orchestrator.repository.array_blob import pack_array, unpack_complex, unpack_floats
+from orchestrator.repository.errors import DamagedRecordError
+from orchestrator.repository.records import (
+    ExperienceRecord,
+    ExperienceSummary,
+    RobotRecord,
+    StudyRecord,
+    StudyStatus,
+    TrialIntent,
+    TrialRecord,
+    TrialStatus,
+)
+from orchestrator.study import StudyPlan
+from shared.codec import describe_validation
+from shared.excitation import Excitation, ExcitationPlan
+from shared.frequency_response import FrequencyResponse
+from shared.messages import GoalResult, Outcome
+from shared.response_quality import Quality
+from shared.robot_spec import RobotSpec
+
+_PLAN = TypeAdapter(StudyPlan)
+_OBJECT = TypeAdapter(dict[str, JsonValue])
+
+
+def json_object(value: Mapping[str, JsonValue]) -> str:
+    """Return a mapping as JSON; numbers come back bit for bit."""
+    return _OBJECT.dump_json(dict(value)).decode()
+
+
+def robot_record(row: RowMapping) -> RobotRecord:
+    """Return the robot in a row."""
+    with _checked(f"robot {row['robot']}"):
+        spec = RobotSpec.model_validate_json(row["spec"])
+    return RobotRecord(row["fleet"], row["robot"], spec, row["boot_id"])
+
+
+def study_row(study: StudyRecord) -> dict[str, Any]:
+    """Return the row of a study."""
+    return {
+        "study_id": study.study_id,
+        "fleet": study.fleet,
+        "algorithm": study.algorithm,
+        "plan": _PLAN.dump_json(study.plan).decode(),
+        "seed": str(study.seed),
+        "parameters": json_object(study.parameters),
+        "status": study.status,
+        "reason": study.reason,
+    }
+
+
+def study_record(row: RowMapping) -> StudyRecord:
+    """Return the study in a row."""
+    with _checked(f"study {row['study_id']}"):
+        return StudyRecord(
+            study_id=row["study_id"],
+            fleet=row["fleet"],
+            algorithm=row["algorithm"],
+            plan=_PLAN.validate_json(row["plan"]),
+            seed=int(row["seed"]),
+            parameters=_OBJECT.validate_json(row["parameters"]),
+            status=StudyStatus(row["status"]),
+            reason=row["reason"],
+        )
+
+
+def intent_row(intent: TrialIntent) -> dict[str, Any]:
+    """Return the row of a trial that is about to be sent."""
+    return {
+        "goal_id": intent.goal_id,
+        "study_id": intent.study_id,
+        "iteration": intent.iteration,
+        "robot": intent.robot,
+        "attempt": intent.attempt,
+        "excitation": intent.excitation.model_dump_json(),
+        "epoch": intent.epoch,
+        "status": TrialStatus.INTENDED,
+        "reason": "",
+        "robot_time_s": 0.0,
+    }
+
+
+def trial_record(row: RowMapping, response: FrequencyResponse | None) -> TrialRecord:
+    """Return the trial in a row."""
+    with _checked(f"trial {row['goal_id']}"):
+        plan, retry, outcome = row["plan"], row["retry"], row["outcome"]
+        return TrialRecord(
+            intent=TrialIntent(
+                goal_id=row["goal_id"],
+                study_id=row["study_id"],
+                iteration=row["iteration"],
+                robot=row["robot"],
+                attempt=row["attempt"],
+                excitation=Excitation.model_validate_json(row["excitation"]),
+                epoch=row["epoch"],
+            ),
+            status=TrialStatus(row["status"]),
+            boot_id=row["boot_id"],
+            plan=None if plan is None else ExcitationPlan.model_validate_json(plan),
+            outcome=None if outcome is None else Outcome(outcome),
+            reason=row["reason"],
+            retry=None if retry is None else Excitation.model_validate_json(retry),
+            robot_time_s=row["robot_time_s"],
+            response=response,
+        )
+
+
+def goal_result(row: RowMapping) -> GoalResult:
+    """Return what the robot returned of the trial in a row, joined with its samples."""
+    trial, goal_id, shape = trial_record(row, None), row["goal_id"], (int(row["samples"]),)
+    with _checked(f"the result of goal {goal_id}"):
+        return GoalResult.model_validate(
+            {
+                "goal_id": goal_id,
+                "boot_id": trial.boot_id,
+                "outcome": trial.outcome,
+                "reason": trial.reason[:2000],
+                "plan": trial.plan,
+                "reference": unpack_floats(row["reference"], shape, f"the reference of {goal_id}"),
+                "response": unpack_floats(row["response"], shape, f"the output of {goal_id}"),
+            }
+        )
+
+
+def response_row(response: FrequencyResponse) -> dict[str, Any]:
+    """Return a response's part of its row."""
+    return {
+        "tones": len(response.omega_rad_s),
+        "omega_rad_s": pack_array(response.omega_rad_s),
+        "z": pack_array(response.z),
+        "variance": pack_array(response.variance),
+        "segments": response.segments,
+        "quality": response.quality.model_dump_json(),
+        "usable": response.quality.usable,
+    }
+
+
+def frequency_response(row: RowMapping) -> FrequencyResponse:
+    """Return the response in a row, bit for bit as it was stored."""
+    what, shape = f"the response of goal {row['goal_id']}", (int(row["tones"]),)
+    with _checked(what):
+        return FrequencyResponse(
+            omega_rad_s=unpack_floats(row["omega_rad_s"], shape, what),
+            z=unpack_complex(row["z"], shape, what),
+            variance=unpack_floats(row["variance"], shape, what),
+            segments=row["segments"],
+            quality=Quality.model_validate_json(row["quality"]),
+        )
+
+
+def experience_summary(row: RowMapping) -> ExperienceSummary:
+    """Return the experience in a row without its bytes."""
+    with _checked(f"experience {row['sha256']}"):
+        manifest = _OBJECT.validate_json(row["manifest"])
+    return ExperienceSummary(row["sha256"], row["fleet"], row["robot"], manifest, row["size_bytes"])
+
+
+def experience_record(row: RowMapping) -> ExperienceRecord:
+    """Return the experience in a row; raises DamagedRecordError when its bytes have changed."""
+    summary, data = experience_summary(row), bytes(row["data"])
+    if hashlib.sha256(data).hexdigest() != summary.sha256:
+        raise DamagedRecordError(
+            f"experience {summary.sha256} of {summary.robot}: its {len(data)} bytes have another "
+            "hash; store the file again"
+        )
+    return ExperienceRecord(summary.fleet, summary.robot, summary.manifest, data)
+
+
+@contextmanager
+def _checked(what: str) -> Iterator[None]:
+    try:
+        yield
+    except ValidationError as error:
+        raise DamagedRecordError(f"{what}: {describe_validation(error)}") from error
+    except (ValueError, TypeError) as error:
+        raise DamagedRecordError(f"{what}: {error}") from error

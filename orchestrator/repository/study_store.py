@@ -1,0 +1,283 @@
+"""Studies, their trials, and the responses and samples that came of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from sqlalchemy import Connection, select
+
+from orchestrator.repository.array_blob import pack_array
+from orchestrator.repository.database import Database
+from orchestrator.repository.errors import RecordConflictError, UnknownRecordError
+from orchestrator.repository.records import (
+    ResponseRecord,
+    StudyRecord,
+    StudyStatus,
+    TrialIntent,
+    TrialRecord,
+    TrialStatus,
+)
+from orchestrator.repository.rows import (
+    frequency_response,
+    goal_result,
+    intent_row,
+    response_row,
+    study_record,
+    study_row,
+    trial_record,
+)
+from orchestrator.repository.tables import RESPONSES, SAMPLES, STUDIES, TRIALS, utc_now
+from orchestrator.repository.trial_rules import (
+    check_epoch,
+    check_same_intent,
+    is_new_acceptance,
+    is_new_end,
+)
+from orchestrator.repository.upsert import insert_new
+from shared.excitation import Excitation
+from shared.frequency_response import FrequencyResponse
+from shared.messages import GoalAccepted, GoalResult
+
+
+class StudyStore:
+    """Every call is one transaction: what it names is stored on its return, or nothing is."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def begin(self, study: StudyRecord) -> None:
+        """Store a study before its first question; raises RecordConflictError when it exists."""
+        with self._database.write() as connection:
+            connection.execute(STUDIES.insert().values(**study_row(study), begun_at=utc_now()))
+
+    def end(self, study_id: str, status: StudyStatus, reason: str = "") -> None:
+        """Store that a study is over; an open one again when it is resumed after all."""
+        update = STUDIES.update().where(STUDIES.c.study_id == study_id)
+        with self._database.write() as connection:
+            found = connection.execute(update.values(status=status, reason=reason)).rowcount
+        if not found:
+            raise UnknownRecordError(f"there is no study {study_id}")
+
+    def study(self, study_id: str) -> StudyRecord:
+        """Return a study; raises UnknownRecordError."""
+        query = select(STUDIES).where(STUDIES.c.study_id == study_id)
+        with self._database.read() as connection:
+            row = connection.execute(query).mappings().one_or_none()
+        if row is None:
+            raise UnknownRecordError(f"there is no study {study_id}")
+        return study_record(row)
+
+    def studies(self, status: StudyStatus | None = None) -> tuple[StudyRecord, ...]:
+        """Return the studies, oldest first; of one status if it is given."""
+        query = select(STUDIES).order_by(STUDIES.c.begun_at, STUDIES.c.study_id)
+        if status is not None:
+            query = query.where(STUDIES.c.status == status)
+        with self._database.read() as connection:
+            return tuple(study_record(row) for row in connection.execute(query).mappings())
+
+    def intend(self, intent: TrialIntent) -> TrialRecord:
+        """Store what is about to be sent; return what is known of it, if it was stored before.
+
+        Raises:
+            RecordConflictError: its id or its place in the study is taken by another test.
+            StaleEpochError: a later owner has taken the trial over.
+            UnknownRecordError: there is no such study.
+        """
+        row = {**intent_row(intent), "intended_at": utc_now()}
+        with self._database.write() as connection:
+            if connection.execute(insert_new(connection, TRIALS, row)).rowcount == 1:
+                return TrialRecord(intent, TrialStatus.INTENDED)
+            known = _locked(connection, intent.goal_id)
+            if known is None:
+                raise RecordConflictError(
+                    f"study {intent.study_id} has an attempt {intent.attempt} of {intent.robot} in "
+                    f"iteration {intent.iteration} already, under another id than {intent.goal_id}"
+                )
+            check_same_intent(known, intent)
+            _update(connection, intent.goal_id, epoch=intent.epoch)
+            return TrialRecord(intent, known.status, known.boot_id, known.plan)
+
+    def accepted(self, accepted: GoalAccepted, *, epoch: int) -> None:
+        """Store that a robot took a goal; raises TrialEndedError, StaleEpochError."""
+        with self._database.write() as connection:
+            known = _known(connection, accepted.goal_id, epoch)
+            if is_new_acceptance(known, accepted.boot_id):
+                _update(
+                    connection,
+                    accepted.goal_id,
+                    status=TrialStatus.ACCEPTED,
+                    boot_id=accepted.boot_id,
+                    plan=accepted.plan.model_dump_json(),
+                )
+
+    def measured(self, result: GoalResult, response: FrequencyResponse, *, epoch: int) -> None:
+        """Store a usable response with its samples; raises TrialEndedError, StaleEpochError."""
+        with self._database.write() as connection:
+            known = _known(connection, result.goal_id, epoch)
+            if is_new_end(known, TrialStatus.MEASURED):
+                _end(connection, known, TrialStatus.MEASURED, **_played(result))
+                _keep(connection, known, result, response)
+
+    def failed(
+        self,
+        goal_id: str,
+        reason: str,
+        *,
+        retry: Excitation | None,
+        epoch: int,
+        result: GoalResult | None = None,
+        response: FrequencyResponse | None = None,
+    ) -> None:
+        """Store that a trial gave nothing usable, with what was measured nevertheless.
+
+        Args:
+            goal_id: the trial's.
+            reason: why.
+            retry: what the robot plays in its next attempt; None when it is given up.
+            epoch: of the lease of whoever says so.
+            result: what the robot returned, if it did.
+            response: what was estimated from it, if the test was complete.
+
+        Raises:
+            TrialEndedError: it has ended in another way.
+            StaleEpochError: a later owner has taken the trial over.
+        """
+        with self._database.write() as connection:
+            known = _known(connection, goal_id, epoch)
+            if is_new_end(known, TrialStatus.FAILED):
+                played = {} if result is None else _played(result)
+                _end(connection, known, TrialStatus.FAILED, reason, retry, **played)
+                if result is not None:
+                    _keep(connection, known, result, response)
+
+    def lost(self, goal_id: str, reason: str, *, retry: Excitation | None, epoch: int) -> None:
+        """Store that nobody will ever know what came of a trial; see `failed`."""
+        with self._database.write() as connection:
+            known = _known(connection, goal_id, epoch)
+            if is_new_end(known, TrialStatus.LOST):
+                _end(connection, known, TrialStatus.LOST, reason, retry)
+
+    def trials(self, study_id: str) -> tuple[TrialRecord, ...]:
+        """Return the trials of a study by iteration, robot and attempt, with their responses."""
+        order = (TRIALS.c.iteration, TRIALS.c.robot, TRIALS.c.attempt)
+        query = select(TRIALS).where(TRIALS.c.study_id == study_id).order_by(*order)
+        measured = select(RESPONSES).join(TRIALS).where(TRIALS.c.study_id == study_id)
+        with self._database.read() as connection:
+            rows = connection.execute(query).mappings().all()
+            found = connection.execute(measured).mappings().all()
+        responses = {row["goal_id"]: frequency_response(row) for row in found}
+        return tuple(trial_record(row, responses.get(row["goal_id"])) for row in rows)
+
+    def result(self, goal_id: str) -> GoalResult:
+        """Return what a robot returned of a trial, with its raw samples.
+
+        Raises:
+            UnknownRecordError: nothing is stored of it.
+            DamagedRecordError: it is not what was stored.
+        """
+        join = TRIALS.join(SAMPLES)
+        query = select(TRIALS, SAMPLES.c.samples, SAMPLES.c.reference, SAMPLES.c.response)
+        query = query.select_from(join).where(TRIALS.c.goal_id == goal_id)
+        with self._database.read() as connection:
+            row = connection.execute(query).mappings().one_or_none()
+        if row is None:
+            raise UnknownRecordError(f"no samples of goal {goal_id} are stored")
+        return goal_result(row)
+
+    def responses(
+        self, fleet: str, robot: str, axis: str, *, usable: bool = True
+    ) -> tuple[ResponseRecord, ...]:
+        """Return what was ever measured of a robot's axis, oldest first, of any study."""
+        query = (
+            select(RESPONSES)
+            .where(RESPONSES.c.fleet == fleet, RESPONSES.c.robot == robot)
+            .where(RESPONSES.c.axis == axis, RESPONSES.c.usable == usable)
+            .order_by(RESPONSES.c.measured_at, RESPONSES.c.goal_id)
+        )
+        with self._database.read() as connection:
+            rows = connection.execute(query).mappings().all()
+        return tuple(
+            ResponseRecord(fleet, robot, axis, row["goal_id"], frequency_response(row))
+            for row in rows
+        )
+
+
+def _locked(connection: Connection, goal_id: str) -> TrialRecord | None:
+    """Return a trial without its response; nobody else can change it in this transaction."""
+    query = select(TRIALS).where(TRIALS.c.goal_id == goal_id).with_for_update()
+    row = connection.execute(query).mappings().one_or_none()
+    return None if row is None else trial_record(row, None)
+
+
+def _known(connection: Connection, goal_id: str, epoch: int) -> TrialRecord:
+    known = _locked(connection, goal_id)
+    if known is None:
+        raise UnknownRecordError(f"no intent of goal {goal_id} is stored")
+    check_epoch(known, epoch)
+    return known
+
+
+def _update(connection: Connection, goal_id: str, **values: Any) -> None:
+    connection.execute(TRIALS.update().where(TRIALS.c.goal_id == goal_id).values(**values))
+
+
+def _end(
+    connection: Connection,
+    known: TrialRecord,
+    status: TrialStatus,
+    reason: str = "",
+    retry: Excitation | None = None,
+    **values: Any,
+) -> None:
+    _update(
+        connection,
+        known.intent.goal_id,
+        status=status,
+        reason=reason,
+        retry=None if retry is None else retry.model_dump_json(),
+        ended_at=utc_now(),
+        **values,
+    )
+
+
+def _played(result: GoalResult) -> dict[str, Any]:
+    """Return what a result says of its trial; also when the acceptance never arrived."""
+    return {
+        "boot_id": result.boot_id,
+        "plan": result.plan.model_dump_json(),
+        "outcome": result.outcome,
+        "robot_time_s": len(result.reference) * result.plan.sample_time_s,
+    }
+
+
+def _keep(
+    connection: Connection,
+    known: TrialRecord,
+    result: GoalResult,
+    response: FrequencyResponse | None,
+) -> None:
+    """Store the samples of a trial, and the response that was estimated from them."""
+    goal_id, study_id = result.goal_id, known.intent.study_id
+    connection.execute(
+        SAMPLES.insert().values(
+            goal_id=goal_id,
+            samples=len(result.reference),
+            reference=pack_array(result.reference),
+            response=pack_array(result.response),
+        )
+    )
+    if response is None:
+        return
+    fleet = connection.execute(
+        select(STUDIES.c.fleet).where(STUDIES.c.study_id == study_id)
+    ).scalar_one()
+    connection.execute(
+        RESPONSES.insert().values(
+            goal_id=goal_id,
+            fleet=fleet,
+            robot=known.intent.robot,
+            axis=result.plan.axis,
+            measured_at=utc_now(),
+            **response_row(response),
+        )
+    )

@@ -1,0 +1,157 @@
+"""The tables of the newest schema, as SQLAlchemy sees them; migrations bring databases to it.
+
+Numbers that must survive bit for bit are in blobs or in JSON: SQLite turns NaN into NULL.
+"""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import (
+    BigInteger,
+    Boolean,
+    Column,
+    DateTime,
+    Double,
+    ForeignKey,
+    ForeignKeyConstraint,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    Table,
+    Text,
+    TypeDecorator,
+    UniqueConstraint,
+)
+
+
+class Sentence(TypeDecorator[str]):
+    """Text for people, whatever is in it: PostgreSQL takes neither NUL nor half a character."""
+
+    impl = Text
+    cache_ok = True
+
+    def process_bind_param(self, value: str | None, dialect: Any) -> str | None:
+        """Store it as JSON, which escapes both."""
+        return None if value is None else json.dumps(value)
+
+    def process_result_value(self, value: str | None, dialect: Any) -> str | None:
+        """Return the text that was stored."""
+        return None if value is None else str(json.loads(value))
+
+
+def utc_now() -> datetime:
+    """Return the wall time, for people; in UTC without saying so, as the tables hold it."""
+    return datetime.now(UTC).replace(tzinfo=None)
+
+
+METADATA = MetaData(
+    naming_convention={
+        "ix": "ix_%(column_0_N_label)s",
+        "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+        "fk": "fk_%(table_name)s_%(column_0_N_name)s",
+        "pk": "pk_%(table_name)s",
+    }
+)
+
+ROBOTS = Table(
+    "robots",
+    METADATA,
+    Column("fleet", Text, primary_key=True),
+    Column("robot", Text, primary_key=True),
+    Column("spec", Text, nullable=False),
+    Column("boot_id", Text, nullable=False),
+    Column("described_at", DateTime, nullable=False),
+)
+
+STUDIES = Table(
+    "studies",
+    METADATA,
+    Column("study_id", Text, primary_key=True),
+    Column("fleet", Text, nullable=False),
+    Column("algorithm", Text, nullable=False),
+    Column("plan", Text, nullable=False),
+    Column("seed", Text, nullable=False),
+    Column("parameters", Text, nullable=False),
+    Column("status", Text, nullable=False),
+    Column("reason", Sentence, nullable=False),
+    Column("begun_at", DateTime, nullable=False),
+)
+
+TRIALS = Table(
+    "trials",
+    METADATA,
+    Column("goal_id", Text, primary_key=True),
+    Column("study_id", Text, ForeignKey("studies.study_id"), nullable=False),
+    Column("iteration", Integer, nullable=False),
+    Column("robot", Text, nullable=False),
+    Column("attempt", Integer, nullable=False),
+    Column("excitation", Text, nullable=False),
+    Column("epoch", BigInteger, nullable=False),
+    Column("status", Text, nullable=False),
+    Column("boot_id", Text),
+    Column("plan", Text),
+    Column("outcome", Text),
+    Column("reason", Sentence, nullable=False),
+    Column("retry", Text),
+    Column("robot_time_s", Double, nullable=False),
+    Column("intended_at", DateTime, nullable=False),
+    Column("ended_at", DateTime),
+    UniqueConstraint("study_id", "iteration", "robot", "attempt"),
+)
+
+RESPONSES = Table(
+    "responses",
+    METADATA,
+    Column("goal_id", Text, ForeignKey("trials.goal_id"), primary_key=True),
+    Column("fleet", Text, nullable=False),
+    Column("robot", Text, nullable=False),
+    Column("axis", Text, nullable=False),
+    Column("tones", Integer, nullable=False),
+    Column("omega_rad_s", LargeBinary, nullable=False),
+    Column("z", LargeBinary, nullable=False),
+    Column("variance", LargeBinary, nullable=False),
+    Column("segments", Integer, nullable=False),
+    Column("quality", Text, nullable=False),
+    Column("usable", Boolean, nullable=False),
+    Column("measured_at", DateTime, nullable=False),
+    ForeignKeyConstraint(["fleet", "robot"], ["robots.fleet", "robots.robot"]),
+    Index(None, "fleet", "robot", "axis"),
+)
+
+SAMPLES = Table(
+    "samples",
+    METADATA,
+    Column("goal_id", Text, ForeignKey("trials.goal_id"), primary_key=True),
+    Column("samples", Integer, nullable=False),
+    Column("reference", LargeBinary, nullable=False),
+    Column("response", LargeBinary, nullable=False),
+)
+
+EXPERIENCES = Table(
+    "experiences",
+    METADATA,
+    Column("sha256", Text, primary_key=True),
+    Column("fleet", Text, nullable=False),
+    Column("robot", Text, nullable=False),
+    Column("manifest", Text, nullable=False),
+    Column("size_bytes", BigInteger, nullable=False),
+    Column("data", LargeBinary, nullable=False),
+    Column("stored_at", DateTime, nullable=False),
+    ForeignKeyConstraint(["fleet", "robot"], ["robots.fleet", "robots.robot"]),
+    Index(None, "fleet", "robot"),
+)
+
+LEASES = Table(
+    "leases",
+    METADATA,
+    Column("fleet", Text, primary_key=True),
+    Column("robot", Text, primary_key=True),
+    Column("owner", Text),
+    Column("epoch", BigInteger, nullable=False),
+    Column("term_s", Double, nullable=False),
+    Column("expires_s", Double, nullable=False),
+)

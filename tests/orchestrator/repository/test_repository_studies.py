@@ -1,0 +1,251 @@
+"""Robots, studies, trials, responses and experiences: the same contract on both databases."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from repository_records import (
+    FLEET,
+    LONGER,
+    PLAN,
+    SPEC,
+    STUDY,
+    TEST,
+    accepted,
+    identical,
+    intent,
+    response,
+    result,
+)
+
+from orchestrator.repository.errors import (
+    RecordConflictError,
+    StaleEpochError,
+    TrialEndedError,
+    UnknownRecordError,
+)
+from orchestrator.repository.records import (
+    ExperienceRecord,
+    ExperienceSummary,
+    RobotRecord,
+    StudyStatus,
+    TrialRecord,
+    TrialStatus,
+)
+from orchestrator.repository.repository import Repository, open_repository
+from shared.messages import Outcome
+from shared.response_quality import Finding
+
+UNUSABLE = Finding(code="clipped", text="the output is clipped")
+
+
+def test_a_robot_is_known_as_it_last_described_itself(repository: Repository) -> None:
+    repository.robots.describe(RobotRecord(FLEET, "r2", SPEC, "boot-1"))
+    repository.robots.describe(RobotRecord(FLEET, "r1", SPEC, "boot-1"))
+    repository.robots.describe(RobotRecord("other", "r1", SPEC, "boot-1"))
+    changed = RobotRecord(FLEET, "r1", SPEC.model_copy(update={"duration_max_s": 7.0}), "boot-2")
+    repository.robots.describe(changed)
+    assert repository.robots.robots(FLEET) == (
+        changed,
+        RobotRecord(FLEET, "r2", SPEC, "boot-1"),
+    )
+
+
+def test_a_study_is_returned_as_it_was_begun_by_another_process(
+    begun: Repository, address: str
+) -> None:
+    with open_repository(address) as other:
+        assert other.studies.study("run-1") == STUDY
+        assert other.studies.studies(StudyStatus.OPEN) == (STUDY,)
+
+
+def test_a_study_that_ended_is_not_open_any_more(begun: Repository) -> None:
+    begun.studies.begin(replace(STUDY, study_id="run-2"))
+    begun.studies.end("run-1", StudyStatus.FAILED, "the target is gone\x00 \ud800")
+    assert [study.study_id for study in begun.studies.studies(StudyStatus.OPEN)] == ["run-2"]
+    ended = begun.studies.study("run-1")
+    assert (ended.status, ended.reason) == (StudyStatus.FAILED, "the target is gone\x00 \ud800")
+
+
+def test_a_study_begins_once(begun: Repository) -> None:
+    with pytest.raises(RecordConflictError, match="repository"):
+        begun.studies.begin(replace(STUDY, seed=1))
+    assert begun.studies.study("run-1").seed == STUDY.seed
+
+
+def test_what_was_never_stored_is_refused_by_name(repository: Repository) -> None:
+    studies, robots = repository.studies, repository.robots
+    with pytest.raises(UnknownRecordError, match="run-9"):
+        studies.study("run-9")
+    with pytest.raises(UnknownRecordError, match="run-9"):
+        studies.end("run-9", StudyStatus.COMPLETE)
+    with pytest.raises(UnknownRecordError):
+        studies.intend(intent())
+    with pytest.raises(UnknownRecordError, match=r"run-1\.1\.target\.1"):
+        studies.accepted(accepted(intent()), epoch=1)
+    with pytest.raises(UnknownRecordError, match=r"run-1\.1\.target\.1"):
+        studies.result("run-1.1.target.1")
+    with pytest.raises(UnknownRecordError):
+        robots.experience("0" * 64)
+    with pytest.raises(UnknownRecordError):
+        robots.add_experience(ExperienceRecord(FLEET, "nobody", {}, b"model"))
+
+
+def test_an_intent_is_there_before_anything_is_sent(begun: Repository, address: str) -> None:
+    begun.studies.intend(intent())
+    with open_repository(address) as other:
+        assert other.studies.trials("run-1") == (TrialRecord(intent(), TrialStatus.INTENDED),)
+
+
+def test_a_measured_trial_comes_back_bit_for_bit(begun: Repository, address: str) -> None:
+    trial, measured = intent(), response()
+    begun.studies.intend(trial)
+    begun.studies.accepted(accepted(trial), epoch=1)
+    begun.studies.measured(result(trial), measured, epoch=1)
+    with open_repository(address) as other:
+        (record,) = other.studies.trials("run-1")
+        back = other.studies.result(trial.goal_id)
+        (kept,) = other.studies.responses(FLEET, "target", "x")
+    assert (record.status, record.boot_id, record.plan) == (TrialStatus.MEASURED, "boot-1", PLAN)
+    assert record.outcome is Outcome.COMPLETED
+    assert record.robot_time_s == pytest.approx(PLAN.duration_s)
+    assert record.response is not None
+    assert identical(record.response, measured)
+    assert identical(kept.response, measured)
+    assert kept.goal_id == trial.goal_id
+    sent = result(trial)
+    assert back.reference.tobytes() == sent.reference.tobytes()
+    assert back.response.tobytes() == sent.response.tobytes()
+    assert back.plan == sent.plan
+
+
+def test_a_trial_can_be_measured_though_its_acceptance_never_arrived(begun: Repository) -> None:
+    begun.studies.intend(intent())
+    begun.studies.measured(result(intent()), response(), epoch=1)
+    (record,) = begun.studies.trials("run-1")
+    assert (record.status, record.boot_id, record.plan) == (TrialStatus.MEASURED, "boot-1", PLAN)
+
+
+def test_an_unusable_test_keeps_its_samples_and_what_its_robot_plays_next(
+    begun: Repository,
+) -> None:
+    begun.studies.intend(intent())
+    begun.studies.failed(
+        intent().goal_id,
+        "clipped",
+        retry=LONGER,
+        epoch=1,
+        result=result(intent()),
+        response=response(UNUSABLE),
+    )
+    (record,) = begun.studies.trials("run-1")
+    assert (record.status, record.reason, record.retry) == (TrialStatus.FAILED, "clipped", LONGER)
+    assert not begun.studies.responses(FLEET, "target", "x")
+    (kept,) = begun.studies.responses(FLEET, "target", "x", usable=False)
+    assert kept.response.quality.reasons == (UNUSABLE,)
+    assert len(begun.studies.result(intent().goal_id).response) == PLAN.samples
+
+
+def test_a_motion_that_was_cut_short_keeps_the_samples_it_has(begun: Repository) -> None:
+    begun.studies.intend(intent())
+    begun.studies.failed(
+        intent().goal_id, "stopped", retry=None, epoch=1, result=result(intent(), Outcome.ABORTED)
+    )
+    kept = begun.studies.result(intent().goal_id)
+    assert (kept.outcome, len(kept.response)) == (Outcome.ABORTED, 5)
+    (record,) = begun.studies.trials("run-1")
+    assert (record.response, record.retry) == (None, None)
+
+
+def test_storing_the_same_again_changes_nothing(begun: Repository) -> None:
+    trial = intent()
+    for _ in range(2):
+        begun.studies.intend(trial)
+    for _ in range(2):
+        begun.studies.accepted(accepted(trial), epoch=1)
+    for _ in range(2):
+        begun.studies.measured(result(trial), response(), epoch=1)
+    assert begun.studies.intend(trial).status is TrialStatus.MEASURED
+    assert [t.status for t in begun.studies.trials("run-1")] == [TrialStatus.MEASURED]
+
+
+def test_the_first_end_of_a_trial_stays(begun: Repository) -> None:
+    begun.studies.intend(intent())
+    begun.studies.lost(intent().goal_id, "its agent died", retry=TEST, epoch=1)
+    with pytest.raises(TrialEndedError, match="ended as lost"):
+        begun.studies.measured(result(intent()), response(), epoch=1)
+    with pytest.raises(TrialEndedError):
+        begun.studies.accepted(accepted(intent()), epoch=1)
+    (record,) = begun.studies.trials("run-1")
+    assert (record.status, record.retry, record.response) == (TrialStatus.LOST, TEST, None)
+    with pytest.raises(UnknownRecordError):
+        begun.studies.result(intent().goal_id)
+
+
+def test_a_goal_cannot_be_accepted_by_two_agent_processes(begun: Repository) -> None:
+    begun.studies.intend(intent())
+    begun.studies.accepted(accepted(intent(), "boot-1"), epoch=1)
+    with pytest.raises(TrialEndedError, match="boot-2"):
+        begun.studies.accepted(accepted(intent(), "boot-2"), epoch=1)
+
+
+def test_a_goal_id_means_one_test(begun: Repository) -> None:
+    begun.studies.intend(intent())
+    with pytest.raises(RecordConflictError, match="another test"):
+        begun.studies.intend(replace(intent(), excitation=LONGER))
+    with pytest.raises(RecordConflictError, match="under another id"):
+        begun.studies.intend(replace(intent(), goal_id="another"))
+
+
+def test_an_owner_of_the_past_cannot_write_about_a_trial(begun: Repository) -> None:
+    trial = intent(epoch=1)
+    begun.studies.intend(trial)
+    begun.studies.intend(intent(epoch=2))
+    with pytest.raises(StaleEpochError, match="epoch 2"):
+        begun.studies.intend(trial)
+    with pytest.raises(StaleEpochError):
+        begun.studies.accepted(accepted(trial), epoch=1)
+    with pytest.raises(StaleEpochError):
+        begun.studies.measured(result(trial), response(), epoch=1)
+    with pytest.raises(StaleEpochError):
+        begun.studies.lost(trial.goal_id, "silent", retry=None, epoch=1)
+    (record,) = begun.studies.trials("run-1")
+    assert record == TrialRecord(intent(epoch=2), TrialStatus.INTENDED)
+
+
+def test_threads_store_the_trials_of_a_round_at_the_same_time(begun: Repository) -> None:
+    trials = [intent(f"r{n}") for n in range(16)]
+    together = threading.Barrier(4)
+
+    def store(worker: int) -> None:
+        together.wait(10.0)
+        for trial in trials[worker::4]:
+            begun.studies.intend(trial)
+            begun.studies.accepted(accepted(trial), epoch=1)
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(store, range(4)))
+    stored = begun.studies.trials("run-1")
+    assert {trial.intent for trial in stored} == set(trials)
+    assert {trial.status for trial in stored} == {TrialStatus.ACCEPTED}
+
+
+def test_an_experience_is_kept_by_its_hash(begun: Repository) -> None:
+    record = ExperienceRecord(FLEET, "source", {"layers": [64, 64], "rmse": 0.1 + 0.2}, b"\0\xff")
+    sha256 = begun.robots.add_experience(record)
+    assert begun.robots.add_experience(record) == sha256
+    assert begun.robots.experience(sha256) == record
+    summary = ExperienceSummary(sha256, FLEET, "source", record.manifest, 2)
+    assert begun.robots.experiences(FLEET) == (summary,)
+
+
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(text=st.text())
+def test_any_text_and_number_comes_back_as_it_was(begun: Repository, text: str) -> None:
+    begun.studies.end("run-1", StudyStatus.FAILED, text)
+    assert begun.studies.study("run-1").reason == text
