@@ -40,7 +40,7 @@ class Differences:
         psi = chordal_distance(z, target)
         leaders = leading_sources(event)
         shown = [p for s, p in zip(sources, psi, strict=True) if s in leaders] or list(psi)
-        step = round_up(max(float(max(shown)), 1e-6) / 3)
+        step = round_up(max(float(max(shown)), 1e-6) / 4)
         scale = RADIUS / (step * int(np.ceil(max(float(max(shown)) / step, 1.0))))
         self._draw_rings(event.omega_rad_s[tone], step, scale)
         places = _within(around(complex(target), z) * scale)

@@ -7,6 +7,8 @@ import rerun as rr
 from orchestrator.viewer.events import IterationEvent, RankingRow
 from orchestrator.viewer.palette import Palette
 
+TONES_NAMED = 6
+
 
 class Estimates:
     """ψ̂*_n with one standard deviation over time, and the ranking as a table."""
@@ -35,11 +37,8 @@ class Estimates:
 
 def ranking_table(event: IterationEvent) -> str:
     """Return the ranking as Markdown, best source first."""
-    tones = ", ".join(f"{omega:.3g}" for omega in event.omega_rad_s[:6])
-    if len(event.omega_rad_s) > 6:
-        tones += f", … ({len(event.omega_rad_s)} tones)"
     lines = [
-        f"**Iteration {event.iteration}**, tested at ω = {tones} rad/s, target **{event.target}**",
+        f"**Iteration {event.iteration}**, tested at {_tones(event)}, target **{event.target}**",
         "",
         "| | source | worst ψ | ± σ | at ω [rad/s] | tests |",
         "|---:|:---|---:|---:|---:|---:|",
@@ -48,9 +47,29 @@ def ranking_table(event: IterationEvent) -> str:
     return "\n".join(lines)
 
 
+def summary(event: IterationEvent) -> str:
+    """Return what a round taught, in a line for the log."""
+    said = f"round {event.iteration} at {_tones(event)}"
+    if not event.ranking:
+        return said
+    best = event.ranking[0]
+    return f"{said}: {best.robot} is closest, worst ψ = {best.psi:.4f} ± {_deviation(best)}"
+
+
+def _tones(event: IterationEvent) -> str:
+    some = ", ".join(f"{omega:.3g}" for omega in event.omega_rad_s[:TONES_NAMED])
+    if len(event.omega_rad_s) > TONES_NAMED:
+        some += f", … ({len(event.omega_rad_s)} tones)"
+    return f"ω = {some} rad/s"
+
+
 def _line(place: int, row: RankingRow) -> str:
     mark = "**" if place == 1 else ""
     return (
-        f"| {place} | {mark}{row.robot}{mark} | {mark}{row.psi:.4f}{mark} | {row.psi_std:.4f} "
+        f"| {place} | {mark}{row.robot}{mark} | {mark}{row.psi:.4f}{mark} | {_deviation(row)} "
         f"| {row.omega_rad_s:.3g} | {row.tests} |"
     )
+
+
+def _deviation(row: RankingRow) -> str:
+    return f"{row.psi_std:.4f}" if row.psi_std >= 0.00005 else "< 0.0001"

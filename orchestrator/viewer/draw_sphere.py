@@ -23,8 +23,8 @@ PHASES = 12
 EYE = (0.5, -1.25, 0.85)
 """Where the view looks from at first: over the responses, whose phases are mostly lags."""
 
-LABELS_TOP, LABEL_GAP = 0.3, 0.06
-"""Where the chords' labels stand before the sphere: beside one another none could be read."""
+LABELS_HIGH, LABELS_LOW, LABEL_GAP = 0.32, -0.04, 0.06
+"""Where the chords' labels begin, above or below the sources, and how far apart they stand."""
 
 
 class Sphere:
@@ -126,13 +126,19 @@ class Sphere:
 
 
 def _label_column(sources: FloatArray) -> FloatArray:
-    """Return places for labels before the sphere, one below the other, in the sources' order."""
+    """Return places for labels before the sphere, one below the other, in the sources' order.
+
+    Labels at the chords themselves would cover one another, and what they name.
+    """
     forward = (np.array(EYE) - CENTRE) / np.linalg.norm(np.array(EYE) - CENTRE)
     right = np.cross([0.0, 0.0, 1.0], forward) / np.hypot(*forward[:2])
     up = np.cross(forward, right)
-    rank = np.argsort(np.argsort(-(sources @ up), kind="stable"))
-    height = LABELS_TOP - LABEL_GAP * rank[:, None]
-    return np.asarray(CENTRE + 0.5 * forward - 0.12 * right + height * up)
+    height = (sources - CENTRE) @ up
+    rank = np.argsort(np.argsort(-height, kind="stable"))
+    top = LABELS_HIGH if height.mean() < 0 else LABELS_LOW
+    return np.asarray(
+        CENTRE + 0.5 * forward - 0.12 * right + (top - LABEL_GAP * rank[:, None]) * up
+    )
 
 
 def _refined(path: ComplexArray) -> ComplexArray:

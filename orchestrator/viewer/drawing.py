@@ -7,7 +7,7 @@ from collections.abc import Callable
 import rerun as rr
 
 from orchestrator.viewer.draw_differences import Differences
-from orchestrator.viewer.draw_estimates import Estimates
+from orchestrator.viewer.draw_estimates import Estimates, summary
 from orchestrator.viewer.draw_log import Log
 from orchestrator.viewer.draw_robots import RobotStates
 from orchestrator.viewer.draw_samples import TestSamples
@@ -73,5 +73,5 @@ class Drawing:
             self._estimates.draw(event)
         finally:
             self._stream.reset_time()
-        for text in event.messages:
+        for text in (summary(event), *event.messages):
             self._log.say(event.t_s, "info", text)

@@ -14,10 +14,12 @@ def rerun_program() -> Path:
     package = find_spec("rerun_cli")
     if package is None or package.origin is None:
         raise NufleetError("the Rerun viewer is missing; install the package rerun-sdk")
-    program = Path(package.origin).with_name("rerun")
-    if not program.exists():
-        raise NufleetError(f"the Rerun viewer is missing: there is no {program}")
-    return program
+    folder = Path(package.origin).parent
+    # On macOS it may come as an application.
+    for name in ("rerun", "Rerun.app/Contents/MacOS/Rerun"):
+        if (folder / name).exists():
+            return folder / name
+    raise NufleetError(f"the Rerun viewer is missing: there is none in {folder}")
 
 
 def rerun_environment() -> dict[str, str]:

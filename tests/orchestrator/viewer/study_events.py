@@ -60,5 +60,5 @@ def iteration_event(
             RankingRow(source, peak[source], 0.2 * peak[source], 4.0, iteration)
             for source in sources
         ),
-        messages=(f"round {iteration} is done",),
+        messages=("s4 was dropped",),
     )

@@ -79,9 +79,10 @@ def test_messages_are_recorded_with_their_levels(tmp_path: Path) -> None:
     )
     assert column(path, "/log", "TextLog:text") == [
         ["    1.0 s  s1 is slow"],
-        ["    2.0 s  round 1 is done"],
+        ["    2.0 s  round 1 at ω = 2 rad/s: s1 is closest, worst ψ = 0.0200 ± 0.0040"],
+        ["    2.0 s  s4 was dropped"],
     ]
-    assert column(path, "/log", "TextLog:level") == [["WARN"], ["INFO"]]
+    assert column(path, "/log", "TextLog:level") == [["WARN"], ["INFO"], ["INFO"]]
 
 
 def test_a_recording_is_not_written_over(tmp_path: Path) -> None:
