@@ -158,7 +158,8 @@ def grouped(fleet: FleetFile, *, processes: int) -> list[tuple[str, ...]]:
         raise ValueError(f"a fleet needs at least one process, got {processes}")
     together: dict[str, list[str]] = {}
     alone: list[str] = []
-    shares = {e.driver: load_driver(e.driver).shares_process for e in fleet.robots.values()}
+    drivers = {entry.driver for entry in fleet.robots.values()}
+    shares = {driver: load_driver(driver).shares_process for driver in drivers}
     for robot, entry in fleet.robots.items():
         if shares[entry.driver]:
             together.setdefault(entry.driver, []).append(robot)

@@ -59,8 +59,12 @@ def load_driver(name: str) -> RobotDriver:
 
 def check_settings(fleet: FleetFile, path: Path) -> None:
     """Check every robot's settings before anything is started; raises FleetFileError."""
+    models = {
+        driver: load_driver(driver).settings
+        for driver in {entry.driver for entry in fleet.robots.values()}
+    }
     for name, entry in fleet.robots.items():
-        validated_settings(load_driver(entry.driver).settings, path, name, entry.settings)
+        validated_settings(models[entry.driver], path, name, entry.settings)
 
 
 def needed_environment(fleet: FleetFile, robots: Iterable[str]) -> dict[str, str]:

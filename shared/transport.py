@@ -377,9 +377,9 @@ def _reach(
 ) -> zenoh.Session:
     """Open a client session in short attempts, since a waiting `zenoh.open` hears no Ctrl-C."""
     deadline = None if timeout_s is None else time.monotonic() + timeout_s
-    try_s = 0.5
+    try_s = 0.2
     while True:
-        try_s = min(2 * try_s, LONGEST_TRY_S)
+        try_s = min(1.5 * try_s, LONGEST_TRY_S)
         left_s = try_s if deadline is None else deadline - time.monotonic()
         wait_ms = max(1, round(1000 * min(try_s, left_s)))
         config.insert_json5("connect/timeout_ms", str(wait_ms))
