@@ -2,13 +2,16 @@
 # make test   sets everything up, lints, type-checks and passes the tests
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PIP_INSTALL = .venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+# What the tests use that pip does not bring: a software renderer for pictures of recordings, and a
+# real PostgreSQL server.
+SYSTEM_PACKAGES = mesa-vulkan-drivers postgresql
 
-.PHONY: demo test lint clean
+.PHONY: demo test lint clean system-packages
 
 demo: .venv/installed-demo
 	.venv/bin/nufleet demo
 
-test: .venv/installed-test lint
+test: .venv/installed-test system-packages lint
 	@echo "== tests"
 	.venv/bin/pytest
 
@@ -25,16 +28,30 @@ lint: .venv/installed-test
 	$(PYTHON) -m venv .venv
 
 .venv/installed-demo: .venv/bin/python pyproject.toml constraints.txt
-	@echo "== installing nufleet and what it needs (once; about a minute)"
+	@echo "== installing nufleet and what it needs (once; a minute or two)"
 	$(PIP_INSTALL) -e .
 	@echo "== compiling the numerics (once)"
 	.venv/bin/python -c 'from shared.gaussian_process import warm_up; warm_up()'
 	@touch $@
 
 .venv/installed-test: .venv/installed-demo
-	@echo "== installing what the tests need (once)"
-	$(PIP_INSTALL) -e '.[test]'
+	@echo "== installing what the tests need, simulators and torch among it (once; some minutes)"
+	$(PIP_INSTALL) -e '.[test,quadrotors,arms,learning,repository]'
 	@touch $@
+
+.venv/installed-quadrotors: .venv/installed-demo
+	@echo "== installing the quadrotors' simulator (once)"
+	$(PIP_INSTALL) -e '.[quadrotors]'
+	@touch $@
+
+system-packages:
+	@missing=; for package in $(SYSTEM_PACKAGES); do \
+	  dpkg -s $$package >/dev/null 2>&1 || missing="$$missing $$package"; done; \
+	if [ -n "$$missing" ]; then \
+	  echo "== installing$$missing"; \
+	  if [ "$$(id -u)" != 0 ]; then \
+	    echo "the tests need them: sudo apt-get install --no-install-recommends$$missing"; exit 2; fi; \
+	  apt-get update -qq && apt-get install -y -qq --no-install-recommends $$missing; fi
 
 clean:
 	rm -rf .venv .mypy_cache .ruff_cache .hypothesis

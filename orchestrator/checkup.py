@@ -15,8 +15,8 @@ from typing import Any, Literal
 from packaging.requirements import Requirement
 
 from orchestrator.connection import running_fleet
-from orchestrator.viewer.rerun_program import rerun_program
 from orchestrator.viewer.ports import GRPC_PORT, WEB_PORT
+from orchestrator.viewer.rerun_program import rerun_program
 from shared.drivers import ENTRY_POINT_GROUP
 from shared.errors import NufleetError
 from shared.transport import open_router

@@ -27,8 +27,8 @@ def view(run: str | None, live: bool, web: bool, picture: Path | None, runs_root
 
     from orchestrator.run_folder import RECORDING, find_run
     from orchestrator.viewer.picture import screenshot
-    from orchestrator.viewer.show import open_native, open_web
     from orchestrator.viewer.ports import GRPC_PORT
+    from orchestrator.viewer.show import open_native, open_web
 
     if live and run is not None:
         raise click.UsageError("name a run, or watch the running one with --live")

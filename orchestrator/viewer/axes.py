@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.viewer.events import SurrogateCurve
+from orchestrator.study import Curve
 from shared.arrays import FloatArray
 
 WIDTH, HEIGHT = 160.0, 125.0
@@ -47,7 +47,7 @@ class Axes:
         return [k * step for k in range(int(self.psi_max / step * (1 + 1e-9)) + 1)]
 
 
-def fitting_axes(curves: Sequence[SurrogateCurve]) -> Axes:
+def fitting_axes(curves: Sequence[Curve]) -> Axes:
     """Return axes that show the means, the samples and, where they are not huge, the bands."""
     highest = max(max(float(c.mean.max()), float(c.sampled_psi.max(initial=0.0))) for c in curves)
     band = max(float((c.mean + 2 * c.std).max()) for c in curves)

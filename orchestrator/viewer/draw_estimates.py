@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import rerun as rr
 
-from orchestrator.viewer.events import IterationEvent, RankingRow
+from orchestrator.study import SourceEstimate
+from orchestrator.viewer.events import IterationEvent
 from orchestrator.viewer.palette import Palette
 
 TONES_NAMED = 6
@@ -63,7 +64,7 @@ def _tones(event: IterationEvent) -> str:
     return f"ω = {some} rad/s"
 
 
-def _line(place: int, row: RankingRow) -> str:
+def _line(place: int, row: SourceEstimate) -> str:
     mark = "**" if place == 1 else ""
     return (
         f"| {place} | {mark}{row.robot}{mark} | {mark}{row.psi:.4f}{mark} | {_deviation(row)} "
@@ -71,5 +72,5 @@ def _line(place: int, row: RankingRow) -> str:
     )
 
 
-def _deviation(row: RankingRow) -> str:
+def _deviation(row: SourceEstimate) -> str:
     return f"{row.psi_std:.4f}" if row.psi_std >= 0.00005 else "< 0.0001"

@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 
+from orchestrator.study import Curve
 from orchestrator.viewer.axes import HEIGHT, WIDTH, Axes, fitting_axes, spread
-from orchestrator.viewer.events import IterationEvent, SurrogateCurve
+from orchestrator.viewer.events import IterationEvent
 from orchestrator.viewer.leaders import leading_sources
 from orchestrator.viewer.marks import labels_2d, lines_2d, lines_3d, screen_points
 from orchestrator.viewer.palette import GRID, QUIET, TEXT, Colour, Palette
@@ -70,7 +71,7 @@ class Surrogates:
                 self._draw_mean(axes, curve, QUIET, 0.6)
         self._draw_worst(axes, event, leaders)
 
-    def _draw_in_full(self, axes: Axes, curve: SurrogateCurve, *, first: bool) -> None:
+    def _draw_in_full(self, axes: Axes, curve: Curve, *, first: bool) -> None:
         colour = self._palette.of(curve.source)
         self._draw_mean(axes, curve, colour, 2.0 if first else 1.4)
         for deviations, opacity in _BANDS:
@@ -87,7 +88,7 @@ class Surrogates:
             ),
         )
 
-    def _draw_mean(self, axes: Axes, curve: SurrogateCurve, colour: Colour, width: float) -> None:
+    def _draw_mean(self, axes: Axes, curve: Curve, colour: Colour, width: float) -> None:
         places = _place(axes, curve.omega_rad_s, curve.mean, _LINE)
         self._stream.log(f"psi/mean/{curve.source}", lines_3d([places], [colour], width))
 
@@ -144,7 +145,7 @@ class Surrogates:
 
 
 def _band(
-    axes: Axes, curve: SurrogateCurve, deviations: int, colour: tuple[int, int, int, int]
+    axes: Axes, curve: Curve, deviations: int, colour: tuple[int, int, int, int]
 ) -> rr.Mesh3D:
     n = len(curve.omega_rad_s)
     upper, lower = (

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
+from orchestrator.study import Curve, SourceEstimate
 from shared.arrays import FloatArray
 
 RobotStatus = Literal["idle", "running", "resting", "stopped", "fault", "lost"]
@@ -46,32 +47,6 @@ class TestSamplesEvent:
 
 
 @dataclass(frozen=True, eq=False)
-class SurrogateCurve:
-    """What is believed of one source's ψ_n(ω): posterior mean and standard deviation, and samples.
-
-    `omega_rad_s`, `mean` and `std` have shape (g,), the samples shape (m,).
-    """
-
-    source: str
-    omega_rad_s: FloatArray
-    mean: FloatArray
-    std: FloatArray
-    sampled_omega_rad_s: FloatArray
-    sampled_psi: FloatArray
-
-
-@dataclass(frozen=True)
-class RankingRow:
-    """A source's estimated worst-case chordal distance to the target, and where in the band."""
-
-    robot: str
-    psi: float
-    psi_std: float
-    omega_rad_s: float
-    tests: int
-
-
-@dataclass(frozen=True, eq=False)
 class IterationEvent:
     """What one round of tests taught; `ranking` is best first.
 
@@ -83,8 +58,8 @@ class IterationEvent:
     omega_rad_s: tuple[float, ...]
     responses: Mapping[str, tuple[complex, ...]]
     target: str
-    curves: tuple[SurrogateCurve, ...]
-    ranking: tuple[RankingRow, ...]
+    curves: tuple[Curve, ...]
+    ranking: tuple[SourceEstimate, ...]
     messages: tuple[str, ...] = ()
 
 

@@ -12,6 +12,7 @@ from types import TracebackType
 from orchestrator.viewer.endpoint import claim_recording
 from orchestrator.viewer.events import ViewerEvent
 from orchestrator.viewer.outlet import Outlet, Sink
+from orchestrator.viewer.ports import GRPC_PORT
 from orchestrator.viewer.viewer_server import ViewerServer
 from shared.errors import NufleetError
 
@@ -30,7 +31,7 @@ log = logging.getLogger(__name__)
 class ServeOptions:
     """Where live viewers connect to; a port of 0 stands for any free one, None for no web page."""
 
-    grpc_port: int = 9876
+    grpc_port: int = GRPC_PORT
     web_port: int | None = None
     bind_ip: str = "127.0.0.1"
 

@@ -89,7 +89,7 @@ def test_the_demo_shows_estimate_and_closed_form_and_how_to_open_the_recording(
     assert done.stdout == ""
     assert "closed form" in done.stderr
     assert "selected: source-2" in done.stderr
-    assert "nufleet view " in done.stderr
+    assert " view " in done.stderr
 
 
 @pytest.mark.parametrize("after_s", [0.3, 1.5, 3.0])

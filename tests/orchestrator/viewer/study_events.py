@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from orchestrator.study import Curve, SourceEstimate
 from orchestrator.viewer.events import (
     IterationEvent,
-    RankingRow,
     RobotStateEvent,
-    SurrogateCurve,
     TestSamplesEvent,
 )
 
@@ -46,7 +45,7 @@ def iteration_event(
         responses={"target": (0.7 - 0.2j,), **responses},
         target="target",
         curves=tuple(
-            SurrogateCurve(
+            Curve(
                 source,
                 grid,
                 peak[source] * np.exp(-(np.log(grid / 4.0) ** 2)),
@@ -57,7 +56,7 @@ def iteration_event(
             for source in sources
         ),
         ranking=tuple(
-            RankingRow(source, peak[source], 0.2 * peak[source], 4.0, iteration)
+            SourceEstimate(source, peak[source], 0.2 * peak[source], 4.0, iteration)
             for source in sources
         ),
         messages=("s4 was dropped",),
