@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -67,7 +68,9 @@ def prepare(fleet: Fleet, request: RankRequest, there: tuple[str, ...]) -> Ready
     if sources is None:
         sources = tuple(robot for robot in there if robot != request.target)
     check_names(request.target, sources, there)
-    descriptions = {robot: fleet.describe(robot) for robot in (request.target, *sources)}
+    robots = (request.target, *sources)
+    with ThreadPoolExecutor(min(32, len(robots)), thread_name_prefix="describe") as pool:
+        descriptions = dict(zip(robots, pool.map(fleet.describe, robots), strict=True))
     plan = StudyPlan(
         target=request.target,
         sources=sources,
