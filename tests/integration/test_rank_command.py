@@ -13,6 +13,8 @@ from pathlib import Path
 import psutil
 import pytest
 
+from shared.transport import open_client, open_router
+
 ROOT = Path(__file__).parents[2]
 FLEET = ROOT / "sims" / "fleets" / "paper_linear.toml"
 NUFLEET = [sys.executable, "-m", "shared.command_line"]
@@ -155,6 +157,20 @@ def test_no_router_is_an_error_that_says_how_to_start_one(tmp_path: Path) -> Non
     assert done.returncode == 1
     assert endpoint in done.stderr
     assert "nufleet router" in done.stderr
+
+
+def test_a_robot_that_never_answers_is_an_error_that_names_it_before_anything_moves(
+    tmp_path: Path,
+) -> None:
+    endpoint = f"unixsock-stream/{tmp_path}/r.sock"
+    with open_router([endpoint]), open_client(endpoint, timeout_s=5.0) as mute:
+        for robot in ("target", "source-1"):
+            mute.declare_alive(f"nufleet/lab/robot/{robot}/alive")
+        done = nufleet("rank", "--connect", endpoint, "--target", "target", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "robot target does not answer" in done.stderr
+    assert "nufleet fleet status" in done.stderr
+    assert not list(tmp_path.glob("runs/*"))
 
 
 def test_a_port_in_use_is_an_error_that_names_it(tmp_path: Path) -> None:
