@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-PATIENCE_S = 15.0
+PATIENCE_S = 30.0
 """Long enough for a busy machine; what is waited for normally takes milliseconds."""
 
 

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import psutil
@@ -113,24 +114,22 @@ def test_a_killed_parent_leaves_no_process(
 ) -> None:
     script = tmp_path / "parent.py"
     script.write_text(START_AND_SAY_WHICH)
-    parent = subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, str(script), str(fleet_file), endpoint, with_router],
         stdout=subprocess.PIPE,
         text=True,
-    )
-    try:
-        assert parent.stdout is not None
-        pids = json.loads(parent.stdout.readline())
-        assert len(pids) == (2 if with_router == "router" else 1)
-        assert not any(is_gone(pid) for pid in pids.values())
-        if with_router == "router":
-            with open_client(endpoint, timeout_s=PATIENCE_S) as session:
-                fleet = Fleet(session, FleetKeys("lab"), "orchestrator-1")
-                fleet.wait_for(("a", "b"), timeout_s=PATIENCE_S)
-    finally:
-        parent.send_signal(signal.SIGKILL)
-        parent.wait(PATIENCE_S)
-        parent.stdout.close()  # type: ignore[union-attr]
+    ) as parent:
+        try:
+            assert parent.stdout is not None
+            pids = json.loads(parent.stdout.readline())
+            assert len(pids) == (2 if with_router == "router" else 1)
+            assert not any(is_gone(pid) for pid in pids.values())
+            if with_router == "router":
+                with open_client(endpoint, timeout_s=PATIENCE_S) as session:
+                    fleet = Fleet(session, FleetKeys("lab"), "orchestrator-1")
+                    fleet.wait_for(("a", "b"), timeout_s=PATIENCE_S)
+        finally:
+            parent.send_signal(signal.SIGKILL)
     wait_until(lambda: all(is_gone(pid) for pid in pids.values()))
 
 
@@ -169,27 +168,30 @@ def test_a_router_that_cannot_listen_is_an_error_that_names_the_endpoint(
         started.start_router(endpoint)
 
 
-def looks_for_a_router(pid: int) -> bool:
+def looks_for_a_router(agent: subprocess.Popen[str]) -> bool:
     """Whether Zenoh's runtime, whose threads are called after what they do, has begun."""
-    tasks = Path(f"/proc/{pid}/task").glob("*/comm")
-    return any(name.read_text().startswith(("net-", "tx-", "rx-")) for name in tasks)
+    assert agent.poll() is None, agent.communicate()
+    names = []
+    for task in Path(f"/proc/{agent.pid}/task").iterdir():
+        with suppress(FileNotFoundError, ProcessLookupError):  # the thread has just ended
+            names.append((task / "comm").read_text())
+    return any(name.startswith(("net-", "tx-", "rx-")) for name in names)
 
 
 def test_a_waiting_agent_ends_with_ctrl_c(fleet_file: Path, endpoint: str) -> None:
     command = ("agent", str(fleet_file), "--connect", endpoint)
-    agent = subprocess.Popen(
+    with subprocess.Popen(
         [sys.executable, "-m", "shared.command_line", *command],
         stdin=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
-    )
-    try:
-        wait_until(lambda: looks_for_a_router(agent.pid))
-        agent.send_signal(signal.SIGINT)
-        _, said = agent.communicate(timeout=PATIENCE_S)
-    finally:
-        agent.kill()
-        agent.wait()
+    ) as agent:
+        try:
+            wait_until(lambda: looks_for_a_router(agent))
+            agent.send_signal(signal.SIGINT)
+            _, said = agent.communicate(timeout=PATIENCE_S)
+        finally:
+            agent.kill()
     assert agent.returncode == 130
     assert said.strip() == "interrupted"
 
