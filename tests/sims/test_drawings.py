@@ -1,0 +1,34 @@
+"""The five drawings that come with the project can be flown at the paper's three speeds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from shared.drawing_files import read_drawing
+from shared.trajectories import TrackingLimits, check_trajectory, travel
+from sims.drawings import ALL
+
+LIMITS = TrackingLimits(
+    position_max=1.5,
+    speed_max=0.9,
+    acceleration_max=1.6,
+    correction_max=0.5,
+    correction_speed_max=0.6,
+)
+
+
+@pytest.mark.parametrize("speed_m_s", [0.3, 0.6, 0.9])
+@pytest.mark.parametrize("drawing", ALL, ids=lambda path: path.stem)
+def test_a_drawing_reaches_its_speed_inside_the_workspace(drawing: Path, speed_m_s: float) -> None:
+    path = travel(read_drawing(drawing), speed_m_s, LIMITS.acceleration_max, 0.02)
+    check_trajectory(path, 0.02, LIMITS)
+    speeds = np.linalg.norm(np.diff(path, axis=0), axis=1) / 0.02
+    assert 0.95 * speed_m_s < speeds.max() <= 1.001 * speed_m_s
+
+
+def test_there_are_five_different_drawings() -> None:
+    lengths = {round(float(np.abs(np.diff(read_drawing(p), axis=0)).sum()), 3) for p in ALL}
+    assert len(ALL) == len(lengths) == 5
