@@ -146,3 +146,27 @@ def test_a_reference_that_is_not_finite_is_an_error_and_moves_nothing(bad: float
 def test_parameters_that_make_the_loop_unstable_are_refused() -> None:
     with pytest.raises(ValidationError, match="not stable"):
         DoubleIntegratorSettings(alpha=1.0, beta=0.003, k_p=1000.0, k_d=0.0)
+
+
+def test_observing_shows_the_output_that_the_next_step_returns_and_changes_nothing() -> None:
+    observed, left_alone = robot_with(noise_std_m=0.01), robot_with(noise_std_m=0.01)
+    for reference in random_reference(20):
+        first, again = observed.observe(), observed.observe()
+        np.testing.assert_array_equal(first, again)
+        output = observed.step(reference)
+        assert first[0, 0] == output[0]
+        np.testing.assert_array_equal(output, left_alone.step(reference))
+    assert observed.state_names == ("position", "velocity")
+    seen, rest = observed.observe()[0, 0], random_reference(5)
+    outputs = observed.run(rest)
+    assert outputs[0, 0] == seen
+    np.testing.assert_array_equal(outputs, left_alone.run(rest))
+
+
+def test_the_observed_speed_is_the_rate_of_the_position() -> None:
+    robot = robot_with(beta=0.0)
+    robot.run(np.ones((40, 1)))
+    before = robot.observe()[0]
+    robot.step(np.ones(1))
+    after = robot.observe()[0]
+    assert after[0] - before[0] == pytest.approx(0.015 * (before[1] + after[1]) / 2, rel=1e-9)
