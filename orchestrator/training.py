@@ -1,0 +1,202 @@
+"""Trains the network of an experience with torch.
+
+Here and not beside the robot: a robot flies and records, and needs neither torch nor the seconds of
+two processor cores that this takes.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from shared.arrays import FloatArray
+from shared.errors import InvalidInputError
+from shared.experience import Experience, ExperienceManifest
+from shared.inverse_layout import InverseLayout
+
+if TYPE_CHECKING:
+    import torch
+
+TRAINING_VERSION = "1"
+"""Changes whenever the same data and seed would give another network."""
+
+POINTS = 2100
+"""Of a source's dataset (paper, Section VI-A)."""
+
+_BLOCKS = 50
+_VALIDATION_EVERY = 5
+STEPS_MAX = 3000
+"""Of full-batch descent."""
+
+_EVALUATE_EVERY = 20
+_PATIENCE_STEPS = 600
+_LEARNING_RATE = 2e-3
+_WEIGHT_DECAY = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingData:
+    """Pairs of inputs (m, inputs) and γ (m,), in the order they were flown."""
+
+    inputs: FloatArray
+    gamma: FloatArray
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where an experience comes from."""
+
+    robot: str
+    robot_kind: str
+    axes: tuple[str, ...]
+    unit: Literal["m", "rad"]
+    relative_degree: int
+
+
+def train(
+    data: TrainingData,
+    layout: InverseLayout,
+    origin: Origin,
+    *,
+    seed: int,
+    points: int = POINTS,
+    steps_max: int = STEPS_MAX,
+    threads: int = 1,
+) -> Experience:
+    """Train the paper's network, 4 × 128 ReLU, on `points` of the pairs.
+
+    The points are spread evenly over the flight; every fifth of fifty stretches of it is held back,
+    and training stops when these no longer get better. The same data, seed and number of threads
+    give the same network.
+
+    Raises:
+        InvalidInputError: fewer pairs than points, pairs that are not finite, or inputs that never
+            change.
+    """
+    if len(data.gamma) < points or points < 10 * _BLOCKS:
+        raise InvalidInputError(f"{points} points are needed, at least 500; got {len(data.gamma)}")
+    if not (np.isfinite(data.inputs).all() and np.isfinite(data.gamma).all()):
+        raise InvalidInputError("the training data hold a number that is not finite")
+    chosen = np.linspace(0, len(data.gamma) - 1, points).round().astype(int)
+    inputs, gamma = data.inputs[chosen], data.gamma[chosen]
+    held_back = (
+        np.arange(points) * _BLOCKS // points
+    ) % _VALIDATION_EVERY == _VALIDATION_EVERY // 2
+    mean, scale = inputs[~held_back].mean(axis=0), inputs[~held_back].std(axis=0)
+    offset, spread = float(gamma[~held_back].mean()), float(gamma[~held_back].std())
+    if spread == 0 or (scale == 0).any():
+        raise InvalidInputError("the training data do not vary: the robot was not excited")
+    network, error = _fit(
+        (inputs - mean) / scale, (gamma - offset) / spread, held_back, seed, threads, steps_max
+    )
+    manifest = ExperienceManifest(
+        robot=origin.robot,
+        robot_kind=origin.robot_kind,
+        axes=origin.axes,
+        unit=origin.unit,
+        layout=layout,
+        inputs=layout.input_names,
+        relative_degree=origin.relative_degree,
+        input_mean=tuple(mean.tolist()),
+        input_scale=tuple(scale.tolist()),
+        output_mean=offset,
+        output_scale=spread,
+        points=points,
+        validation_rms=error * spread,
+        data_sha256=_digest(inputs, gamma),
+        seed=seed,
+        training_version=TRAINING_VERSION,
+    )
+    return Experience(manifest, _arrays(network))
+
+
+def _digest(inputs: FloatArray, gamma: FloatArray) -> str:
+    return hashlib.sha256(
+        inputs.astype("<f8").tobytes() + gamma.astype("<f8").tobytes()
+    ).hexdigest()
+
+
+def _fit(
+    inputs: FloatArray,
+    targets: FloatArray,
+    held_back: np.ndarray,
+    seed: int,
+    threads: int,
+    steps_max: int,
+) -> tuple[torch.nn.Sequential, float]:
+    """Return the network that was best on the points held back, and its error there."""
+    import torch
+
+    threads_before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            return _descend(
+                _network(inputs.shape[1]),
+                torch.tensor(inputs, dtype=torch.float32),
+                torch.tensor(targets, dtype=torch.float32)[:, None],
+                torch.tensor(held_back),
+                steps_max,
+            )
+    finally:
+        torch.set_num_threads(threads_before)
+
+
+def _descend(
+    network: torch.nn.Sequential,
+    inputs: torch.Tensor,
+    targets: torch.Tensor,
+    held_back: torch.Tensor,
+    steps_max: int,
+) -> tuple[torch.nn.Sequential, float]:
+    import torch
+
+    optimizer = torch.optim.AdamW(
+        network.parameters(), lr=_LEARNING_RATE, weight_decay=_WEIGHT_DECAY
+    )
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps_max)
+    learned = inputs[~held_back], targets[~held_back]
+    judged = inputs[held_back], targets[held_back]
+    best, best_step, best_error = copy.deepcopy(network.state_dict()), 0, float("inf")
+    for step in range(steps_max):
+        optimizer.zero_grad()
+        loss = torch.mean((network(learned[0]) - learned[1]) ** 2)
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+        schedule.step()
+        if step % _EVALUATE_EVERY == 0 or step == steps_max - 1:
+            with torch.no_grad():
+                error = float(torch.mean((network(judged[0]) - judged[1]) ** 2).sqrt())
+            if error < best_error:
+                best, best_step, best_error = copy.deepcopy(network.state_dict()), step, error
+            elif step - best_step > _PATIENCE_STEPS:
+                break
+    network.load_state_dict(best)
+    return network, best_error
+
+
+def _network(inputs: int) -> torch.nn.Sequential:
+    import torch
+
+    widths = (inputs, *ExperienceManifest.model_fields["hidden"].default)
+    layers: list[torch.nn.Module] = []
+    for before, after in pairwise(widths):
+        layers += [torch.nn.Linear(before, after), torch.nn.ReLU()]
+    return torch.nn.Sequential(*layers, torch.nn.Linear(widths[-1], 1))
+
+
+def _arrays(network: torch.nn.Sequential) -> dict[str, np.ndarray]:
+    import torch
+
+    arrays = {}
+    linear = [module for module in network if isinstance(module, torch.nn.Linear)]
+    for i, module in enumerate(linear):
+        arrays[f"weight_{i}"] = np.ascontiguousarray(module.weight.detach().numpy().T)
+        arrays[f"bias_{i}"] = module.bias.detach().numpy().copy()
+    return arrays

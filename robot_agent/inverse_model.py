@@ -1,0 +1,59 @@
+"""Inverse models as a robot uses them: no torch, microseconds per call."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from shared.arrays import FloatArray
+from shared.experience import Experience
+
+
+class InverseModel(Protocol):
+    """Maps the inputs of an `InverseLayout` to γ."""
+
+    def __call__(self, inputs: FloatArray) -> FloatArray:
+        """Return γ, shape (m,), for inputs of shape (m, inputs)."""
+
+
+class NetworkInverse:
+    """The feed-forward network of an experience: ReLU layers between standardised ends."""
+
+    def __init__(self, experience: Experience) -> None:
+        manifest, arrays = experience.manifest, experience.arrays
+        self._mean = np.array(manifest.input_mean)
+        self._scale = np.array(manifest.input_scale)
+        self._output = manifest.output_mean, manifest.output_scale
+        layers = len(manifest.hidden) + 1
+        # Double precision: conversions between single and double would cost more than they save.
+        self._layers = [
+            (arrays[f"weight_{i}"].astype(np.float64), arrays[f"bias_{i}"].astype(np.float64))
+            for i in range(layers)
+        ]
+
+    def __call__(self, inputs: FloatArray) -> FloatArray:
+        """Return γ, shape (m,), for inputs of shape (m, inputs)."""
+        activity = (inputs - self._mean) / self._scale
+        for weight, bias in self._layers[:-1]:
+            activity = activity @ weight
+            activity += bias
+            np.maximum(activity, 0.0, out=activity)
+        weight, bias = self._layers[-1]
+        mean, scale = self._output
+        return np.asarray((activity @ weight + bias)[:, 0] * scale + mean)
+
+
+class LinearInverse:
+    """A linear inverse, γ = inputs · w: what a few seconds of data give at once."""
+
+    def __init__(self, inputs: FloatArray, gamma: FloatArray) -> None:
+        """Fit by ridge regression on standardised inputs (m, inputs) and γ (m,)."""
+        scale = np.maximum(inputs.std(axis=0), 1e-12)
+        scaled = inputs / scale
+        normal = scaled.T @ scaled / len(scaled) + 1e-4 * np.eye(len(scale))
+        self.weights = np.linalg.solve(normal, scaled.T @ gamma / len(scaled)) / scale
+
+    def __call__(self, inputs: FloatArray) -> FloatArray:
+        """Return γ, shape (m,), for inputs of shape (m, inputs)."""
+        return np.asarray(inputs @ self.weights)
