@@ -1,0 +1,97 @@
+"""Whether a transferred model still does better than the baseline would, and when to take it back.
+
+Pure decisions: given an error, it answers with the share of the learned correction that may act.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from shared.arrays import FloatArray
+from shared.strict import Positive, Strict
+
+
+class GuardSettings(Strict):
+    """How much worse is allowed, and how fast the prior is taken back.
+
+    The squared error may exceed the baseline's by `budget` of the baseline's whole; the rest of the
+    tolerated 10 % (21 % of the square) is left for the hand-over. A squared error averaged over
+    `window_s` that is `peak_ratio`² times the baseline's worst ends it at once.
+    """
+
+    budget: Positive = 0.04
+    peak_ratio: Positive = 1.3
+    window_s: Positive = 0.2
+    hand_over_s: Positive = 0.4
+
+
+@dataclass(frozen=True)
+class TakenBack:
+    """The event that the guard took the prior back at a sample, and why."""
+
+    sample: int
+    reason: str
+
+
+class Guard:
+    """Compares each tracking error with the one the baseline would have made at that sample."""
+
+    def __init__(
+        self,
+        baseline_error: FloatArray,
+        noise_variance: float,
+        sample_time_s: float,
+        settings: GuardSettings | None = None,
+    ) -> None:
+        """Prepare for one trajectory.
+
+        Args:
+            baseline_error: predicted for the whole path, shape (samples, axes), without noise.
+            noise_variance: of the measured error, summed over the axes.
+            sample_time_s: between two samples.
+            settings: the defaults if left out.
+        """
+        chosen = settings or GuardSettings()
+        square = (baseline_error**2).sum(axis=1)
+        window = max(1, round(chosen.window_s / sample_time_s))
+        smooth = np.convolve(square, np.ones(window) / window, mode="same")
+        self._allowed = np.cumsum(square + noise_variance)
+        self._budget = chosen.budget * float(self._allowed[-1])
+        # Over so few samples the noise may well be a few times its variance.
+        self._peak = chosen.peak_ratio**2 * float(smooth.max()) + 4 * noise_variance
+        self._recent = np.zeros(window)
+        self._hand_over = max(1, round(chosen.hand_over_s / sample_time_s))
+        self._spent = 0.0
+        self.event: TakenBack | None = None
+
+    def judge(self, sample: int, error: FloatArray) -> float:
+        """Take the error at a sample, shape (axes,), and return the correction's share, 0 to 1.
+
+        An error that is not finite counts as the worst there is.
+        """
+        square = float(error @ error)
+        if self.event is None:
+            self._spent += square
+            self._recent[sample % len(self._recent)] = square
+            self.event = self._verdict(sample, square)
+        if self.event is None:
+            return 1.0
+        progress = (sample - self.event.sample + 1) / self._hand_over
+        return 0.5 + 0.5 * math.cos(math.pi * min(1.0, progress))
+
+    def _verdict(self, sample: int, square: float) -> TakenBack | None:
+        if not math.isfinite(square):
+            return TakenBack(sample, "the tracking error is not finite")
+        if float(self._recent.mean()) > self._peak:
+            return TakenBack(
+                sample,
+                f"an error of {math.sqrt(self._recent.mean()):.3g}, more than the baseline's worst",
+            )
+        excess = self._spent - float(self._allowed[sample])
+        if excess > self._budget:
+            ratio = math.sqrt(self._spent / float(self._allowed[sample]))
+            return TakenBack(sample, f"so far {ratio:.2f} times the error of the baseline")
+        return None

@@ -1,0 +1,44 @@
+"""From what a robot did on one path, what it would do on another."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from robots_that_learn import double_integrator
+
+from robot_agent.baseline_model import identify_baseline
+from robot_agent.rich_flight import rich_references
+from shared.errors import InvalidInputError
+from shared.trajectories import travel
+
+
+@pytest.mark.parametrize("noise_std_m", [0.0, 0.002])
+def test_it_predicts_the_baselines_error_on_a_path_it_never_saw(noise_std_m: float) -> None:
+    robot = double_integrator(noise_std_m=noise_std_m)
+    spec = robot.spec
+    references = rich_references(spec, spec.axes, 60.0, np.random.default_rng(0))
+    outputs = robot.run(references)
+    robot.rest()
+    record = (references[:, 0], outputs[:, 0])
+    model = identify_baseline([record], spec.sample_time_s, 6.0)
+    assert model.residual_std == pytest.approx(noise_std_m, rel=0.05, abs=2e-4)
+    path = travel(np.array([[0.0], [0.9], [-0.4], [0.5]]), 0.8, 1.8, spec.sample_time_s)
+    silent = double_integrator()
+    made = (path - silent.run(path))[:, 0]
+    error = model.error(path[:, 0]) - made
+    assert np.sqrt(np.mean(error**2)) < 0.03 * np.sqrt(np.mean(made**2))
+
+
+def test_where_the_path_is_does_not_matter() -> None:
+    reference = np.random.default_rng(0).standard_normal(400).cumsum()
+    model = identify_baseline([(reference, 0.5 * reference)], 0.02, 1.0)
+    np.testing.assert_allclose(model.error(reference), model.error(reference + 5.0), atol=1e-9)
+
+
+def test_too_little_to_learn_from_is_refused() -> None:
+    short = np.zeros(30)
+    with pytest.raises(InvalidInputError, match="too few"):
+        identify_baseline([(short, short)], 0.02, 4.0)
+    broken = np.full(4000, np.nan)
+    with pytest.raises(InvalidInputError, match="not finite"):
+        identify_baseline([(np.zeros(4000), broken)], 0.02, 4.0)

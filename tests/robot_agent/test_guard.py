@@ -1,0 +1,99 @@
+"""The guard takes the prior back when it is worse than the baseline, and only then."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_agent.guard import Guard, GuardSettings
+from shared.arrays import FloatArray
+
+STEP_S = 0.02
+SAMPLES = 500
+
+
+def baseline() -> FloatArray:
+    time_s = np.arange(SAMPLES) * STEP_S
+    return 0.1 * np.stack([np.sin(2 * time_s), np.cos(3 * time_s)], axis=1)
+
+
+def judged(errors: FloatArray, noise_variance: float = 0.0) -> tuple[list[float], Guard]:
+    guard = Guard(baseline(), noise_variance, STEP_S)
+    return [guard.judge(k, error) for k, error in enumerate(errors)], guard
+
+
+def test_a_model_as_good_as_the_baseline_is_left_alone() -> None:
+    shares, guard = judged(baseline())
+    assert shares == [1.0] * SAMPLES
+    assert guard.event is None
+
+
+def test_a_model_that_is_slightly_worse_all_the_way_is_taken_back_in_time() -> None:
+    shares, guard = judged(1.08 * baseline())
+    assert guard.event is not None
+    assert "1.08 times the error of the baseline" in guard.event.reason
+    assert shares[-1] == 0.0
+
+
+def test_an_error_beyond_the_baselines_worst_is_taken_back_within_a_fifth_of_a_second() -> None:
+    errors = 0.2 * baseline()
+    errors[250:] = 0.3
+    _, guard = judged(errors)
+    assert guard.event is not None
+    assert 250 <= guard.event.sample <= 250 + round(0.2 / STEP_S)
+
+
+def test_the_hand_over_is_smooth_and_takes_its_time() -> None:
+    errors = np.full((SAMPLES, 2), 1.0)
+    shares, guard = judged(errors)
+    assert guard.event is not None
+    fall = np.array([1.0, *shares[guard.event.sample :]])
+    steps = round(GuardSettings().hand_over_s / STEP_S)
+    assert (np.diff(fall) <= 0).all()
+    assert np.abs(np.diff(fall)).max() < math.pi / 2 / steps * 1.01
+    assert fall[steps] == pytest.approx(0.0)
+    assert fall[steps - 1] > 0.0
+
+
+def test_once_taken_back_it_stays_so() -> None:
+    errors = np.zeros((SAMPLES, 2))
+    errors[100:120] = 1.0
+    shares, _ = judged(errors)
+    assert shares[-1] == 0.0
+
+
+def test_measurement_noise_is_not_held_against_the_model() -> None:
+    noise = 0.01 * np.random.default_rng(0).standard_normal((SAMPLES, 2))
+    guard = Guard(np.zeros((SAMPLES, 2)), 2 * 0.01**2, STEP_S, GuardSettings(budget=0.2))
+    for k, error in enumerate(noise):
+        guard.judge(k, error)
+    assert guard.event is None
+
+
+def test_an_error_that_is_not_finite_takes_the_prior_back_at_once() -> None:
+    errors = baseline()
+    errors[7, 1] = np.nan
+    _, guard = judged(errors)
+    assert guard.event is not None
+    assert (guard.event.sample, guard.event.reason) == (7, "the tracking error is not finite")
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 1000), st.floats(0.0, 5.0))
+def test_a_model_that_obeys_its_share_never_costs_a_tenth_more_than_the_baseline(
+    seed: int, scale: float
+) -> None:
+    """The error that is left is baseline + share × (what the model adds), a slow walk."""
+    rng = np.random.default_rng(seed)
+    harm = scale * 0.05 * np.cumsum(rng.standard_normal((SAMPLES, 2)), axis=0) / math.sqrt(SAMPLES)
+    own, guard = baseline(), Guard(baseline(), 0.0, STEP_S)
+    share, spent = 1.0, 0.0
+    for k in range(SAMPLES):
+        error = own[k] + share * harm[k]
+        spent += float(error @ error)
+        share = guard.judge(k, error)
+    assert math.sqrt(spent / float((own**2).sum())) <= 1.1
