@@ -1,0 +1,147 @@
+"""Ways to select a source, all on the same fleets: Algorithm 1, sweeps, and the default."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from benchmarks.selection_fleets import BAND_RAD_S, Fleet
+from orchestrator.adaptive_selection import AdaptiveStudy
+from orchestrator.experience_selection import SEGMENT_MIN_S, SEGMENTS, PaperStudy
+from orchestrator.study import Study, StudyPlan
+from orchestrator.tone_choice import ToneChoice
+from shared.chordal import chordal_distance
+from shared.excitation import Excitation, Tone
+from shared.frequency_response import FrequencyResponse
+
+PAPER_ITERATIONS = 12
+ADAPTIVE_ROUNDS = 8
+SWEEP_TONES = 9
+RANDOM_TONES = 12
+LONG_TEST_PERIODS = 55
+"""The long test measures for so many periods of the band's upper end, at 27 tones."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """What is selected after a round, how sure the method is of it, and robot-seconds so far."""
+
+    selected: str
+    confidence: float | None
+    robot_time_s: float
+
+
+@dataclass
+class Trace:
+    """All rounds of one method on one fleet, and how it ended."""
+
+    steps: list[Step] = field(default_factory=list)
+    eliminated: int = 0
+    stopped_because: str = ""
+
+
+def paper(fleet: Fleet, rng: np.random.Generator) -> Trace:
+    """Algorithm 1 as printed."""
+    return follow(PaperStudy(_plan(fleet, PAPER_ITERATIONS), rng), fleet)
+
+
+def default(fleet: Fleet, rng: np.random.Generator) -> Trace:
+    """The new default, until it stops by itself."""
+    return follow(adaptive(fleet, rng), fleet)
+
+
+def adaptive(fleet: Fleet, rng: np.random.Generator) -> AdaptiveStudy:
+    """Return the default's study of a fleet, not begun."""
+    specs = {name: robot.spec for name, robot in fleet.robots.items()}
+    return AdaptiveStudy(_plan(fleet, ADAPTIVE_ROUNDS), specs, rng)
+
+
+def follow(study: Study, fleet: Fleet) -> Trace:
+    """Conduct a study on a fleet to its end."""
+    trace = Trace()
+    robots = fleet.robots
+    robot_time_s = 0.0
+    while (question := study.ask()) is not None:
+        responses: dict[str, FrequencyResponse] = {}
+        failed: dict[str, str] = {}
+        for name, excitation in question.tests.items():
+            response, duration_s = robots[name].test(excitation)
+            robot_time_s += duration_s
+            if response.quality.usable:
+                responses[name] = response
+            else:
+                failed[name] = str(response.quality)
+        report = study.tell(responses, failed)
+        trace.steps.append(Step(report.selected, report.confidence, robot_time_s))
+        trace.eliminated = len(report.eliminated)
+        trace.stopped_because = report.stopped_because or ""
+    return trace
+
+
+def uniform_sweep(fleet: Fleet, _rng: np.random.Generator) -> Trace:
+    """Single tones, equally spaced."""
+    return _single_tones(fleet, np.linspace(*BAND_RAD_S, SWEEP_TONES).tolist())
+
+
+def logarithmic_sweep(fleet: Fleet, _rng: np.random.Generator) -> Trace:
+    """Single tones, equally spaced on a logarithmic axis."""
+    return _single_tones(fleet, np.geomspace(*BAND_RAD_S, SWEEP_TONES).tolist())
+
+
+def random_search(fleet: Fleet, rng: np.random.Generator) -> Trace:
+    """Single tones, drawn uniformly."""
+    return _single_tones(fleet, rng.uniform(*BAND_RAD_S, RANDOM_TONES).tolist())
+
+
+def long_multitone(fleet: Fleet, _rng: np.random.Generator) -> Trace:
+    """One long test of many tones on every robot."""
+    harmonics = tuple(range(3, LONG_TEST_PERIODS + 1, 2))
+    choice = ToneChoice(LONG_TEST_PERIODS * 2 * np.pi / BAND_RAD_S[1], harmonics)
+    return _largest_so_far(fleet, [choice.excitation("x")])
+
+
+METHODS: dict[str, Callable[[Fleet, np.random.Generator], Trace]] = {
+    "algorithm-1": paper,
+    "uniform-sweep": uniform_sweep,
+    "log-sweep": logarithmic_sweep,
+    "random-search": random_search,
+    "long-multitone": long_multitone,
+    "default": default,
+}
+
+
+def _plan(fleet: Fleet, rounds: int) -> StudyPlan:
+    return StudyPlan("target", tuple(fleet.sources), BAND_RAD_S, rounds, "x")
+
+
+def _single_tones(fleet: Fleet, omegas_rad_s: Sequence[float]) -> Trace:
+    return _largest_so_far(
+        fleet,
+        [
+            Excitation(
+                axis="x",
+                tones=(Tone(omega_rad_s=omega),),
+                segments=SEGMENTS,
+                segment_min_s=SEGMENT_MIN_S,
+            )
+            for omega in omegas_rad_s
+        ],
+    )
+
+
+def _largest_so_far(fleet: Fleet, tests: Sequence[Excitation]) -> Trace:
+    """Select by the largest ψ̂ that was measured of each source, after every test."""
+    trace = Trace()
+    robot_time_s = 0.0
+    largest = dict.fromkeys(fleet.sources, 0.0)
+    for excitation in tests:
+        answers = {name: robot.test(excitation) for name, robot in fleet.robots.items()}
+        robot_time_s += sum(duration_s for _, duration_s in answers.values())
+        at_target = answers["target"][0].z
+        for source in largest:
+            psi = chordal_distance(at_target, answers[source][0].z)
+            largest[source] = max(largest[source], float(np.nanmax(psi)))
+        trace.steps.append(Step(min(largest, key=lambda s: largest[s]), None, robot_time_s))
+    return trace

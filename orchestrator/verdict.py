@@ -1,0 +1,141 @@
+"""To share or not to share: whether a source's experience will help the target, before it is tried.
+
+Put before the target as a prefilter, the source's inverse leaves the error e = (1 − z_T/z_S) y_d;
+without it the target's own loop leaves (1 − z_T) y_d. Transfer helps where the first is smaller; it
+is not symmetric, since |1 − z_T/z_S| = |z_S − z_T| / |z_S|.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from orchestrator.trajectory_spectrum import Spectrum
+from shared.arrays import ComplexArray, FloatArray
+
+OUTSIDE_MAX = 0.05
+OUTSIDE_REPORTED = 0.001
+"""Share of the motion outside the tested band: above the first nothing can be said of the whole."""
+
+GAIN_MIN = 1e-9
+"""A source that answers less than this cannot be inverted."""
+
+
+class Verdict(StrEnum):
+    """What to do with a source's experience."""
+
+    TRANSFER = "transfer"
+    DO_NOT_TRANSFER = "do not transfer"
+    NEED_MORE_TESTS = "need more tests"
+
+
+@dataclass(frozen=True)
+class Interval:
+    """The median of what is believed of a quantity, and the bounds it lies in with 1 − δ."""
+
+    low: FloatArray
+    median: FloatArray
+    high: FloatArray
+
+    @staticmethod
+    def of(samples: FloatArray, delta: float) -> Interval:
+        """Return the interval of samples along their first axis."""
+        low, median, high = np.quantile(samples, [delta / 2, 0.5, 1 - delta / 2], axis=0)
+        return Interval(low, median, high)
+
+
+@dataclass(frozen=True)
+class TransferPrediction:
+    """What transfer from `source` to `target` is expected to do, and the verdict.
+
+    The gains |error / trajectory| with and without transfer have shape (frequencies,); the errors
+    are root mean squares relative to that of the trajectory; `reduction` is 1 − with / without.
+    """
+
+    source: str
+    target: str
+    omega_rad_s: FloatArray
+    gain_with: Interval
+    gain_without: Interval
+    error_with: Interval
+    error_without: Interval
+    reduction: Interval
+    probability_helps: float
+    verdict: Verdict
+    reason: str
+
+
+def predict_transfer(
+    source: tuple[str, ComplexArray],
+    target: tuple[str, ComplexArray],
+    spectrum: Spectrum,
+    tested_band_rad_s: tuple[float, float],
+    *,
+    delta: float = 0.05,
+) -> TransferPrediction:
+    """Judge a transfer in one direction; exchange source and target for the other.
+
+    Args:
+        source: its name, and joint samples of its response at the spectrum's frequencies, shape
+            (samples, frequencies).
+        target: the same of the robot that the experience would go to.
+        spectrum: of the trajectory to be flown, or flat.
+        tested_band_rad_s: where the responses were measured.
+        delta: probability of a wrong verdict that is accepted.
+    """
+    (source_name, z_source), (target_name, z_target) = source, target
+    invertible = np.maximum(np.abs(z_source), GAIN_MIN)
+    gain_with = np.abs(z_source - z_target) / invertible
+    gain_without = np.abs(1 - z_target)
+    share = spectrum.power / spectrum.power.sum()
+    error_with = np.sqrt(gain_with**2 @ share)
+    error_without = np.sqrt(gain_without**2 @ share)
+    helps = float(np.mean(error_with < error_without))
+    reduction = Interval.of(1 - error_with / np.maximum(error_without, GAIN_MIN), delta)
+    verdict, reason = _judge(helps, reduction, spectrum.outside(tested_band_rad_s), delta)
+    return TransferPrediction(
+        source=source_name,
+        target=target_name,
+        omega_rad_s=spectrum.omega_rad_s,
+        gain_with=Interval.of(gain_with, delta),
+        gain_without=Interval.of(gain_without, delta),
+        error_with=Interval.of(error_with, delta),
+        error_without=Interval.of(error_without, delta),
+        reduction=reduction,
+        probability_helps=helps,
+        verdict=verdict,
+        reason=reason,
+    )
+
+
+def best_first(predictions: list[TransferPrediction]) -> list[TransferPrediction]:
+    """Return the predictions of several sources for one target, smallest error first."""
+    return sorted(predictions, key=lambda p: float(p.error_with.median))
+
+
+def _judge(
+    helps: float, reduction: Interval, outside: tuple[float, float], delta: float
+) -> tuple[Verdict, str]:
+    below, above = outside
+    parts = [
+        f"{100 * share:.2g} % of its motion is {where} the tested band"
+        for share, where in ((below, "below"), (above, "above"))
+        if share > OUTSIDE_REPORTED
+    ]
+    leaves = f"; the trajectory leaves the tested band: {' and '.join(parts)}" if parts else ""
+    low, median, high = (100 * float(x) for x in (reduction.low, reduction.median, reduction.high))
+    if below + above > OUTSIDE_MAX:
+        return Verdict.NEED_MORE_TESTS, f"nothing is known of much of it{leaves}"
+    if helps >= 1 - delta:
+        text = f"the error is expected to fall by {median:.0f} % ({low:.0f} to {high:.0f} %)"
+        return Verdict.TRANSFER, text + leaves
+    if helps <= delta:
+        text = f"the error is expected to grow by {-median:.0f} % ({-high:.0f} to {-low:.0f} %)"
+        return Verdict.DO_NOT_TRANSFER, text + leaves
+    text = (
+        f"it helps with probability {helps:.2f}: the change of the error is between "
+        f"{-high:+.0f} % and {-low:+.0f} %"
+    )
+    return Verdict.NEED_MORE_TESTS, text + leaves

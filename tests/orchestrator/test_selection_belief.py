@@ -1,0 +1,53 @@
+"""Who is the closest, how sure is that, and who is out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from orchestrator.selection_belief import SelectionBelief
+from shared.arrays import FloatArray
+
+OMEGA = np.array([1.0, 2.0])
+
+
+def belief(**psi_star: FloatArray) -> SelectionBelief:
+    stars = np.stack(list(psi_star.values()))
+    return SelectionBelief(tuple(psi_star), OMEGA, np.stack([0.5 * stars, stars], axis=-1), stars)
+
+
+def test_distances_are_those_of_responses_drawn_together() -> None:
+    target = np.array([[1.0 + 0j, 0.5], [2.0, 1.0]])
+    found = SelectionBelief.of(OMEGA, target, {"twin": target, "silent": np.zeros((2, 2), complex)})
+    assert found.psi_star[0].tolist() == [0.0, 0.0]
+    oracle = [1 / np.sqrt(2), 2 / np.sqrt(5)]  # ψ(z, 0) = |z| / √(1 + |z|²)
+    np.testing.assert_allclose(found.psi_star[1], oracle)
+
+
+def test_an_error_that_sources_share_does_not_make_their_order_uncertain() -> None:
+    shared = np.random.default_rng(0).normal(0.3, 0.1, 500)
+    leader, confidence = belief(near=shared, far=shared + 0.05).leader(0.01)
+    assert (leader, confidence) == ("near", 1.0)
+
+
+def test_confidence_is_the_chance_of_being_within_epsilon() -> None:
+    rng = np.random.default_rng(0)
+    first, second = rng.normal(0.300, 0.01, 20_000), rng.normal(0.305, 0.01, 20_000)
+    leader, confidence = belief(first=first, second=second).leader(0.01)
+    assert leader == "first"
+    # P(N(−0.005, √2 · 0.01) < 0.01) = Φ(0.015 / 0.01414)
+    assert confidence == pytest.approx(0.8556, abs=0.01)
+
+
+def test_a_source_is_out_only_when_it_is_surely_behind() -> None:
+    rng = np.random.default_rng(0)
+    samples = {
+        "leader": rng.normal(0.1, 0.01, 400),
+        "rival": rng.normal(0.12, 0.02, 400),
+        "far": rng.normal(0.5, 0.02, 400),
+        "unknown": rng.normal(0.5, 0.2, 400),
+    }
+    out = belief(**samples).hopeless("leader", 0.05)
+    assert set(out) == {"far"}
+    assert out["far"].startswith("its worst-case distance is 0.399")
+    assert out["far"].endswith("leader")

@@ -1,0 +1,51 @@
+"""The duration that is expected of a test is the one that a robot plans."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robot_agent.excitation import plan_excitation
+from shared.excitation import Excitation, Tone
+from shared.excitation_duration import duration_s
+from shared.robot_spec import AxisSpec, RobotSpec
+
+omegas = st.lists(st.integers(1, 200), min_size=1, max_size=12, unique=True)
+
+
+@given(
+    hundredths=omegas,
+    segments=st.integers(3, 8),
+    segment_min_s=st.floats(0.0, 20.0),
+    settle_s=st.none() | st.floats(0.0, 20.0),
+    settling_time_s=st.floats(0.0, 50.0),
+    sample_time_s=st.sampled_from([0.005, 0.015, 0.02]),
+)
+def test_it_is_the_duration_of_the_robots_own_plan(
+    hundredths: list[int],
+    segments: int,
+    segment_min_s: float,
+    settle_s: float | None,
+    settling_time_s: float,
+    sample_time_s: float,
+) -> None:
+    spec = RobotSpec(
+        kind="any",
+        axes=(AxisSpec(name="x", unit="m", amplitude_max=1, velocity_max=1, acceleration_max=1),),
+        sample_time_s=sample_time_s,
+        omega_min_rad_s=1e-3,
+        omega_max_rad_s=100.0,
+        duration_max_s=1e6,
+        settling_time_s=settling_time_s,
+        simulated=True,
+    )
+    excitation = Excitation(
+        axis="x",
+        tones=tuple(Tone(omega_rad_s=h / 20) for h in hundredths),
+        segments=segments,
+        segment_min_s=segment_min_s,
+        settle_s=settle_s,
+    )
+    plan = plan_excitation(excitation, spec, "robot")
+    assert duration_s(excitation, spec) == pytest.approx(plan.duration_s, rel=1e-12)
