@@ -27,6 +27,7 @@ from shared.messages import (
     RobotStatus,
 )
 from shared.robot_spec import RobotSpec
+from shared.strict import as_reason
 
 MAX_RESULT_SAMPLES = (MAX_MESSAGE_BYTES - 2 * MAX_BODY_BYTES) // 16
 """A longer motion is refused: its reference and response would not fit into one message."""
@@ -224,7 +225,7 @@ class Decisions:
                 status=status,
                 goal_id=self._goals.running,
                 progress=self._progress,
-                reason=reason[:2000],
+                reason=as_reason(reason),
                 last_goal_id=self._last_goal,
                 robot_time_s=self._robot_time_s,
             )

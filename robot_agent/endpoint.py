@@ -19,6 +19,7 @@ from shared.codec import Message, encode
 from shared.errors import MalformedMessageError, RefusedError, TransportError
 from shared.keys import FleetKeys
 from shared.messages import Refusal
+from shared.strict import as_reason
 from shared.transport import Request, Session
 
 MAX_REQUEST_BYTES = 64 * 1024
@@ -125,21 +126,21 @@ def _answered(ask: Callable[[], A]) -> A | Refusal:
     try:
         return ask()
     except RefusedError as error:
-        return Refusal(code=error.code, reason=error.reason[:2000])
+        return Refusal(code=error.code, reason=as_reason(error.reason))
     except MalformedMessageError as error:
-        return Refusal(code="malformed", reason=str(error)[:2000])
+        return Refusal(code="malformed", reason=as_reason(error))
     except CancelledError:
         return _SHUTTING_DOWN
     except Exception as error:  # noqa: BLE001 - one bad request must not end the agent
         _log.exception("answering a request")
-        return Refusal(code="internal-error", reason=repr(error)[:2000])
+        return Refusal(code="internal-error", reason=as_reason(repr(error)))
 
 
 def _send(request: Request, answer: Message) -> None:
     try:
         payload = encode(answer)
     except MalformedMessageError as error:
-        payload = encode(Refusal(code="too-large", reason=str(error)))
+        payload = encode(Refusal(code="too-large", reason=as_reason(error)))
     try:
         request.answer(payload)
     except TransportError as error:

@@ -19,6 +19,7 @@ from shared.arrays import FloatArray
 from shared.codec import Message
 from shared.errors import RobotError
 from shared.messages import Done, GoalResult, Outcome, Refusal
+from shared.strict import as_reason
 from shared.transport import Publisher
 
 _log = logging.getLogger(__name__)
@@ -80,7 +81,7 @@ class MotionWorker:
             goal_id=motion.goal.goal_id,
             boot_id=self._boot_id,
             outcome=played.outcome,
-            reason=played.reason[:2000],
+            reason=as_reason(played.reason),
             plan=motion.plan,
             reference=played.reference,
             response=played.response,
@@ -125,4 +126,4 @@ class MotionWorker:
             _log.exception("a robot could not be connected anew")
             fault = f"could not be connected anew: {error}"
         self._decisions.reconnected(fault)
-        return Done() if fault is None else Refusal(code="fault", reason=fault[:2000])
+        return Done() if fault is None else Refusal(code="fault", reason=as_reason(fault))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from shared.messages import Outcome, Refusal
+from shared.strict import as_reason
 
 
 @dataclass(frozen=True)
@@ -112,12 +113,14 @@ def refusal_to_start(state: Supervision, *, owner: str, owner_alive: bool) -> Re
     if state.fault is not None:
         return Refusal(
             code="fault",
-            reason=f"{state.fault[:1500]}; see to the robot, then release it: it is connected anew",
+            reason=as_reason(f"see to the robot, then release it: {state.fault}"),
         )
     if state.stop is not None:
         return Refusal(
             code="stopped",
-            reason=f"stopped by {state.stop.sender}: {state.stop.reason[:1500]}; release it first",
+            reason=as_reason(
+                f"release it first: it was stopped by {state.stop.sender}: {state.stop.reason}"
+            ),
         )
     if not owner_alive:
         return Refusal(

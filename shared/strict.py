@@ -23,8 +23,18 @@ Identifier = Annotated[str, StringConstraints(pattern=r"^[0-9a-z][0-9a-z._-]{0,1
 
 Long enough for names joined by dots, such as `{run}.{iteration}.{robot}.{attempt}`."""
 
-Reason = Annotated[str, StringConstraints(max_length=2000)]
+REASON_MAX_CHARACTERS = 2000
+
+Reason = Annotated[str, StringConstraints(max_length=REASON_MAX_CHARACTERS)]
 """A sentence for people."""
+
+
+def as_reason(text: object) -> str:
+    """Return any text, such as a driver's error, as one that is valid as a Reason: cut to length,
+    with what cannot be written as UTF-8 replaced.
+    """
+    return str(text).encode(errors="replace").decode()[:REASON_MAX_CHARACTERS]
+
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]

@@ -61,14 +61,14 @@ def test_a_robot_error_fails_the_goal_and_leaves_the_robot_in_service(lab: Lab) 
 def broken_driver(robot: PuppetRobot) -> None:
     def on_sample(k: int) -> None:
         if k == 50:
-            raise OSError("the serial line is gone")
+            raise OSError("the serial line is gone", "\udcff" * 3000)
 
     robot.on_sample = on_sample
 
 
 def stuck_brake(robot: PuppetRobot) -> None:
     def on_rest() -> None:
-        raise RobotError("the serial line is gone")
+        raise RobotError("the serial line is gone" + "\udcff" * 3000)
 
     robot.on_rest = on_rest
 

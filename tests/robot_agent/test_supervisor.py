@@ -162,7 +162,7 @@ def test_a_refusal_says_what_to_do() -> None:
     refusal = refusal_to_start(stopped, owner=ME, owner_alive=True)
     assert refusal is not None
     assert refusal.code == "stopped"
-    assert refusal.reason == "stopped by alice: smoke; release it first"
+    assert refusal.reason == "release it first: it was stopped by alice: smoke"
     broken, _ = supervise(Supervision(), Reconnected("no such port"))
     refusal = refusal_to_start(broken, owner=ME, owner_alive=True)
     assert refusal is not None
@@ -175,6 +175,6 @@ def test_a_refusal_says_what_to_do() -> None:
 
 
 def test_reasons_of_any_length_still_make_a_refusal() -> None:
-    long = "x" * 2000
+    long = "x" * 2000 + "\udcff"
     for state in (Supervision(stop=StopOrder("a" * 200, long)), Supervision(fault=long * 3)):
         assert refusal_to_start(state, owner="o" * 200, owner_alive=True) is not None

@@ -1,0 +1,64 @@
+"""What comes from outside: nothing is coerced, nothing unknown is let in, any text can be said."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import TypeAdapter, ValidationError
+
+from shared.strict import Identifier, Name, Reason, Strict, as_reason
+
+
+class Sample(Strict):
+    count: int
+    share: float = 0.5
+
+
+REASON: TypeAdapter[str] = TypeAdapter(Reason)
+
+
+@given(text=st.text(max_size=50) | st.text(st.characters(categories=["Cs"])) | st.just("ä" * 5000))
+def test_any_text_can_be_given_as_a_reason(text: str) -> None:
+    reason = REASON.validate_python(as_reason(text))
+    if len(text) <= 2000 and text.isascii():
+        assert reason == text
+    assert len(reason) == min(len(text), 2000)
+
+
+def test_an_error_can_be_given_as_a_reason() -> None:
+    assert as_reason(OSError("the line is gone")) == "the line is gone"
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        '{"count": "1"}',
+        '{"count": 1.5}',
+        '{"count": true}',
+        '{"count": null}',
+        '{"count": 1, "share": NaN}',
+        '{"count": 1, "share": Infinity}',
+        '{"count": 1, "share": "0.5"}',
+        '{"count": 1, "more": 1}',
+        "{}",
+        "[]",
+    ],
+)
+def test_what_is_not_exactly_right_is_refused(wrong: str) -> None:
+    with pytest.raises(ValidationError):
+        Sample.model_validate_json(wrong)
+
+
+def test_a_value_cannot_be_changed() -> None:
+    sample = Sample(count=1)
+    with pytest.raises(ValidationError):
+        sample.count = 2  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("kind", [Name, Identifier])
+def test_a_trailing_newline_is_not_overlooked(kind: type[str]) -> None:
+    adapter: TypeAdapter[str] = TypeAdapter(kind)
+    assert adapter.validate_python("a") == "a"
+    with pytest.raises(ValidationError):
+        adapter.validate_python("a\n")
