@@ -22,7 +22,7 @@ class GuardSettings(Strict):
     `window_s` that is `peak_ratio`² times the baseline's worst ends it at once.
     """
 
-    budget: Positive = 0.04
+    budget: Positive = 0.02
     peak_ratio: Positive = 1.3
     window_s: Positive = 0.2
     hand_over_s: Positive = 0.4

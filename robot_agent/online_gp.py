@@ -81,6 +81,8 @@ class OnlineGp:
         self._inputs: list[FloatArray] = [np.empty((0, dimension)) for _ in priors]
         self._residuals: list[FloatArray] = [np.empty((0, 1)) for _ in priors]
         self._start_variance = float(start.signal_variance)
+        self._eased = np.zeros(len(priors))
+        self._ease = 1.0 / (1.0 + layout.gp_ease_samples)
         self.dropped = 0
 
     def learn(self, axis: int, inputs: FloatArray, gamma: float) -> None:
@@ -99,7 +101,10 @@ class OnlineGp:
         self._residuals[axis] = np.concatenate([self._residuals[axis][keep:], [[residual]]])
 
     def correct(self, inputs: FloatArray) -> Correction:
-        """Refit every axis and return γ at the inputs, shape (axes, inputs)."""
+        """Refit every axis and return γ at the inputs, shape (axes, inputs).
+
+        The mean takes effect over the layout's `gp_ease_samples`, so call it once per sample.
+        """
         axes = len(self._priors)
         prior, mean, variance = np.zeros(axes), np.zeros(axes), np.full(axes, self._start_variance)
         outcomes = []
@@ -114,7 +119,8 @@ class OnlineGp:
             if outcomes[-1] is Outcome.FITTED:
                 means, variances = self._fits[axis].predict(self._layout.gp_inputs(row))
                 mean[axis], variance[axis] = means[0, 0], variances[0, 0]
-        return Correction(prior, mean, variance, tuple(outcomes))
+        self._eased += self._ease * (mean - self._eased)
+        return Correction(prior, self._eased.copy(), variance, tuple(outcomes))
 
     def _fit(self, axis: int) -> Outcome:
         if not len(self._inputs[axis]):

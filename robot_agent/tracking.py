@@ -222,14 +222,15 @@ class _Flight:
         return correction, self._bounded(k, wished, previous)
 
     def _bounded(self, k: int, wished: FloatArray, previous: FloatArray) -> FloatArray:
-        """Return the reference that may be sent: within its bounds, and the guard's share of it."""
+        """Return the reference that may be sent: the guard's share of it, within its bounds."""
         wanted, limits = self._desired[k], self._limits
         before = previous - self._desired[max(0, k - 1)]
         step = limits.correction_speed_max * self._robot.spec.sample_time_s
         near = np.clip(wished - wanted, -limits.correction_max, limits.correction_max)
-        held = np.clip(near, before - step, before + step)
-        self._limited[k] = bool((held != wished - wanted).any())
-        return np.asarray(wanted + self._share[k] * held)
+        shared = self._share[k] * near
+        held = np.clip(shared, before - step, before + step)
+        self._limited[k] = bool((near != wished - wanted).any() or (held != shared).any())
+        return np.asarray(wanted + held)
 
     def record(self, failure: str | None) -> TrackingRecord:
         done = slice(0, self._done)

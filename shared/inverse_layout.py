@@ -87,6 +87,15 @@ class InverseLayout(Strict):
         return max(1, self.horizon_samples // 2)
 
     @property
+    def gp_ease_samples(self) -> int:
+        """Over how many samples a new mean of the GP takes effect.
+
+        A preview moves nothing fast, so its correction need not be; one that jumps from refit to
+        refit would excite the robot beyond its band and teach the process that.
+        """
+        return self.horizon_samples // 2 if self.architecture == "preview" else 0
+
+    @property
     def _velocity(self) -> int | None:
         return self.states.index("velocity") if "velocity" in self.states else None
 

@@ -91,17 +91,17 @@ def test_the_preview_of_a_more_similar_source_tracks_better() -> None:
     assert errors[-1] < baseline().rms_error
 
 
-def test_the_online_process_improves_a_preview_that_is_off() -> None:
+def test_the_online_process_learns_the_bias_of_a_preview() -> None:
     robot = double_integrator()
     layout = chosen("preview").layout
     own = linear(layout, flown())
 
     def off(inputs: FloatArray) -> FloatArray:
-        return 0.7 * own(inputs)
+        return own(inputs) + 0.2
 
     alone = track(robot, PATH, LIMITS, learner(layout, off, window=0))
     online = track(robot, PATH, LIMITS, learner(layout, off))
-    assert online.rms_error < 0.95 * alone.rms_error
+    assert online.rms_error < 0.8 * alone.rms_error
     assert np.abs(online.mean).max() > 0
     assert np.abs(alone.mean).max() == 0
 
