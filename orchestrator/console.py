@@ -24,10 +24,14 @@ class ConsoleObserver:
         self._console = console
         self._iterations = iterations
         self._dropped: set[str] = set()
+        self._eliminated: set[str] = set()
 
     def asked(self, question: Question) -> None:
         """Say what the robots play now."""
-        tones = ", ".join(f"{omega:.3f}" for omega in question.omega_rad_s)
+        played = question.omega_rad_s
+        tones = ", ".join(f"{omega:.3f}" for omega in played)
+        if len(played) > 3:
+            tones = f"{len(played)} tones from {played[0]:.3f} to {played[-1]:.3f}"
         self._console.print(
             f"[bold]iteration {question.iteration}/{self._iterations}[/]  "
             f"{len(question.robots)} robots play {tones} rad/s"
@@ -47,9 +51,25 @@ class ConsoleObserver:
             if isinstance(outcome, Measured):
                 for warning in outcome.response.quality.warnings:
                     self._console.print(f"  [yellow]{outcome.robot}: {warning}[/]")
+        self._print_ranking(report)
+        self._print_confidence(report)
+
+    def _print_confidence(self, report: Report) -> None:
+        for robot, reason in report.eliminated.items():
+            if robot not in self._eliminated:
+                self._eliminated.add(robot)
+                self._console.print(f"  {robot} is not tested any more: {reason}")
+        for finding in report.findings:
+            self._console.print(f"  [yellow]{finding}[/]")
+        if report.confidence is not None:
+            self._console.print(f"  right with probability {report.confidence:.3f}")
+        if report.stopped_because is not None:
+            self._console.print(f"  done: {report.stopped_because}")
+
+    def _print_ranking(self, report: Report) -> None:
         for estimate in report.ranking:
             sample = report.sampled_psi.get(estimate.robot)
-            measured = "not measured" if sample is None else f"ψ = {sample:.4f}"
+            measured = "" if sample is None else f"ψ = {sample:.4f}"
             leader = "  [green]← closest[/]" if estimate.robot == report.selected else ""
             self._console.print(
                 f"  {estimate.robot:<16} {measured:<12}  "

@@ -193,6 +193,10 @@ class Dispatcher:
             return state.boot_id != accepted.boot_id or state.last_goal_id == goal_id
 
         while not watch.wait_until(settled, timeout_s=HEARTBEAT_LOST_S / 2):
+            state = watch.state
+            if state is not None and state.goal_id != goal_id and watch.silent_s < HEARTBEAT_LOST_S:
+                # Two heartbeats later it still does something else: it has ended, unheard.
+                return
             if watch.silent_s > HEARTBEAT_LOST_S:
                 raise RobotLostError(
                     f"robot {watch.robot} went silent during {goal_id}: "

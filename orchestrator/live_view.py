@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 
 from orchestrator.dispatcher import Measured, TestOutcome
 from orchestrator.fleet import Fleet
-from orchestrator.study import Question, Report, StudyPlan
+from orchestrator.study import Question, Report, Responses, StudyPlan
 from orchestrator.study_clock import StudyClock
 from orchestrator.viewer.events import (
     IterationEvent,
@@ -72,14 +72,15 @@ class LiveView:
             if missing:
                 step_s = result.plan.sample_time_s
                 self._draw(outcome.robot, 0, step_s, result.reference, result.response)
+        omega_rad_s, responses = together(report.responses, self._plan.target)
         longest_s = max((o.result.plan.duration_s for o in measured), default=0.0)
         self._clock.advance_to(self._asked_s + longest_s)
         self._emit(
             IterationEvent(
                 t_s=self._clock.now_s(),
                 iteration=question.iteration,
-                omega_rad_s=question.omega_rad_s,
-                responses={robot: tuple(r.z.tolist()) for robot, r in report.responses.items()},
+                omega_rad_s=omega_rad_s,
+                responses=responses,
                 target=self._plan.target,
                 curves=report.curves,
                 ranking=report.ranking,
@@ -129,3 +130,26 @@ class LiveView:
                 response=response,
             )
         )
+
+
+def together(
+    responses: Responses, target: str
+) -> tuple[tuple[float, ...], dict[str, tuple[complex, ...]]]:
+    """Return the frequencies of the target's test, and z there of every robot that played them.
+
+    Robots may play different tones in one round; only what was played by both is drawn together.
+    When the target rested, the first robot takes its place.
+    """
+    if not responses:
+        return (), {}
+    leader = responses[target] if target in responses else next(iter(responses.values()))
+    omega_rad_s = tuple(leader.omega_rad_s.tolist())
+    z = {
+        robot: dict(zip(response.omega_rad_s.tolist(), response.z.tolist(), strict=True))
+        for robot, response in responses.items()
+    }
+    return omega_rad_s, {
+        robot: tuple(values[omega] for omega in omega_rad_s)
+        for robot, values in z.items()
+        if all(omega in values for omega in omega_rad_s)
+    }

@@ -6,10 +6,11 @@ import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
+from orchestrator.adaptive_selection import AdaptiveStudy
 from orchestrator.dispatcher import Dispatcher, Measured, TestOutcome
 from orchestrator.experience_selection import PaperStudy
 from orchestrator.fleet import Fleet
@@ -23,10 +24,12 @@ from orchestrator.results import (
     RunRecord,
 )
 from orchestrator.run_folder import RunFolder
-from orchestrator.study import Curve, Question, Report, StudyPlan
+from orchestrator.study import Curve, Question, Report, Study, StudyPlan
 from shared.arrays import FloatArray
 from shared.chordal import chordal_distance, worst_case_chordal_distance
 from shared.messages import Description
+
+Algorithm = Literal["paper", "adaptive"]
 
 
 @dataclass(frozen=True)
@@ -82,11 +85,20 @@ def prepare(fleet: Fleet, request: RankRequest, there: tuple[str, ...]) -> Ready
     return ReadyStudy(plan, descriptions, _closed_form(plan, descriptions))
 
 
+def new_study(algorithm: Algorithm, ready: ReadyStudy, rng: np.random.Generator) -> Study:
+    """Return a study that begins: the paper's Algorithm 1, or the adaptive one."""
+    if algorithm == "paper":
+        return PaperStudy(ready.plan, rng)
+    specs = {robot: description.spec for robot, description in ready.descriptions.items()}
+    return AdaptiveStudy(ready.plan, specs, rng)
+
+
 def run_study(
     fleet: Fleet,
     ready: ReadyStudy,
     *,
     seed: int,
+    algorithm: Algorithm,
     folder: RunFolder,
     observers: Sequence[RankingObserver],
 ) -> RunRecord:
@@ -95,8 +107,8 @@ def run_study(
     recorder = _Recorder(folder)
     everyone = _Together([recorder, *observers])
     dispatcher = Dispatcher(fleet, on_attempt_failed=everyone.attempt_failed)
-    folder.write_configuration(_configuration(ready, seed))
-    study = PaperStudy(ready.plan, np.random.default_rng(seed))
+    folder.write_configuration({**_configuration(ready, seed), "algorithm": algorithm})
+    study = new_study(algorithm, ready, np.random.default_rng(seed))
     conclusion = conduct(study, folder.path.name.lower(), dispatcher, everyone)
     record = RunRecord(
         result=_result(ready.plan, conclusion, folder),
@@ -166,6 +178,9 @@ def _result(plan: StudyPlan, conclusion: Conclusion, folder: RunFolder) -> RankR
         iterations=conclusion.iterations,
         robot_time_s=conclusion.robot_time_s,
         run=str(folder.path),
+        confidence=conclusion.confidence,
+        eliminated=dict(conclusion.eliminated) if conclusion.confidence is not None else None,
+        stopped_because=conclusion.stopped_because,
     )
 
 

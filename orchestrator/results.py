@@ -13,7 +13,10 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class RankResult(Strict):
-    """What `nufleet rank --json` prints: the ranking, best first, and what it cost."""
+    """What `nufleet rank --json` prints: the ranking, best first, and what it cost.
+
+    The last three are those of an algorithm that knows how sure it is.
+    """
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
     target: str
@@ -23,6 +26,13 @@ class RankResult(Strict):
     iterations: Count
     robot_time_s: NonNegative
     run: str
+    confidence: float | None = None
+    eliminated: dict[str, str] | None = None
+    stopped_because: str | None = None
+
+    def document(self) -> str:
+        """Return the JSON that other programs read: what the algorithm does not say is left out."""
+        return self.model_dump_json(by_alias=True, exclude_none=True)
 
 
 class IterationRecord(Strict):

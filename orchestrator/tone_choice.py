@@ -70,7 +70,7 @@ def first_look(
         if choice is not None and len(choice.harmonics) <= TONES_MAX:
             return choice
         highest -= 2
-    return ToneChoice(3 * 2 * math.pi / high, (3,))
+    return _up_to(high, 3 * 2 * math.pi / high, (3,))
 
 
 def closer_looks(
@@ -107,6 +107,17 @@ def _between(window_rad_s: tuple[float, float], measure_s: float, offset: int) -
     """Return every second harmonic in a window, from the top; none if there is none."""
     base = 2 * math.pi / measure_s
     top = math.floor(window_rad_s[1] / base * (1 + 1e-9)) - offset
-    lowest = max(SEGMENTS, math.ceil(window_rad_s[0] / base * (1 - 1e-9)))
+    lowest = max(SEGMENTS, math.ceil(window_rad_s[0] / base * (1 + 1e-9)))
     harmonics = tuple(range(top, lowest - 1, -STEP))[::-1]
-    return ToneChoice(measure_s, harmonics) if harmonics else None
+    return _up_to(window_rad_s[1], measure_s, harmonics) if harmonics else None
+
+
+def _up_to(high_rad_s: float, measure_s: float, harmonics: tuple[int, ...]) -> ToneChoice:
+    """Return the choice with its highest tone not above `high_rad_s`, where robots refuse.
+
+    Rounding may put a tone that belongs on the band's edge just outside of it.
+    """
+    choice = ToneChoice(measure_s, harmonics)
+    while choice.omega_rad_s[-1] > high_rad_s:
+        choice = ToneChoice(math.nextafter(choice.measure_s, math.inf), harmonics)
+    return choice

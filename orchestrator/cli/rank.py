@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import click
 
@@ -50,6 +51,16 @@ from orchestrator.cli.options import connect_options, json_option, runs_option
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Draws the first test."
 )
 @click.option(
+    "--algorithm",
+    type=click.Choice(["paper", "adaptive"]),
+    default="paper",
+    show_default=True,
+    help=(
+        "The paper's Algorithm 1, or multi-tone tests that end when the choice is sure (then "
+        "--iterations is the most rounds there may be)."
+    ),
+)
+@click.option(
     "--realtime",
     type=click.FloatRange(min=0, min_open=True),
     metavar="FACTOR",
@@ -73,6 +84,7 @@ def rank(
     axis: str | None,
     iterations: int,
     seed: int,
+    algorithm: Literal["paper", "adaptive"],
     realtime: float | None,
     live: bool,
     runs_root: Path,
@@ -103,6 +115,7 @@ def rank(
             axis=axis,
             iterations=iterations,
             seed=seed,
+            algorithm=algorithm,
             realtime=realtime,
             live=live,
             runs_root=runs_root,

@@ -14,7 +14,7 @@ from orchestrator.connection import Connection, running_fleet, started_fleet
 from orchestrator.console import ConsoleObserver, ranking_table, stderr_console
 from orchestrator.live_view import LiveView
 from orchestrator.preflight import check_band, check_names
-from orchestrator.rank_run import RankRequest, prepare, run_study
+from orchestrator.rank_run import Algorithm, RankRequest, prepare, run_study
 from orchestrator.results import RunRecord
 from orchestrator.run_folder import RunFolder, make_runs_root
 from orchestrator.study_clock import StudyClock
@@ -40,6 +40,7 @@ class RankCommand:
     axis: str | None = None
     iterations: int = 7
     seed: int = 0
+    algorithm: Algorithm = "paper"
     realtime: float | None = None
     wait_s: float = 0.0
     live: bool = False
@@ -52,7 +53,7 @@ def rank_and_print(command: RankCommand) -> None:
     console = stderr_console()
     record = rank(command, console)
     if command.as_json:
-        click.echo(record.result.model_dump_json(by_alias=True))
+        click.echo(record.result.document())
 
 
 def rank(command: RankCommand, console: Console) -> RunRecord:
@@ -78,6 +79,7 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
             fleet,
             ready,
             seed=command.seed,
+            algorithm=command.algorithm,
             folder=folder,
             observers=[ConsoleObserver(console, command.iterations), live],
         )

@@ -58,6 +58,19 @@ def test_rank_prints_the_documented_json_alone_on_stdout(tmp_path: Path) -> None
     assert document["robot_time_s"] > 0
 
 
+def test_the_adaptive_algorithm_says_how_sure_it_is_and_why_it_stopped(tmp_path: Path) -> None:
+    arguments = ("rank", "--fleet", str(FLEET), "--json")
+    adaptive = nufleet(*arguments, "--algorithm", "adaptive", cwd=tmp_path)
+    assert adaptive.returncode == 0, adaptive.stderr
+    document = json.loads(adaptive.stdout)
+    assert document["selected"] == "source-2"
+    assert document["confidence"] >= 0.95
+    assert document["stopped_because"]
+    paper = json.loads(nufleet(*arguments, cwd=tmp_path).stdout)
+    assert "confidence" not in paper
+    assert document["robot_time_s"] < paper["robot_time_s"] / 4
+
+
 def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(tmp_path: Path) -> None:
     done = nufleet("rank", "--fleet", str(FLEET), "--iterations", "2", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

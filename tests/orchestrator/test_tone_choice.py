@@ -34,7 +34,8 @@ def test_the_first_look_reaches_from_low_in_the_band_to_its_upper_end(
     choice = first_look(band, robot(settling_time_s), 11, 0.7)
     omega = choice.omega_rad_s
     assert omega[-1] == pytest.approx(band[1])
-    assert omega[0] >= band[0] * (1 - 1e-9)
+    assert omega[-1] <= band[1]  # a robot whose own band ends there refuses anything above
+    assert omega[0] >= band[0]
     assert len(omega) <= 64
 
 
