@@ -14,13 +14,13 @@ PATIENCE_S = 30.0
 def race(address: str, number: int, rounds: int, start: Barrier, answers: Connection) -> None:
     """Open a database together with the others, then ask for the same robots again and again.
 
-    Sends the epochs of the leases of every round that it won.
+    Sends the rounds that it won, each with the epochs of its leases.
     """
-    won: list[dict[str, int]] = []
+    won: list[tuple[int, list[int]]] = []
+    robots = ["r1", "r2", "r3"]
     start.wait(PATIENCE_S)
     with open_repository(address) as repository:
         for n in range(rounds):
-            robots = [f"x{n}", "shared", "more"]
             start.wait(PATIENCE_S)
             try:
                 leases = repository.leases.acquire(
@@ -31,5 +31,5 @@ def race(address: str, number: int, rounds: int, start: Barrier, answers: Connec
             start.wait(PATIENCE_S)
             repository.leases.release(leases)
             if leases:
-                won.append({lease.robot: lease.epoch for lease in leases})
+                won.append((n, [lease.epoch for lease in leases]))
     answers.send(won)
