@@ -1,4 +1,4 @@
-"""What a frequency test plays: one or more tones between a ramp, a settling and a measuring part."""
+"""What a frequency test plays: one or more tones between a ramp, settling and a measuring part."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class Excitation(Strict):
     """A request for a test. What is left out, the robot chooses under its own limits.
 
     `amplitude` is the peak of the whole reference in the axis's unit. The measuring part lasts
-    `segments` segments of equal length; each holds at least one period of every tone, and each gives
-    its own phasors, whose scatter is the measurement's uncertainty. `settle_s` precedes it.
+    `segments` segments of equal length; each holds at least one period of every tone and gives its
+    own phasors, whose scatter is the measurement's uncertainty. `settle_s` precedes it.
     """
 
     axis: Name

@@ -17,7 +17,7 @@ class LinearModel(Strict):
     """x(k+1) = A x(k) + B u(k), y(k) = C x(k) + D u(k): reference u to output y, one axis.
 
     A is n × n, B has n entries, C has n entries, D is a number; times are multiples of
-    `sample_time_s`. A study never uses it: it is the closed form that estimates are checked against.
+    `sample_time_s`. A study never uses it: it is the closed form that estimates are checked by.
     """
 
     a: Annotated[tuple[Row, ...], Field(min_length=1, max_length=256)]
