@@ -98,7 +98,7 @@ class RunFolder:
 
     def write_record(self, record: RunRecord) -> None:
         """Write the results, and the report of them."""
-        text = record.model_dump_json(indent=2, by_alias=True)
+        text = record.model_dump_json(indent=2, by_alias=True, exclude_none=True)
         (self.path / RESULTS).write_text(text + "\n", encoding="utf-8")
 
 

@@ -34,7 +34,7 @@ def list_runs(runs_root: Path, as_json: bool) -> None:
         result = read_record(folder).result
         psi = f"{result.ranking[0].psi:.4f} ± {result.ranking[0].psi_std:.4f}"
         table.add_row(folder.name, result.target, result.selected, psi, str(result.iterations))
-        document = result.model_dump(mode="json", by_alias=True)
+        document = result.model_dump(mode="json", by_alias=True, exclude_none=True)
         documents.append({"run": str(folder), "result": document})
     if as_json:
         click.echo(json.dumps({"schema": 1, "runs": documents}))
@@ -57,7 +57,7 @@ def show(run: str, runs_root: Path, as_json: bool) -> None:
     folder = find_run(runs_root, run)
     record = read_record(folder)
     if as_json:
-        click.echo(record.model_dump_json(by_alias=True))
+        click.echo(record.model_dump_json(by_alias=True, exclude_none=True))
         return
     console = stderr_console()
     low, high = record.result.band_rad_s
