@@ -8,6 +8,7 @@ Commands are entry points of the group `nufleet.commands`; a dot in a name makes
 from __future__ import annotations
 
 import logging
+import os
 import shutil
 import signal
 import sys
@@ -88,6 +89,8 @@ def command_line() -> click.Group:
 def main() -> NoReturn:
     """Run the command line and exit with its code."""
     signal.signal(signal.SIGTERM, _interrupt)
+    # Small matrices, many of them: with threads, BLAS takes ten times as long on a busy machine.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         code = command_line().main(prog_name="nufleet", standalone_mode=False)
     except click.ClickException as error:

@@ -11,6 +11,9 @@ from hypothesis import settings
 os.environ["SCIPY_ARRAY_API"] = "1"
 os.environ["JAX_PLATFORMS"] = "cpu"
 
+# Small matrices, many of them: with threads, BLAS takes ten times as long on a busy machine.
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
 # A busy machine is no failure: how long one example takes is not what these tests are about.
 settings.register_profile("nufleet", deadline=None, print_blob=True)
 settings.load_profile("nufleet")

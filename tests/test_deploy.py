@@ -6,6 +6,7 @@ import shlex
 from pathlib import Path
 
 import pytest
+from polling import wait_until
 
 from shared.command_line import command_line
 from shared.fleet_file import read_fleet_file
@@ -27,9 +28,13 @@ def test_the_router_configuration_opens_a_router_that_clients_reach(tmp_path: Pa
             open_client(endpoint, timeout_s=5.0) as other,
         ):
             one.declare_alive("nufleet/lab/robot/r1/alive")
-            assert other.alive("nufleet/*/robot/*/alive", timeout_s=5.0) == [
-                "nufleet/lab/robot/r1/alive"
-            ]
+            # A token takes a moment to reach the router and the other side of it.
+            wait_until(
+                lambda: (
+                    other.alive("nufleet/*/robot/*/alive", timeout_s=5.0)
+                    == ["nufleet/lab/robot/r1/alive"]
+                )
+            )
 
 
 @pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.name)
