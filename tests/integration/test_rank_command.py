@@ -120,7 +120,7 @@ def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, after_s: 
     children = children_of(demo.pid)
     demo.send_signal(signal.SIGINT)
     _, said = demo.communicate(timeout=30)
-    # A shell shows 130 for both: CPython ends by the signal itself, after the orderly exit, when the
+    # A shell shows 130 for both: CPython ends by the signal itself, after an orderly exit, when the
     # interrupt came while a module was being imported.
     assert demo.returncode in (130, -signal.SIGINT), said
     assert "Traceback" not in said
