@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 
 from hypothesis import settings
 
@@ -13,6 +14,10 @@ os.environ["JAX_PLATFORMS"] = "cpu"
 
 # Small matrices, many of them: with threads, BLAS takes ten times as long on a busy machine.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
+# Started in the background of a script, a process ignores Ctrl-C, and so do all that it starts;
+# tests interrupt some of those.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # A busy machine is no failure: how long one example takes is not what these tests are about.
 settings.register_profile("nufleet", deadline=None, print_blob=True)
