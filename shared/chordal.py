@@ -154,7 +154,10 @@ def _search_grid(model_1: LinearModel, model_2: LinearModel, low: float, high: f
         poles = poles[np.abs(poles) > np.finfo(float).tiny]
         exponents = np.log(poles) / model.sample_time_s
         widths = np.maximum(np.abs(exponents.real), 1e-9 * high)
-        offsets = np.linspace(-8.0, 8.0, 65)
+        # Far out on a resonance's flank its response still passes what is opposite to the other's,
+        # so the points thin out with the distance from the pole instead of ending.
+        flank = np.geomspace(8.0, 1e8, 180)
+        offsets = np.concatenate([-flank, np.linspace(-8.0, 8.0, 65), flank])
         grids.append((np.abs(exponents.imag)[:, None] + np.outer(widths, offsets)).ravel())
     omega = np.unique(np.concatenate(grids))
     return omega[(omega >= low) & (omega <= high)]

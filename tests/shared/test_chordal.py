@@ -8,7 +8,7 @@ import math
 import mpmath  # type: ignore[import-untyped]
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from shared.arrays import ComplexArray
@@ -199,6 +199,7 @@ def resonator(omega_rad_s: float, damping: float) -> LinearModel:
     )
 
 
+@example(29.87890625, 0.890625, 10.0**-4.75, 1e-4)  # the peak is far out on a resonance's flank
 @settings(max_examples=25, deadline=None)
 @given(
     st.floats(0.5, 40.0),
@@ -217,6 +218,11 @@ def test_no_frequency_of_a_much_finer_search_is_worse(
             *(
                 omega * (1 + damping * np.linspace(-10, 10, 2001))
                 for omega, damping in ((omega_1, damping_1), (omega_2, damping_2))
+            ),
+            *(
+                omega + sign * omega * damping * np.geomspace(1, 1e5, 4001)
+                for omega, damping in ((omega_1, damping_1), (omega_2, damping_2))
+                for sign in (-1, 1)
             ),
             at + 1e-5 * np.linspace(-1, 1, 101),
         ]
