@@ -16,7 +16,7 @@ import numpy as np
 
 from orchestrator.viewer.endpoint import claim_port
 from orchestrator.viewer.rerun_program import rerun_environment, rerun_program
-from orchestrator.viewer.show import checked_source
+from orchestrator.viewer.show import LOCALHOST, checked_source
 from shared.errors import InvalidInputError, NufleetError
 
 if TYPE_CHECKING:
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 TIMEOUT_S = 60.0
 POLL_S = 0.1
-LOCALHOST = "127.0.0.1"
 
 NO_GRAPHICS = "No graphics adapter was found"
 """What the viewer says where no graphics driver is installed."""

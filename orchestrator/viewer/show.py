@@ -8,9 +8,12 @@ import sys
 import webbrowser
 from pathlib import Path
 
+from orchestrator.viewer.endpoint import claim_port
 from orchestrator.viewer.rerun_program import rerun_environment, rerun_program
 from orchestrator.viewer.viewer_server import ViewerServer
 from shared.errors import InvalidInputError, NufleetError
+
+LOCALHOST = "127.0.0.1"
 
 
 def open_native(source: Path | str) -> subprocess.Popen[bytes]:
@@ -29,10 +32,11 @@ def open_native(source: Path | str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
         [
             *(str(rerun_program()), checked_source(source)),
-            *("--bind", "127.0.0.1", "--port", "auto"),
+            # A port of its own: left to itself the window takes the one a live study is watched at.
+            *("--bind", LOCALHOST, "--port", str(claim_port(LOCALHOST, 0))),
         ],
         stdin=subprocess.DEVNULL,
-        env=rerun_environment(),
+        env={"RUST_LOG": "error", **rerun_environment()},
         start_new_session=True,
     )
 
