@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import tomllib
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from shared.drawing_files import read_drawing
+from shared.drawings import ENTRY_POINT_GROUP
 from shared.trajectories import TrackingLimits, check_trajectory, travel
 from sims.drawings import ALL
+
+ROOT = Path(__file__).parents[2]
 
 LIMITS = TrackingLimits(
     position_max=1.5,
@@ -32,3 +37,12 @@ def test_a_drawing_reaches_its_speed_inside_the_workspace(drawing: Path, speed_m
 def test_there_are_five_different_drawings() -> None:
     lengths = {round(float(np.abs(np.diff(read_drawing(p), axis=0)).sum()), 3) for p in ALL}
     assert len(ALL) == len(lengths) == 5
+
+
+def test_every_drawing_is_registered_under_its_own_name() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    registered = {
+        name: EntryPoint(name, value, ENTRY_POINT_GROUP).load()
+        for name, value in project["entry-points"][ENTRY_POINT_GROUP].items()
+    }
+    assert registered == {path.stem: path for path in ALL}
