@@ -10,8 +10,13 @@ from shared.arrays import FloatArray
 TREND_TONES_MIN = 4
 DEGREES_MAX = 1e3
 
+DEGREES_SPARE_MIN = 0.5
+"""A t distribution has a variance only above two degrees of freedom; near there it is bounded."""
 
-def pooled_variance(omega_rad_s: FloatArray, variance: FloatArray, segments: int) -> FloatArray:
+
+def pooled_variance(
+    omega_rad_s: FloatArray, variance: FloatArray, degrees: FloatArray
+) -> FloatArray:
     """Return variances of ẑ that borrow strength from the test's other tones.
 
     Each ln s² scatters about a line in ln ω: noise is coloured and tones have unequal weights, both
@@ -21,22 +26,21 @@ def pooled_variance(omega_rad_s: FloatArray, variance: FloatArray, segments: int
 
     Args:
         omega_rad_s: shape (tones,).
-        variance: s²/P of each, shape (tones,), finite.
-        segments: number of segments P ≥ 3.
+        variance: of each ẑ, as measured, shape (tones,), finite.
+        degrees: its degrees of freedom, shape (tones,).
     """
-    degrees = 2.0 * (segments - 1)
     tones = len(variance)
     if tones < TREND_TONES_MIN or not np.all(variance > 0):
         # Noise-free estimates have no scatter to learn from; a lone one keeps its own.
-        return np.asarray(variance * degrees / (degrees - 2))
+        return np.asarray(variance * degrees / np.maximum(degrees - 2, DEGREES_SPARE_MIN))
     log_variance = np.log(variance) - digamma(degrees / 2) + np.log(degrees / 2)
     line = np.stack([np.ones(tones), np.log(omega_rad_s)], axis=1)
     fitted = line @ np.linalg.lstsq(line, log_variance, rcond=None)[0]
     scatter = float(np.sum((log_variance - fitted) ** 2)) / (tones - 2)
-    excess = scatter - float(polygamma(1, degrees / 2))
+    excess = scatter - float(np.mean(polygamma(1, degrees / 2)))
     prior_degrees = min(2 * _inverse_trigamma(excess), DEGREES_MAX) if excess > 0 else DEGREES_MAX
     # The line itself is known no better than all tones together know it.
-    prior_degrees = min(prior_degrees, degrees * (tones - 2))
+    prior_degrees = min(prior_degrees, float(np.mean(degrees)) * (tones - 2))
     total = prior_degrees + degrees
     pooled = (prior_degrees * np.exp(fitted) + degrees * variance) / total
     return np.asarray(pooled * total / (total - 2))

@@ -49,7 +49,8 @@ class RobotKnowledge:
         """
         known = np.isfinite(response.z) & np.isfinite(response.variance)
         omega, z = response.omega_rad_s[known], response.z[known]
-        variance = pooled_variance(omega, response.variance[known], response.segments)
+        degrees = response.degrees_of_freedom[known]
+        variance = pooled_variance(omega, response.variance[known], degrees)
         variance = np.maximum(variance, VARIANCE_MIN)
         self._noise.append(np.stack([omega, variance / len(omega)]))
         for finding in response.quality.warnings:

@@ -9,29 +9,17 @@ import numpy as np
 from shared.arrays import FloatArray
 from shared.errors import RefusedError
 from shared.excitation import Excitation, ExcitationPlan
+from shared.excitation_duration import timing
 from shared.robot_spec import AxisSpec, RobotSpec
 
 HEADROOM = 0.8
 """Share of the tightest limit that is used when the robot chooses the amplitude itself."""
 
-RAMP_MAX_S = 5.0
-RAMP_MIN_PERIODS = 1 / 8
-"""A ramp lasts one period of the slowest tone where that is short. A slow tone is ramped over 5 s
-or an eighth of its period: a whole one would cost minutes, and at worst this triples the peak
-velocity of a motion that is slow anyway."""
-
-RESOLUTION_PERIODS = 2.0
-"""Periods of the slowest beat between two tones that the measuring part has to hold. At one the
-least squares can just tell them apart; at two its variance is that of each tone alone."""
-
 
 def plan_excitation(excitation: Excitation, spec: RobotSpec, robot: str) -> ExcitationPlan:
     """Choose what a request leaves open, and check the whole reference against every limit.
 
-    A segment lasts one period of the slowest tone, `segment_min_s`, or what it takes for all
-    segments together to hold `RESOLUTION_PERIODS` beats of the closest tones, whichever is longest.
-    Without `settle_s` the measuring part begins `spec.settling_time_s` after the ramp: a transient
-    decays at the robot's own rate, whatever the tone's frequency.
+    How long its parts are is said in `shared.excitation_duration`.
 
     Args:
         excitation: the request.
@@ -119,30 +107,20 @@ def _check_band(excitation: Excitation, spec: RobotSpec, robot: str) -> None:
 
 def _timed(excitation: Excitation, spec: RobotSpec, robot: str) -> ExcitationPlan:
     """Choose the lengths of all parts; the plan returned has amplitude 1."""
-    omegas = sorted(tone.omega_rad_s for tone in excitation.tones)
-    period_s = 2 * math.pi / omegas[0]
-    segment_s = max(period_s, excitation.segment_min_s)
-    if len(omegas) > 1:
-        closest_rad_s = min(np.diff(omegas))
-        beat_s = 2 * math.pi / float(closest_rad_s)
-        segment_s = max(segment_s, RESOLUTION_PERIODS * beat_s / excitation.segments)
-    settle_s = spec.settling_time_s if excitation.settle_s is None else excitation.settle_s
-    ramp_s = min(period_s, max(RAMP_MAX_S, RAMP_MIN_PERIODS * period_s))
-
+    lengths = timing(excitation, spec)
     # Compared as numbers first: a request may ask for more samples than there is memory.
-    asked_s = 2 * ramp_s + settle_s + excitation.segments * segment_s
-    if asked_s > spec.duration_max_s:
-        raise _too_long(asked_s, spec, robot)
-    sample_time_s = spec.sample_time_s
+    if lengths.asked_s > spec.duration_max_s:
+        raise _too_long(lengths.asked_s, spec, robot)
+    ramp_samples, settle_samples, segment_samples = lengths.sampled(spec.sample_time_s)
     plan = ExcitationPlan(
         axis=excitation.axis,
         tones=excitation.tones,
         amplitude=1.0,
-        sample_time_s=sample_time_s,
-        ramp_samples=math.ceil(ramp_s / sample_time_s),
-        settle_samples=math.ceil(settle_s / sample_time_s),
+        sample_time_s=spec.sample_time_s,
+        ramp_samples=ramp_samples,
+        settle_samples=settle_samples,
         segments=excitation.segments,
-        segment_samples=max(4, math.ceil(segment_s / sample_time_s)),
+        segment_samples=segment_samples,
     )
     if plan.duration_s > spec.duration_max_s:
         raise _too_long(plan.duration_s, spec, robot)

@@ -45,8 +45,10 @@ REFERENCE_TONE_MIN = 1e-9
 class FrequencyResponse:
     """Estimates ẑ of z(ω) = Y/U at the tones of one test, in the order of its plan.
 
-    `variance` is E|ẑ − z|² (of a circular error), estimated from `segments` segments. Where nothing
-    could be estimated ẑ is NaN and its variance infinite, and the test is not usable.
+    `variance` is E|ẑ − z|² (of a circular error), estimated from `segments` segments with so many
+    `degrees` of freedom; None are the 2P − 2 of tones that every segment tells apart. `amplitude`
+    is the peak of the reference in the axis's unit, None where it is not known. Where nothing could
+    be estimated ẑ is NaN and its variance infinite, and the test is not usable.
     """
 
     omega_rad_s: FloatArray  # (tones,)
@@ -54,21 +56,32 @@ class FrequencyResponse:
     variance: FloatArray  # (tones,)
     segments: int
     quality: Quality
+    degrees: FloatArray | None = None  # (tones,)
+    amplitude: float | None = None
+
+    @property
+    def degrees_of_freedom(self) -> FloatArray:
+        """Of each variance, shape (tones,)."""
+        if self.degrees is not None:
+            return self.degrees
+        return np.full(len(self.omega_rad_s), 2.0 * (self.segments - 1))
 
     def radius(self, alpha: float = 0.05) -> FloatArray:
         """Return the radius ρ of the disc around each ẑ that holds z with probability 1 − α."""
-        return uncertainty_radius(self.variance, self.segments, alpha)
+        return uncertainty_radius(self.variance, self.degrees_of_freedom, alpha)
 
 
-def uncertainty_radius(variance: FloatArray, segments: int, alpha: float = 0.05) -> FloatArray:
-    """Return ρ with ρ² = (s²/P) F and F the 1 − α quantile of F with 2 and 2P − 2 degrees.
+def uncertainty_radius(
+    variance: FloatArray, degrees: FloatArray, alpha: float = 0.05
+) -> FloatArray:
+    """Return ρ with ρ² = s² F and F the 1 − α quantile of F with 2 and `degrees` degrees.
 
     Args:
-        variance: s²/P of each estimate, shape (…).
-        segments: number of segments P.
+        variance: s², the variance of each estimate, shape (…).
+        degrees: degrees of freedom of each, of the same shape.
         alpha: probability that the disc misses z.
     """
-    return np.sqrt(variance * f_quantile(alpha, segments - 1))
+    return np.sqrt(variance * f_quantile(alpha, degrees / 2))
 
 
 def estimate_frequency_response(
@@ -118,6 +131,15 @@ class _Samples:
     y_scale: float
 
 
+@dataclass(frozen=True)
+class _Estimates:
+    """What each segment says of z, shape (segments, tones), and the variance of their mean."""
+
+    segment_z: ComplexArray
+    variance: FloatArray
+    degrees: FloatArray
+
+
 def _estimate(samples: _Samples, omegas: FloatArray, plan: ExcitationPlan) -> FrequencyResponse:
     tones, step_s = len(omegas), plan.sample_time_s
     extra = resolvable_harmonics(omegas, step_s, len(samples.u) * step_s)
@@ -137,13 +159,18 @@ def _estimate(samples: _Samples, omegas: FloatArray, plan: ExcitationPlan) -> Fr
     segment_input = input_fit.segment_phasors[:, :tones]
     segment_z = scaled_z + (segment_output - scaled_z * segment_input) / input_tones
     gain = samples.y_scale / samples.u_scale
-    findings = _findings(samples, input_fit, output_fit, gain * segment_z, omegas, plan)
+    variance = output_fit.scatter_factor[:tones] * variance_of_mean(gain * segment_z)
+    degrees = output_fit.scatter_degrees[:tones]
+    estimates = _Estimates(gain * segment_z, variance, degrees)
+    findings = _findings(samples, input_fit, output_fit, estimates, omegas, plan)
     return FrequencyResponse(
         omega_rad_s=omegas,
         z=gain * scaled_z,
-        variance=variance_of_mean(gain * segment_z),
+        variance=variance,
         segments=plan.segments,
         quality=verdict(findings),
+        degrees=degrees,
+        amplitude=plan.amplitude,
     )
 
 
@@ -151,12 +178,13 @@ def _findings(
     samples: _Samples,
     input_fit: SinusoidFit,
     output_fit: SinusoidFit,
-    segment_z: ComplexArray,
+    estimates: _Estimates,
     omegas: FloatArray,
     plan: ExcitationPlan,
 ) -> list[Finding | None]:
     tones, segments, step_s = len(omegas), plan.segments, plan.sample_time_s
-    z, variance = segment_z.mean(axis=0), variance_of_mean(segment_z)
+    segment_z, variance, degrees = estimates.segment_z, estimates.variance, estimates.degrees
+    z = segment_z.mean(axis=0)
     played, moved, usual = (
         sum_of_tones(phasors, omegas, step_s, len(samples.y))
         for phasors in (
@@ -168,14 +196,14 @@ def _findings(
     )
     residual = samples.y - output_fit.fitted
     silent = (np.abs(output_fit.phasors[:tones]) <= SILENCE) | (
-        np.abs(z) <= uncertainty_radius(variance, segments, NO_RESPONSE_SIGNIFICANCE)
+        np.abs(z) <= uncertainty_radius(variance, degrees, NO_RESPONSE_SIGNIFICANCE)
     )
     # In the unit that the output was scaled to; an output of zeros has none.
     reference_rms = float(np.std(samples.u)) * samples.u_scale / (samples.y_scale or math.inf)
     findings: list[Finding | None] = [
         *sensor_faults(samples.y, moved, samples.y_scale),
         unexplained(reference_rms, samples.y, residual),
-        *uncertain(omegas, silent, geodesic_radius(z, uncertainty_radius(variance, segments))),
+        *uncertain(omegas, silent, geodesic_radius(z, uncertainty_radius(variance, degrees))),
     ]
     if silent.all():
         return findings
@@ -199,4 +227,5 @@ def _failed(omegas: FloatArray, plan: ExcitationPlan, code: str, text: str) -> F
         variance=np.full(len(omegas), np.inf),
         segments=plan.segments,
         quality=Quality(reasons=(Finding(code=code, text=text),)),
+        amplitude=plan.amplitude,
     )

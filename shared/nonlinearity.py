@@ -52,8 +52,8 @@ def harmonic_distortion(fit: SinusoidFit, tones: int, residual: FloatArray) -> f
     many = max(1, len(power) - tones)
     white = 4 * np.var(residual) / len(residual)
     over_white = power > white * math.log(many / HARMONIC_SIGNIFICANCE)
-    pairs = len(fit.segment_phasors) - 1
-    over_scatter = power > fit.variance * f_quantile(HARMONIC_SCATTER_SIGNIFICANCE / many, pairs)
+    significance = HARMONIC_SCATTER_SIGNIFICANCE / many
+    over_scatter = power > fit.variance * f_quantile(significance, fit.scatter_degrees / 2)
     harmonic_power = float(np.sum(np.where(over_white & over_scatter, power, 0.0)[tones:]))
     return math.sqrt(harmonic_power / linear_power)
 

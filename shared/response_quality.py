@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from shared.arrays import ComplexArray, FloatArray
 from shared.strict import Name, Reason, Strict
@@ -189,9 +189,10 @@ def verdict(findings: list[Finding | None]) -> Quality:
     )
 
 
-def f_quantile(alpha: float, pairs: int) -> float:
+def f_quantile(alpha: float, pairs: ArrayLike) -> FloatArray:
     """Return the upper α quantile of F with 2 and 2 × `pairs` degrees of freedom."""
-    return pairs * math.expm1(-math.log(alpha) / pairs)
+    halves = np.asarray(pairs, dtype=np.float64)
+    return np.asarray(halves * np.expm1(-math.log(alpha) / halves))
 
 
 def _detrended(rows: FloatArray) -> FloatArray:

@@ -143,12 +143,15 @@ def response_row(response: FrequencyResponse) -> dict[str, Any]:
         "segments": response.segments,
         "quality": response.quality.model_dump_json(),
         "usable": response.quality.usable,
+        "degrees": None if response.degrees is None else pack_array(response.degrees),
+        "amplitude": response.amplitude,
     }
 
 
 def frequency_response(row: RowMapping) -> FrequencyResponse:
     """Return the response in a row, bit for bit as it was stored."""
     what, shape = f"the response of goal {row['goal_id']}", (int(row["tones"]),)
+    degrees = row["degrees"]
     with _checked(what):
         return FrequencyResponse(
             omega_rad_s=unpack_floats(row["omega_rad_s"], shape, what),
@@ -156,6 +159,8 @@ def frequency_response(row: RowMapping) -> FrequencyResponse:
             variance=unpack_floats(row["variance"], shape, what),
             segments=row["segments"],
             quality=Quality.model_validate_json(row["quality"]),
+            degrees=None if degrees is None else unpack_floats(degrees, shape, what),
+            amplitude=row["amplitude"],
         )
 
 

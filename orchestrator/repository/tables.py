@@ -118,6 +118,8 @@ RESPONSES = Table(
     Column("quality", Text, nullable=False),
     Column("usable", Boolean, nullable=False),
     Column("measured_at", DateTime, nullable=False),
+    Column("degrees", LargeBinary),
+    Column("amplitude", Double),
     ForeignKeyConstraint(["fleet", "robot"], ["robots.fleet", "robots.robot"]),
     Index(None, "fleet", "robot", "axis"),
 )

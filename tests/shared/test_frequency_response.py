@@ -84,7 +84,11 @@ def test_any_tone_of_the_band_is_measured_closely(omega: float, segments: int) -
 
 @pytest.mark.parametrize(
     ("omegas_rad_s", "segments", "trials"),
-    [((4.5,), 4, 400), ((4.5,), 3, 400), ((1.0, 2.0, 4.5, 9.0), 4, 150)],
+    [
+        ((4.5,), 4, 400),
+        ((4.5,), 3, 400),
+        ((1.0, 2.0, 4.5, 9.0), 4, 150),
+    ],
 )
 def test_discs_cover_as_often_as_they_say_with_noise_of_one_percent(
     omegas_rad_s: tuple[float, ...], segments: int, trials: int
@@ -104,6 +108,33 @@ def test_discs_cover_as_often_as_they_say_with_noise_of_one_percent(
     np.testing.assert_allclose(inside / trials, 0.95, atol=4 * np.sqrt(0.95 * 0.05 / trials))
 
 
+@pytest.mark.parametrize(
+    ("omegas_rad_s", "segments"),
+    [
+        ((4.5, 4.8), 3),
+        (tuple(np.arange(3, 28, 2) / 3), 3),
+        (tuple(np.arange(3, 28, 2) / 4), 4),
+        (tuple(np.arange(20, 29, 2) / 6), 6),
+    ],
+)
+def test_discs_of_tones_that_no_segment_tells_apart_cover_as_often_as_they_say(
+    omegas_rad_s: tuple[float, ...], segments: int
+) -> None:
+    robot, rng, trials = section_v_target(), np.random.default_rng(7), 1200 // len(omegas_rad_s)
+    plan, reference, clean = a_test_on(robot, *omegas_rad_s, segments=segments)
+    z = closed_form(robot, np.array(omegas_rad_s))
+    errors, variances, covered = [], [], []
+    for _ in range(trials):
+        noise = 0.01 * plan.amplitude * rng.standard_normal(len(clean))
+        measured = estimate_frequency_response(reference, clean + noise, plan)
+        errors.append(np.abs(measured.z - z) ** 2)
+        variances.append(measured.variance)
+        covered.append(np.sqrt(errors[-1]) <= measured.radius(alpha=0.05))
+    assert np.mean(variances) == pytest.approx(np.mean(errors), rel=0.12)
+    # Three standard deviations below; Satterthwaite's degrees of freedom err to the safe side.
+    assert 0.95 - 3 * np.sqrt(0.95 * 0.05 / 1200) < np.mean(covered) < 0.985
+
+
 def test_the_variance_is_the_mean_square_of_the_error() -> None:
     robot = section_v_target()
     plan, reference, _ = a_test_on(robot, 3.0)
@@ -121,7 +152,8 @@ def test_the_variance_is_the_mean_square_of_the_error() -> None:
 @given(st.integers(3, 20), st.floats(0.001, 0.5))
 def test_a_disc_is_a_quantile_of_the_f_distribution(segments: int, alpha: float) -> None:
     expected = np.sqrt(0.3 * f.isf(alpha, 2, 2 * segments - 2))
-    assert uncertainty_radius(np.array(0.3), segments, alpha) == pytest.approx(expected, rel=1e-9)
+    radius = uncertainty_radius(np.array(0.3), np.array(2 * segments - 2), alpha)
+    assert radius == pytest.approx(expected, rel=1e-9)
 
 
 @settings(deadline=None, max_examples=40)

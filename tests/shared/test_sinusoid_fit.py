@@ -119,6 +119,40 @@ def test_the_joint_fit_has_less_variance_than_fitting_each_segment_with_its_own_
     assert joint_error < 0.65 * separate_error
 
 
+@given(
+    st.lists(st.floats(1.0, 2.5), min_size=0, max_size=4),
+    st.floats(1.0, 3.0),
+    st.integers(3, 6),
+)
+def test_in_white_noise_the_variance_is_exactly_that_of_the_estimates_however_close_the_tones(
+    beats: list[float], first: float, segments: int
+) -> None:
+    samples = segments * 30
+    base = 2 * np.pi / (samples * STEP_S)
+    omega_rad_s = base * np.cumsum([first * segments, *beats])
+    # Both are quadratic in the noise, so their expectations are sums over unit impulses.
+    fits = fit_sinusoids(list(np.eye(samples)), omega_rad_s, STEP_S, segments)
+    expected = np.sum([fit.variance for fit in fits], axis=0)
+    true = np.sum([np.abs(fit.phasors) ** 2 for fit in fits], axis=0)
+    np.testing.assert_allclose(expected, true, rtol=1e-6)
+    # Never more degrees of freedom than the segments have, and at least those of one phasor.
+    degrees = fits[0].scatter_degrees
+    assert np.all((degrees > 1 - 1e-9) & (degrees < 2 * (segments - 1) + 1e-9))
+
+
+def test_of_tones_that_a_segment_tells_apart_the_scatter_needs_no_factor() -> None:
+    omega_rad_s = 2 * np.pi / (500 * STEP_S) * np.array([10.0, 20.0, 35.0])
+    fit = fit_one(np.ones(4 * 500), omega_rad_s, STEP_S, 4)
+    np.testing.assert_allclose(fit.scatter_factor, 1.0, atol=1e-3)
+    np.testing.assert_allclose(fit.scatter_degrees, 6.0, rtol=1e-3)
+
+
+def test_as_many_unknowns_as_samples_leave_no_noise_to_measure() -> None:
+    omega_rad_s = 2 * np.pi / (12 * STEP_S) * np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    with pytest.raises(UnresolvableError, match="noise"):
+        fit_one(np.ones(12), omega_rad_s, STEP_S, 3)
+
+
 @pytest.mark.parametrize(
     "omega_rad_s", [[1.0, 1.0 + 1e-9], [1.0, np.pi / STEP_S * (1 - 1e-9)], [1e-9]]
 )

@@ -84,4 +84,6 @@ def identical(a: FrequencyResponse, b: FrequencyResponse) -> bool:
     """Whether two responses agree in every bit."""
     arrays = ((a.omega_rad_s, b.omega_rad_s), (a.z, b.z), (a.variance, b.variance))
     bits = all(x.dtype == y.dtype and x.tobytes() == y.tobytes() for x, y in arrays)
-    return bits and (a.segments, a.quality) == (b.segments, b.quality)
+    same_degrees = a.degrees_of_freedom.tobytes() == b.degrees_of_freedom.tobytes()
+    facts = [(r.segments, r.quality, r.amplitude, r.degrees is None) for r in (a, b)]
+    return bits and same_degrees and facts[0] == facts[1]

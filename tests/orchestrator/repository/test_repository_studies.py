@@ -5,7 +5,9 @@ from __future__ import annotations
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -102,8 +104,11 @@ def test_an_intent_is_there_before_anything_is_sent(begun: Repository, address: 
         assert other.studies.trials("run-1") == (TrialRecord(intent(), TrialStatus.INTENDED),)
 
 
-def test_a_measured_trial_comes_back_bit_for_bit(begun: Repository, address: str) -> None:
-    trial, measured = intent(), response()
+@pytest.mark.parametrize("known", [{}, {"degrees": np.array([3.9, 6.0]), "amplitude": 0.1}])
+def test_a_measured_trial_comes_back_bit_for_bit(
+    begun: Repository, address: str, known: dict[str, Any]
+) -> None:
+    trial, measured = intent(), replace(response(), **known)
     begun.studies.intend(trial)
     begun.studies.accepted(accepted(trial), epoch=1)
     begun.studies.measured(result(trial), measured, epoch=1)
