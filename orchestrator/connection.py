@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from orchestrator.fleet import Fleet
-from orchestrator.fleet_processes import FleetProcesses, grouped, private_endpoint
+from orchestrator.fleet_processes import FleetProcesses, grouped, private_folder
 from shared.drivers import check_settings
 from shared.errors import InvalidInputError, NufleetError, RobotLostError
 from shared.fleet_file import FleetFile, read_fleet_file
@@ -83,6 +83,8 @@ def started_fleet(
 ) -> Iterator[Connection]:
     """Start the fleet of a file with a router of its own, and end it all afterwards.
 
+    It remembers nothing of what it learned before.
+
     Args:
         path: the fleet file.
         processes: how many processes to deal the robots to; None gives each its own.
@@ -91,9 +93,10 @@ def started_fleet(
     file = read_fleet_file(path)
     check_settings(file, path)
     groups = grouped(file, processes=processes or len(file.robots))
-    with private_endpoint() as endpoint, FleetProcesses() as started:
+    with private_folder() as folder, FleetProcesses() as started:
+        endpoint = f"unixsock-stream/{folder}/router.sock"
         started.start_router(endpoint)
-        started.start_agents(path, groups, endpoint, realtime)
+        started.start_agents(path, groups, endpoint, realtime, state_folder=folder / "state")
         with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as session:
             fleet = Fleet(session, FleetKeys(file.name), new_orchestrator_id())
             wait_for_robots(fleet, started, file)

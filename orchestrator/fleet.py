@@ -7,9 +7,10 @@ import threading
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 from orchestrator.robot_watch import RobotWatch
+from shared.arrays import FloatArray
 from shared.codec import Message, decode, encode
 from shared.errors import (
     MalformedMessageError,
@@ -24,15 +25,23 @@ from shared.messages import (
     DescribeRequest,
     Description,
     Done,
+    ExperienceFile,
+    ExperienceOffer,
+    FetchRequest,
     GoalAccepted,
     GoalRequest,
     GoalResult,
+    InstallRequest,
+    Prediction,
+    PredictRequest,
     Refusal,
     ReleaseRequest,
+    RemovePriorRequest,
     ResultRequest,
     RobotState,
     StopRequest,
     Telemetry,
+    TrackingTelemetry,
 )
 from shared.transport import Session
 
@@ -57,6 +66,7 @@ class Fleet:
         self._watches: dict[str, RobotWatch] = {}
         self._state_observers: list[Callable[[RobotState], None]] = []
         self._telemetry_observers: list[Callable[[str, Telemetry], None]] = []
+        self._tracking_observers: list[Callable[[str, TrackingTelemetry], None]] = []
         session.declare_alive(keys.orchestrator_alive(orchestrator_id))
         session.watch_alive(keys.every_robot("alive"), self._on_presence)
         session.subscribe_state(keys.every_robot("state"), self._on_state)
@@ -92,8 +102,20 @@ class Fleet:
     def observe_telemetry(self, observer: Callable[[str, Telemetry], None]) -> None:
         """Call an observer with every batch of samples that arrives, and the robot it is of."""
         if not self._telemetry_observers:
-            self._session.subscribe(self._keys.every_robot("telemetry/*"), self._on_telemetry)
+            key = self._keys.every_robot("telemetry/motion")
+            self._session.subscribe(
+                key, partial(self._on_telemetry, Telemetry, self._telemetry_observers)
+            )
         self._telemetry_observers.append(observer)
+
+    def observe_tracking(self, observer: Callable[[str, TrackingTelemetry], None]) -> None:
+        """Call an observer with every batch of samples along a path, and the robot it is of."""
+        if not self._tracking_observers:
+            key = self._keys.every_robot("telemetry/tracking")
+            self._session.subscribe(
+                key, partial(self._on_telemetry, TrackingTelemetry, self._tracking_observers)
+            )
+        self._tracking_observers.append(observer)
 
     # Requests.
 
@@ -128,6 +150,29 @@ class Fleet:
     def acknowledge(self, robot: str, goal_ids: tuple[str, ...]) -> None:
         """Tell a robot that these results arrived."""
         self._ask(robot, "acknowledge", AcknowledgeRequest(goal_ids=goal_ids), Done)
+
+    def fetch(self, robot: str, sha256: str) -> bytes:
+        """Return the file of an experience or prior of a robot; the caller checks what is in it."""
+        request = FetchRequest(sha256=sha256)
+        file = self._ask(robot, "experience", request, ExperienceFile, timeout_s=RESULT_TIMEOUT_S)
+        return file.payload
+
+    def install(
+        self, robot: str, slot: Literal["experience", "prior"], payload: bytes, sha256: str
+    ) -> ExperienceOffer:
+        """Give a robot an experience: as its own, or as the prior that it flies with."""
+        request = InstallRequest(sender=self.orchestrator_id, sha256=sha256, payload=payload)
+        leaf = f"{slot}/install"
+        return self._ask(robot, leaf, request, ExperienceOffer, timeout_s=RESULT_TIMEOUT_S)
+
+    def remove_prior(self, robot: str) -> None:
+        """Take a robot's prior away."""
+        self._ask(robot, "prior/remove", RemovePriorRequest(sender=self.orchestrator_id), Done)
+
+    def predict(self, robot: str, sha256: str, inputs: FloatArray) -> FloatArray:
+        """Return what an experience of a robot makes of inputs (m, inputs): γ in unit/s, (m,)."""
+        request = PredictRequest(sha256=sha256, inputs=inputs)
+        return self._ask(robot, "predict", request, Prediction).gamma
 
     def stop(self, robot: str, reason: str) -> None:
         """Stop a robot; returns when it says that it has, else raises."""
@@ -187,13 +232,15 @@ class Fleet:
         for observer in self._state_observers:
             _tell(partial(observer, state))
 
-    def _on_telemetry(self, key: str, payload: bytes) -> None:
+    def _on_telemetry(
+        self, kind: type[R], observers: list[Callable[[str, R], None]], key: str, payload: bytes
+    ) -> None:
         try:
-            telemetry = decode(payload, Telemetry)
+            telemetry = decode(payload, kind)
         except MalformedMessageError as error:
             _log.warning("ignoring malformed telemetry on %s: %s", key, error)
             return
-        for observer in self._telemetry_observers:
+        for observer in observers:
             _tell(partial(observer, self._keys.robot_of(key), telemetry))
 
 

@@ -79,14 +79,25 @@ class FleetProcesses:
             pass
 
     def start_agents(
-        self, path: Path, groups: list[tuple[str, ...]], endpoint: str, realtime: float | None
+        self,
+        path: Path,
+        groups: list[tuple[str, ...]],
+        endpoint: str,
+        realtime: float | None,
+        *,
+        state_folder: Path | None = None,
     ) -> None:
-        """Start one process for each group of robots; they appear when they are ready."""
+        """Start one process for each group of robots; they appear when they are ready.
+
+        What they have to remember lies in `state_folder`, or where agents keep it by themselves.
+        """
         for group in groups:
             arguments = ["agent", str(path), "--connect", endpoint]
             arguments += [part for robot in group for part in ("--robot", robot)]
             if realtime is not None:
                 arguments += ["--realtime", str(realtime)]
+            if state_folder is not None:
+                arguments += ["--state", str(state_folder)]
             self._start(f"agent of {', '.join(group)}", arguments)
 
     def dead(self) -> list[str]:
@@ -170,10 +181,10 @@ def grouped(fleet: FleetFile, *, processes: int) -> list[tuple[str, ...]]:
 
 
 @contextmanager
-def private_endpoint() -> Iterator[str]:
-    """Yield an endpoint that no other process knows: a socket in a directory of its own."""
-    directory = tempfile.mkdtemp(prefix="nufleet-")
+def private_folder() -> Iterator[Path]:
+    """Yield a folder that no other process knows, for as long as it is needed."""
+    folder = tempfile.mkdtemp(prefix="nufleet-")
     try:
-        yield f"unixsock-stream/{directory}/router.sock"
+        yield Path(folder)
     finally:
-        shutil.rmtree(directory, ignore_errors=True)
+        shutil.rmtree(folder, ignore_errors=True)

@@ -16,7 +16,8 @@ import numpy as np
 
 from shared.arrays import FloatArray
 from shared.errors import InvalidInputError
-from shared.experience import Experience, ExperienceManifest
+from shared.experience import Experience
+from shared.experience_manifest import ExperienceManifest
 from shared.inverse_layout import InverseLayout
 
 if TYPE_CHECKING:
@@ -108,17 +109,17 @@ def train(
         output_scale=spread,
         points=points,
         validation_rms=error * spread,
-        data_sha256=_digest(inputs, gamma),
+        data_sha256=data_sha256(TrainingData(inputs, gamma)),
         seed=seed,
         training_version=TRAINING_VERSION,
     )
     return Experience(manifest, _arrays(network))
 
 
-def _digest(inputs: FloatArray, gamma: FloatArray) -> str:
-    return hashlib.sha256(
-        inputs.astype("<f8").tobytes() + gamma.astype("<f8").tobytes()
-    ).hexdigest()
+def data_sha256(data: TrainingData) -> str:
+    """Return a hash of training pairs."""
+    numbers = data.inputs.astype("<f8").tobytes() + data.gamma.astype("<f8").tobytes()
+    return hashlib.sha256(numbers).hexdigest()
 
 
 def _fit(

@@ -10,11 +10,14 @@ import logging
 import threading
 import uuid
 from contextlib import ExitStack
+from pathlib import Path
 from types import TracebackType
 
 from robot_agent.decisions import Decisions
-from robot_agent.endpoint import MAX_REQUEST_BYTES, Answer, Endpoint
+from robot_agent.endpoint import MAX_LARGE_REQUEST_BYTES, Answer, Endpoint
+from robot_agent.experience_service import ExperienceService
 from robot_agent.heartbeat import Heartbeat
+from robot_agent.memory import Memory
 from robot_agent.motion_worker import MotionWorker
 from robot_agent.robot import Robot
 from robot_agent.supervisor import StopOrder
@@ -27,8 +30,12 @@ from shared.messages import (
     DescribeRequest,
     Description,
     Done,
+    FetchRequest,
     GoalRequest,
+    InstallRequest,
+    PredictRequest,
     ReleaseRequest,
+    RemovePriorRequest,
     ResultRequest,
     StopRequest,
 )
@@ -44,7 +51,14 @@ class Agent:
     """Serves one robot on one session; a context manager that leaves the robot at rest."""
 
     def __init__(
-        self, session: Session, keys: FleetKeys, name: str, robot: Robot, *, realtime: float | None
+        self,
+        session: Session,
+        keys: FleetKeys,
+        name: str,
+        robot: Robot,
+        *,
+        realtime: float | None,
+        state_folder: Path | None = None,
     ) -> None:
         """Prepare; nothing happens before the context is entered.
 
@@ -54,6 +68,10 @@ class Agent:
             name: the robot's.
             robot: disconnected.
             realtime: plays a simulated robot at this multiple of real time; None as fast as it can.
+            state_folder: where this robot's agents keep what has to survive them; None nowhere.
+
+        Raises:
+            MemoryFolderError: what is kept there is damaged.
         """
         self._session = session
         self._keys = keys
@@ -62,8 +80,18 @@ class Agent:
         self._realtime = realtime
         self._boot_id = uuid.uuid4().hex
         self._changed = threading.Event()
+        self._memory = Memory(None if state_folder is None else state_folder / "learned")
         self._decisions = Decisions(
-            name, self._boot_id, robot.spec, realtime=realtime, changed=self._changed
+            name,
+            self._boot_id,
+            robot.spec,
+            self._memory,
+            state_names=robot.state_names,
+            realtime=realtime,
+            changed=self._changed,
+        )
+        self._experiences = ExperienceService(
+            name, robot, self._memory, self._decisions.refusal_to_change
         )
         self._open = ExitStack()
 
@@ -101,8 +129,16 @@ class Agent:
         everyone = keys.every_orchestrator_alive
         opened.callback(session.watch_alive(everyone, self._on_orchestrator).withdraw)
         samples = session.telemetry_publisher(keys.robot(name, "telemetry/motion"))
+        path_samples = session.telemetry_publisher(keys.robot(name, "telemetry/tracking"))
         self._motions = MotionWorker(
-            name, self._boot_id, self._robot, decisions, samples, realtime=self._realtime
+            name,
+            self._boot_id,
+            self._robot,
+            self._memory,
+            decisions,
+            samples,
+            path_samples,
+            realtime=self._realtime,
         )
         opened.callback(self._motions.close)
         endpoint = Endpoint(
@@ -116,7 +152,14 @@ class Agent:
                 "result": self._result,
                 "acknowledge": self._acknowledge,
                 "release": self._release,
+                "experience": self._fetch,
+                "experience/install": self._install_experience,
+                "prior": self._fetch,
+                "prior/install": self._install_prior,
+                "prior/remove": self._remove_prior,
+                "predict": self._predict,
             },
+            large=("goal", "experience/install", "prior/install", "predict"),
             urgent={"stop": self._stop},
         )
         opened.callback(endpoint.close)
@@ -153,7 +196,15 @@ class Agent:
 
     def _describe(self, payload: bytes) -> Answer:
         _decoded(payload, DescribeRequest)
-        return Description(robot=self._name, boot_id=self._boot_id, spec=self._robot.spec)
+        return Description(
+            robot=self._name,
+            boot_id=self._boot_id,
+            spec=self._robot.spec,
+            state_names=self._robot.state_names,
+            experiences=self._experiences.offers(),
+            prior=self._experiences.prior(),
+            baseline_known=bool(self._memory.baseline),
+        )
 
     def _take_goal(self, payload: bytes) -> Answer:
         request = _decoded(payload, GoalRequest)
@@ -184,6 +235,21 @@ class Agent:
         self._decisions.forget(_decoded(payload, AcknowledgeRequest).goal_ids)
         return Done()
 
+    def _fetch(self, payload: bytes) -> Answer:
+        return self._experiences.fetch(_decoded(payload, FetchRequest))
+
+    def _predict(self, payload: bytes) -> Answer:
+        return self._experiences.predict(_decoded(payload, PredictRequest))
+
+    def _install_experience(self, payload: bytes) -> Answer:
+        return self._experiences.install_experience(_decoded(payload, InstallRequest))
+
+    def _install_prior(self, payload: bytes) -> Answer:
+        return self._experiences.install_prior(_decoded(payload, InstallRequest))
+
+    def _remove_prior(self, payload: bytes) -> Answer:
+        return self._experiences.remove_prior(_decoded(payload, RemovePriorRequest))
+
     def _release(self, payload: bytes) -> Answer:
         request = _decoded(payload, ReleaseRequest)
         refusal = self._decisions.release(request.sender)
@@ -193,4 +259,4 @@ class Agent:
 
 
 def _decoded(payload: bytes, expected: type[M]) -> M:
-    return decode(payload, expected, max_bytes=MAX_REQUEST_BYTES)
+    return decode(payload, expected, max_bytes=MAX_LARGE_REQUEST_BYTES)

@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
 from scipy.signal import lfilter
 
 from shared.arrays import FloatArray
 from shared.errors import InvalidInputError
+from shared.strict import NonNegative, Strict
 
 _FINE_S = 0.3  # up to this lag every tap is its own, two samples wide; then they widen
 _WIDENING = 1.25
 
 
-@dataclass(frozen=True, eq=False)
-class BaselineModel:
+class BaselineModel(Strict):
     """The error response of one axis: y(k) = u(k) − Σ g_j [u(k − j) − u(k − j − 1)].
 
     g is one minus the step response, shape (taps,). `residual_std` is what the model leaves of a
     record, measurement noise included.
     """
 
-    error_response: FloatArray
-    residual_std: float
+    error_response: Annotated[tuple[float, ...], Field(min_length=1, max_length=100_000)]
+    residual_std: NonNegative
 
     def error(self, reference: FloatArray) -> FloatArray:
         """Return u − y for a reference (samples,) that starts from rest."""
@@ -58,7 +59,10 @@ def identify_baseline(
     normal = matrix.T @ matrix + 1e-4 * scale**2 * len(error) * _roughness(len(edges) - 1)
     taps = np.linalg.lstsq(normal, matrix.T @ error, rcond=None)[0]
     residual = error - matrix @ taps
-    return BaselineModel(np.repeat(taps, np.diff(edges)), float(residual.std()))
+    return BaselineModel(
+        error_response=tuple(np.repeat(taps, np.diff(edges)).tolist()),
+        residual_std=float(residual.std()),
+    )
 
 
 def _edges(sample_time_s: float, memory_s: float) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from pathlib import Path
 
 import click
 
@@ -31,12 +32,22 @@ import click
     metavar="FACTOR",
     help="Play simulated robots at this multiple of real time.  [default: as fast as they can]",
 )
+@click.option(
+    "--state",
+    "state_folder",
+    type=click.Path(file_okay=False, path_type=Path),
+    envvar="NUFLEET_STATE",
+    metavar="FOLDER",
+    help="Where robots keep what has to survive this process: what they learned.  "
+    "[env: NUFLEET_STATE; default: nufleet in XDG_STATE_HOME or ~/.local/state]",
+)
 @click.option("--until-stdin-closes", is_flag=True, hidden=True)
 def agent(
     fleet_file: str,
     robots: tuple[str, ...],
     connect: str,
     realtime: float | None,
+    state_folder: Path | None,
     until_stdin_closes: bool,
 ) -> None:
     """Serve robots of FLEET (a file, or an installed fleet's name) to the fleet.
@@ -57,6 +68,7 @@ def agent(
         os.execve(sys.executable, sys.orig_argv, {**os.environ, **missing})
 
     from robot_agent.serve import serve
+    from shared.state_folder import default_state_folder
 
     serve(
         path,
@@ -64,4 +76,5 @@ def agent(
         connect=connect,
         realtime=realtime,
         until_stdin_closes=until_stdin_closes,
+        state_folder=state_folder or default_state_folder(),
     )

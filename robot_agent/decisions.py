@@ -10,13 +10,17 @@ import threading
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from robot_agent import goal_machine, supervisor
 from robot_agent.excitation import plan_excitation
+from robot_agent.flight_plan import plan_flight
 from robot_agent.goal_machine import Goal
-from robot_agent.motion import HaltSwitch
+from robot_agent.memory import Memory
+from robot_agent.pace import HaltSwitch
 from robot_agent.results import KeptResults
 from shared.codec import MAX_BODY_BYTES, MAX_MESSAGE_BYTES
-from shared.excitation import ExcitationPlan
+from shared.excitation import Excitation
 from shared.messages import (
     GoalAccepted,
     GoalRequest,
@@ -26,19 +30,24 @@ from shared.messages import (
     RobotState,
     RobotStatus,
 )
+from shared.motions import Motion, MotionPlan
 from shared.robot_spec import RobotSpec
 from shared.strict import as_reason
 
-MAX_RESULT_SAMPLES = (MAX_MESSAGE_BYTES - 2 * MAX_BODY_BYTES) // 16
-"""A longer motion is refused: its reference and response would not fit into one message."""
+MAX_RESULT_NUMBERS = (MAX_MESSAGE_BYTES - 2 * MAX_BODY_BYTES) // 8
+"""A motion that measures more is refused: its result would not fit into one message."""
+
+_NUMBERS_PER_AXIS = 16
+"""No flight measures more per sample and axis, all its signals together."""
 
 
 @dataclass(frozen=True)
-class Motion:
+class Assignment:
     """An accepted goal that is to be played, and the switch that ends it early."""
 
     goal: Goal
-    plan: ExcitationPlan
+    motion: Motion
+    plan: MotionPlan
     switch: HaltSwitch = field(default_factory=HaltSwitch)
 
 
@@ -50,13 +59,17 @@ class Decisions:
         robot: str,
         boot_id: str,
         spec: RobotSpec,
+        memory: Memory,
         *,
+        state_names: tuple[str, ...] = (),
         realtime: float | None,
         changed: threading.Event,
     ) -> None:
         self._robot = robot
         self._boot_id = boot_id
         self._spec = spec
+        self._memory = memory
+        self._state_names = state_names
         self._realtime = realtime
         self._changed = changed
         self._lock = threading.Condition()
@@ -65,7 +78,7 @@ class Decisions:
         self._results = KeptResults()
         self._owners_alive: set[str] = set()
         self._shutting_down = False
-        self._motion: Motion | None = None
+        self._motion: Assignment | None = None
         self._resting = False
         self._progress = 0.0
         self._last_goal: str | None = None
@@ -107,25 +120,29 @@ class Decisions:
 
     # Requests.
 
-    def take(self, request: GoalRequest) -> tuple[GoalAccepted | Refusal, Motion | None]:
+    def take(self, request: GoalRequest) -> tuple[GoalAccepted | Refusal, Assignment | None]:
         """Accept or refuse a goal; return the answer, and the motion that is to begin.
 
         A goal that is known already is accepted again and moves nothing.
 
         Raises:
-            RefusedError: the test is outside the robot's limits.
+            RefusedError: the motion is outside the robot's limits.
         """
         self.forget(request.acknowledges)
-        digest = hashlib.sha256(request.excitation.model_dump_json().encode()).hexdigest()
+        digest = _digest(request.motion)
         with self._lock:
             answer = self._submitted(request, digest)[1]
         if isinstance(answer, Refusal):
             return answer, None
         # Planning takes a while and a stop must not wait for it, so what was looked at before the
         # plan is looked at again after it. The same request gives the same plan every time.
-        plan = plan_excitation(request.excitation, self._spec, robot=self._robot)
-        if plan.samples > MAX_RESULT_SAMPLES:
-            too_long = f"{plan.samples} samples are too many; at most {MAX_RESULT_SAMPLES}"
+        plan = self._planned(request.motion)
+        per_sample = 2
+        if not isinstance(request.motion, Excitation):
+            per_sample = _NUMBERS_PER_AXIS * len(self._spec.axes)
+        if plan.samples * per_sample > MAX_RESULT_NUMBERS:
+            most = MAX_RESULT_NUMBERS // per_sample
+            too_long = f"{plan.samples} samples are too many; at most {most}"
             return Refusal(code="duration", reason=too_long), None
         motion = None
         with self._lock:
@@ -133,7 +150,7 @@ class Decisions:
             if isinstance(answer, Refusal):
                 return answer, None
             if answer.new:
-                motion = self._motion = Motion(answer.goal, plan)
+                motion = self._motion = Assignment(answer.goal, request.motion, plan)
                 self._resting, self._progress = False, 0.0
                 self._supervise(supervisor.MotionBegan(request.owner))
         accepted = GoalAccepted(
@@ -143,6 +160,13 @@ class Decisions:
             wall_duration_s=self._wall_duration_s(plan),
         )
         return accepted, motion
+
+    def refusal_to_change(self) -> Refusal | None:
+        """Return why what the robot flies with may not be changed now; None when it may."""
+        with self._lock:
+            if self._motion is None:
+                return None
+            return Refusal(code="busy", reason=f"running goal {self._motion.goal.goal_id}")
 
     def cancel(self, goal_id: str) -> Refusal | None:
         """End a goal's motion early; return why not."""
@@ -182,9 +206,10 @@ class Decisions:
 
     # What becomes of motions.
 
-    def progressed(self, motion: Motion, samples: int) -> None:
+    def progressed(self, motion: Assignment, samples: int) -> None:
         """So many samples of a motion have been played."""
-        self._progress = samples / motion.plan.samples
+        whole = motion.plan.duration_s / motion.plan.sample_time_s
+        self._progress = min(1.0, samples / whole)
 
     def resting(self) -> None:
         """The motion in progress has been played and the robot is coming to rest."""
@@ -264,7 +289,23 @@ class Decisions:
             return RobotStatus.STOPPED, f"stopped by {stop.sender}: {stop.reason}"
         return RobotStatus.IDLE, self._last_reason
 
-    def _wall_duration_s(self, plan: ExcitationPlan) -> float:
+    def _planned(self, motion: Motion) -> MotionPlan:
+        if isinstance(motion, Excitation):
+            return plan_excitation(motion, self._spec, robot=self._robot)
+        return plan_flight(motion, self._spec, self._state_names, self._memory, self._robot)
+
+    def _wall_duration_s(self, plan: MotionPlan) -> float:
         if not self._spec.simulated:
             return plan.duration_s
         return 0.0 if self._realtime is None else plan.duration_s / self._realtime
+
+
+def _digest(motion: Motion) -> str:
+    """Return a hash of all that a motion asks for."""
+    arrays: list[np.ndarray] = []
+    body = motion.model_dump_json(context=arrays)
+    digest = hashlib.sha256(body.encode())
+    for array in arrays:
+        digest.update(f"{array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()

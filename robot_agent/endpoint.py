@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import queue
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import CancelledError, Future
 from contextlib import suppress
 from functools import partial
@@ -23,6 +23,9 @@ from shared.strict import as_reason
 from shared.transport import Request, Session
 
 MAX_REQUEST_BYTES = 64 * 1024
+MAX_LARGE_REQUEST_BYTES = 8 * 2**20
+"""Of a request that carries a path or an experience."""
+
 MAX_WAITING_REQUESTS = 64
 
 Answer = Message | Future[Message]
@@ -46,6 +49,7 @@ class Endpoint:
         *,
         handlers: Mapping[str, Handler],
         urgent: Mapping[str, Handler],
+        large: Collection[str] = (),
     ) -> None:
         """Begin to serve.
 
@@ -55,10 +59,12 @@ class Endpoint:
             robot: its name.
             handlers: what answers the queries on each key; called from one thread.
             urgent: the same, for those that cannot wait; called from Zenoh's thread.
+            large: the keys whose requests may be up to `MAX_LARGE_REQUEST_BYTES` long.
         """
         self._prefix = keys.robot(robot, "")
         self._handlers = handlers
         self._urgent = urgent
+        self._large = frozenset(large)
         self._lock = threading.Lock()
         self._closed = False
         self._waiting: queue.Queue[Request | None] = queue.Queue(MAX_WAITING_REQUESTS)
@@ -80,7 +86,8 @@ class Endpoint:
     def _on_request(self, request: Request) -> None:
         leaf = request.key.removeprefix(self._prefix)
         urgent = self._urgent.get(request.key.rpartition("/")[2] if request.is_wildcard else leaf)
-        too_large = request.size_bytes > MAX_REQUEST_BYTES
+        most = MAX_LARGE_REQUEST_BYTES if leaf in self._large else MAX_REQUEST_BYTES
+        too_large = request.size_bytes > most
         if urgent is not None:
             # Whatever came along: who asks for this must not be turned away for its size.
             _reply(request, partial(urgent, b"" if too_large else request.payload))
@@ -90,7 +97,7 @@ class Endpoint:
             reason = f"this robot does not serve {leaf[:200]!r}"
             _send(request, Refusal(code="unknown-key", reason=reason))
         elif too_large:
-            reason = f"{request.size_bytes} bytes; at most {MAX_REQUEST_BYTES} are taken"
+            reason = f"{request.size_bytes} bytes; at most {most} are taken"
             _send(request, Refusal(code="too-large", reason=reason))
         else:
             refusal = self._enqueue(request)

@@ -6,11 +6,11 @@ Pure decisions: given an error, it answers with the share of the learned correct
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from shared.arrays import FloatArray
+from shared.motions import TakenBack
 from shared.strict import Positive, Strict
 
 
@@ -26,14 +26,6 @@ class GuardSettings(Strict):
     peak_ratio: Positive = 1.3
     window_s: Positive = 0.2
     hand_over_s: Positive = 0.4
-
-
-@dataclass(frozen=True)
-class TakenBack:
-    """The event that the guard took the prior back at a sample, and why."""
-
-    sample: int
-    reason: str
 
 
 class Guard:
@@ -84,14 +76,17 @@ class Guard:
 
     def _verdict(self, sample: int, square: float) -> TakenBack | None:
         if not math.isfinite(square):
-            return TakenBack(sample, "the tracking error is not finite")
+            return TakenBack(sample=sample, reason="the tracking error is not finite")
         if float(self._recent.mean()) > self._peak:
             return TakenBack(
-                sample,
-                f"an error of {math.sqrt(self._recent.mean()):.3g}, more than the baseline's worst",
+                sample=sample,
+                reason=f"an error of {math.sqrt(self._recent.mean()):.3g}, more than the "
+                "baseline's worst",
             )
         excess = self._spent - float(self._allowed[sample])
         if excess > self._budget:
             ratio = math.sqrt(self._spent / float(self._allowed[sample]))
-            return TakenBack(sample, f"so far {ratio:.2f} times the error of the baseline")
+            return TakenBack(
+                sample=sample, reason=f"so far {ratio:.2f} times the error of the baseline"
+            )
         return None

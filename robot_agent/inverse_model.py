@@ -42,18 +42,3 @@ class NetworkInverse:
         weight, bias = self._layers[-1]
         mean, scale = self._output
         return np.asarray((activity @ weight + bias)[:, 0] * scale + mean)
-
-
-class LinearInverse:
-    """A linear inverse, γ = inputs · w: what a few seconds of data give at once."""
-
-    def __init__(self, inputs: FloatArray, gamma: FloatArray) -> None:
-        """Fit by ridge regression on standardised inputs (m, inputs) and γ (m,)."""
-        scale = np.maximum(inputs.std(axis=0), 1e-12)
-        scaled = inputs / scale
-        normal = scaled.T @ scaled / len(scaled) + 1e-4 * np.eye(len(scale))
-        self.weights = np.linalg.solve(normal, scaled.T @ gamma / len(scaled)) / scale
-
-    def __call__(self, inputs: FloatArray) -> FloatArray:
-        """Return γ, shape (m,), for inputs of shape (m, inputs)."""
-        return np.asarray(inputs @ self.weights)

@@ -48,8 +48,8 @@ from robot_agent.journal_log import (
 from robot_agent.supervisor import StopOrder
 from shared.codec import decode, encode
 from shared.errors import MalformedMessageError
-from shared.excitation import ExcitationPlan
 from shared.messages import GoalResult, Outcome
+from shared.motions import MotionPlan
 
 LOG = "log"
 DAMAGED_LOG = "log.damaged"
@@ -134,7 +134,7 @@ class Journal:
         with self._mutex:
             self._closing.close()
 
-    def accepted(self, goal: Goal, plan: ExcitationPlan, boot_id: str) -> None:
+    def accepted(self, goal: Goal, plan: MotionPlan, boot_id: str) -> None:
         """Store that a goal was taken: before the answer is sent and the motion begins."""
         self._append(
             Accepted(

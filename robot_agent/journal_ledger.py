@@ -19,8 +19,8 @@ from robot_agent.results import KEPT_RESULT_BYTES, KEPT_RESULTS
 from robot_agent.supervisor import StopOrder
 from shared.codec import describe_validation
 from shared.errors import NufleetError
-from shared.excitation import ExcitationPlan
 from shared.messages import Outcome
+from shared.motions import MotionPlan
 from shared.strict import Identifier, Reason, Strict
 
 Digest = Annotated[str, Field(max_length=64)]
@@ -39,7 +39,7 @@ class Accepted(Strict):
     owner: Identifier
     digest: Digest
     boot_id: Identifier
-    plan: ExcitationPlan
+    plan: MotionPlan
 
 
 class Ended(Strict):
@@ -120,7 +120,7 @@ class LedgerGoal:
 
     goal: Goal
     boot_id: str = ""
-    plan: ExcitationPlan | None = None
+    plan: MotionPlan | None = None
     sha256: str | None = None
     size_bytes: int = 0
 

@@ -1,103 +1,78 @@
-"""Plays one planned motion on the robot and brings it to rest, whatever happens."""
+"""Performs one motion on the robot and brings it to rest, whatever happens."""
 
 from __future__ import annotations
 
 import logging
-import threading
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
+from robot_agent.pace import HaltSwitch, Pace
+from robot_agent.paced_robot import CHUNK_SAMPLES, Halted
 from robot_agent.robot import Robot
 from shared.arrays import FloatArray
 from shared.errors import RobotError
 from shared.messages import Outcome
-
-CHUNK_SAMPLES = 256
-"""A simulation as fast as it can plays so many samples between two looks at the switch."""
-
-GAP_MAX_S = 2.0
-"""A paced motion whose samples are this far apart ends: the process was frozen, or the robot hung.
-Whoever commands it will have given it up by then."""
-
-CATCH_UP_MAX_S = 0.25
-"""A paced simulation that is later than this goes on at its pace and does not catch up."""
+from shared.motions import FlightDetails
 
 _log = logging.getLogger(__name__)
 
 OnSamples = Callable[[int, FloatArray, FloatArray], None]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Reference and output, both (samples,) or (samples, axes), and what else was measured."""
+
+    reference: FloatArray
+    response: FloatArray
+    details: FlightDetails | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class Played:
-    """What was played and measured until the motion ended; both shape (samples,).
+    """What was played and measured until the motion ended.
 
     `fault` is why the robot cannot be trusted with another motion; None when it can.
     """
 
     outcome: Outcome
     reason: str
-    reference: FloatArray
-    response: FloatArray
+    samples: Samples
     fault: str | None = None
 
 
-class HaltSwitch:
-    """Set from any thread to end a motion; keeps the first outcome and reason it was given."""
+class Performance(Protocol):
+    """Moves the robot; keeps what it measured, also when it raised."""
 
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._thrown = threading.Event()
-        self._order: tuple[Outcome, str] | None = None
+    def play(self) -> tuple[Outcome, str]:
+        """Play the motion; may raise RobotError or Halted."""
 
-    def halt(self, outcome: Outcome, reason: str) -> None:
-        """Ask the motion to end."""
-        with self._lock:
-            if self._order is None:
-                self._order = (outcome, reason)
-        self._thrown.set()
-
-    @property
-    def order(self) -> tuple[Outcome, str] | None:
-        """How the motion is to end; None while it may go on."""
-        return self._order
-
-    def wait(self, timeout_s: float) -> None:
-        """Wait for so long, or until the switch is thrown."""
-        self._thrown.wait(timeout_s)
+    def measured(self) -> Samples:
+        """Return what was measured until now."""
 
 
-def play(
-    robot: Robot,
-    axis: str,
-    reference: FloatArray,
-    *,
-    realtime: float | None,
-    switch: HaltSwitch,
-    on_samples: OnSamples,
-    on_resting: Callable[[], None] = lambda: None,
+def perform(
+    robot: Robot, performance: Performance, switch: HaltSwitch, *, on_resting: Callable[[], None]
 ) -> Played:
-    """Play a reference on one axis from rest to rest.
+    """Perform a motion, from rest to rest.
 
     A robot that breaks its interface (raises anything but `RobotError`, or does not come to rest)
     gives a failed motion with a fault; nothing that it raises leaves this function.
 
     Args:
         robot: connected and at rest.
-        axis: the axis that follows; the others hold zero.
-        reference: shape (samples,), in the axis's unit.
-        realtime: paces a simulated robot at this multiple of real time; None lets it play as fast
-            as it can. A real robot paces itself, one sample at a time.
+        performance: the motion.
         switch: ends the motion early.
-        on_samples: called with the first index and the samples of each batch.
         on_resting: called when the last sample has been played.
     """
-    player = _Player(robot, axis, reference, switch, on_samples)
     fault: str | None = None
     try:
-        outcome, reason = player.play(realtime)
+        outcome, reason = performance.play()
+    except Halted:
+        outcome, reason = switch.order or (Outcome.ABORTED, "halted")
     except RobotError as error:
         outcome, reason = Outcome.FAILED, str(error)
     except Exception as error:  # noqa: BLE001 - a driver's mistake must not leave it moving
@@ -112,8 +87,7 @@ def play(
         outcome = Outcome.FAILED
         reason = f"{reason}; {not_at_rest}" if reason else not_at_rest
         fault = reason
-    done = player.done
-    return Played(outcome, reason, reference[:done].copy(), player.response[:done].copy(), fault)
+    return Played(outcome, reason, performance.measured(), fault)
 
 
 def _bring_to_rest(robot: Robot) -> str | None:
@@ -128,29 +102,45 @@ def _bring_to_rest(robot: Robot) -> str | None:
     return None
 
 
-class _Player:
-    """Plays the batches of one motion and keeps what was measured."""
+class AxisMotion:
+    """A reference for one axis, known ahead; the others hold zero."""
 
     def __init__(
         self,
         robot: Robot,
         axis: str,
         reference: FloatArray,
+        *,
+        realtime: float | None,
         switch: HaltSwitch,
         on_samples: OnSamples,
     ) -> None:
-        self._robot = robot
-        self._axis = axis
-        self._reference = reference
-        self._switch = switch
-        self._on_samples = on_samples
-        self.response = np.empty_like(reference)
-        self.done = 0
+        """Prepare.
 
-    def play(self, realtime: float | None) -> tuple[Outcome, str]:
+        Args:
+            robot: connected and at rest.
+            axis: the axis that follows.
+            reference: shape (samples,), in the axis's unit.
+            realtime: paces a simulated robot at this multiple of real time; None lets it play as
+                fast as it can. A real robot paces itself, one sample at a time.
+            switch: ends the motion early.
+            on_samples: called with the first index and the samples of each batch.
+        """
+        self._robot, self._axis, self._reference = robot, axis, reference
+        self._switch, self._on_samples = switch, on_samples
+        self._pace = Pace(robot.spec, realtime, switch)
+        self._response = np.empty_like(reference)
+        self._done = 0
+
+    def measured(self) -> Samples:
+        """Return what was measured until now; both shape (samples,)."""
+        return Samples(self._reference[: self._done].copy(), self._response[: self._done].copy())
+
+    def play(self) -> tuple[Outcome, str]:
+        """Play the reference to its end, or until the switch is thrown."""
         axes = [axis.name for axis in self._robot.spec.axes]
         column = axes.index(self._axis)
-        for start, stop in self._batches(realtime):
+        for start, stop in self._batches():
             if self._switch.order is not None:
                 return self._switch.order
             references = np.zeros((stop - start, len(axes)))
@@ -161,32 +151,23 @@ class _Player:
                 else self._robot.step(references[0])[np.newaxis, :]
             )
             good = int(np.argmin(np.append(np.isfinite(measured).all(axis=1), False)))
-            self.response[start : start + good] = measured[:good, column]
-            self.done = start + good
+            self._response[start : start + good] = measured[:good, column]
+            self._done = start + good
             self._on_samples(
-                start, self._reference[start : self.done], self.response[start : self.done]
+                start, self._reference[start : self._done], self._response[start : self._done]
             )
             if good < stop - start:
-                reason = f"the sensor returned a number that is not finite at sample {self.done}"
+                reason = f"the sensor returned a number that is not finite at sample {self._done}"
                 return Outcome.FAILED, reason
         return Outcome.COMPLETED, ""
 
-    def _batches(self, realtime: float | None) -> Iterator[tuple[int, int]]:
+    def _batches(self) -> Iterator[tuple[int, int]]:
         """Yield the next samples to play: many at once, or single ones at their time."""
-        samples, spec = len(self._reference), self._robot.spec
-        if realtime is None and spec.simulated:
+        samples = len(self._reference)
+        if self._pace.free:
             for start in range(0, samples, CHUNK_SAMPLES):
                 yield start, min(start + CHUNK_SAMPLES, samples)
             return
-        period_s = spec.sample_time_s / (realtime if realtime and spec.simulated else 1.0)
-        due_s = last_s = time.monotonic()
         for k in range(samples):
-            if spec.simulated:
-                self._switch.wait(max(0.0, due_s - time.monotonic()))
-            now_s = time.monotonic()
-            if now_s - last_s > GAP_MAX_S + period_s:
-                gap = f"nothing happened for {now_s - last_s:.1f} s before sample {k}"
-                self._switch.halt(Outcome.ABORTED, gap)
-            last_s = now_s
-            due_s = max(due_s, now_s - CATCH_UP_MAX_S) + period_s
+            self._pace.wait()
             yield k, k + 1

@@ -1,4 +1,4 @@
-"""Trajectories that show a robot's whole dynamics, under its limits, and what a step shows."""
+"""References that show a robot's whole dynamics, under its limits, and its delay."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ import numpy as np
 from robot_agent.robot import Robot
 from shared.arrays import FloatArray
 from shared.errors import RobotError
-from shared.robot_spec import AxisSpec, RobotSpec
+from shared.robot_spec import RobotSpec, TrackingLimits
 
 _FADE_S = 2.0
 _TONES = 8
-_NOISES = 5.0  # standard errors that a step's answer must stand out by
-_REPEATS = 20
+STEPS_UP = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,40 +25,57 @@ class FlightRecord:
     states: FloatArray
 
 
-def rich_references(
-    spec: RobotSpec, axes: tuple[AxisSpec, ...], duration_s: float, rng: np.random.Generator
-) -> FloatArray:
+def rich_references(spec: RobotSpec, duration_s: float, rng: np.random.Generator) -> FloatArray:
     """Return references on every axis, shape (samples, axes), from rest to rest.
 
     Pieces of 15 s, each a sum of eight sinusoids with random phases and a band of its own: the
-    slow ones reach the bound on amplitude or velocity, the fast ones that on acceleration.
+    slow ones reach the bound on position or speed, the fast ones that on acceleration.
 
     Args:
-        spec: of the robot.
-        axes: the limits to keep to, in the order of `spec.axes`; those of the spec bound a
-            frequency test, tracking may be allowed more.
+        spec: of the robot; its tracking limits are kept to.
         duration_s: how long at least.
         rng: draws frequencies and phases.
+
+    Raises:
+        RobotError: the robot does not track.
     """
+    limits = spec.tracking
+    if limits is None:
+        raise RobotError("a robot without tracking limits makes no rich flight")
     pieces = max(4, math.ceil(duration_s / 15.0))
     samples = round(15.0 / spec.sample_time_s)
     highest = np.geomspace(max(1.0, 3 * spec.omega_min_rad_s), min(spec.omega_max_rad_s, 6.0), 4)
     return np.concatenate(
         [
-            np.stack(
-                [
-                    _piece(axis, float(highest[i % 4]), samples, spec.sample_time_s, rng)
-                    for axis in axes
-                ],
-                axis=1,
-            )
+            _piece(limits, len(spec.axes), float(highest[i % 4]), samples, spec.sample_time_s, rng)
             for i in range(pieces)
         ]
     )
 
 
 def _piece(
-    axis: AxisSpec, highest: float, samples: int, sample_time_s: float, rng: np.random.Generator
+    limits: TrackingLimits,
+    axes: int,
+    highest: float,
+    samples: int,
+    sample_time_s: float,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return a piece of shape (samples, axes) that reaches one of the limits."""
+    waves = np.stack([_wave(highest, samples, sample_time_s, rng) for _ in range(axes)], axis=1)
+    waves /= np.abs(np.diff(waves, axis=0)).max(axis=0)  # alike in speed
+    speed = np.linalg.norm(np.diff(waves, axis=0), axis=1).max() / sample_time_s
+    acceleration = np.linalg.norm(np.diff(waves, 2, axis=0), axis=1).max() / sample_time_s**2
+    largest = min(
+        limits.position_max / np.abs(waves).max(),
+        limits.speed_max / speed,
+        limits.acceleration_max / acceleration,
+    )
+    return np.asarray(waves * largest)
+
+
+def _wave(
+    highest: float, samples: int, sample_time_s: float, rng: np.random.Generator
 ) -> FloatArray:
     time_s = np.arange(samples) * sample_time_s
     omegas = rng.uniform(0.3 * min(1.0, highest), highest, _TONES)
@@ -67,15 +83,7 @@ def _piece(
     weights = rng.uniform(0.5, 1.0, _TONES) / omegas
     fade = np.minimum(1.0, np.minimum(time_s, time_s[::-1]) / _FADE_S)
     fade = fade**3 * (10 - 15 * fade + 6 * fade**2)
-    wave = fade * (weights @ np.sin(np.outer(omegas, time_s) + phases[:, np.newaxis]))
-    speed = np.abs(np.diff(wave)).max() / sample_time_s
-    acceleration = np.abs(np.diff(wave, 2)).max() / sample_time_s**2
-    largest = min(
-        axis.amplitude_max / np.abs(wave).max(),
-        axis.velocity_max / speed,
-        axis.acceleration_max / acceleration,
-    )
-    return np.asarray(wave * largest)
+    return np.asarray(fade * (weights @ np.sin(np.outer(omegas, time_s) + phases[:, np.newaxis])))
 
 
 def fly_record(robot: Robot, references: FloatArray) -> FlightRecord:
@@ -95,31 +103,14 @@ def fly_record(robot: Robot, references: FloatArray) -> FlightRecord:
     return FlightRecord(references, states)
 
 
-def relative_degree(robot: Robot, column: int) -> int:
-    """Measure after how many samples an axis answers to a step of its reference.
+def step_references(spec: RobotSpec, column: int) -> FloatArray:
+    """Return steps up and down on one axis, shape (samples, axes).
 
-    Twenty steps up and down, each as high as the axis may move in one sample, averaged; the answer
-    is the first mean that leaves the noise before the steps by five standard errors.
-
-    Raises:
-        RobotError: the robot failed, or nothing answered within its settling time.
+    Twenty of each, as high as the axis may move in one sample.
     """
-    spec = robot.spec
     axis = spec.axes[column]
     wait = max(4, math.ceil(max(spec.settling_time_s, 0.5) / 2 / spec.sample_time_s))
     height = min(axis.velocity_max * spec.sample_time_s, axis.amplitude_max)
-    levels = np.repeat(np.arange(2 * _REPEATS + 1) % 2 * height, wait)
-    references = np.zeros((len(levels), len(spec.axes)))
-    references[:, column] = levels
-    outputs = robot.run(references)[:, column]
-    robot.rest()
-    signs = np.where(np.arange(2 * _REPEATS) % 2 == 0, 1.0, -1.0)
-    # Row i is the answer to step i, from the sample at which the reference changed.
-    answers = outputs[wait:].reshape(2 * _REPEATS, wait) * signs[:, np.newaxis]
-    before = outputs[wait - 1 : -1 : wait] * signs
-    change = answers - before[:, np.newaxis]
-    error = change.std(axis=0, ddof=1)[0] / math.sqrt(2 * _REPEATS)
-    stands_out = change.mean(axis=0) > _NOISES * error + 1e-9 * height
-    if not stands_out.any():
-        raise RobotError(f"axis {axis.name} did not answer to steps of {height:g} {axis.unit}")
-    return max(1, int(np.argmax(stands_out)))
+    references = np.zeros(((2 * STEPS_UP + 1) * wait, len(spec.axes)))
+    references[:, column] = np.repeat(np.arange(2 * STEPS_UP + 1) % 2 * height, wait)
+    return references

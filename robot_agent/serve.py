@@ -23,10 +23,12 @@ def serve(
     connect: str,
     realtime: float | None,
     until_stdin_closes: bool,
+    state_folder: Path,
 ) -> None:
     """Serve robots until standard input closes (when asked) or the process is interrupted.
 
-    Each robot has a session of its own, so that one that is cut off takes no other with it.
+    Each robot has a session of its own, so that one that is cut off takes no other with it. What it
+    has to remember lies in `state_folder`, under the names of its fleet and its own.
     """
     fleet = read_fleet_file(fleet_file)
     chosen = names or tuple(fleet.robots)
@@ -38,6 +40,9 @@ def serve(
     with ExitStack() as stack:
         for name, robot in robots.items():
             session = stack.enter_context(open_client(connect, timeout_s=None, given_up=ended))
-            stack.enter_context(Agent(session, keys, name, robot, realtime=realtime))
+            own = state_folder / fleet.name / name
+            stack.enter_context(
+                Agent(session, keys, name, robot, realtime=realtime, state_folder=own)
+            )
         click.echo(f"serving {', '.join(chosen)} of fleet {fleet.name} at {connect}", err=True)
         ended.wait()

@@ -8,9 +8,8 @@ from collections.abc import Callable
 import numpy as np
 
 from shared.arrays import FloatArray
-from shared.codec import encode
+from shared.codec import Message, encode
 from shared.errors import TransportError
-from shared.messages import Telemetry
 from shared.transport import Publisher
 
 PERIOD_S = 0.1
@@ -24,46 +23,43 @@ class TelemetryBatcher:
     def __init__(
         self,
         publisher: Publisher,
-        goal_id: str,
-        sample_time_s: float,
+        make: Callable[[int, tuple[FloatArray, ...]], Message],
         *,
         clock: Callable[[], float],
     ) -> None:
+        """Begin with nothing.
+
+        Args:
+            publisher: where the batches go.
+            make: makes the message from the index of the batch's first sample and its signals.
+            clock: monotonic, in s.
+        """
         self._publisher = publisher
-        self._goal_id = goal_id
-        self._sample_time_s = sample_time_s
+        self._make = make
         self._clock = clock
         self._last_s = clock()
         self._first = 0
-        self._reference: list[FloatArray] = []
-        self._response: list[FloatArray] = []
+        self._parts: list[tuple[FloatArray, ...]] = []
 
-    def add(self, first: int, reference: FloatArray, response: FloatArray) -> None:
-        """Take samples that follow the ones before; publish when it is time."""
-        if not self._reference:
+    def add(self, first: int, *signals: FloatArray) -> None:
+        """Take samples that follow the ones before; publish when it is time.
+
+        Every signal has one row per sample, `first` is the index of the first one.
+        """
+        if not self._parts:
             self._first = first
-        self._reference.append(reference)
-        self._response.append(response)
+        self._parts.append(signals)
         if self._clock() - self._last_s >= PERIOD_S:
             self.flush()
 
     def flush(self) -> None:
         """Publish what has been collected; a motion goes on whether or not anybody can hear it."""
         self._last_s = self._clock()
-        if not self._reference:
+        if not self._parts:
             return
-        batch = Telemetry(
-            goal_id=self._goal_id,
-            first_sample=self._first,
-            sample_time_s=self._sample_time_s,
-            reference=np.concatenate(self._reference),
-            response=np.concatenate(self._response),
-        )
-        self._reference.clear()
-        self._response.clear()
+        signals = tuple(np.concatenate(parts) for parts in zip(*self._parts, strict=True))
+        self._parts.clear()
         try:
-            self._publisher.put(encode(batch))
+            self._publisher.put(encode(self._make(self._first, signals)))
         except TransportError as error:
-            _log.warning(
-                "samples of %s from %d on were lost: %s", self._goal_id, self._first, error
-            )
+            _log.warning("samples from %d on were lost: %s", self._first, error)

@@ -10,13 +10,15 @@ from typing import Protocol
 
 import numpy as np
 
-from robot_agent.guard import Guard, TakenBack
+from robot_agent.guard import Guard
 from robot_agent.online_gp import Correction, OnlineGp
 from robot_agent.robot import Robot
 from shared.arrays import FloatArray
 from shared.errors import InvalidInputError, RobotError
 from shared.inverse_layout import InverseLayout
-from shared.trajectories import TrackingLimits, check_trajectory, travel
+from shared.motions import TakenBack
+from shared.robot_spec import RobotSpec, TrackingLimits
+from shared.trajectories import check_trajectory, travel
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +62,12 @@ class Watch(Protocol):
     """Is told of every sample as it is played, for a live view."""
 
     def __call__(
-        self, sample: int, desired: FloatArray, actual: FloatArray, correction: Correction | None
+        self,
+        sample: int,
+        desired: FloatArray,
+        actual: FloatArray,
+        correction: Correction | None,
+        share: float,
     ) -> None:
         """Must return quickly: it is called in the control loop."""
 
@@ -118,7 +125,7 @@ def track(
             )
     elif guard is not None:
         raise InvalidInputError("a guard watches over a learner; the baseline needs none")
-    robot.run(_approach(robot, desired[0], limits))
+    robot.run(approach(robot.spec, desired[0], limits))
     flight = _Flight(robot, desired, limits, learner, guard, watch)
     failure: str | None = None
     try:
@@ -129,9 +136,11 @@ def track(
     return flight.record(failure)
 
 
-def _approach(robot: Robot, start: FloatArray, limits: TrackingLimits) -> FloatArray:
-    """Return the references that lead from the origin to the start and let the robot settle."""
-    spec = robot.spec
+def approach(spec: RobotSpec, start: FloatArray, limits: TrackingLimits) -> FloatArray:
+    """Return the references that lead from the origin to the start and let the robot settle.
+
+    Shape (samples, axes); `start` has shape (axes,).
+    """
     settle = np.tile(start, (max(1, math.ceil(spec.settling_time_s / spec.sample_time_s)), 1))
     if not start.any():
         return settle
@@ -191,11 +200,11 @@ class _Flight:
             self._reference[self._span + k] = reference
             self._step_time_s[k] = time.perf_counter() - begin_s
             self._actual[k] = self._robot.step(reference)
-            self._done = k + 1
             if not np.isfinite(self._actual[k]).all():
                 return f"the sensor returned a number that is not finite at sample {k}"
+            self._done = k + 1
             if self._watch is not None:
-                self._watch(k, wanted, self._actual[k], correction)
+                self._watch(k, wanted, self._actual[k], correction, float(self._share[k]))
         return None
 
     def _choose(

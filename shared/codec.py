@@ -127,6 +127,26 @@ Float64Array = Annotated[
 ]
 """A field of finite float64 numbers that travels as raw bytes; a decoded one is read-only."""
 
+
+def _as_bytes(value: object, info: ValidationInfo) -> bytes:
+    if isinstance(value, bytes):
+        return value
+    array = _resolve_array(value, info)
+    if array.dtype != np.uint8 or array.ndim != 1:
+        raise ValueError(f"expected bytes, got {array.dtype} of {array.ndim} dimensions")
+    return array.tobytes()
+
+
+Bytes = Annotated[
+    bytes,
+    PlainValidator(_as_bytes),
+    PlainSerializer(
+        lambda value, info: _refer_to_array(np.frombuffer(value, dtype=np.uint8), info),
+        return_type=int,
+    ),
+]
+"""A field of bytes that travel as they are."""
+
 M = TypeVar("M", bound=Message)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -25,6 +25,7 @@ class Excitation(Strict):
     own phasors, whose scatter is the measurement's uncertainty. `settle_s` precedes it.
     """
 
+    kind: Literal["excitation"] = "excitation"
     axis: Name
     tones: Annotated[tuple[Tone, ...], Field(min_length=1, max_length=128)]
     amplitude: Positive | None = None
@@ -48,6 +49,7 @@ class ExcitationPlan(Strict):
     `segments` × `segment_samples`, and falls over `ramp_samples`.
     """
 
+    kind: Literal["excitation"] = "excitation"
     axis: Name
     tones: Annotated[tuple[Tone, ...], Field(min_length=1, max_length=128)]
     amplitude: Positive

@@ -24,6 +24,8 @@ from pydantic import Field, model_validator
 from shared.arrays import FloatArray
 from shared.strict import Name, Positive, Strict
 
+Architecture = Literal["state", "preview"]
+
 _PREVIEW_SHAPE = (-10.0, -7.0, -5.0, -3.5, -2.5, -1.6, -1.0, -0.6, -0.3, 0.3, 0.6, 1.0)
 """Where a preview looks, in horizons: far back, because an inverse remembers for as long as the
 baseline controller's zero is slow, and no further ahead than the robot's delay."""
@@ -36,7 +38,7 @@ class InverseLayout(Strict):
     h: how far ahead the output aimed at is (`state`), or how far the preview reaches.
     """
 
-    architecture: Literal["state", "preview"]
+    architecture: Architecture
     states: Annotated[tuple[Name, ...], Field(min_length=1, max_length=8)]
     sample_time_s: Positive
     horizon_samples: Annotated[int, Field(ge=1, le=500)]

@@ -8,10 +8,13 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from shared.arrays import FloatArray
-from shared.codec import Float64Array, Message
-from shared.excitation import Excitation, ExcitationPlan
+from shared.codec import Bytes, Float64Array, Message
+from shared.errors import MalformedMessageError
+from shared.excitation import ExcitationPlan
+from shared.experience_manifest import ExperienceManifest
+from shared.motions import FlightDetails, Motion, MotionPlan
 from shared.robot_spec import RobotSpec
-from shared.strict import Identifier, Name, NonNegative, Reason
+from shared.strict import Digest, Identifier, Name, NonNegative, Reason
 
 Count = Annotated[int, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -47,12 +50,28 @@ class DescribeRequest(Message):
     """Asks a robot what it is."""
 
 
+class ExperienceOffer(Message):
+    """A stored inverse model, without its weights."""
+
+    sha256: Digest
+    size_bytes: Count
+    manifest: ExperienceManifest
+
+
 class Description(Message):
-    """What a robot is, which agent process serves it, and whether it is free."""
+    """What a robot is, which agent process serves it, and what it has learned.
+
+    `state_names` is what it measures on every axis; `experiences` are its own, `prior` is what was
+    transferred to it, `baseline_known` says whether a flight with that can be guarded.
+    """
 
     robot: Name
     boot_id: Identifier
     spec: RobotSpec
+    state_names: tuple[Name, ...] = ()
+    experiences: tuple[ExperienceOffer, ...] = ()
+    prior: ExperienceOffer | None = None
+    baseline_known: bool = False
 
 
 class GoalRequest(Message):
@@ -63,7 +82,7 @@ class GoalRequest(Message):
 
     goal_id: Identifier
     owner: Identifier
-    excitation: Excitation
+    motion: Motion
     acknowledges: Annotated[tuple[Identifier, ...], Field(max_length=64)] = ()
 
 
@@ -72,7 +91,7 @@ class GoalAccepted(Message):
 
     goal_id: Identifier
     boot_id: Identifier
-    plan: ExcitationPlan
+    plan: MotionPlan
     wall_duration_s: NonNegative
 
 
@@ -95,8 +114,9 @@ class AcknowledgeRequest(Message):
 
 
 class GoalResult(Message):
-    """How a goal ended and what was measured: reference and response, shape (samples,) each.
+    """How a goal ended and what was measured: reference and response, of one shape.
 
+    That is (samples,) for a frequency test, which moves one axis, and (samples, axes) for a flight.
     Sample k was taken at k × `plan.sample_time_s` on the robot's own clock. A goal that ended early
     holds the samples up to its end; a completed one holds all of its plan.
     """
@@ -105,17 +125,67 @@ class GoalResult(Message):
     boot_id: Identifier
     outcome: Outcome
     reason: Reason
-    plan: ExcitationPlan
+    plan: MotionPlan
     reference: Float64Array
     response: Float64Array
+    details: FlightDetails | None = None
 
     @model_validator(mode="after")
     def _samples_agree(self) -> GoalResult:
         samples = _samples(self.reference, self.response)
+        if (self.reference.ndim == 1) != isinstance(self.plan, ExcitationPlan):
+            raise ValueError("a test has one column, a flight one for each axis")
         whole = self.plan.samples
         if samples > whole or (self.outcome is Outcome.COMPLETED and samples != whole):
             raise ValueError(f"{samples} samples of a {self.outcome} plan of {whole}")
         return self
+
+    @property
+    def test_plan(self) -> ExcitationPlan:
+        """The plan of a frequency test; raises MalformedMessageError for any other motion."""
+        if not isinstance(self.plan, ExcitationPlan):
+            raise MalformedMessageError(f"{self.goal_id} is no frequency test")
+        return self.plan
+
+
+class FetchRequest(Message):
+    """Asks for the file of an experience or prior that a robot has."""
+
+    sha256: Digest
+
+
+class ExperienceFile(Message):
+    """A stored experience, as `shared.experience` reads and writes it."""
+
+    sha256: Digest
+    payload: Bytes
+
+
+class InstallRequest(Message):
+    """Gives a robot an experience: as its own, or as the prior that it flies with."""
+
+    sender: Identifier
+    sha256: Digest
+    payload: Bytes
+
+
+class RemovePriorRequest(Message):
+    """Takes a robot's prior away."""
+
+    sender: Identifier
+
+
+class PredictRequest(Message):
+    """Asks an experience for γ at inputs of shape (m, inputs), in the manifest's units."""
+
+    sha256: Digest
+    inputs: Float64Array
+
+
+class Prediction(Message):
+    """γ in unit/s, shape (m,)."""
+
+    gamma: Float64Array
 
 
 class StopRequest(Message):
@@ -150,7 +220,7 @@ class RobotState(Message):
 
 
 class Telemetry(Message):
-    """A batch of a running goal's samples, for whoever watches; losing some is allowed."""
+    """A batch of a running test's samples, for whoever watches; losing some is allowed."""
 
     goal_id: Identifier
     first_sample: Count
@@ -164,11 +234,32 @@ class Telemetry(Message):
         return self
 
 
+class TrackingTelemetry(Message):
+    """A batch of samples along a path; shapes (n, axes), `share` (n,), see `TrackingDetails`."""
+
+    goal_id: Identifier
+    first_sample: Count
+    sample_time_s: NonNegative
+    desired: Float64Array
+    actual: Float64Array
+    prior: Float64Array
+    mean: Float64Array
+    variance: Float64Array
+    share: Float64Array
+
+    @model_validator(mode="after")
+    def _samples_agree(self) -> TrackingTelemetry:
+        shapes = {a.shape for a in (self.actual, self.prior, self.mean, self.variance)}
+        if shapes != {self.desired.shape} or self.desired.shape[:1] != self.share.shape:
+            raise ValueError(f"arrays of different shapes: {self.desired.shape} and {shapes}")
+        return self
+
+
 def _samples(reference: FloatArray, response: FloatArray) -> int:
     """Return how many samples two arrays hold; raise ValueError unless both hold as many."""
-    if reference.ndim != 1 or reference.shape != response.shape:
+    if reference.ndim > 2 or reference.shape != response.shape:
         raise ValueError(
-            "reference and response must have one shape (samples,), "
+            "reference and response must have one shape, (samples,) or (samples, axes), "
             f"got {reference.shape} and {response.shape}"
         )
     return len(reference)

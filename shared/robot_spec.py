@@ -25,11 +25,28 @@ class AxisSpec(Strict):
     model: LinearModel | None = None
 
 
+class TrackingLimits(Strict):
+    """What a path to be tracked may ask of a robot, in its axes' unit.
+
+    `position_max` bounds each axis of the path, `speed_max` and `acceleration_max` the Euclidean
+    norms along it. On each axis the reference sent may be `correction_max` away from the path, and
+    that correction may change at `correction_speed_max`: baseline controllers act on the speed of
+    their reference, so a correction that jumps can throw a robot over.
+    """
+
+    position_max: Positive
+    speed_max: Positive
+    acceleration_max: Positive
+    correction_max: Positive
+    correction_speed_max: Positive
+
+
 class RobotSpec(Strict):
     """A robot's description, readable while it is disconnected.
 
     `settling_time_s` is the time after which a transient of the baseline loop is negligible;
-    `duration_max_s` is the longest motion the robot accepts (battery, patience).
+    `duration_max_s` is the longest motion the robot accepts (battery, patience). A robot without
+    `tracking` limits only takes frequency tests.
     """
 
     kind: Name
@@ -40,6 +57,7 @@ class RobotSpec(Strict):
     duration_max_s: Positive
     settling_time_s: NonNegative
     simulated: bool
+    tracking: TrackingLimits | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> RobotSpec:

@@ -36,5 +36,8 @@ def as_reason(text: object) -> str:
     return str(text).encode(errors="replace").decode()[:REASON_MAX_CHARACTERS]
 
 
+Digest = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
+"""A sha256 in hexadecimal."""
+
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]

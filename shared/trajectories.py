@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from shared.arrays import FloatArray
 from shared.errors import InvalidInputError
-from shared.strict import Positive, Strict
+from shared.robot_spec import TrackingLimits
 
 POINTS_MAX = 100_000
 """Points of a path, and samples of a trajectory; half an hour at 50 samples per second."""
@@ -18,22 +18,6 @@ _SPACING_SHARE = 5e-4  # of the path's extent, between the points that curvature
 _SMOOTHING_SHARE = 0.015  # of the path's extent: what a hand's tremor and a polygon's corners lose
 _MARGIN = 0.94  # of the acceleration: curvature is computed from differences
 _ROUNDING_S = 0.4  # over which acceleration fades in and out
-
-
-class TrackingLimits(Strict):
-    """What a path to be tracked may ask of a robot, in its axes' unit.
-
-    `position_max` bounds each axis of the path, `speed_max` and `acceleration_max` the Euclidean
-    norms along it. On each axis the reference sent may be `correction_max` away from the path, and
-    that correction may change at `correction_speed_max`: baseline controllers act on the speed of
-    their reference, so a correction that jumps can throw a robot over.
-    """
-
-    position_max: Positive
-    speed_max: Positive
-    acceleration_max: Positive
-    correction_max: Positive
-    correction_speed_max: Positive
 
 
 def check_path(points: FloatArray, name: str) -> None:

@@ -13,7 +13,7 @@ from robot_agent.robot import Robot
 from shared.arrays import FloatArray
 from shared.errors import RobotError
 from shared.linear_model import LinearModel
-from shared.robot_spec import AxisSpec, RobotSpec
+from shared.robot_spec import AxisSpec, RobotSpec, TrackingLimits
 from shared.strict import NonNegative, Positive, Strict
 
 SETTLED = 1e-4
@@ -43,6 +43,13 @@ class DoubleIntegratorSettings(Strict):
     omega_min_rad_s: Positive = 0.01
     omega_max_rad_s: Positive = 50.0
     duration_max_s: Annotated[float, Field(gt=0, le=86_400)] = 3600.0
+    tracking: TrackingLimits = TrackingLimits(
+        position_max=1.5,
+        speed_max=1.0,
+        acceleration_max=2.0,
+        correction_max=0.5,
+        correction_speed_max=0.6,
+    )
 
     @model_validator(mode="after")
     def _loop_is_stable(self) -> DoubleIntegratorSettings:
@@ -195,6 +202,7 @@ def _spec_of(settings: DoubleIntegratorSettings) -> RobotSpec:
         duration_max_s=settings.duration_max_s,
         settling_time_s=settling_samples * settings.sample_time_s,
         simulated=True,
+        tracking=settings.tracking,
     )
 
 

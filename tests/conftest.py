@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import tempfile
 
 from hypothesis import settings
 
@@ -11,6 +12,10 @@ from hypothesis import settings
 # imported; in production their process gets it from its driver's `environment`.
 os.environ["SCIPY_ARRAY_API"] = "1"
 os.environ["JAX_PLATFORMS"] = "cpu"
+
+# What agents started here remember must neither come from nor go to the user's own fleets.
+_STATE = tempfile.TemporaryDirectory(prefix="nufleet-test-state-")
+os.environ["NUFLEET_STATE"] = _STATE.name
 
 # Small matrices, many of them: with threads, BLAS takes ten times as long on a busy machine.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"

@@ -276,7 +276,7 @@ def _keep(
             goal_id=goal_id,
             fleet=fleet,
             robot=known.intent.robot,
-            axis=result.plan.axis,
+            axis=result.test_plan.axis,
             measured_at=utc_now(),
             **response_row(response),
         )

@@ -75,4 +75,5 @@ def _spec(settings: ArmSettings) -> RobotSpec:
         duration_max_s=settings.motion_time_max_s,
         settling_time_s=settings.settling_time_s,
         simulated=True,
+        tracking=settings.tracking,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
+from shared.robot_spec import TrackingLimits
 from shared.strict import NonNegative, Positive, Strict
 
 SAMPLE_TIME_S = 0.02
@@ -47,6 +48,15 @@ class ArmSettings(Strict):
     velocity_reference: bool = True
     noise: EncoderNoise = EncoderNoise()
     limits: ReferenceLimits = ReferenceLimits()
+    # Within the joints' stops; twice the speed and acceleration of a test, which the torque limit
+    # leaves room for.
+    tracking: TrackingLimits = TrackingLimits(
+        position_max=0.6,
+        speed_max=1.2,
+        acceleration_max=4.0,
+        correction_max=0.2,
+        correction_speed_max=0.8,
+    )
     omega_min_rad_s: Positive = 0.2
     omega_max_rad_s: Positive = 12.0
     motion_time_max_s: Positive = 600.0

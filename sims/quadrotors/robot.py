@@ -98,4 +98,5 @@ def _spec(settings: QuadrotorSettings) -> RobotSpec:
         duration_max_s=settings.flight_time_max_s,
         settling_time_s=settings.settling_time_s,
         simulated=True,
+        tracking=settings.tracking,
     )

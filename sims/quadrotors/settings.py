@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from shared.robot_spec import TrackingLimits
 from shared.strict import NonNegative, Positive, Strict
 
 PHYSICS_HZ = 500
@@ -112,6 +113,16 @@ class QuadrotorSettings(Strict):
     velocity_reference: bool = True
     noise: SensorNoise = SensorNoise()
     limits: ReferenceLimits = ReferenceLimits()
+    # A room of 3 m. The paper flies at up to 0.9 m/s; 2 m/s² is a tilt of 12 degrees, within what
+    # every vehicle of the fleet flies. A correction as fast as two thirds of the path's own speed
+    # catches up with a lag; one that jumped would throw a vehicle over.
+    tracking: TrackingLimits = TrackingLimits(
+        position_max=1.5,
+        speed_max=1.0,
+        acceleration_max=2.0,
+        correction_max=0.5,
+        correction_speed_max=0.6,
+    )
     omega_min_rad_s: Positive = 0.1  # the paper's band, Section VI-A
     omega_max_rad_s: Positive = 5.4
     flight_time_max_s: Positive = 420.0  # the smallest vehicle's battery: seven minutes

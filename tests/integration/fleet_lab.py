@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,7 +42,7 @@ class Orchestrator:
         return GoalRequest(
             goal_id=goal_id,
             owner=self.fleet.orchestrator_id,
-            excitation=Excitation.model_validate({**settings, **excitation}),
+            motion=Excitation.model_validate({**settings, **excitation}),
         )
 
     def submit(self, robot: str, goal_id: str, **excitation: object) -> GoalAccepted:
@@ -79,9 +80,17 @@ class Lab:
     def session(self) -> Session:
         return self.stack.enter_context(open_client(self.endpoint, timeout_s=PATIENCE_S))
 
-    def agent(self, name: str, robot: Robot, *, realtime: float | None = None) -> Agent:
+    def agent(
+        self,
+        name: str,
+        robot: Robot,
+        *,
+        realtime: float | None = None,
+        state_folder: Path | None = None,
+    ) -> Agent:
         self.robots[name] = robot
-        agent = Agent(self.session(), KEYS, name, robot, realtime=realtime)
+        session = self.session()
+        agent = Agent(session, KEYS, name, robot, realtime=realtime, state_folder=state_folder)
         return self.stack.enter_context(agent)
 
     def orchestrator(self, name: str = "orchestrator-1", *robots: str) -> Orchestrator:

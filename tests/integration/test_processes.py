@@ -19,7 +19,7 @@ from polling import PATIENCE_S, wait_until
 
 from orchestrator import fleet_processes
 from orchestrator.fleet import Fleet
-from orchestrator.fleet_processes import FleetProcesses, grouped, private_endpoint
+from orchestrator.fleet_processes import FleetProcesses, grouped, private_folder
 from shared.errors import EndpointInUseError
 from shared.excitation import Tone
 from shared.fleet_file import FleetFile, read_fleet_file
@@ -196,13 +196,12 @@ def test_a_waiting_agent_ends_with_ctrl_c(fleet_file: Path, endpoint: str) -> No
     assert said.strip() == "interrupted"
 
 
-def test_a_private_endpoint_is_gone_afterwards() -> None:
-    with private_endpoint() as first, private_endpoint() as second:
+def test_a_private_folder_is_gone_afterwards() -> None:
+    with private_folder() as first, private_folder() as second:
         assert first != second
-        directory = Path(first.removeprefix("unixsock-stream/")).parent
-        assert directory.is_dir()
-        assert directory.stat().st_mode & 0o077 == 0
-    assert not directory.exists()
+        assert first.is_dir()
+        assert first.stat().st_mode & 0o077 == 0
+    assert not first.exists()
 
 
 def fleet_of(kinds: list[str]) -> FleetFile:

@@ -16,7 +16,7 @@ from shared.trajectories import travel
 def test_it_predicts_the_baselines_error_on_a_path_it_never_saw(noise_std_m: float) -> None:
     robot = double_integrator(noise_std_m=noise_std_m)
     spec = robot.spec
-    references = rich_references(spec, spec.axes, 60.0, np.random.default_rng(0))
+    references = rich_references(spec, 60.0, np.random.default_rng(0))
     outputs = robot.run(references)
     robot.rest()
     record = (references[:, 0], outputs[:, 0])

@@ -13,8 +13,9 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from puppet_robot import puppet_spec
 
 from robot_agent import decisions as decisions_module
-from robot_agent.decisions import Decisions, Motion
+from robot_agent.decisions import Assignment, Decisions
 from robot_agent.excitation import plan_excitation
+from robot_agent.memory import Memory
 from robot_agent.supervisor import StopOrder
 from shared.codec import MAX_BODY_BYTES, MAX_MESSAGE_BYTES
 from shared.errors import RefusedError
@@ -37,15 +38,20 @@ EXCITATIONS = tuple(
 
 def new_decisions(*, realtime: float | None = None, spec: RobotSpec | None = None) -> Decisions:
     return Decisions(
-        "r", "boot", spec or puppet_spec(), realtime=realtime, changed=threading.Event()
+        "r",
+        "boot",
+        spec or puppet_spec(),
+        Memory(None),
+        realtime=realtime,
+        changed=threading.Event(),
     )
 
 
 def goal(goal_id: str, owner: str = "o-1", content: int = 0) -> GoalRequest:
-    return GoalRequest(goal_id=goal_id, owner=owner, excitation=EXCITATIONS[content])
+    return GoalRequest(goal_id=goal_id, owner=owner, motion=EXCITATIONS[content])
 
 
-def taken(decisions: Decisions, request: GoalRequest) -> Motion:
+def taken(decisions: Decisions, request: GoalRequest) -> Assignment:
     answer, motion = decisions.take(request)
     assert isinstance(answer, GoalAccepted)
     assert motion is not None
@@ -59,7 +65,7 @@ def refused(decisions: Decisions, request: GoalRequest) -> str:
     return answer.code
 
 
-def result_of(motion: Motion) -> GoalResult:
+def result_of(motion: Assignment) -> GoalResult:
     outcome, reason = motion.switch.order or (Outcome.COMPLETED, "")
     samples = motion.plan.samples if motion.switch.order is None else 3
     return GoalResult(
@@ -82,7 +88,7 @@ class History(RuleBasedStateMachine):
         self.alive: set[str] = set()
         self.stopped = self.shutting_down = False
         self.fault: str | None = None
-        self.motion: Motion | None = None
+        self.motion: Assignment | None = None
         self.contents: dict[str, int] = {}
         self.ended: dict[str, Outcome] = {}
         self.kept: set[str] = set()
@@ -305,20 +311,20 @@ def test_a_goal_outside_the_limits_is_refused_and_not_remembered() -> None:
     decisions.owner_appeared("o-1")
     too_fast = Excitation(axis="x", tones=(Tone(omega_rad_s=60.0),))
     with pytest.raises(RefusedError):
-        decisions.take(GoalRequest(goal_id="a", owner="o-1", excitation=too_fast))
+        decisions.take(GoalRequest(goal_id="a", owner="o-1", motion=too_fast))
     taken(decisions, goal("a"))
 
 
 def test_a_goal_whose_result_would_not_fit_into_a_message_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert 16 * decisions_module.MAX_RESULT_SAMPLES + MAX_BODY_BYTES < MAX_MESSAGE_BYTES
+    assert 8 * decisions_module.MAX_RESULT_NUMBERS + MAX_BODY_BYTES < MAX_MESSAGE_BYTES
     decisions = new_decisions()
     decisions.owner_appeared("o-1")
     samples = plan_excitation(EXCITATIONS[0], puppet_spec(), robot="r").samples
-    monkeypatch.setattr(decisions_module, "MAX_RESULT_SAMPLES", samples - 1)
+    monkeypatch.setattr(decisions_module, "MAX_RESULT_NUMBERS", 2 * samples - 1)
     assert refused(decisions, goal("a")) == "duration"
-    monkeypatch.setattr(decisions_module, "MAX_RESULT_SAMPLES", samples)
+    monkeypatch.setattr(decisions_module, "MAX_RESULT_NUMBERS", 2 * samples)
     taken(decisions, goal("a"))
 
 
@@ -351,13 +357,13 @@ def test_goals_from_many_threads_at_once_begin_one_motion(different: bool) -> No
         decisions = new_decisions()
         decisions.owner_appeared("o-1")
         begin = threading.Barrier(6)
-        motions: list[Motion | None] = []
+        motions: list[Assignment | None] = []
 
         def submit(
             k: int,
             decisions: Decisions = decisions,
             begin: threading.Barrier = begin,
-            motions: list[Motion | None] = motions,
+            motions: list[Assignment | None] = motions,
         ) -> None:
             begin.wait(5.0)
             motions.append(decisions.take(goal(f"g{k}" if different else "g"))[1])

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_agent.inverse_model import LinearInverse, NetworkInverse
-from shared.experience import Experience, ExperienceManifest
+from robot_agent.inverse_model import NetworkInverse
+from shared.experience import Experience
+from shared.experience_manifest import ExperienceManifest
 from shared.inverse_layout import InverseLayout
 
 LAYOUT = InverseLayout(
@@ -44,12 +45,3 @@ def test_a_network_by_hand_computes_what_it_says() -> None:
     np.testing.assert_allclose(
         NetworkInverse(Experience(manifest, arrays))(inputs), [6.5, 0.5, 2.0], rtol=1e-12
     )
-
-
-def test_a_linear_inverse_finds_a_linear_relation() -> None:
-    rng = np.random.default_rng(0)
-    inputs = rng.standard_normal((500, 3)) * np.array([1.0, 10.0, 0.1])
-    weights = np.array([0.5, -0.2, 3.0])
-    inverse = LinearInverse(inputs, inputs @ weights)
-    np.testing.assert_allclose(inverse.weights, weights, rtol=1e-3)
-    np.testing.assert_allclose(inverse(inputs), inputs @ weights, rtol=1e-2, atol=1e-3)

@@ -12,8 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from puppet_robot import PuppetRobot, puppet_spec
 
-from robot_agent import motion
-from robot_agent.motion import HaltSwitch, Played, play
+from robot_agent import pace
+from robot_agent.motion import AxisMotion, Played, perform
+from robot_agent.pace import HaltSwitch
+from robot_agent.paced_robot import CHUNK_SAMPLES
 from shared.arrays import FloatArray
 from shared.errors import RobotError
 from shared.messages import Outcome
@@ -43,26 +45,26 @@ def played(
         order.append("samples")
         batches.append((first, references.copy(), responses.copy()))
 
-    result = play(
-        robot,
-        axis,
-        reference,
-        realtime=realtime,
-        switch=HaltSwitch() if switch is None else switch,
-        on_samples=on_samples,
-        on_resting=lambda: order.append("resting"),
+    switch = HaltSwitch() if switch is None else switch
+    motion = AxisMotion(
+        robot, axis, reference, realtime=realtime, switch=switch, on_samples=on_samples
     )
-    done = len(result.reference)
-    np.testing.assert_array_equal(result.reference, reference[:done])
-    assert np.isfinite(result.response).all()
-    assert len(result.response) == done
+    result = perform(robot, motion, switch, on_resting=lambda: order.append("resting"))
+    done = len(result.samples.reference)
+    np.testing.assert_array_equal(result.samples.reference, reference[:done])
+    assert np.isfinite(result.samples.response).all()
+    assert len(result.samples.response) == done
     assert order[-1] == "resting"
     assert "resting" not in order[:-1]
     follows = 0
     for first, references, responses in batches:
         assert first == follows
-        np.testing.assert_array_equal(references, result.reference[first : first + len(references)])
-        np.testing.assert_array_equal(responses, result.response[first : first + len(responses)])
+        np.testing.assert_array_equal(
+            references, result.samples.reference[first : first + len(references)]
+        )
+        np.testing.assert_array_equal(
+            responses, result.samples.response[first : first + len(responses)]
+        )
         follows += len(references)
     assert follows == done
     if result.outcome is Outcome.COMPLETED:
@@ -87,7 +89,7 @@ def test_a_motion_plays_its_reference_on_its_axis_alone(
     assert result.outcome is Outcome.COMPLETED
     assert result.reason == ""
     assert result.fault is None
-    np.testing.assert_array_equal(result.response, reference)
+    np.testing.assert_array_equal(result.samples.response, reference)
     sent = np.concatenate(robot.references)
     column = "xy".index(axis)
     np.testing.assert_array_equal(sent[:, column], reference)
@@ -101,7 +103,7 @@ def test_a_double_integrator_gives_the_same_response_in_any_batches() -> None:
     def response(realtime: float | None) -> FloatArray:
         robot = DoubleIntegrator(settings, np.random.default_rng(5))
         robot.connect()
-        result = play(
+        motion = AxisMotion(
             robot,
             "x",
             SINE,
@@ -109,8 +111,8 @@ def test_a_double_integrator_gives_the_same_response_in_any_batches() -> None:
             switch=HaltSwitch(),
             on_samples=lambda *_: None,
         )
-        assert result.outcome is Outcome.COMPLETED
-        return result.response
+        assert motion.play() == (Outcome.COMPLETED, "")
+        return motion.measured().response
 
     np.testing.assert_array_equal(response(None), response(1e9))
 
@@ -119,7 +121,7 @@ def test_a_simulation_plays_large_batches_and_a_real_robot_single_samples() -> N
     fast, real = connected(PuppetRobot()), connected(PuppetRobot(puppet_spec(simulated=False)))
     played(fast)
     played(real)
-    assert max(fast.batches) == motion.CHUNK_SAMPLES
+    assert max(fast.batches) == CHUNK_SAMPLES
     assert set(real.batches) == {1}
 
 
@@ -141,13 +143,13 @@ def test_a_paced_simulation_that_was_late_goes_on_at_its_pace() -> None:
     def on_sample(k: int) -> None:
         times_s.append(time.monotonic())
         if k == 5:
-            time.sleep(motion.CATCH_UP_MAX_S + 0.2)
+            time.sleep(pace.CATCH_UP_MAX_S + 0.2)
 
     robot = connected(PuppetRobot(puppet_spec(sample_time_s=0.02)))
     robot.on_sample = on_sample
     assert played(robot, SINE[:40], realtime=1.0).outcome is Outcome.COMPLETED
     # It makes up for no more than CATCH_UP_MAX_S of its lateness, at most 13 samples of 20 ms.
-    assert times_s[39] - times_s[6] >= (39 - 6) * 0.02 - motion.CATCH_UP_MAX_S - 0.02
+    assert times_s[39] - times_s[6] >= (39 - 6) * 0.02 - pace.CATCH_UP_MAX_S - 0.02
 
 
 # What ends it early.
@@ -166,14 +168,14 @@ def test_a_thrown_switch_ends_the_motion_at_rest(outcome: Outcome, realtime: flo
     robot.on_sample = on_sample
     result = played(robot, realtime=realtime, switch=switch)
     assert (result.outcome, result.reason, result.fault) == (outcome, "enough", None)
-    assert len(result.reference) == (301 if realtime else 2 * motion.CHUNK_SAMPLES)
+    assert len(result.samples.reference) == (301 if realtime else 2 * CHUNK_SAMPLES)
 
 
 def test_a_switch_thrown_before_the_first_sample_moves_nothing() -> None:
     robot, switch = connected(PuppetRobot()), HaltSwitch()
     switch.halt(Outcome.CANCELLED, "never mind")
     result = played(robot, switch=switch)
-    assert (result.outcome, len(result.reference)) == (Outcome.CANCELLED, 0)
+    assert (result.outcome, len(result.samples.reference)) == (Outcome.CANCELLED, 0)
     assert robot.motions == 0
 
 
@@ -209,7 +211,7 @@ def test_of_many_halts_from_many_threads_one_is_kept() -> None:
 def test_a_process_that_was_frozen_ends_its_motion(
     simulated: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(motion, "GAP_MAX_S", 0.5)
+    monkeypatch.setattr(pace, "GAP_MAX_S", 0.5)
     robot = connected(PuppetRobot(puppet_spec(simulated=simulated, sample_time_s=0.001)))
 
     def on_sample(k: int) -> None:
@@ -220,7 +222,7 @@ def test_a_process_that_was_frozen_ends_its_motion(
     result = played(robot, realtime=1.0)
     assert result.outcome is Outcome.ABORTED
     assert re.search(r"nothing happened for \d\.\d s before sample 11", result.reason)
-    assert len(result.reference) == 11
+    assert len(result.samples.reference) == 11
 
 
 # What the robot does wrong.
@@ -246,7 +248,7 @@ def test_a_sensor_that_is_not_finite_fails_the_motion_with_the_samples_before(
     result = played(robot, realtime=realtime)
     assert result.outcome is Outcome.FAILED
     assert result.reason == f"the sensor returned a number that is not finite at sample {bad}"
-    assert len(result.reference) == bad
+    assert len(result.samples.reference) == bad
     assert result.fault is None
 
 
@@ -260,7 +262,7 @@ def test_a_robot_error_fails_the_motion_and_leaves_the_robot_trusted() -> None:
     robot.on_sample = on_sample
     result = played(robot)
     assert (result.outcome, result.reason) == (Outcome.FAILED, "the gripper is open")
-    assert len(result.reference) == 512
+    assert len(result.samples.reference) == 512
     assert result.fault is None
 
 

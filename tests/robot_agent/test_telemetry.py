@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_agent.telemetry import PERIOD_S, TelemetryBatcher
+from shared.arrays import FloatArray
 from shared.codec import decode
 from shared.errors import TransportError
 from shared.messages import Telemetry
@@ -37,7 +38,18 @@ class Clock:
 
 
 def batcher(wire: Wire, clock: Clock) -> TelemetryBatcher:
-    return TelemetryBatcher(Publisher(wire), "g", 0.01, clock=clock)
+    return TelemetryBatcher(Publisher(wire), message, clock=clock)
+
+
+def message(first: int, signals: tuple[FloatArray, ...]) -> Telemetry:
+    reference, response = signals
+    return Telemetry(
+        goal_id="g",
+        first_sample=first,
+        sample_time_s=0.01,
+        reference=reference,
+        response=response,
+    )
 
 
 def received(wire: Wire) -> list[Telemetry]:

@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Literal
 
 import numpy as np
 import pytest
 from robots_that_learn import LIMITS, LaggedRobot, double_integrator
 
+from orchestrator.learning_record import LearningRecord, pooled_pairs
+from orchestrator.linear_inverse import linear_experience
+from orchestrator.training import Origin, TrainingData
 from robot_agent.baseline_model import identify_baseline
 from robot_agent.guard import Guard
-from robot_agent.horizon import HorizonChoice, choose_horizon, pooled_pairs
-from robot_agent.inverse_model import InverseModel, LinearInverse
+from robot_agent.inverse_model import InverseModel, NetworkInverse
 from robot_agent.online_gp import OnlineGp
 from robot_agent.rich_flight import FlightRecord, fly_record, rich_references
 from robot_agent.tracking import Learner, TrackingRecord, track
 from shared.arrays import FloatArray
-from shared.errors import InvalidInputError, RobotError
-from shared.inverse_layout import InverseLayout
+from shared.errors import InvalidInputError
+from shared.inverse_layout import Architecture, InverseLayout
 from shared.trajectories import travel
-from sims.double_integrator import DoubleIntegrator
 
 PATH = travel(np.array([[0.0], [0.9], [-0.5], [0.6], [0.0]]), 0.8, 1.8, 0.015)
-Architecture = Literal["state", "preview"]
 
 PREVIEW = InverseLayout(
     architecture="preview", states=("position",), sample_time_s=0.02, horizon_samples=4
@@ -34,32 +33,28 @@ PREVIEW = InverseLayout(
 @lru_cache
 def flown(alpha: float = 0.85, beta: float = 0.003, noise_std_m: float = 0.0) -> FlightRecord:
     robot = double_integrator(alpha, beta, noise_std_m)
-    spec = robot.spec
-    return fly_record(robot, rich_references(spec, spec.axes, 60.0, np.random.default_rng(0)))
+    return fly_record(robot, rich_references(robot.spec, 60.0, np.random.default_rng(0)))
 
 
-def choose(
-    robot: DoubleIntegrator, record: FlightRecord, architecture: Architecture
-) -> HorizonChoice:
-    return choose_horizon(
-        robot,
-        record,
-        PATH,
-        LIMITS,
+HORIZONS: dict[str, int] = {"state": 20, "preview": 20}
+"""In samples: 0.3 s, what the robots of Section V choose."""
+
+
+def layout_of(architecture: Architecture) -> InverseLayout:
+    states = ("position", "velocity") if architecture == "state" else ("position",)
+    return InverseLayout(
         architecture=architecture,
-        axes=(0,),
-        relative_degree=1,
-        candidates_s=(0.15, 0.2, 0.3, 0.4),
+        states=states,
+        sample_time_s=0.015,
+        horizon_samples=HORIZONS[architecture],
     )
 
 
-@lru_cache
-def chosen(architecture: Architecture, alpha: float = 0.85, beta: float = 0.003) -> HorizonChoice:
-    return choose(double_integrator(alpha, beta), flown(alpha, beta), architecture)
-
-
-def linear(layout: InverseLayout, record: FlightRecord) -> LinearInverse:
-    return LinearInverse(*pooled_pairs(layout, record, (0,)))
+def linear(layout: InverseLayout, record: FlightRecord) -> NetworkInverse:
+    known = LearningRecord(record.references, record.states, ("position", "velocity"))
+    data = TrainingData(*pooled_pairs(layout, known, (0,)))
+    origin = Origin("source", "double-integrator", ("x",), "m", 1)
+    return NetworkInverse(linear_experience(data, layout, origin))
 
 
 def learner(layout: InverseLayout, prior: InverseModel | None, window: int = 50) -> Learner:
@@ -72,7 +67,7 @@ def baseline() -> TrackingRecord:
 
 @pytest.mark.parametrize("architecture", ["state", "preview"])
 def test_its_own_inverse_takes_nine_tenths_of_a_robots_error(architecture: Architecture) -> None:
-    layout = chosen(architecture).layout
+    layout = layout_of(architecture)
     inverse = linear(layout, flown())
     own = track(double_integrator(), PATH, LIMITS, learner(layout, inverse, window=0))
     assert own.failure is None
@@ -83,7 +78,7 @@ def test_the_preview_of_a_more_similar_source_tracks_better() -> None:
     """Section V: ψ ranks the sources 2, 1, 3."""
     errors = []
     for alpha, beta in [(0.97, 0.004), (1.0, 0.003), (0.9, 0.001)]:
-        layout = chosen("preview", alpha, beta).layout
+        layout = layout_of("preview")
         inverse = linear(layout, flown(alpha, beta))
         flight = track(double_integrator(), PATH, LIMITS, learner(layout, inverse, window=0))
         errors.append(flight.rms_error)
@@ -93,7 +88,7 @@ def test_the_preview_of_a_more_similar_source_tracks_better() -> None:
 
 def test_the_online_process_learns_the_bias_of_a_preview() -> None:
     robot = double_integrator()
-    layout = chosen("preview").layout
+    layout = layout_of("preview")
     own = linear(layout, flown())
 
     def off(inputs: FloatArray) -> FloatArray:
@@ -104,13 +99,6 @@ def test_the_online_process_learns_the_bias_of_a_preview() -> None:
     assert online.rms_error < 0.8 * alone.rms_error
     assert np.abs(online.mean).max() > 0
     assert np.abs(alone.mean).max() == 0
-
-
-def test_of_horizons_for_feedback_the_ones_on_the_verge_of_instability_are_not_chosen() -> None:
-    choice = chosen("state")
-    errors = {trial.horizon_samples: trial.rms_error for trial in choice.trials}
-    assert list(errors) == [10, 13, 20, 27]
-    assert errors[choice.layout.horizon_samples] <= 1.05 * min(errors.values())
 
 
 def harmful(inputs: FloatArray) -> FloatArray:
@@ -154,7 +142,7 @@ def test_a_record_says_everything_of_every_sample() -> None:
     desired = 0.5 * np.repeat(PATH, 2, axis=1)
     seen: list[int] = []
     flight = track(
-        LaggedRobot(), desired, LIMITS, _two_axes(), watch=lambda k, d, a, c: seen.append(k)
+        LaggedRobot(), desired, LIMITS, _two_axes(), watch=lambda k, d, a, c, s: seen.append(k)
     )
     assert seen == list(range(len(desired)))
     for array in (flight.reference, flight.actual, flight.prior, flight.mean, flight.variance):
@@ -219,14 +207,3 @@ def test_what_breaks_a_limit_is_refused_before_anything_moves() -> None:
         with pytest.raises(InvalidInputError, match=message):
             track(robot, desired, LIMITS, asked, guard)
     assert robot.samples == 0
-
-
-def test_a_robot_that_cannot_be_flown_with_any_horizon_says_so() -> None:
-    class Falling(DoubleIntegrator):
-        def step(self, reference: FloatArray) -> FloatArray:
-            raise RobotError("it fell over")
-
-    falling = Falling(double_integrator()._settings, np.random.default_rng(0))
-    falling.connect()
-    with pytest.raises(RobotError, match="any horizon"):
-        choose(falling, flown(), "state")

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from shared import codec, messages
 from shared.arrays import FloatArray
@@ -27,6 +27,8 @@ from shared.codec import (
 )
 from shared.errors import MalformedMessageError, ProtocolVersionError
 from shared.excitation import Excitation, ExcitationPlan, Tone
+from shared.experience_manifest import ExperienceManifest
+from shared.inverse_layout import InverseLayout
 from shared.linear_model import LinearModel
 from shared.messages import (
     AcknowledgeRequest,
@@ -34,18 +36,27 @@ from shared.messages import (
     DescribeRequest,
     Description,
     Done,
+    ExperienceFile,
+    ExperienceOffer,
+    FetchRequest,
     GoalAccepted,
     GoalRequest,
     GoalResult,
+    InstallRequest,
     Outcome,
+    Prediction,
+    PredictRequest,
     Refusal,
     ReleaseRequest,
+    RemovePriorRequest,
     ResultRequest,
     RobotState,
     RobotStatus,
     StopRequest,
     Telemetry,
+    TrackingTelemetry,
 )
+from shared.motions import RichFlight, StepTest, Tracking
 from shared.robot_spec import AxisSpec, RobotSpec
 
 EVERY_TYPE = tuple(
@@ -89,7 +100,7 @@ plans = st.builds(
 )
 
 
-def finite_array(samples: int) -> st.SearchStrategy[FloatArray]:
+def finite_array(samples: int | tuple[int, ...]) -> st.SearchStrategy[FloatArray]:
     return arrays(np.float64, samples, elements=finite)
 
 
@@ -165,6 +176,36 @@ def telemetry(draw: st.DrawFn) -> Telemetry:
 
 
 goal_ids = st.lists(identifiers, max_size=5).map(tuple)
+digests = st.text("0123456789abcdef", min_size=64, max_size=64)
+flights = st.tuples(st.integers(2, 20), st.integers(1, 3)).flatmap(finite_array)
+motions = (
+    excitations
+    | st.builds(StepTest, axis=names)
+    | st.builds(RichFlight, duration_s=st.floats(1, 3600), seed=st.integers(0, 2**40))
+    | st.builds(Tracking, desired=flights, inverse=st.just("baseline"), guarded=st.booleans())
+    | st.builds(Tracking, desired=flights, inverse=st.just("prior"), prior_sha256=digests)
+)
+LAYOUT = InverseLayout(
+    architecture="state", states=("position",), sample_time_s=0.02, horizon_samples=5
+)
+MANIFEST = ExperienceManifest(
+    robot="r",
+    robot_kind="k",
+    axes=("x",),
+    unit="m",
+    layout=LAYOUT,
+    inputs=LAYOUT.input_names,
+    relative_degree=1,
+    input_mean=(0.0, 0.0),
+    input_scale=(1.0, 1.0),
+    output_mean=0.0,
+    output_scale=1.0,
+    points=500,
+    validation_rms=0.1,
+    data_sha256="0" * 64,
+    seed=0,
+    training_version="1",
+)
 STRATEGIES: dict[type[Message], st.SearchStrategy[Message]] = {
     Refusal: st.builds(Refusal, code=names, reason=sentences),
     DescribeRequest: st.builds(DescribeRequest),
@@ -173,7 +214,7 @@ STRATEGIES: dict[type[Message], st.SearchStrategy[Message]] = {
         GoalRequest,
         goal_id=identifiers,
         owner=identifiers,
-        excitation=excitations,
+        motion=motions,
         acknowledges=goal_ids,
     ),
     GoalAccepted: st.builds(
@@ -203,6 +244,30 @@ STRATEGIES: dict[type[Message], st.SearchStrategy[Message]] = {
         robot_time_s=non_negative,
     ),
     Telemetry: telemetry(),
+    TrackingTelemetry: flights.map(
+        lambda array: TrackingTelemetry(
+            goal_id="g",
+            first_sample=0,
+            sample_time_s=0.02,
+            desired=array,
+            actual=array,
+            prior=array,
+            mean=array,
+            variance=array,
+            share=array[:, 0],
+        )
+    ),
+    FetchRequest: st.builds(FetchRequest, sha256=digests),
+    ExperienceFile: st.builds(ExperienceFile, sha256=digests, payload=st.binary()),
+    ExperienceOffer: digests.map(
+        lambda sha256: ExperienceOffer(sha256=sha256, size_bytes=3, manifest=MANIFEST)
+    ),
+    InstallRequest: st.builds(
+        InstallRequest, sender=identifiers, sha256=digests, payload=st.binary()
+    ),
+    RemovePriorRequest: st.builds(RemovePriorRequest, sender=identifiers),
+    PredictRequest: st.builds(PredictRequest, sha256=digests, inputs=flights),
+    Prediction: st.builds(Prediction, gamma=finite_array(4)),
 }
 
 RESULT = GoalResult(
@@ -225,13 +290,15 @@ RESULT = GoalResult(
 )
 
 
-def assert_same(one: Message, other: Message) -> None:
+def assert_same(one: BaseModel, other: BaseModel) -> None:
     assert type(one) is type(other)
     for field in type(one).model_fields:
         mine, theirs = getattr(one, field), getattr(other, field)
         if isinstance(mine, np.ndarray):
             assert mine.dtype == theirs.dtype
             np.testing.assert_array_equal(mine, theirs, strict=True)
+        elif isinstance(mine, BaseModel):
+            assert_same(mine, theirs)
         else:
             assert mine == theirs
 

@@ -17,12 +17,11 @@ from shared.errors import MalformedMessageError
 from shared.experience import (
     EXPERIENCE_BYTES_MAX,
     Experience,
-    ExperienceManifest,
     decode_experience,
     digest,
     encode_experience,
-    misfit,
 )
+from shared.experience_manifest import ExperienceManifest, misfit
 from shared.inverse_layout import InverseLayout
 from shared.robot_spec import AxisSpec, RobotSpec
 

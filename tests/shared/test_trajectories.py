@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from shared.arrays import FloatArray
 from shared.errors import InvalidInputError
-from shared.trajectories import TrackingLimits, check_path, check_trajectory, travel
+from shared.robot_spec import TrackingLimits
+from shared.trajectories import check_path, check_trajectory, travel
 
 STEP_S = 0.02
 LIMITS = TrackingLimits(

@@ -11,7 +11,8 @@ import pytest
 
 from shared.drawing_files import read_drawing
 from shared.drawings import ENTRY_POINT_GROUP
-from shared.trajectories import TrackingLimits, check_trajectory, travel
+from shared.robot_spec import TrackingLimits
+from shared.trajectories import check_trajectory, travel
 from sims.drawings import ALL
 
 ROOT = Path(__file__).parents[2]

@@ -9,8 +9,7 @@ import numpy as np
 from robot_agent.robot import Robot
 from shared.arrays import FloatArray
 from shared.errors import RobotError
-from shared.robot_spec import AxisSpec, RobotSpec
-from shared.trajectories import TrackingLimits
+from shared.robot_spec import AxisSpec, RobotSpec, TrackingLimits
 from sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 LIMITS = TrackingLimits(
@@ -65,6 +64,7 @@ class LaggedRobot(Robot):
             duration_max_s=100.0,
             settling_time_s=0.5,
             simulated=True,
+            tracking=LIMITS,
         )
 
     @property

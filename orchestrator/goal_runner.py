@@ -1,0 +1,148 @@
+"""Has one robot do one motion: sent once, waited for, fetched, acknowledged with the next one."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+
+from orchestrator.fleet import Fleet
+from orchestrator.robot_watch import HEARTBEAT_LOST_S, RobotWatch
+from shared.errors import NoReplyError, NufleetError, RefusedError, RobotLostError
+from shared.messages import GoalAccepted, GoalRequest, GoalResult
+from shared.motions import Motion
+
+RETURN_PATIENCE_S = 10.0
+"""How long a lost robot may take to come back before its attempt counts as failed."""
+_OVERDUE_FACTOR = 1.5
+_OVERDUE_GRACE_S = 30.0
+
+_log = logging.getLogger(__name__)
+
+
+class Interrupted(Exception):  # noqa: N818 - not an error: somebody asked for the end
+    """The motions were asked to end before they were complete."""
+
+
+class GoalRunner:
+    """Runs motions on the robots of a fleet; may be called from many threads.
+
+    `interrupt` ends all of them from another thread, with robots at rest.
+    """
+
+    def __init__(self, fleet: Fleet) -> None:
+        self._fleet = fleet
+        self._interrupted = threading.Event()
+        self._lock = threading.Lock()
+        self._running: dict[str, str] = {}
+        self._unacknowledged: dict[str, tuple[str, ...]] = {}
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the end was asked for."""
+        return self._interrupted.is_set()
+
+    def run(self, robot: str, goal_id: str, motion: Motion) -> GoalResult:
+        """Have a robot do a motion and return what it measured, however that ended.
+
+        Args:
+            robot: who.
+            goal_id: unique; the same id and motion again is the same goal.
+            motion: what.
+
+        Raises:
+            RefusedError: the robot refuses, and says why.
+            RobotLostError: it is gone, silent, restarted or overdue.
+            NoReplyError: it does not answer.
+            MalformedMessageError: its answer is none.
+            Interrupted: `interrupt` was called before the motion began.
+        """
+        request = GoalRequest(
+            goal_id=goal_id,
+            owner=self._fleet.orchestrator_id,
+            motion=motion,
+            acknowledges=self._unacknowledged.get(robot, ()),
+        )
+        watch = self._fleet.watch(robot)
+        if not watch.wait_until(lambda w: w.alive, timeout_s=RETURN_PATIENCE_S):
+            raise RobotLostError(f"robot {robot} is gone and did not return")
+        if self._interrupted.is_set():
+            raise Interrupted
+        with self._lock:
+            self._running[robot] = goal_id
+        try:
+            accepted = self._submit(robot, request)
+            self._unacknowledged.pop(robot, None)
+            self._wait_for_end(watch, accepted)
+            result = self._fleet.result(robot, goal_id)
+        finally:
+            with self._lock:
+                self._running.pop(robot, None)
+        self._unacknowledged[robot] = (goal_id,)
+        return result
+
+    def interrupt(self) -> None:
+        """Cancel every running goal, so that the robots come to rest."""
+        self._interrupted.set()
+        with self._lock:
+            running = dict(self._running)
+        for robot, goal_id in running.items():
+            try:
+                self._fleet.cancel(robot, goal_id)
+            except RefusedError as error:
+                _log.info("cancelling on %s: %s", robot, error)
+            except NufleetError as error:
+                # Its agent rests by itself when this orchestrator's token disappears.
+                _log.warning("cancelling on %s: %s", robot, error)
+
+    def acknowledge_all(self) -> None:
+        """Tell every robot that its last results arrived."""
+        for robot, goal_ids in self._unacknowledged.items():
+            try:
+                self._fleet.acknowledge(robot, goal_ids)
+            except NufleetError as error:
+                _log.warning("%s keeps its last results until they expire: %s", robot, error)
+        self._unacknowledged.clear()
+
+    def _submit(self, robot: str, request: GoalRequest) -> GoalAccepted:
+        try:
+            return self._fleet.submit(robot, request)
+        except NoReplyError as error:
+            # The same id again is the same goal: asking twice cannot move the robot twice.
+            _log.info("%s: asking again", error)
+            return self._fleet.submit(robot, request)
+
+    def _wait_for_end(self, watch: RobotWatch, accepted: GoalAccepted) -> None:
+        """Return when the goal has ended; raise when its robot is lost, restarted or overdue."""
+        goal_id = accepted.goal_id
+        patience_s = accepted.wall_duration_s * _OVERDUE_FACTOR + _OVERDUE_GRACE_S
+        deadline = time.monotonic() + patience_s
+
+        def settled(w: RobotWatch) -> bool:
+            state = w.state
+            if not w.alive:
+                return True
+            if state is None:
+                return False
+            return state.boot_id != accepted.boot_id or state.last_goal_id == goal_id
+
+        while not watch.wait_until(settled, timeout_s=HEARTBEAT_LOST_S / 2):
+            state = watch.state
+            if state is not None and state.goal_id != goal_id and watch.silent_s < HEARTBEAT_LOST_S:
+                # Two heartbeats later it still does something else: it has ended, unheard.
+                return
+            if watch.silent_s > HEARTBEAT_LOST_S:
+                raise RobotLostError(
+                    f"robot {watch.robot} went silent during {goal_id}: "
+                    f"no heartbeat for {watch.silent_s:.1f} s"
+                )
+            if time.monotonic() > deadline:
+                self._fleet.cancel(watch.robot, goal_id)
+                raise RobotLostError(
+                    f"robot {watch.robot} did not finish {goal_id} within {patience_s:.0f} s"
+                )
+        if not watch.alive:
+            raise RobotLostError(f"robot {watch.robot} disappeared during {goal_id}")
+        state = watch.state
+        if state is not None and state.boot_id != accepted.boot_id:
+            raise RobotLostError(f"the agent of {watch.robot} restarted during {goal_id}")

@@ -1,0 +1,113 @@
+"""The horizon of an inverse model, chosen by flying candidates on the robot they are for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from orchestrator.learning_record import LearningRecord, pooled_pairs
+from orchestrator.linear_inverse import linear_experience
+from orchestrator.training import Origin, TrainingData
+from shared.errors import StudyError
+from shared.experience import Experience
+from shared.inverse_layout import Architecture, InverseLayout
+
+CANDIDATES_S = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
+"""From the delay of a fast robot to the rise time of a slow one."""
+
+FAILURES_MAX = 2
+"""After so many horizons in a row that could not be flown, shorter ones are not tried."""
+
+_CLOSE = 1.05  # errors that differ by less are alike
+_GAIN_ERROR = 1.25  # a horizon has to survive an inverse this much too eager
+
+Fly = Callable[[Experience], float]
+"""Flies a path with an experience as prior and returns the RMS error; infinite when the flight
+failed or was taken back."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """How a candidate tracked its own robot; infinite where it could not, or was not tried."""
+
+    horizon_samples: int
+    rms_error: float
+
+
+@dataclass(frozen=True)
+class HorizonChoice:
+    """The layout that was chosen, and what every candidate did, shortest horizon first."""
+
+    layout: InverseLayout
+    trials: tuple[Trial, ...]
+
+
+def candidate_layouts(
+    architecture: Architecture,
+    state_names: tuple[str, ...],
+    sample_time_s: float,
+    relative_degree: int,
+    candidates_s: tuple[float, ...] = CANDIDATES_S,
+) -> tuple[InverseLayout, ...]:
+    """Return the layouts to try, shortest horizon first; none is shorter than the robot's delay."""
+    least = max(relative_degree, 4 if architecture == "preview" else 1)
+    horizons = sorted({max(least, round(s / sample_time_s)) for s in candidates_s})
+    names = state_names if architecture == "state" else state_names[:1]
+    return tuple(
+        InverseLayout(
+            architecture=architecture,
+            states=names,
+            sample_time_s=sample_time_s,
+            horizon_samples=horizon,
+        )
+        for horizon in horizons
+    )
+
+
+def choose_horizon(
+    layouts: tuple[InverseLayout, ...],
+    record: LearningRecord,
+    columns: tuple[int, ...],
+    origin: Origin,
+    fly: Fly,
+) -> HorizonChoice:
+    """Fly a linear inverse with every horizon, longest first, and keep the one that tracks best.
+
+    A feedback (`state`) is judged by the worse of two flights, one with γ as learned and one with γ
+    a quarter too large (a target is never quite the source), so that a horizon on the verge of
+    instability does not win; of horizons that track alike the longest is the gentlest. A preview
+    cannot become unstable; of those the shortest is taken, whose training pairs are the freshest in
+    flight.
+
+    Args:
+        layouts: the candidates, shortest horizon first.
+        record: what the linear inverses are fitted to.
+        columns: the axes whose pairs are pooled.
+        origin: of the experience.
+        fly: flies a candidate, guarded.
+
+    Raises:
+        StudyError: no candidate could be flown.
+    """
+    errors: dict[int, float] = {}
+    failures = 0
+    for layout in reversed(layouts):
+        data = TrainingData(*pooled_pairs(layout, record, columns))
+        gains = (1.0, _GAIN_ERROR) if layout.architecture == "state" else (1.0,)
+        worst = 0.0
+        for gain in gains:
+            if failures < FAILURES_MAX and math.isfinite(worst):
+                worst = max(worst, fly(linear_experience(data, layout, origin, gain=gain)))
+        if failures == FAILURES_MAX:
+            worst = math.inf
+        failures = 0 if math.isfinite(worst) else min(FAILURES_MAX, failures + 1)
+        errors[layout.horizon_samples] = worst
+    trials = tuple(
+        Trial(layout.horizon_samples, errors[layout.horizon_samples]) for layout in layouts
+    )
+    best = min(trial.rms_error for trial in trials)
+    if not math.isfinite(best):
+        raise StudyError("the robot could not be flown with an inverse of any horizon")
+    alike = [i for i, trial in enumerate(trials) if trial.rms_error <= _CLOSE * best]
+    return HorizonChoice(layouts[alike[-1 if layouts[0].architecture == "state" else 0]], trials)

@@ -1,0 +1,114 @@
+"""Answers for the experiences of one robot: what it offers, their files, what they predict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from robot_agent.memory import Kept, Memory
+from robot_agent.robot import Robot
+from shared.codec import Message
+from shared.errors import RefusedError
+from shared.experience import decode_experience
+from shared.experience_manifest import misfit
+from shared.messages import (
+    Done,
+    ExperienceFile,
+    ExperienceOffer,
+    FetchRequest,
+    InstallRequest,
+    Prediction,
+    PredictRequest,
+    Refusal,
+    RemovePriorRequest,
+)
+
+INPUTS_MAX = 10_000
+"""Rows of one prediction: half a second of a small processor."""
+
+
+class ExperienceService:
+    """Decides what may be installed, and serves what is; called from the endpoint's thread."""
+
+    def __init__(
+        self, name: str, robot: Robot, memory: Memory, busy: Callable[[], Refusal | None]
+    ) -> None:
+        """Serve a robot's memory; `busy` says why nothing may be changed now."""
+        self._name, self._robot, self._memory, self._busy = name, robot, memory, busy
+
+    def offers(self) -> tuple[ExperienceOffer, ...]:
+        """Return the robot's own experiences."""
+        return tuple(offer_of(kept) for kept in self._memory.experiences)
+
+    def prior(self) -> ExperienceOffer | None:
+        """Return the prior that the robot flies with."""
+        kept = self._memory.prior
+        return None if kept is None else offer_of(kept)
+
+    def fetch(self, request: FetchRequest) -> Message:
+        """Return a stored file."""
+        kept = self._found(request.sha256)
+        return ExperienceFile(sha256=kept.sha256, payload=kept.payload)
+
+    def predict(self, request: PredictRequest) -> Message:
+        """Return γ at inputs."""
+        kept, inputs = self._found(request.sha256), request.inputs
+        expected = len(kept.manifest.inputs)
+        if inputs.ndim != 2 or inputs.shape[1] != expected or len(inputs) > INPUTS_MAX:
+            return Refusal(
+                code="inputs",
+                reason=f"inputs must be of shape (m, {expected}) with m up to {INPUTS_MAX}, "
+                f"one column for each of {', '.join(kept.manifest.inputs)}; got {inputs.shape}",
+            )
+        gamma = kept.inverse(inputs)
+        if not np.isfinite(gamma).all():
+            return Refusal(code="inputs", reason="what the model makes of them is not finite")
+        return Prediction(gamma=gamma)
+
+    def install_experience(self, request: InstallRequest) -> Message:
+        """Keep an experience of the robot's own, that was trained from its flights."""
+        return self._installed(request, self._memory.keep_experience, own=True)
+
+    def install_prior(self, request: InstallRequest) -> Message:
+        """Keep another robot's experience as the prior to fly with."""
+        return self._installed(request, self._memory.keep_prior, own=False)
+
+    def remove_prior(self, _request: RemovePriorRequest) -> Message:
+        """Fly without a prior from now on."""
+        refusal = self._busy()
+        if refusal is not None:
+            return refusal
+        self._memory.forget_prior()
+        return Done()
+
+    def _installed(
+        self, request: InstallRequest, keep: Callable[[bytes, str], Kept], *, own: bool
+    ) -> Message:
+        refusal = self._busy()
+        if refusal is not None:
+            return refusal
+        manifest = decode_experience(request.payload, request.sha256).manifest
+        if own and manifest.robot != self._name:
+            return Refusal(
+                code="misfit",
+                reason=f"it was learned on {manifest.robot}; as a prior it can be transferred",
+            )
+        for axis in manifest.axes:
+            reason = misfit(manifest, self._robot.spec, self._robot.state_names, axis)
+            if reason is not None:
+                return Refusal(code="misfit", reason=f"the experience does not fit: {reason}")
+        return offer_of(keep(request.payload, request.sha256))
+
+    def _found(self, sha256: str) -> Kept:
+        kept = self._memory.find(sha256)
+        if kept is None:
+            raise RefusedError(
+                "unknown-experience", f"it has none with sha256 {sha256}", self._name
+            )
+        return kept
+
+
+def offer_of(kept: Kept) -> ExperienceOffer:
+    """Return what a stored experience says of itself."""
+    return ExperienceOffer(sha256=kept.sha256, size_bytes=len(kept.payload), manifest=kept.manifest)

@@ -1,0 +1,194 @@
+"""Flies what is not a frequency test: steps, rich flights, and paths to be tracked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from robot_agent.baseline_model import identify_baseline
+from robot_agent.guard import Guard
+from robot_agent.memory import Memory
+from robot_agent.motion import Performance, Samples
+from robot_agent.online_gp import WINDOW_POINTS, OnlineGp
+from robot_agent.pace import HaltSwitch, Pace
+from robot_agent.paced_robot import PacedRobot
+from robot_agent.rich_flight import FlightRecord, fly_record, rich_references, step_references
+from robot_agent.robot import Robot
+from robot_agent.tracking import Learner, TrackingRecord, Watch, track
+from shared.arrays import FloatArray
+from shared.errors import RobotError
+from shared.messages import Outcome
+from shared.motions import (
+    Flight,
+    RichFlight,
+    RichFlightDetails,
+    StepTest,
+    Tracking,
+    TrackingDetails,
+)
+
+
+def performance_of(
+    motion: Flight,
+    robot: Robot,
+    memory: Memory,
+    *,
+    realtime: float | None,
+    switch: HaltSwitch,
+    on_played: Callable[[int], None],
+    watch: Watch,
+) -> Performance:
+    """Return what flies a motion that was accepted.
+
+    Args:
+        motion: what.
+        robot: connected and at rest.
+        memory: where priors come from and where the baseline of a rich flight goes.
+        realtime: the multiple of real time that a simulated robot keeps; None as fast as it can.
+        switch: ends the motion early.
+        on_played: is told how many samples have been played.
+        watch: sees every sample along a path.
+    """
+    paced = PacedRobot(robot, Pace(robot.spec, realtime, switch), switch, on_played)
+    match motion:
+        case StepTest(axis=axis):
+            return _Steps(paced, axis)
+        case RichFlight():
+            return _Rich(paced, motion, memory)
+        case Tracking():
+            return _Path(paced, motion, memory, watch, lambda: switch.order is not None)
+
+
+class _Steps:
+    """Small steps on one axis."""
+
+    def __init__(self, robot: Robot, axis: str) -> None:
+        self._robot = robot
+        column = [known.name for known in robot.spec.axes].index(axis)
+        self._references = step_references(robot.spec, column)
+        self._outputs = np.empty((0, len(robot.spec.axes)))
+
+    def play(self) -> tuple[Outcome, str]:
+        self._outputs = self._robot.run(self._references)
+        if not np.isfinite(self._outputs).all():
+            self._outputs = self._outputs[:0]
+            return Outcome.FAILED, "the sensor returned a number that is not finite"
+        return Outcome.COMPLETED, ""
+
+    def measured(self) -> Samples:
+        return Samples(self._references[: len(self._outputs)], self._outputs)
+
+
+class _Rich:
+    """A flight that shows the whole dynamics; the robot learns its baseline from it."""
+
+    def __init__(self, robot: Robot, motion: RichFlight, memory: Memory) -> None:
+        self._robot, self._motion, self._memory = robot, motion, memory
+        axes, states = len(robot.spec.axes), max(1, len(robot.state_names))
+        self._record = FlightRecord(np.empty((0, axes)), np.empty((0, axes, states)))
+
+    def play(self) -> tuple[Outcome, str]:
+        spec = self._robot.spec
+        rng = np.random.default_rng(self._motion.seed)
+        references = rich_references(spec, self._motion.duration_s, rng)
+        self._record = fly_record(self._robot, references)
+        outputs = self._record.states[:, :, 0]
+        self._memory.keep_baseline(
+            {
+                axis.name: identify_baseline(
+                    [(references[:, i], outputs[:, i])], spec.sample_time_s, spec.settling_time_s
+                )
+                for i, axis in enumerate(spec.axes)
+            }
+        )
+        return Outcome.COMPLETED, ""
+
+    def measured(self) -> Samples:
+        states = self._record.states
+        names = self._robot.state_names or ("output",)
+        details = RichFlightDetails(state_names=names, states=states)
+        return Samples(self._record.references, states[:, :, 0].copy(), details)
+
+
+class _Path:
+    """A path, by the baseline alone or with an inverse in front of it."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        motion: Tracking,
+        memory: Memory,
+        watch: Watch,
+        stopped: Callable[[], bool],
+    ) -> None:
+        self._robot, self._motion = robot, motion
+        self._watch, self._stopped = watch, stopped
+        self._learner = learner_for(motion, robot, memory)
+        self._guard = None
+        if self._learner is not None and motion.guarded:
+            self._guard = guard_for(motion.desired, robot, memory)
+        self._record: TrackingRecord | None = None
+
+    def play(self) -> tuple[Outcome, str]:
+        limits = self._robot.spec.tracking
+        if limits is None:
+            raise RobotError("the robot does not track")
+        self._record = track(
+            self._robot,
+            self._motion.desired,
+            limits,
+            self._learner,
+            self._guard,
+            watch=self._watch,
+            stopped=self._stopped,
+        )
+        if self._record.failure is None:
+            return Outcome.COMPLETED, ""
+        return Outcome.FAILED, self._record.failure
+
+    def measured(self) -> Samples:
+        record = self._record
+        if record is None:
+            nothing = np.empty((0, len(self._robot.spec.axes)))
+            return Samples(nothing, nothing)
+        details = TrackingDetails(
+            desired=record.desired,
+            prior=record.prior,
+            mean=record.mean,
+            variance=record.variance,
+            share=record.share,
+            limited=record.limited.astype(np.float64),
+            step_time_s=record.step_time_s,
+            dropped_pairs=record.dropped_pairs,
+            taken_back=record.taken_back,
+        )
+        return Samples(record.reference, record.actual, details)
+
+
+def learner_for(motion: Tracking, robot: Robot, memory: Memory) -> Learner | None:
+    """Return the inverse that a flight asks for, compiled and ready; None for the baseline.
+
+    Axes that the prior was not learned on begin with nothing.
+    """
+    if motion.inverse == "baseline":
+        return None
+    window = WINDOW_POINTS if motion.learn else 0
+    axes = robot.spec.axes
+    prior = memory.prior if motion.inverse == "prior" else None
+    if prior is None:
+        if motion.layout is None:
+            raise RobotError("the robot has no prior any more")
+        process = OnlineGp(motion.layout, (None,) * len(axes), window=window)
+        return Learner(motion.layout, process)
+    layout = prior.manifest.layout
+    inverses = tuple(prior.inverse if a.name in prior.manifest.axes else None for a in axes)
+    return Learner(layout, OnlineGp(layout, inverses, window=window))
+
+
+def guard_for(desired: FloatArray, robot: Robot, memory: Memory) -> Guard:
+    """Return the guard of one flight along a path (samples, axes)."""
+    models = [memory.baseline[axis.name] for axis in robot.spec.axes]
+    error = np.stack([m.error(desired[:, i]) for i, m in enumerate(models)], axis=1)
+    noise_variance = sum(model.residual_std**2 for model in models)
+    return Guard(error, noise_variance, robot.spec.sample_time_s)

@@ -1,0 +1,173 @@
+"""What a robot keeps of what was learned: its experiences, the prior it was given, its baseline.
+
+In a folder of its own, so that it survives the agent's restart; every file is replaced as a whole.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import TypeAdapter, ValidationError
+
+from robot_agent.baseline_model import BaselineModel
+from robot_agent.inverse_model import NetworkInverse
+from shared.codec import describe_validation
+from shared.errors import MalformedMessageError, NufleetError
+from shared.experience import EXPERIENCE_BYTES_MAX, Experience, decode_experience, digest
+from shared.experience_manifest import ExperienceManifest
+from shared.inverse_layout import Architecture
+from shared.strict import Name
+
+PRIOR = "prior"
+_BASELINE = "baseline.json"
+_SUFFIX = ".safetensors"
+_ARCHITECTURES: tuple[Architecture, ...] = ("state", "preview")
+_BASELINE_MODELS: TypeAdapter[dict[Name, BaselineModel]] = TypeAdapter(dict[Name, BaselineModel])
+
+
+class MemoryFolderError(NufleetError):
+    """What a robot learned cannot be stored, or what is stored is not what was stored."""
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """A stored experience: its file, and the model in it."""
+
+    sha256: str
+    payload: bytes
+    manifest: ExperienceManifest
+    inverse: NetworkInverse
+
+
+class Memory:
+    """One robot's memory; usable from many threads.
+
+    The robot offers one experience of its own for each architecture, and flies with one prior.
+    """
+
+    def __init__(self, folder: Path | None) -> None:
+        """Read what is there; without a folder nothing survives the process.
+
+        Raises:
+            MemoryFolderError: a file is damaged, or the folder cannot be made.
+        """
+        self._folder = folder
+        self._lock = threading.Lock()
+        self._kept: dict[str, Kept] = {}
+        self._baseline: Mapping[str, BaselineModel] = {}
+        if folder is not None:
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                self._read(folder)
+            except OSError as error:
+                raise MemoryFolderError(f"{folder}: {error.strerror}; see to the disk") from error
+
+    @property
+    def experiences(self) -> tuple[Kept, ...]:
+        """The robot's own experiences."""
+        with self._lock:
+            return tuple(self._kept[name] for name in _ARCHITECTURES if name in self._kept)
+
+    @property
+    def prior(self) -> Kept | None:
+        """The experience that was transferred to the robot."""
+        with self._lock:
+            return self._kept.get(PRIOR)
+
+    @property
+    def baseline(self) -> Mapping[str, BaselineModel]:
+        """What the baseline of each axis does, by the axis's name; empty before it was flown."""
+        with self._lock:
+            return self._baseline
+
+    def find(self, sha256: str) -> Kept | None:
+        """Return the experience or prior with that digest."""
+        with self._lock:
+            return next((kept for kept in self._kept.values() if kept.sha256 == sha256), None)
+
+    def keep_experience(self, payload: bytes, sha256: str) -> Kept:
+        """Store an experience of the robot's own, in the place of the one of its architecture.
+
+        Raises:
+            MalformedMessageError: it is not an experience with that digest.
+            MemoryFolderError: it cannot be stored.
+        """
+        kept = _checked(payload, sha256)
+        return self._keep(kept.manifest.layout.architecture, kept)
+
+    def keep_prior(self, payload: bytes, sha256: str) -> Kept:
+        """Store the prior that the robot flies with; raises as `keep_experience` does."""
+        return self._keep(PRIOR, _checked(payload, sha256))
+
+    def forget_prior(self) -> None:
+        """Fly without a prior from now on."""
+        with self._lock:
+            if self._folder is not None:
+                try:
+                    (self._folder / f"{PRIOR}{_SUFFIX}").unlink(missing_ok=True)
+                except OSError as error:
+                    raise MemoryFolderError(
+                        f"{self._folder}: the prior cannot be removed: {error.strerror}"
+                    ) from error
+            self._kept.pop(PRIOR, None)
+
+    def keep_baseline(self, models: Mapping[str, BaselineModel]) -> None:
+        """Store what the baseline of each axis does."""
+        with self._lock:
+            self._write(_BASELINE, _BASELINE_MODELS.dump_json(dict(models)))
+            self._baseline = dict(models)
+
+    def _keep(self, name: str, kept: Kept) -> Kept:
+        with self._lock:
+            self._write(f"{name}{_SUFFIX}", kept.payload)
+            self._kept[name] = kept
+        return kept
+
+    def _write(self, name: str, data: bytes) -> None:
+        """Replace a file as a whole: a crash leaves the old one or the new one."""
+        if self._folder is None:
+            return
+        part, whole = self._folder / f"{name}.part", self._folder / name
+        try:
+            with part.open("wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            part.replace(whole)
+            descriptor = os.open(self._folder, os.O_RDONLY)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+        except OSError as error:
+            raise MemoryFolderError(f"{whole} cannot be written: {error.strerror}") from error
+
+    def _read(self, folder: Path) -> None:
+        for name in (*_ARCHITECTURES, PRIOR):
+            path = folder / f"{name}{_SUFFIX}"
+            if path.exists():
+                try:
+                    with path.open("rb") as file:
+                        payload = file.read(EXPERIENCE_BYTES_MAX + 1)
+                    self._kept[name] = _checked(payload, digest(payload))
+                except MalformedMessageError as error:
+                    raise MemoryFolderError(
+                        f"{path} is damaged: {error}; remove it, then train or transfer anew"
+                    ) from error
+        path = folder / _BASELINE
+        if path.exists():
+            try:
+                self._baseline = _BASELINE_MODELS.validate_json(path.read_bytes())
+            except ValidationError as error:
+                raise MemoryFolderError(
+                    f"{path} is damaged: {describe_validation(error)}; remove it"
+                ) from error
+
+
+def _checked(payload: bytes, sha256: str) -> Kept:
+    experience: Experience = decode_experience(payload, sha256)
+    return Kept(sha256, payload, experience.manifest, NetworkInverse(experience))
