@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orchestrator.training import Origin, TrainingData, data_sha256
+from orchestrator.training import Origin, TrainingData, data_sha256, ridge
 from shared.experience import Experience
 from shared.experience_manifest import ExperienceManifest
 from shared.inverse_layout import InverseLayout
@@ -21,8 +21,7 @@ def linear_experience(
     """
     scale = np.maximum(data.inputs.std(axis=0), 1e-12)
     scaled = data.inputs / scale
-    normal = scaled.T @ scaled / len(scaled) + _RIDGE * np.eye(len(scale))
-    weights = np.linalg.solve(normal, scaled.T @ data.gamma / len(scaled))
+    weights = ridge(scaled, data.gamma, _RIDGE)
     left = data.gamma - scaled @ weights
     manifest = ExperienceManifest(
         robot=origin.robot,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 import torch
@@ -73,10 +75,25 @@ def test_the_manifest_says_what_was_trained(experience: Experience) -> None:
     assert decode_experience(encode_experience(experience)).manifest == manifest
 
 
-def test_torch_is_left_as_it_was(experience: Experience) -> None:
-    threads, state = torch.get_num_threads(), torch.random.get_rng_state()
+def test_a_network_that_is_not_trained_is_the_linear_inverse() -> None:
+    rng = np.random.default_rng(3)
+    inputs = rng.standard_normal((1500, 4))
+    gamma = inputs @ np.array([0.3, -1.0, 2.0, 0.1]) + 0.7
+    network = NetworkInverse(
+        train(TrainingData(inputs, gamma), LAYOUT, ORIGIN, seed=0, points=1000, steps_max=0)
+    )
+    np.testing.assert_allclose(network(inputs), gamma, atol=1e-4)
+
+
+def test_several_at_once_are_trained_as_one_alone(experience: Experience) -> None:
+    with ThreadPoolExecutor(3) as pool:
+        for other in pool.map(trained, [0, 0, 0]):
+            assert encode_experience(other) == encode_experience(experience)
+
+
+def test_torchs_own_generator_is_left_as_it_was() -> None:
+    state = torch.random.get_rng_state()
     trained()
-    assert torch.get_num_threads() == threads
     assert torch.equal(torch.random.get_rng_state(), state)
 
 

@@ -1,0 +1,153 @@
+"""A robot's own experience: flown, its horizon chosen in flight, trained, and given back to it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from orchestrator.fleet import Fleet
+from orchestrator.horizon import HorizonChoice, candidate_layouts, choose_horizon
+from orchestrator.learning_record import LearningRecord, pooled_pairs
+from orchestrator.paths import practice_path
+from orchestrator.pilot import Pilot
+from orchestrator.relative_degree import relative_degree
+from orchestrator.training import Origin, TrainingData
+from shared.errors import InvalidInputError, MalformedMessageError, RobotError
+from shared.experience import Experience, digest, encode_experience
+from shared.inverse_layout import Architecture
+from shared.messages import Description, ExperienceOffer
+
+FLIGHT_S = 120.0
+"""Of a rich flight: five thousand pairs at 50 samples per second, of which training takes 2100."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lesson:
+    """What a robot flew for one experience: all that its training needs."""
+
+    robot: str
+    data: TrainingData
+    origin: Origin
+    choice: HorizonChoice
+
+
+Say = Callable[[str, str], None]
+
+
+def fly_lessons(
+    pilot: Pilot,
+    fleet: Fleet,
+    description: Description,
+    architectures: tuple[Architecture, ...],
+    *,
+    seed: int,
+    duration_s: float = FLIGHT_S,
+    say: Say,
+) -> tuple[Lesson, ...]:
+    """Have a robot fly what its experiences are learned from, one lesson for each architecture.
+
+    A rich flight, steps on every axis, then guarded flights with linear inverses of every horizon.
+    The robot's prior, if it has one, is put back afterwards.
+
+    Args:
+        pilot: flies.
+        fleet: installs the candidates.
+        description: of the robot.
+        architectures: of the experiences.
+        seed: draws the rich flight.
+        duration_s: of the rich flight.
+        say: is told (robot, what it does now).
+
+    Raises:
+        StudyError: it does not answer to steps, or no horizon can be flown.
+        RobotError: a flight failed.
+    """
+    robot, spec = description.robot, description.spec
+    path = practice_path(spec, robot)
+    say(robot, f"flies richly for {duration_s:.0f} s")
+    result, details = pilot.rich(robot, duration_s=duration_s, seed=seed)
+    record = LearningRecord(result.reference, details.states, details.state_names)
+    say(robot, "flies steps")
+    columns = tuple(range(len(spec.axes)))
+    degree = max(_degree(pilot, robot, i, spec.axes[i].name) for i in columns)
+    origin = Origin(
+        robot=robot,
+        robot_kind=spec.kind,
+        axes=tuple(axis.name for axis in spec.axes),
+        unit=_unit(description),
+        relative_degree=degree,
+    )
+    before = None if description.prior is None else fleet.fetch(robot, description.prior.sha256)
+
+    def fly(candidate: Experience) -> float:
+        horizon = candidate.manifest.layout.horizon_s
+        say(robot, f"tries a horizon of {horizon:.2f} s")
+        sha256 = install(fleet, robot, "prior", encode_experience(candidate)).sha256
+        flight = pilot.with_prior(robot, path, "practice", sha256, learn=False)
+        if flight.failure is not None:
+            pick_up(fleet, description, flight.failure)
+        elif flight.details.taken_back is None:
+            return flight.rms_error
+        return math.inf
+
+    lessons = []
+    try:
+        for architecture in architectures:
+            layouts = candidate_layouts(
+                architecture, details.state_names, spec.sample_time_s, degree
+            )
+            choice = choose_horizon(layouts, record, columns, origin, fly)
+            data = TrainingData(*pooled_pairs(choice.layout, record, columns))
+            lessons.append(Lesson(robot, data, origin, choice))
+    finally:
+        if before is None:
+            fleet.remove_prior(robot)
+        else:
+            install(fleet, robot, "prior", before)
+    return tuple(lessons)
+
+
+def install(
+    fleet: Fleet, robot: str, slot: Literal["experience", "prior"], payload: bytes
+) -> ExperienceOffer:
+    """Install an experience on a robot and read it back.
+
+    Raises:
+        RefusedError: it does not fit the robot.
+        MalformedMessageError: what the robot has now is not what was sent.
+    """
+    sha256 = digest(payload)
+    offer = fleet.install(robot, slot, payload, sha256)
+    if offer.sha256 != sha256 or fleet.fetch(robot, sha256) != payload:
+        raise MalformedMessageError(f"robot {robot} does not hold what was installed on it")
+    return offer
+
+
+def pick_up(fleet: Fleet, description: Description, failure: str) -> None:
+    """Make a robot that failed ready again, which for a real one is a person's task.
+
+    Raises:
+        RobotError: it is a real one.
+    """
+    if not description.spec.simulated:
+        raise RobotError(
+            f"robot {description.robot} failed: {failure}; see to it, then `nufleet release` it"
+        )
+    fleet.release(description.robot)
+
+
+def _degree(pilot: Pilot, robot: str, column: int, axis: str) -> int:
+    result = pilot.steps(robot, axis)
+    return relative_degree(result.reference[:, column], result.response[:, column])
+
+
+def _unit(description: Description) -> Literal["m", "rad"]:
+    units = {axis.unit for axis in description.spec.axes}
+    if len(units) > 1:
+        raise InvalidInputError(
+            f"robot {description.robot} has axes in {' and '.join(sorted(units))}; one experience "
+            "covers axes of one unit"
+        )
+    return description.spec.axes[0].unit
