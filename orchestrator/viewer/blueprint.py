@@ -1,4 +1,4 @@
-"""The layout of a study's views. Imports Rerun."""
+"""The layout of all views. Imports Rerun."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from orchestrator.viewer.draw_differences import RADIUS
 from orchestrator.viewer.draw_sphere import EYE
 from orchestrator.viewer.draw_surrogates import CAMERA, FULL_PARTS
 from orchestrator.viewer.palette import GROUND
+from orchestrator.viewer.shown import Kind, Shown
+from orchestrator.viewer.tracking_layout import tracking
 
 TESTS_WINDOW_S = 20.0
 """How much of the latest tests is shown; zoom out for the rest."""
@@ -19,19 +21,31 @@ EVERYTHING = rr.TimeRange(
 )
 
 
-def layout() -> rrb.Blueprint:
-    """Return the layout, for any fleet: from left to right where, how far, and what happens."""
+def layout(shown: Shown) -> rrb.Blueprint:
+    """Return the layout, for any fleet: a study, flights, or both as tabs, the latest in front."""
+    parts: dict[Kind, rrb.Container] = {}
+    if "ranking" in shown.kinds:
+        parts["ranking"] = _study()
+    if "tracking" in shown.kinds:
+        parts["tracking"] = tracking(shown, _log())
+    in_front = list(parts).index(shown.kinds[-1])
     return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(_sphere(), _differences(), row_shares=[1, 1]),
-            rrb.Vertical(_surrogates(), _estimates(), row_shares=[6, 4]),
-            rrb.Vertical(_ranking(), _tests(), _robots(), _log(), row_shares=[28, 26, 24, 22]),
-            column_shares=[30, 42, 34],
-        ),
+        rrb.Tabs(*parts.values(), active_tab=in_front) if len(parts) > 1 else parts[shown.kinds[0]],
         rrb.TimePanel(state="collapsed", timeline="t", play_state="following"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         auto_views=False,
+    )
+
+
+def _study() -> rrb.Container:
+    """From left to right where, how far, and what happens."""
+    return rrb.Horizontal(
+        rrb.Vertical(_sphere(), _differences(), row_shares=[1, 1]),
+        rrb.Vertical(_surrogates(), _estimates(), row_shares=[6, 4]),
+        rrb.Vertical(_ranking(), _tests(), _robots(), _log(), row_shares=[28, 26, 24, 22]),
+        column_shares=[30, 42, 34],
+        name="Ranking",
     )
 
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
 from orchestrator.viewer.events import TestSamplesEvent
+from orchestrator.viewer.outline import outline
 from orchestrator.viewer.palette import REFERENCE, Colour, Palette
 from shared.arrays import FloatArray
 
@@ -96,26 +95,3 @@ class TestSamples:
                     ),
                     static=True,
                 )
-
-
-def outline(values: FloatArray, points_max: int) -> NDArray[np.intp]:
-    """Return the indices of at most `points_max` samples that draw the same line.
-
-    Each of points_max / 2 equal stretches keeps its lowest and its highest sample, so no peak is
-    lost; a short signal keeps all.
-
-    Args:
-        values: shape (n,).
-
-    Returns:
-        Increasing indices, shape (≤ points_max,).
-    """
-    n = len(values)
-    if n <= points_max:
-        return np.arange(n)
-    edges = np.linspace(0, n, points_max // 2 + 1).astype(int)
-    kept = set[int]()
-    for start, end in pairwise(edges):
-        stretch = values[start:end]
-        kept |= {start + int(np.argmin(stretch)), start + int(np.argmax(stretch))}
-    return np.array(sorted(kept))

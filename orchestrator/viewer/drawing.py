@@ -13,15 +13,19 @@ from orchestrator.viewer.draw_robots import RobotStates
 from orchestrator.viewer.draw_samples import TestSamples
 from orchestrator.viewer.draw_sphere import Sphere
 from orchestrator.viewer.draw_surrogates import Surrogates
+from orchestrator.viewer.draw_tracking import Tracking
 from orchestrator.viewer.events import (
     IterationEvent,
     MessageEvent,
     RobotStateEvent,
+    TakenBackEvent,
     TestSamplesEvent,
+    TrackingSamplesEvent,
     ViewerEvent,
 )
 from orchestrator.viewer.leaders import leading_sources
 from orchestrator.viewer.palette import Palette
+from orchestrator.viewer.shown import Shown
 
 
 class Drawing:
@@ -30,6 +34,7 @@ class Drawing:
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
         self._palette = Palette()
+        self.shown = Shown()
         self._sphere = Sphere(stream, self._palette)
         self._differences = Differences(stream, self._palette)
         self._surrogates = Surrogates(stream, self._palette)
@@ -37,6 +42,7 @@ class Drawing:
         self._log = Log(stream)
         self._robots = RobotStates(stream, self._log)
         self._samples = TestSamples(stream, self._palette)
+        self._tracking = Tracking(stream, self._palette, self.shown)
 
     def begin(self) -> None:
         """Draw what never changes."""
@@ -49,16 +55,24 @@ class Drawing:
             case RobotStateEvent():
                 self._robots.add(event)
             case TestSamplesEvent():
+                self.shown.ranking()
                 self._samples.add(event)
             case IterationEvent():
+                self.shown.ranking()
                 self._draw_iteration(event)
+            case TrackingSamplesEvent():
+                self._tracking.add(event)
+            case TakenBackEvent():
+                self._tracking.add(event)
+                text = f"{event.flight}: prior taken back: {event.reason}"
+                self._log.say(event.t_s, "warning", text)
             case MessageEvent():
                 self._log.say(event.t_s, event.level, event.text)
 
     @property
     def rest(self) -> tuple[Callable[[], None], ...]:
         """What draws the events of a batch that were kept to be drawn at once."""
-        return self._robots.draw, self._samples.draw
+        return self._robots.draw, self._samples.draw, self._tracking.draw
 
     def _draw_iteration(self, event: IterationEvent) -> None:
         leaders = leading_sources(event)

@@ -64,6 +64,43 @@ class IterationEvent:
 
 
 @dataclass(frozen=True, eq=False)
+class TrackingSamplesEvent:
+    """A part of a flight along a path; its first sample was taken at `t_s`.
+
+    Arrays have shape (n, axes), one row every `sample_time_s`, in `unit`; `prior` and the online
+    process's `mean` and `variance` are of γ, in unit/s. A variance of 0 everywhere says that no
+    inverse was at work. `share`, shape (n,), is how much of the correction acted.
+
+    `flight` says who gave the prior, and then the path: "source-1 · clover · 0.6 m/s". "baseline"
+    stands for the robot's own controller alone and "none" for a zero prior. A new flight begins
+    with another label, or after a pause.
+    """
+
+    t_s: float
+    robot: str
+    flight: str
+    axes: tuple[str, ...]
+    unit: str
+    sample_time_s: float
+    desired: FloatArray
+    actual: FloatArray
+    prior: FloatArray
+    mean: FloatArray
+    variance: FloatArray
+    share: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class TakenBackEvent:
+    """The guard took the prior of a flight back, because of `reason`."""
+
+    t_s: float
+    robot: str
+    flight: str
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
 class MessageEvent:
     """A sentence for the log."""
 
@@ -72,4 +109,11 @@ class MessageEvent:
     text: str
 
 
-ViewerEvent = RobotStateEvent | TestSamplesEvent | IterationEvent | MessageEvent
+ViewerEvent = (
+    RobotStateEvent
+    | TestSamplesEvent
+    | IterationEvent
+    | TrackingSamplesEvent
+    | TakenBackEvent
+    | MessageEvent
+)

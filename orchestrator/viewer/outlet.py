@@ -9,7 +9,13 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from orchestrator.viewer.events import IterationEvent, TestSamplesEvent, ViewerEvent
+from orchestrator.viewer.events import (
+    IterationEvent,
+    TakenBackEvent,
+    TestSamplesEvent,
+    TrackingSamplesEvent,
+    ViewerEvent,
+)
 from shared.errors import NufleetError
 
 BATCH_S = 0.25
@@ -38,7 +44,7 @@ class Outlet:
     """Takes events without ever waiting and writes them to a sink from its own thread.
 
     When the sink is slow, telemetry and messages are dropped, oldest first, and counted;
-    iterations wait. When the sink is gone everything is dropped and counted.
+    iterations and the guard's events wait. When the sink is gone everything is dropped and counted.
     """
 
     def __init__(
@@ -55,7 +61,7 @@ class Outlet:
         self._waiting_bytes_max = waiting_bytes_max
         self._waiting_bytes = 0
         self._changed = threading.Condition()
-        self._iterations: deque[tuple[int, ViewerEvent]] = deque()
+        self._kept: deque[tuple[int, ViewerEvent]] = deque()
         self._droppable: deque[tuple[int, ViewerEvent]] = deque()
         self._taken = 0
         self._dropped = 0
@@ -90,8 +96,8 @@ class Outlet:
                 self._dropped += 1
                 return
             self._taken += 1
-            if isinstance(event, IterationEvent):
-                self._iterations.append((self._taken, event))
+            if isinstance(event, IterationEvent | TakenBackEvent):
+                self._kept.append((self._taken, event))
                 return
             self._droppable.append((self._taken, event))
             self._waiting_bytes += _array_bytes(event)
@@ -144,7 +150,7 @@ class Outlet:
             deadline = time.monotonic() + BATCH_S
             while not self._closing and (left := deadline - time.monotonic()) > 0:
                 self._changed.wait(left)
-            batch = sorted((*self._iterations, *self._droppable), key=lambda entry: entry[0])
+            batch = sorted((*self._kept, *self._droppable), key=lambda entry: entry[0])
             self._forget_waiting()
             if not batch and self._closing:
                 return None
@@ -153,11 +159,11 @@ class Outlet:
     def _die(self, in_hand: int) -> None:
         with self._changed:
             self._dead = True
-            self._dropped += in_hand + len(self._iterations) + len(self._droppable)
+            self._dropped += in_hand + len(self._kept) + len(self._droppable)
             self._forget_waiting()
 
     def _forget_waiting(self) -> None:
-        self._iterations.clear()
+        self._kept.clear()
         self._droppable.clear()
         self._waiting_bytes = 0
 
@@ -165,4 +171,7 @@ class Outlet:
 def _array_bytes(event: ViewerEvent) -> int:
     if isinstance(event, TestSamplesEvent):
         return event.reference.nbytes + event.response.nbytes
+    if isinstance(event, TrackingSamplesEvent):
+        arrays = (event.desired, event.actual, event.prior, event.mean, event.variance, event.share)
+        return sum(array.nbytes for array in arrays)
     return 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from functools import partial
 from pathlib import Path
 
@@ -12,11 +13,15 @@ import rerun as rr
 from orchestrator.viewer.blueprint import layout
 from orchestrator.viewer.drawing import Drawing
 from orchestrator.viewer.events import ViewerEvent
+from orchestrator.viewer.shown import Shown
 from shared.errors import InvalidInputError, NufleetError
 
 APPLICATION = "nufleet"
 
 CONNECT_S = 10.0
+
+STUDY = Shown(kinds=["ranking"])
+"""What is expected to come, until something else does."""
 
 log = logging.getLogger(__name__)
 
@@ -29,13 +34,14 @@ class RerunSink:
         self._before_write = before_write
         self._drawing = Drawing(stream)
         self._drawing.begin()
+        self._laid_out = STUDY
 
     @staticmethod
     def to_file(run_id: str, path: Path) -> RerunSink:
         """Write to a file; raises InvalidInputError when that fails."""
         stream = _stream(run_id)
         try:
-            stream.set_sinks(rr.FileSink(path), default_blueprint=layout())
+            stream.set_sinks(rr.FileSink(path), default_blueprint=layout(STUDY))
             # So a recording that is cut off by a power failure misses a quarter of a second, and
             # a full disk is noticed: then this raises.
             sink = RerunSink(stream, stream.flush)
@@ -54,7 +60,7 @@ class RerunSink:
                 raise NufleetError("the viewer's server is gone")
 
         stream = _stream(run_id)
-        stream.set_sinks(rr.GrpcSink(url), default_blueprint=layout())
+        stream.set_sinks(rr.GrpcSink(url), default_blueprint=layout(STUDY))
         sink = RerunSink(stream, check)
         try:
             stream.flush(timeout_sec=CONNECT_S)
@@ -72,6 +78,14 @@ class RerunSink:
             except Exception:
                 # What cannot be drawn must not cost the study the rest of its recording.
                 log.exception("the viewer cannot draw something")
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        """Send the views that what has come needs; the viewer opens what began last."""
+        shown = self._drawing.shown
+        if shown.kinds and shown != self._laid_out:
+            self._laid_out = deepcopy(shown)
+            self._stream.send_blueprint(layout(shown))
 
     def close(self) -> None:
         """Hand everything over and let go; a file gets its footer."""

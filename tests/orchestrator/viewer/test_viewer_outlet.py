@@ -8,8 +8,15 @@ from collections.abc import Callable, Iterator, Sequence
 
 import pytest
 from study_events import iteration_event, samples_event, state_event
+from tracking_events import flight
 
-from orchestrator.viewer.events import IterationEvent, RobotStateEvent, ViewerEvent
+from orchestrator.viewer.events import (
+    IterationEvent,
+    RobotStateEvent,
+    TakenBackEvent,
+    TrackingSamplesEvent,
+    ViewerEvent,
+)
 from orchestrator.viewer.outlet import Outlet
 from shared.errors import InvalidInputError
 
@@ -124,6 +131,25 @@ def test_waiting_samples_are_bounded_in_bytes(gated: GatedSink) -> None:
     gated.gate.set()
     finish(outlet)
     assert len(gated.events) == 6
+
+
+def test_behind_a_slow_sink_samples_of_flights_go_and_the_guards_event_stays(
+    gated: GatedSink,
+) -> None:
+    event = flight()
+    arrays = (event.desired, event.actual, event.prior, event.mean, event.variance, event.share)
+    one = sum(array.nbytes for array in arrays)
+    outlet = started(lambda: gated, waiting_bytes_max=3 * one)
+    outlet.offer(state_event("target", 0.0))
+    assert gated.entered.wait(WAIT_S)
+    outlet.offer(taken_back := TakenBackEvent(1.0, "target", event.flight, "it was worse"))
+    for k in range(10):
+        outlet.offer(flight(t_s=15.0 * k))
+    assert outlet.dropped == 7
+    gated.gate.set()
+    finish(outlet)
+    assert taken_back in gated.events
+    assert sum(isinstance(e, TrackingSamplesEvent) for e in gated.events) == 3
 
 
 def test_a_sink_that_fails_takes_nothing_more_and_what_it_misses_is_counted(

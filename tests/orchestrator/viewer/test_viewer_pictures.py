@@ -12,14 +12,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from study_events import iteration_event, samples_event, state_event
+from tracking_events import flight
 
 from orchestrator.viewer.axes import HEIGHT, WIDTH, Axes, fitting_axes, round_up, spread
 from orchestrator.viewer.draw_differences import around
 from orchestrator.viewer.draw_estimates import ranking_table
-from orchestrator.viewer.draw_samples import outline
-from orchestrator.viewer.events import MessageEvent
+from orchestrator.viewer.events import MessageEvent, TakenBackEvent
 from orchestrator.viewer.leaders import LEADERS, leading_sources, telling_tone
 from orchestrator.viewer.marks import drawable
+from orchestrator.viewer.outline import outline
 from orchestrator.viewer.palette import TARGET, Palette
 from orchestrator.viewer.picture import screenshot
 from orchestrator.viewer.rerun_program import rerun_environment, rerun_program
@@ -53,6 +54,22 @@ def test_the_viewer_draws_every_view_and_every_glyph(recording: Path, tmp_path: 
     for robot in ("target", "s1", "s2", "s3"):
         nearness = np.abs(picture - np.array(palette.of(robot)) / 255).max(axis=2)
         assert np.count_nonzero(nearness < 0.03) > 100, robot
+
+
+@pytest.mark.parametrize("axes", [("x", "y"), ("x",)])
+def test_the_viewer_draws_every_view_of_flights(tmp_path: Path, axes: tuple[str, ...]) -> None:
+    path, png = tmp_path / "run.rrd", tmp_path / "run.png"
+    priors = ("baseline", "none", "s1", "s2")
+    with RerunWriter("run-1", recording=path, serve=None) as writer:
+        for k, prior in enumerate(priors):
+            writer.emit(flight(prior, t_s=15.0 * k, late_s=0.05 * (k + 1), axes=axes))
+        writer.emit(TakenBackEvent(50.0, "target", "s2 · circle · 0.6 m/s", "it was worse"))
+    assert screenshot(path, png, size=(1200, 700)) == ()
+    picture = matplotlib.image.imread(png)[:, :, :3]
+    palette = Palette()
+    for prior in priors:
+        nearness = np.abs(picture - np.array(palette.of_prior(prior)) / 255).max(axis=2)
+        assert np.count_nonzero(nearness < 0.03) > 100, prior
 
 
 def test_without_a_graphics_driver_the_package_to_install_is_named(

@@ -1,0 +1,269 @@
+"""Draws the flights along one path, seen from above: who keeps closer to it. Imports Rerun."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+
+from orchestrator.viewer.axes import WIDTH
+from orchestrator.viewer.flights import Flight
+from orchestrator.viewer.marks import labels_2d, lines_2d, screen_points
+from orchestrator.viewer.outline import thinned
+from orchestrator.viewer.palette import (
+    GRID,
+    GROUND,
+    QUIET,
+    TEXT,
+    WANTED,
+    Colour,
+    Palette,
+    subdued,
+)
+from orchestrator.viewer.path_axes import PathAxes, axes_around
+from shared.arrays import FloatArray
+
+PLOT = "tracking/plot"
+METRES = f"{PLOT}/path"
+"""What is below here is in the axes' unit; the rest of the plot in the drawing's own."""
+
+FRAME_S, TRAIL_S = 0.25, 2.0
+"""How often the flight in progress is drawn, and how much of its recent past is bright."""
+
+BODY_FRAME_S = 1.0
+"""How often what lies before the bright part is drawn."""
+
+TRAIL_POINTS, BODY_POINTS = 60, 400
+
+BODY, EARLIER = 0.75, 0.45
+"""How bright the flight in progress is before its recent past, and how bright earlier ones."""
+
+EARLIER_MAX = 12
+"""Earlier flights along the same path that stay in the picture."""
+
+FOLLOW_S = 10.0
+"""Of several robots that fly at once one is shown, until it has been still for so long."""
+
+
+class Paths:
+    """The path, the flight in progress, those before it, and where a prior was taken back."""
+
+    def __init__(self, stream: rr.RecordingStream, palette: Palette) -> None:
+        self._stream = stream
+        self._palette = palette
+        self._axes: PathAxes | None = None
+        self._earlier: list[Flight] = []
+        self._flight: Flight | None = None
+        self._longest: FloatArray = np.empty((0, 2))
+        self._drawn = 0
+        self._begun = False
+
+    def draw(self, flight: Flight) -> None:
+        """Draw what is new of a flight of a robot with two axes or more."""
+        if self._flight is not flight:
+            if self._waits_for_another(flight):
+                return
+            self._begin(flight)
+        first, self._drawn = self._drawn, len(flight.time_s)
+        self._draw_path(flight)
+        self._draw_trail(flight, _frames(flight.time_s, first, FRAME_S, and_last=True))
+        body = _frames(flight.time_s, first, BODY_FRAME_S, and_last=False)
+        self._draw_body(flight, body)
+        if body or flight.taken_back_s is not None:
+            self._draw_names(flight)
+        self._draw_places(flight)
+
+    def _waits_for_another(self, flight: Flight) -> bool:
+        shown = self._flight
+        if shown is None or shown.robot == flight.robot:
+            return False
+        return bool(flight.time_s[-1] < shown.time_s[-1] + FOLLOW_S)
+
+    def _begin(self, flight: Flight) -> None:
+        if not self._begun:
+            self._begun = True
+            self._draw_once()
+        before, self._flight = self._flight, flight
+        self._drawn = 0
+        if before is not None and (before.robot, before.path) == (flight.robot, flight.path):
+            self._earlier = [f for f in self._earlier if f.label != flight.label]
+            self._earlier = [*self._earlier, before][-EARLIER_MAX:]
+        else:
+            self._earlier, self._longest, self._axes = [], np.empty((0, 2)), None
+        self._stream.set_time("t", duration=flight.time_s[0])
+        try:
+            self._draw_earlier()
+            for what in ("actual", "places", "taken_back"):
+                self._stream.log(f"{METRES}/{what}", rr.Clear(recursive=False))
+        finally:
+            self._stream.reset_time()
+
+    def _draw_once(self) -> None:
+        """Put the parts on top of one another in a fixed order; say how thick they are."""
+        for order, part in enumerate(("earlier", "desired", "actual", "trail"), start=40):
+            self._stream.log(
+                f"{METRES}/{part}", rr.LineStrips2D.from_fields(draw_order=order), static=True
+            )
+        for order, part in enumerate(("trail", "places"), start=60):
+            self._stream.log(
+                f"{METRES}/{part}", rr.Points2D.from_fields(draw_order=order), static=True
+            )
+
+    def _draw_path(self, flight: Flight) -> None:
+        """Draw the path as far as any of its flights came, and axes that fit it."""
+        if len(flight.desired) <= len(self._longest):
+            return
+        self._longest = flight.desired[:, :2]
+        axes = axes_around(self._longest)
+        self._stream.set_time("t", duration=flight.time_s[-1])
+        try:
+            self._stream.log(
+                f"{METRES}/desired",
+                lines_2d([thinned(self._longest, BODY_POINTS)], [WANTED], 0.5),
+            )
+            if axes != self._axes:
+                self._axes = axes
+                self._draw_axes(axes, flight)
+        finally:
+            self._stream.reset_time()
+
+    def _draw_axes(self, axes: PathAxes, flight: Flight) -> None:
+        scale = axes.scale
+        self._stream.log(
+            METRES, rr.Transform3D(translation=[*axes.shift, 0.0], scale=[scale, -scale, 1.0])
+        )
+        low, high = axes.place(np.array([axes.low, axes.high]))
+        right, top = float(high[0]), float(high[1])
+        left, bottom = float(low[0]), float(low[1])
+        along = [(tick, float(axes.place(np.array([[tick, 0.0]]))[0, 0])) for tick in axes.ticks(0)]
+        up = [(tick, float(axes.place(np.array([[0.0, tick]]))[0, 1])) for tick in axes.ticks(1)]
+        lines = [[[x, bottom], [x, top]] for _, x in along]
+        lines += [[[left, y], [right, y]] for _, y in up]
+        frame = [[left, top], [left, bottom], [right, bottom]]
+        self._stream.log(
+            f"{PLOT}/grid", lines_2d([*lines, frame], [GRID] * len(lines) + [QUIET], 0.5)
+        )
+        # The viewer writes a text below its place.
+        texts = [([x, bottom + 2.0], f"{tick:g}") for tick, x in along]
+        texts += [([left - 9.0, y - 3.5], f"{tick:g}") for tick, y in up]
+        x_name, y_name = (f"{name} [{flight.unit}]" for name in flight.axes[:2])
+        texts += [([(left + right) / 2, bottom + 10.0], x_name), ([left - 9.0, top - 12.0], y_name)]
+        self._stream.log(
+            f"{PLOT}/labels",
+            labels_2d([place for place, _ in texts], [text for _, text in texts], [TEXT]),
+        )
+
+    def _draw_trail(self, flight: Flight, frames: list[int]) -> None:
+        """Draw the recent past up to each frame, and the robot."""
+        colour = self._palette.of_prior(flight.prior)
+        trails = []
+        for frame in frames:
+            begin = flight.at(flight.time_s[frame] - TRAIL_S)
+            trails.append(thinned(flight.actual[begin : frame + 1, :2], TRAIL_POINTS))
+        self._stream.send_columns(
+            f"{METRES}/trail",
+            indexes=[rr.TimeColumn("t", duration=flight.time_s[frames])],
+            columns=[
+                *rr.LineStrips2D.columns(
+                    strips=trails,
+                    colors=[colour] * len(frames),
+                    radii=screen_points(*[1.8] * len(frames)),
+                ),
+                *rr.Points2D.columns(
+                    positions=flight.actual[frames, :2],
+                    colors=[colour] * len(frames),
+                    radii=screen_points(*[5.0] * len(frames)),
+                ),
+            ],
+        )
+
+    def _draw_body(self, flight: Flight, frames: list[int]) -> None:
+        if not frames:
+            return
+        colour = subdued(self._palette.of_prior(flight.prior), BODY)
+        self._stream.send_columns(
+            f"{METRES}/actual",
+            indexes=[rr.TimeColumn("t", duration=flight.time_s[frames])],
+            columns=rr.LineStrips2D.columns(
+                strips=[thinned(flight.actual[: frame + 1, :2], BODY_POINTS) for frame in frames],
+                colors=[colour] * len(frames),
+                radii=screen_points(*[1.2] * len(frames)),
+            ),
+        )
+
+    def _draw_earlier(self) -> None:
+        """Draw what flew before, the better over the worse."""
+        flights = sorted(self._earlier, key=lambda flight: -flight.rms_error)
+        self._stream.log(
+            f"{METRES}/earlier",
+            lines_2d(
+                [thinned(flight.actual[:, :2], BODY_POINTS) for flight in flights],
+                [subdued(self._palette.of_prior(flight.prior), EARLIER) for flight in flights],
+                0.6,
+            ),
+        )
+
+    def _draw_places(self, flight: Flight) -> None:
+        """Draw a ring where a prior was taken back; the one of this flight gets a label."""
+        taken = [f for f in (*self._earlier, flight) if f.taken_back_s is not None]
+        if not taken:
+            return
+        colours = [self._palette.of_prior(f.prior) for f in taken]
+        dim = [
+            c if f is flight else subdued(c, EARLIER) for c, f in zip(colours, taken, strict=True)
+        ]
+        places = np.array([f.actual[f.at(f.taken_back_s or 0.0), :2] for f in taken])
+        self._stream.set_time("t", duration=flight.time_s[-1])
+        try:
+            self._stream.log(
+                f"{METRES}/places",
+                rr.Points2D(
+                    np.concatenate([places, places]),
+                    colors=[*dim, *[GROUND] * len(taken)],
+                    radii=screen_points(*[6.0] * len(taken), *[3.5] * len(taken)),
+                ),
+            )
+            if flight.taken_back_s is not None:
+                self._stream.log(
+                    f"{METRES}/taken_back",
+                    labels_2d(places[-1:], ["prior taken back"], colours[-1:]),
+                )
+        finally:
+            self._stream.reset_time()
+
+    def _draw_names(self, flight: Flight) -> None:
+        """Name the flights at the right, the better the higher, the one in progress below."""
+        done = sorted(self._earlier, key=lambda f: f.rms_error)
+        whole = len(flight.time_s) >= max((len(f.time_s) for f in done), default=np.inf)
+        if whole:
+            done = sorted([*done, flight], key=lambda f: f.rms_error)
+        rows: list[tuple[str, Colour]] = [
+            (flight.path, TEXT),
+            (f"RMS error [m{flight.unit}]", TEXT),
+            *((_result(f), self._palette.of_prior(f.prior)) for f in done),
+        ]
+        if not whole:
+            rows.append((_result(flight, " so far"), self._palette.of_prior(flight.prior)))
+        places = [[WIDTH + 26.0, 8.0 * k] for k in range(len(rows))]
+        self._stream.set_time("t", duration=flight.time_s[-1])
+        try:
+            self._stream.log(
+                f"{PLOT}/names",
+                labels_2d(places, [text for text, _ in rows], [colour for _, colour in rows]),
+            )
+        finally:
+            self._stream.reset_time()
+
+
+def _result(flight: Flight, so_far: str = "") -> str:
+    taken_back = "" if flight.taken_back_s is None else ", taken back"
+    return f"{flight.prior}  {flight.rms_error * 1e3:.1f}{so_far}{taken_back}"
+
+
+def _frames(time_s: FloatArray, first: int, every_s: float, *, and_last: bool) -> list[int]:
+    """Return the samples from `first` on at which a new frame begins."""
+    frame = np.floor((time_s - time_s[0]) / every_s + 1e-9)
+    new = np.flatnonzero(np.diff(frame, prepend=0.0) > 0)
+    frames = [int(k) for k in new if k >= first]
+    if and_last and len(time_s) - 1 not in frames and len(time_s) > first:
+        frames.append(len(time_s) - 1)
+    return frames

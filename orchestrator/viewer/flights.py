@@ -1,0 +1,155 @@
+"""What is known of flights along paths: who gave the prior, where the robot was, how far off."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from orchestrator.viewer.events import TrackingSamplesEvent
+from shared.arrays import FloatArray
+
+BASELINE = "baseline"
+"""Stands in a flight's label for the robot's own controller alone."""
+
+NO_PRIOR = "none"
+"""Stands in a flight's label for an online process with a zero prior."""
+
+PAUSE_S = 1.0
+"""A flight whose samples pause for longer is another one, flown again: the robot had to go back
+to the path's start first."""
+
+_SEPARATOR = " · "
+
+
+@dataclass(eq=False)
+class Flight:
+    """A flight along a path as far as it is known; arrays have one row per sample."""
+
+    robot: str
+    label: str
+    axes: tuple[str, ...]
+    unit: str
+    sample_time_s: float
+    time_s: FloatArray
+    desired: FloatArray
+    actual: FloatArray
+    new: list[TrackingSamplesEvent] = field(default_factory=list)
+    """What has come since it was last drawn."""
+    taken_back_s: float | None = None
+
+    @staticmethod
+    def begun_by(event: TrackingSamplesEvent) -> Flight:
+        """Return the flight whose first samples have come."""
+        nothing = np.empty((0, len(event.axes)))
+        flight = Flight(
+            robot=event.robot,
+            label=event.flight,
+            axes=event.axes,
+            unit=event.unit,
+            sample_time_s=event.sample_time_s,
+            time_s=np.empty(0),
+            desired=nothing,
+            actual=nothing,
+        )
+        flight.add(event)
+        return flight
+
+    @property
+    def prior(self) -> str:
+        """Who gave the prior: a source, BASELINE or NO_PRIOR."""
+        return self.label.split(_SEPARATOR)[0]
+
+    @property
+    def path(self) -> str:
+        """What was flown; flights of the same path can be compared."""
+        return _SEPARATOR.join(self.label.split(_SEPARATOR)[1:])
+
+    @property
+    def rms_error(self) -> float:
+        """The root mean square of the distance to the path so far, in the axes' unit."""
+        return math.sqrt(float(np.mean(np.sum((self.actual - self.desired) ** 2, axis=1))))
+
+    def continued_by(self, event: TrackingSamplesEvent) -> bool:
+        """Whether samples belong to this flight."""
+        pause_s = event.t_s - (self.time_s[-1] + self.sample_time_s)
+        return event.flight == self.label and abs(pause_s) < PAUSE_S
+
+    def add(self, event: TrackingSamplesEvent) -> None:
+        """Take more samples."""
+        self.new.append(event)
+        time_s = event.t_s + np.arange(len(event.actual)) * event.sample_time_s
+        self.time_s = np.concatenate([self.time_s, time_s])
+        self.desired = np.concatenate([self.desired, event.desired])
+        self.actual = np.concatenate([self.actual, event.actual])
+
+    def at(self, t_s: float) -> int:
+        """Return the last sample up to a time."""
+        return max(0, int(np.searchsorted(self.time_s, t_s + 1e-6, side="right")) - 1)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a flight ended, or how it goes so far; the error in the axes' unit."""
+
+    rms_error: float
+    taken_back: bool
+
+
+class Outcomes:
+    """How every flight went, by path and by who gave the prior; of a repeated one, the latest."""
+
+    def __init__(self) -> None:
+        self._of: dict[tuple[str, str], dict[str, Outcome]] = {}
+        self._unit = ""
+
+    def note(self, flight: Flight) -> None:
+        """Keep how a flight went so far."""
+        outcome = Outcome(flight.rms_error, flight.taken_back_s is not None)
+        self._of.setdefault((flight.robot, flight.path), {})[flight.prior] = outcome
+        self._unit = flight.unit
+
+    def table(self) -> str:
+        """Return the errors as Markdown: a row for each path, the best of each in bold."""
+        priors = list(dict.fromkeys(prior for row in self._of.values() for prior in row))
+        several = len({robot for robot, _ in self._of}) > 1
+        lines = [
+            f"**RMS tracking error** in m{self._unit}, by who gave the prior (\\* taken back)",
+            "",
+            f"| | {' | '.join(priors)} |",
+            "|:---" + "|---:" * len(priors) + "|",
+        ]
+        for (robot, path), row in self._of.items():
+            name = f"{robot}: {path}" if several else path
+            lines.append(f"| {name} | {' | '.join(_cells(row, priors))} |")
+        if len(self._of) > 1 and all(BASELINE in row for row in self._of.values()):
+            shares = [_reduction(list(self._of.values()), prior) for prior in priors]
+            lines.append(f"| *less than the baseline* | {' | '.join(shares)} |")
+        return "\n".join(lines)
+
+
+def _cells(row: dict[str, Outcome], priors: list[str]) -> list[str]:
+    best = min(outcome.rms_error for outcome in row.values())
+    cells = []
+    for prior in priors:
+        outcome = row.get(prior)
+        if outcome is None:
+            cells.append("")
+            continue
+        mark = "**" if outcome.rms_error == best and len(row) > 1 else ""
+        star = "\\*" if outcome.taken_back else ""
+        cells.append(f"{mark}{outcome.rms_error * 1e3:.1f}{mark}{star}")
+    return cells
+
+
+def _reduction(rows: list[dict[str, Outcome]], prior: str) -> str:
+    """Return by how much the error is below the baseline's, averaged over the paths (Table I)."""
+    if prior == BASELINE or not any(prior in row for row in rows):
+        return ""
+    shares = [
+        1 - row[prior].rms_error / row[BASELINE].rms_error
+        for row in rows
+        if prior in row and row[BASELINE].rms_error > 0
+    ]
+    return f"{100 * float(np.mean(shares)):.0f} %" if shares else ""
