@@ -6,13 +6,12 @@ import numpy as np
 import rerun as rr
 
 from orchestrator.viewer.axes import WIDTH
+from orchestrator.viewer.draw_path_axes import METRES, PLOT, draw_axes
 from orchestrator.viewer.flights import Flight
 from orchestrator.viewer.marks import labels_2d, lines_2d, screen_points
 from orchestrator.viewer.outline import thinned
 from orchestrator.viewer.palette import (
-    GRID,
     GROUND,
-    QUIET,
     TEXT,
     WANTED,
     Colour,
@@ -21,10 +20,6 @@ from orchestrator.viewer.palette import (
 )
 from orchestrator.viewer.path_axes import PathAxes, axes_around
 from shared.arrays import FloatArray
-
-PLOT = "tracking/plot"
-METRES = f"{PLOT}/path"
-"""What is below here is in the axes' unit; the rest of the plot in the drawing's own."""
 
 FRAME_S, TRAIL_S = 0.25, 2.0
 """How often the flight in progress is drawn, and how much of its recent past is bright."""
@@ -68,7 +63,7 @@ class Paths:
         self._draw_trail(flight, _frames(flight.time_s, first, FRAME_S, and_last=True))
         body = _frames(flight.time_s, first, BODY_FRAME_S, and_last=False)
         self._draw_body(flight, body)
-        if body or flight.taken_back_s is not None:
+        if body or flight.taken_back_s is not None or self._whole(flight):
             self._draw_names(flight)
         self._draw_places(flight)
 
@@ -98,7 +93,7 @@ class Paths:
             self._stream.reset_time()
 
     def _draw_once(self) -> None:
-        """Put the parts on top of one another in a fixed order; say how thick they are."""
+        """Put the parts on top of one another in a fixed order."""
         for order, part in enumerate(("earlier", "desired", "actual", "trail"), start=40):
             self._stream.log(
                 f"{METRES}/{part}", rr.LineStrips2D.from_fields(draw_order=order), static=True
@@ -122,38 +117,14 @@ class Paths:
             )
             if axes != self._axes:
                 self._axes = axes
-                self._draw_axes(axes, flight)
+                draw_axes(self._stream, axes, flight.axes[:2], flight.unit)
         finally:
             self._stream.reset_time()
 
-    def _draw_axes(self, axes: PathAxes, flight: Flight) -> None:
-        scale = axes.scale
-        self._stream.log(
-            METRES, rr.Transform3D(translation=[*axes.shift, 0.0], scale=[scale, -scale, 1.0])
-        )
-        low, high = axes.place(np.array([axes.low, axes.high]))
-        right, top = float(high[0]), float(high[1])
-        left, bottom = float(low[0]), float(low[1])
-        along = [(tick, float(axes.place(np.array([[tick, 0.0]]))[0, 0])) for tick in axes.ticks(0)]
-        up = [(tick, float(axes.place(np.array([[0.0, tick]]))[0, 1])) for tick in axes.ticks(1)]
-        lines = [[[x, bottom], [x, top]] for _, x in along]
-        lines += [[[left, y], [right, y]] for _, y in up]
-        frame = [[left, top], [left, bottom], [right, bottom]]
-        self._stream.log(
-            f"{PLOT}/grid", lines_2d([*lines, frame], [GRID] * len(lines) + [QUIET], 0.5)
-        )
-        # The viewer writes a text below its place.
-        texts = [([x, bottom + 2.0], f"{tick:g}") for tick, x in along]
-        texts += [([left - 9.0, y - 3.5], f"{tick:g}") for tick, y in up]
-        x_name, y_name = (f"{name} [{flight.unit}]" for name in flight.axes[:2])
-        texts += [([(left + right) / 2, bottom + 10.0], x_name), ([left - 9.0, top - 12.0], y_name)]
-        self._stream.log(
-            f"{PLOT}/labels",
-            labels_2d([place for place, _ in texts], [text for _, text in texts], [TEXT]),
-        )
-
     def _draw_trail(self, flight: Flight, frames: list[int]) -> None:
         """Draw the recent past up to each frame, and the robot."""
+        if not frames:
+            return
         colour = self._palette.of_prior(flight.prior)
         trails = []
         for frame in frames:
@@ -230,10 +201,15 @@ class Paths:
         finally:
             self._stream.reset_time()
 
+    def _whole(self, flight: Flight) -> bool:
+        """Whether a flight went as far along the path as any before it."""
+        lengths = [len(earlier.time_s) for earlier in self._earlier]
+        return bool(lengths) and len(flight.time_s) >= max(lengths)
+
     def _draw_names(self, flight: Flight) -> None:
         """Name the flights at the right, the better the higher, the one in progress below."""
         done = sorted(self._earlier, key=lambda f: f.rms_error)
-        whole = len(flight.time_s) >= max((len(f.time_s) for f in done), default=np.inf)
+        whole = self._whole(flight)
         if whole:
             done = sorted([*done, flight], key=lambda f: f.rms_error)
         rows: list[tuple[str, Colour]] = [

@@ -42,8 +42,8 @@ class Tracking:
                     flight.taken_back_s = event.t_s
             elif len(event.actual):
                 self._take(event)
-        for flight in self._flights.values():
-            self._draw_new(flight)
+        for robot in {event.robot: None for event in waiting if event.robot in self._flights}:
+            self._draw_new(self._flights[robot])
 
     def _take(self, event: TrackingSamplesEvent) -> None:
         flight = self._flights.get(event.robot)

@@ -6,7 +6,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from orchestrator.viewer.axes import HEIGHT, WIDTH
-from orchestrator.viewer.draw_paths import PLOT
+from orchestrator.viewer.draw_path_axes import PLOT
 from orchestrator.viewer.palette import GROUND
 from orchestrator.viewer.shown import COMPARED_S, Shown
 
