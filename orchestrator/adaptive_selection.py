@@ -18,6 +18,7 @@ from orchestrator.robot_knowledge import RobotKnowledge
 from orchestrator.selection_belief import SelectionBelief
 from orchestrator.study import Curve, Question, Report, Responses, SourceEstimate, StudyPlan
 from orchestrator.tone_choice import ToneChoice, closer_looks, first_look
+from orchestrator.trajectory_spectrum import Spectrum
 from orchestrator.worth import expected_gain
 from shared.arrays import ComplexArray, FloatArray
 from shared.chordal import chordal_distance
@@ -76,6 +77,10 @@ class AdaptiveStudy:
         self._rng = rng
         low, high = plan.band_rad_s
         self._grid = np.linspace(low, high, self._settings.grid_points)
+        self._spectrum = None if plan.motion is None else Spectrum.of_motion(plan.motion)
+        self._drawn = self._grid
+        if self._spectrum is not None:
+            self._drawn = np.concatenate([self._grid, self._spectrum.omega_rad_s])
         self._robots = {
             name: RobotKnowledge(name, specs[name], high) for name in (plan.target, *plan.sources)
         }
@@ -102,6 +107,11 @@ class AdaptiveStudy:
         self._asked = 0
         self._open: Question | None = None
 
+    @property
+    def responses(self) -> dict[str, list[FrequencyResponse]]:
+        """Every response known of each robot that was ever tested."""
+        return {name: robot.responses for name, robot in self._robots.items() if robot.tests}
+
     def ask(self) -> Question | None:
         """Return the next round of tests; None when the study is complete."""
         if self._open is not None:
@@ -126,11 +136,13 @@ class AdaptiveStudy:
                 self._lose(name, failed.get(name, "it gave no response"))
         sources = self._remaining()
         draws = {
-            name: self._robots[name].model.draw(self._grid, self._settings.samples, self._rng)
+            name: self._robots[name].model.draw(self._drawn, self._settings.samples, self._rng)
             for name in (self._plan.target, *sources)
         }
         target = draws[self._plan.target]
-        belief = SelectionBelief.of(self._grid, target, {n: draws[n] for n in sources})
+        belief = SelectionBelief.of(
+            self._grid, target, {n: draws[n] for n in sources}, self._spectrum
+        )
         leader, confidence = belief.leader(self._settings.epsilon)
         hopeless = belief.hopeless(leader, self._settings.delta)
         stopped = self._stop(belief, leader, confidence)
@@ -143,21 +155,13 @@ class AdaptiveStudy:
             responses=responses,
             sampled_psi=self._sampled(responses),
             curves=tuple(self._curve(n, source, belief) for n, source in enumerate(sources)),
-            ranking=self._ranking(belief, leader, draws),
+            ranking=self._ranking(belief, leader),
             dropped=dict(self._dropped),
             confidence=confidence,
             eliminated=hopeless,
             findings=tuple(f for robot in self._robots.values() for f in robot.findings),
             stopped_because=stopped,
         )
-
-    def responses_at(self, omega_rad_s: FloatArray, samples: int) -> dict[str, ComplexArray]:
-        """Return what is believed of every tested robot's z, shape (samples, frequencies) each."""
-        return {
-            name: robot.model.draw(omega_rad_s, samples, self._rng)
-            for name, robot in self._robots.items()
-            if robot.tests
-        }
 
     def _remaining(self) -> tuple[str, ...]:
         return tuple(source for source in self._plan.sources if source not in self._dropped)
@@ -176,12 +180,13 @@ class AdaptiveStudy:
 
     def _stop(self, belief: SelectionBelief, leader: str, confidence: float) -> str | None:
         if confidence >= 1 - self._settings.delta:
+            best = "is the closest" if self._spectrum is None else "leaves the smallest error"
             alone = float(belief.probability_best()[belief.sources.index(leader)])
             if alone >= 1 - self._settings.delta:
-                return f"{leader} is the closest with probability {alone:.3f}"
+                return f"{leader} {best} with probability {alone:.3f}"
             return (
-                f"{leader} is the closest, or within {self._settings.epsilon:g} of it, with "
-                f"probability {confidence:.3f}"
+                f"{leader} {best}, or within {self._settings.epsilon:g} of it, with probability "
+                f"{confidence:.3f}"
             )
         if self._asked >= self._plan.iterations:
             return f"all {self._asked} rounds are used up; P(correct selection) = {confidence:.3f}"
@@ -235,7 +240,7 @@ class AdaptiveStudy:
             if cost_s > robot.spec.duration_max_s:
                 continue
             gain = expected_gain(
-                belief.psi_star,
+                belief.loss,
                 belief.sources.index(leader),
                 z[:, np.searchsorted(self._grid, choice.omega_rad_s).clip(0, len(self._grid) - 1)],
                 robot.expected_variance(choice.omega_rad_s, choice.measure_s / first_s),
@@ -249,11 +254,8 @@ class AdaptiveStudy:
     def _contested(
         self, belief: SelectionBelief, leader: str, rivals: Sequence[str]
     ) -> tuple[float, ...]:
-        """Return where the worst cases of those in the contest lie: the middle of each one's."""
-        found = []
-        for source in (leader, *rivals[:2]):
-            psi = belief.psi[belief.sources.index(source)]
-            found.append(float(np.median(self._grid[np.argmax(psi, axis=1)])))
+        """Return where it is decided how good those in the contest are."""
+        found = [belief.decisive_omega_rad_s(source) for source in (leader, *rivals[:2])]
         return tuple(dict.fromkeys(found))
 
     def _sampled(self, responses: Responses) -> dict[str, float]:
@@ -280,20 +282,19 @@ class AdaptiveStudy:
             source, self._grid, mean, psi.std(axis=0), sampled, np.interp(sampled, self._grid, mean)
         )
 
-    def _ranking(
-        self, belief: SelectionBelief, leader: str, draws: Mapping[str, ComplexArray]
-    ) -> tuple[SourceEstimate, ...]:
-        """Return the leader first, the others by their distance."""
+    def _ranking(self, belief: SelectionBelief, leader: str) -> tuple[SourceEstimate, ...]:
+        """Return the leader first, the others by what they are ranked by."""
         estimates = []
         for n, source in enumerate(belief.sources):
             top = int(np.argmax(belief.psi[n].mean(axis=0)))
-            estimates.append(
-                SourceEstimate(
-                    robot=source,
-                    psi=float(belief.psi_star[n].mean()),
-                    psi_std=float(belief.psi_star[n].std()),
-                    omega_rad_s=float(self._grid[top]),
-                    tests=self._robots[source].tests,
-                )
+            estimate = SourceEstimate(
+                robot=source,
+                psi=float(belief.psi_star[n].mean()),
+                psi_std=float(belief.psi_star[n].std()),
+                omega_rad_s=float(self._grid[top]),
+                tests=self._robots[source].tests,
             )
-        return tuple(sorted(estimates, key=lambda e: (e.robot != leader, e.psi)))
+            # A mean of distances, as shown; errors have no upper bound, so their median.
+            loss = estimate.psi if belief.errors is None else float(np.median(belief.loss[n]))
+            estimates.append((source != leader, loss, estimate))
+        return tuple(estimate for _, _, estimate in sorted(estimates, key=lambda e: e[:2]))

@@ -18,6 +18,7 @@ from shared.arrays import FloatArray
 from shared.chordal import chordal_distance, chordal_variance
 from shared.errors import StudyError
 from shared.excitation import Excitation, Tone
+from shared.frequency_response import FrequencyResponse
 from shared.gaussian_process import Batch, Bounds, Hyperparameters, fit, posterior
 
 GRID_POINTS = 1001
@@ -64,9 +65,15 @@ class PaperStudy:
         self._grid = np.linspace(low, high, GRID_POINTS)
         self._next_omega = float(rng.uniform(low, high))
         self._samples: dict[str, list[tuple[float, float, float]]] = {s: [] for s in plan.sources}
+        self._responses: dict[str, list[FrequencyResponse]] = {}
         self._dropped: dict[str, str] = {}
         self._asked = 0
         self._open: Question | None = None
+
+    @property
+    def responses(self) -> dict[str, list[FrequencyResponse]]:
+        """Every response that the study was told of each robot."""
+        return self._responses
 
     def ask(self) -> Question | None:
         """Return the next round of tests; None when the study is complete."""
@@ -94,6 +101,8 @@ class PaperStudy:
             reason = failed.get(self._plan.target, "it gave no response")
             raise StudyError(f"the target {self._plan.target} cannot be tested: {reason}")
         self._open = None
+        for robot, response in responses.items():
+            self._responses.setdefault(robot, []).append(response)
         omega = question.omega_rad_s[0]
         at_target = responses[self._plan.target]
         sampled_psi: dict[str, float] = {}

@@ -11,12 +11,14 @@ from typing import Any, Literal
 import numpy as np
 
 from orchestrator.adaptive_selection import AdaptiveStudy
+from orchestrator.desired_motion import Drawing, desired_motion
 from orchestrator.dispatcher import Dispatcher, Measured, TestOutcome
 from orchestrator.experience_selection import PaperStudy
 from orchestrator.fleet import Fleet
 from orchestrator.preflight import check_band, check_names, check_plan, chosen_axis
 from orchestrator.ranking import Conclusion, RankingObserver, conduct
 from orchestrator.report import write_plots, write_report
+from orchestrator.response_record import ResponseRecord
 from orchestrator.results import (
     ClosedForm,
     IterationRecord,
@@ -25,6 +27,7 @@ from orchestrator.results import (
 )
 from orchestrator.run_folder import RunFolder
 from orchestrator.study import Curve, Question, Report, Study, StudyPlan
+from orchestrator.transfer_verdicts import Judgement, by_predicted_error, judge_transfers
 from shared.arrays import FloatArray
 from shared.chordal import chordal_distance, worst_case_chordal_distance
 from shared.messages import Description
@@ -42,6 +45,7 @@ class RankRequest:
     iterations: int
     seed: int
     axis: str | None
+    drawing: Drawing | None = None
 
 
 @dataclass(frozen=True)
@@ -74,12 +78,17 @@ def prepare(fleet: Fleet, request: RankRequest, there: tuple[str, ...]) -> Ready
     robots = (request.target, *sources)
     with ThreadPoolExecutor(min(32, len(robots)), thread_name_prefix="describe") as pool:
         descriptions = dict(zip(robots, pool.map(fleet.describe, robots), strict=True))
+    axis = chosen_axis(request.axis, descriptions[request.target])
+    at_target = descriptions[request.target].spec
     plan = StudyPlan(
         target=request.target,
         sources=sources,
         band_rad_s=request.band_rad_s or _common_band(descriptions.values()),
         iterations=request.iterations,
-        axis=chosen_axis(request.axis, descriptions[request.target]),
+        axis=axis,
+        motion=None
+        if request.drawing is None
+        else desired_motion(request.drawing, at_target, axis),
     )
     check_plan(plan, descriptions)
     return ReadyStudy(plan, descriptions, _closed_form(plan, descriptions))
@@ -110,14 +119,22 @@ def run_study(
     folder.write_configuration({**_configuration(ready, seed), "algorithm": algorithm})
     study = new_study(algorithm, ready, np.random.default_rng(seed))
     conclusion = conduct(study, folder.path.name.lower(), dispatcher, everyone)
+    specs = {robot: description.spec for robot, description in ready.descriptions.items()}
+    judgement = judge_transfers(
+        ready.plan, conclusion.ranking, specs, conclusion.responses, np.random.default_rng(seed)
+    )
     record = RunRecord(
-        result=_result(ready.plan, conclusion, folder),
+        result=_result(ready.plan, conclusion, judgement, folder),
         axis=ready.plan.axis,
         seed=seed,
         history=tuple(recorder.history),
         dropped=dict(conclusion.dropped),
         closed_form=dict(ready.closed_form),
         wall_time_s=time.monotonic() - began_s,
+        responses={
+            robot: tuple(map(ResponseRecord.of, tests))
+            for robot, tests in conclusion.responses.items()
+        },
     )
     folder.write_record(record)
     write_plots(folder.path, record, recorder.curves, _true_psi(ready, recorder.curves))
@@ -169,18 +186,27 @@ def _configuration(ready: ReadyStudy, seed: int) -> dict[str, Any]:
     }
 
 
-def _result(plan: StudyPlan, conclusion: Conclusion, folder: RunFolder) -> RankResult:
+def _result(
+    plan: StudyPlan, conclusion: Conclusion, judgement: Judgement, folder: RunFolder
+) -> RankResult:
+    ranking = conclusion.ranking
+    if plan.motion is not None and conclusion.confidence is None:
+        # The paper's algorithm knows of no trajectory.
+        ranking = by_predicted_error(ranking, judgement.verdicts)
     return RankResult(
         target=plan.target,
         band_rad_s=plan.band_rad_s,
-        selected=conclusion.selected,
-        ranking=conclusion.ranking,
+        selected=ranking[0].robot,
+        ranking=ranking,
         iterations=conclusion.iterations,
         robot_time_s=conclusion.robot_time_s,
         run=str(folder.path),
         confidence=conclusion.confidence,
         eliminated=dict(conclusion.eliminated) if conclusion.confidence is not None else None,
         stopped_because=conclusion.stopped_because,
+        trajectory=None if plan.motion is None else plan.motion.name,
+        verdicts=dict(judgement.verdicts),
+        findings=tuple(dict.fromkeys([*conclusion.findings, *judgement.findings])),
     )
 
 

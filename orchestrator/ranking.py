@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from orchestrator.dispatcher import Dispatcher, Failed, Measured, TestOutcome
 from orchestrator.study import Question, Report, SourceEstimate, Study
+from shared.frequency_response import FrequencyResponse
 
 
 class RankingObserver(Protocol):
@@ -25,12 +26,16 @@ class RankingObserver(Protocol):
 
 @dataclass(frozen=True)
 class Conclusion:
-    """What a study came to: ranking best first, iterations done, robot-seconds, sources lost."""
+    """What a study came to: ranking best first, iterations done, robot-seconds, sources lost.
+
+    `responses` are all that are known of each robot, from before the study too.
+    """
 
     ranking: tuple[SourceEstimate, ...]
     iterations: int
     robot_time_s: float
     dropped: Mapping[str, str]
+    responses: Mapping[str, Sequence[FrequencyResponse]] = field(default_factory=dict)
     confidence: float | None = None
     eliminated: Mapping[str, str] = field(default_factory=dict)
     findings: tuple[str, ...] = ()
@@ -69,6 +74,7 @@ def conduct(
         iterations=report.iteration,
         robot_time_s=robot_time_s,
         dropped=report.dropped,
+        responses=study.responses,
         confidence=report.confidence,
         eliminated=report.eliminated,
         findings=report.findings,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from orchestrator.results import RunRecord
 from orchestrator.study import Curve
+from orchestrator.verdict_table import verdict_markdown
 from shared.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -133,6 +134,8 @@ def write_report(folder: Path, record: RunRecord) -> None:
             f"| {'' if exact is None else f'{exact.psi:.4f}'} |"
         )
     lines += [f"\nWithout {robot}: {reason}" for robot, reason in record.dropped.items()]
+    lines += ["", *verdict_markdown(result)]
+    lines += [f"\n{finding}" for finding in result.findings]
     lines += [
         "",
         "![ψ over frequency](plots/psi_over_frequency.png)",

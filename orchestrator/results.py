@@ -6,7 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from orchestrator.response_record import ResponseRecord
 from orchestrator.study import SourceEstimate
+from orchestrator.verdict_document import TransferVerdict
 from shared.strict import NonNegative, Strict
 
 Count = Annotated[int, Field(ge=0)]
@@ -15,7 +17,10 @@ Count = Annotated[int, Field(ge=0)]
 class RankResult(Strict):
     """What `nufleet rank --json` prints: the ranking, best first, and what it cost.
 
-    The last three are those of an algorithm that knows how sure it is.
+    With a `trajectory` the best source is the one expected to leave the smallest error on it,
+    otherwise the closest. `verdicts` say by source whether transfer will help, `findings` what the
+    tests revealed that weakens what is said here. `confidence`, `eliminated` and `stopped_because`
+    are those of an algorithm that knows how sure it is.
     """
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
@@ -29,6 +34,9 @@ class RankResult(Strict):
     confidence: float | None = None
     eliminated: dict[str, str] | None = None
     stopped_because: str | None = None
+    trajectory: str | None = None
+    verdicts: Annotated[dict[str, TransferVerdict], Field(default_factory=dict)]
+    findings: tuple[str, ...] = ()
 
     def document(self) -> str:
         """Return the JSON that other programs read: what the algorithm does not say is left out."""
@@ -61,3 +69,4 @@ class RunRecord(Strict):
     dropped: dict[str, str]
     closed_form: dict[str, ClosedForm]
     wall_time_s: NonNegative
+    responses: Annotated[dict[str, tuple[ResponseRecord, ...]], Field(default_factory=dict)]

@@ -34,7 +34,7 @@ class RobotKnowledge:
         self.prior = ResponsePrior(
             omega_max_rad_s, DECAYS_UNTIL_SETTLED / max(spec.settling_time_s, 1e-3)
         )
-        self.tests = 0
+        self.responses: list[FrequencyResponse] = []
         self.findings: tuple[str, ...] = ()
         self._tones: list[Tones] = []
         self._noise: list[FloatArray] = []
@@ -47,6 +47,8 @@ class RobotKnowledge:
             response: the test's response.
             rng: draws what was expected of the test.
         """
+        first = not self.responses
+        self.responses.append(response)
         known = np.isfinite(response.z) & np.isfinite(response.variance)
         omega, z = response.omega_rad_s[known], response.z[known]
         degrees = response.degrees_of_freedom[known]
@@ -58,11 +60,15 @@ class RobotKnowledge:
                 self._find(finding.text)
                 variance = variance + (NONLINEAR_DEVIATION * np.abs(z)) ** 2
         new = Tones(omega, z, variance)
-        doubt = self._contradiction(new, rng) if self.tests else 0.0
+        doubt = 0.0 if first else self._contradiction(new, rng)
         # Which of the tests is right is not known, so none is believed as before.
         self._tones = [Tones(t.omega_rad_s, t.z, t.variance + doubt) for t in (*self._tones, new)]
-        self.tests += 1
         self._model = None
+
+    @property
+    def tests(self) -> int:
+        """How many tests there are of it."""
+        return len(self.responses)
 
     @property
     def omega_rad_s(self) -> FloatArray:

@@ -1,66 +1,123 @@
-"""What is believed of every source's distance to the target, from samples of all responses."""
+"""What is believed of every source's worth for the target, from samples of all responses."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.special import ndtri
 
+from orchestrator.trajectory_spectrum import Spectrum
+from orchestrator.verdict import error_with_transfer
 from shared.arrays import ComplexArray, FloatArray
 from shared.chordal import chordal_distance
+
+
+@dataclass(frozen=True)
+class PredictedErrors:
+    """What each source's inverse would leave of the target's error on a trajectory.
+
+    `parts`, shape (sources, samples, frequencies), is each frequency's share of the mean square
+    error relative to the trajectory's, at the trajectory's frequencies.
+    """
+
+    omega_rad_s: FloatArray
+    parts: FloatArray
+
+    @property
+    def total(self) -> FloatArray:
+        """Root mean square error relative to the trajectory's, shape (sources, samples)."""
+        return np.asarray(np.sqrt(self.parts.sum(axis=2)))
 
 
 @dataclass(frozen=True)
 class SelectionBelief:
     """Joint samples: row i of everything comes from one draw of all robots' responses.
 
-    `psi` has shape (sources, samples, frequencies), `psi_star` shape (sources, samples).
+    `psi` has shape (sources, samples, frequencies), `psi_star` shape (sources, samples). The best
+    source has the smallest ψ* or, where there is a trajectory, leaves the smallest error on it.
     """
 
     sources: tuple[str, ...]
     omega_rad_s: FloatArray
     psi: FloatArray
     psi_star: FloatArray
+    errors: PredictedErrors | None = None
 
     @staticmethod
     def of(
-        omega_rad_s: FloatArray, target: ComplexArray, sources: Mapping[str, ComplexArray]
+        omega_rad_s: FloatArray,
+        target: ComplexArray,
+        sources: Mapping[str, ComplexArray],
+        spectrum: Spectrum | None = None,
     ) -> SelectionBelief:
-        """Compare samples of the target's z, shape (samples, frequencies), with each source's."""
-        psi = np.stack([chordal_distance(target, z) for z in sources.values()])
-        return SelectionBelief(tuple(sources), omega_rad_s, psi, psi.max(axis=2))
+        """Compare samples of the target's z with each source's.
+
+        Args:
+            omega_rad_s: where distances are wanted.
+            target: samples at these frequencies and at the spectrum's after them, of shape
+                (samples, frequencies).
+            sources: the same of each source.
+            spectrum: of the trajectory to be flown, if one is known.
+        """
+        count = len(omega_rad_s)
+        psi = np.stack(
+            [chordal_distance(target[:, :count], z[:, :count]) for z in sources.values()]
+        )
+        errors = None
+        if spectrum is not None:
+            left = [error_with_transfer(z[:, count:], target[:, count:]) for z in sources.values()]
+            parts = np.abs(np.stack(left)) ** 2 * spectrum.shares
+            errors = PredictedErrors(spectrum.omega_rad_s, parts)
+        return SelectionBelief(tuple(sources), omega_rad_s, psi, psi.max(axis=2), errors)
+
+    @cached_property
+    def loss(self) -> FloatArray:
+        """What the best source has least of, shape (sources, samples)."""
+        return self.psi_star if self.errors is None else self.errors.total
+
+    def decisive_omega_rad_s(self, source: str) -> float:
+        """Return where a source's loss mostly comes from: the middle of all samples' largest."""
+        n = self.sources.index(source)
+        omega, parts = (
+            (self.omega_rad_s, self.psi[n])
+            if self.errors is None
+            else (self.errors.omega_rad_s, self.errors.parts[n])
+        )
+        return float(np.median(omega[np.argmax(parts, axis=1)]))
 
     def leader(self, epsilon: float) -> tuple[str, float]:
-        """Return the source most probably within ε of the closest, and that probability."""
-        within = np.mean(self.psi_star <= self.psi_star.min(axis=0) + epsilon, axis=1)
-        # Among equals the one closest on average.
-        order = np.lexsort((self.psi_star.mean(axis=1), -within))
+        """Return the source most probably within ε of the best, and that probability."""
+        within = np.mean(self.loss <= self.loss.min(axis=0) + epsilon, axis=1)
+        # Among equals the one that is the best on average.
+        order = np.lexsort((self.loss.mean(axis=1), -within))
         return self.sources[order[0]], float(within[order[0]])
 
     def probability_best(self) -> FloatArray:
-        """Return for each source the share of samples in which it is the closest."""
-        best = np.argmin(self.psi_star, axis=0)
+        """Return for each source the share of samples in which it is the best."""
+        best = np.argmin(self.loss, axis=0)
         counts = np.bincount(best, minlength=len(self.sources))
-        return np.asarray(counts / self.psi_star.shape[1], dtype=np.float64)
+        return np.asarray(counts / self.loss.shape[1], dtype=np.float64)
 
     def hopeless(self, leader: str, delta: float) -> dict[str, str]:
         """Return the sources that cannot win, with the reason.
 
-        A source is out when it was the closest in no sample and when, its lead over the leader
+        A source is out when it was the best in no sample and when, its lead over the leader
         taken as normal, it is ahead with a probability below δ / (2 sources).
         """
-        ahead = self.psi_star[self.sources.index(leader)]
+        ahead = self.loss[self.sources.index(leader)]
+        what = "worst-case distance" if self.errors is None else "predicted error"
         chances = self.probability_best()
         out: dict[str, str] = {}
         for n, source in enumerate(self.sources):
-            behind = self.psi_star[n] - ahead
+            behind = self.loss[n] - ahead
             deviation = float(np.std(behind))
             needed = -float(ndtri(delta / (2 * len(self.sources)))) * deviation
             if source != leader and chances[n] == 0.0 and float(np.mean(behind)) > needed:
                 out[source] = (
-                    f"its worst-case distance is {np.mean(behind):.3f} ± {deviation:.3f} larger "
+                    f"its {what} is {np.mean(behind):.3f} ± {deviation:.3f} larger "
                     f"than that of {leader}"
                 )
         return out

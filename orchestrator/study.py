@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -15,14 +15,28 @@ Responses = Mapping[str, FrequencyResponse]
 
 
 @dataclass(frozen=True)
+class DesiredMotion:
+    """A trajectory that the target is to fly: its name, and its mean square at each frequency."""
+
+    name: str
+    omega_rad_s: tuple[float, ...]
+    power: tuple[float, ...]
+
+
+@dataclass(frozen=True)
 class StudyPlan:
-    """What is to be found out: which source is closest to the target over a band, on one axis."""
+    """What is to be found out: which source's experience is the best for the target, on one axis.
+
+    That is the one closest to it over the band or, of a `motion`, the one whose inverse is expected
+    to leave the smallest error.
+    """
 
     target: str
     sources: tuple[str, ...]
     band_rad_s: tuple[float, float]
     iterations: int
     axis: str
+    motion: DesiredMotion | None = None
 
 
 @dataclass(frozen=True)
@@ -99,6 +113,10 @@ class Report:
 
 class Study(Protocol):
     """An algorithm in the middle of its work."""
+
+    @property
+    def responses(self) -> Mapping[str, Sequence[FrequencyResponse]]:
+        """Every response known of each robot, of this study's tests and from before."""
 
     def ask(self) -> Question | None:
         """Return the next round of tests; None when the study is complete."""

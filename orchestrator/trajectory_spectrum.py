@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orchestrator.study import DesiredMotion
 from shared.arrays import FloatArray
 from shared.errors import InvalidInputError
 
 BINS_MAX = 1000
 
-NEGLIGIBLE = 1e-6
+NEGLIGIBLE = 1e-4
 """The fastest part of the motion, up to this share of it, counts as one frequency."""
 
 
@@ -29,6 +30,16 @@ class Spectrum:
     def flat(band_rad_s: tuple[float, float], points: int = 128) -> Spectrum:
         """Return equal power everywhere in a band, for trajectories that are not known yet."""
         return Spectrum(np.linspace(*band_rad_s, points), np.full(points, 1 / points))
+
+    @staticmethod
+    def of_motion(motion: DesiredMotion) -> Spectrum:
+        """Return the spectrum that a study's plan holds."""
+        return Spectrum(np.array(motion.omega_rad_s), np.array(motion.power))
+
+    @property
+    def shares(self) -> FloatArray:
+        """The power at each frequency as its share of all, shape (frequencies,)."""
+        return np.asarray(self.power / self.power.sum())
 
     def outside(self, band_rad_s: tuple[float, float]) -> tuple[float, float]:
         """Return the shares of the motion, as mean square speed, below and above a band."""

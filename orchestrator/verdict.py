@@ -7,7 +7,7 @@ is not symmetric, since |1 − z_T/z_S| = |z_S − z_T| / |z_S|.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -45,6 +45,22 @@ class Interval:
         low, median, high = np.quantile(samples, [delta / 2, 0.5, 1 - delta / 2], axis=0)
         return Interval(low, median, high)
 
+    @staticmethod
+    def of_magnitude(samples: ComplexArray, delta: float) -> Interval:
+        """Return the interval of the norm of samples along their last axis; the first are samples.
+
+        A norm is never negative, so samples of it lie above 0 even where there is none. Where the
+        ball that holds the vector with probability 1 − δ also holds 0, the lower bound is 0.
+        """
+        norm = np.linalg.norm(samples, axis=-1)
+        interval = Interval.of(norm, delta)
+        centre = samples.mean(axis=0)
+        reach = np.quantile(np.linalg.norm(samples - centre, axis=-1), 1 - delta, axis=0)
+        # There only the upper bound can be missed.
+        touching = np.linalg.norm(centre, axis=-1) <= reach
+        high = np.where(touching, np.quantile(norm, 1 - delta, axis=0), interval.high)
+        return Interval(np.where(touching, 0.0, interval.low), interval.median, high)
+
 
 @dataclass(frozen=True)
 class TransferPrediction:
@@ -67,6 +83,12 @@ class TransferPrediction:
     reason: str
 
 
+def error_with_transfer(z_source: ComplexArray, z_target: ComplexArray) -> ComplexArray:
+    """Return 1 − z_T/z_S, what the source's inverse leaves of each frequency of a trajectory."""
+    answering = np.abs(z_source) > GAIN_MIN
+    return np.asarray((z_source - z_target) / np.where(answering, z_source, GAIN_MIN))
+
+
 def predict_transfer(
     source: tuple[str, ComplexArray],
     target: tuple[str, ComplexArray],
@@ -86,23 +108,26 @@ def predict_transfer(
         delta: probability of a wrong verdict that is accepted.
     """
     (source_name, z_source), (target_name, z_target) = source, target
-    invertible = np.maximum(np.abs(z_source), GAIN_MIN)
-    gain_with = np.abs(z_source - z_target) / invertible
-    gain_without = np.abs(1 - z_target)
-    share = spectrum.power / spectrum.power.sum()
-    error_with = np.sqrt(gain_with**2 @ share)
-    error_without = np.sqrt(gain_without**2 @ share)
-    helps = float(np.mean(error_with < error_without))
-    reduction = Interval.of(1 - error_with / np.maximum(error_without, GAIN_MIN), delta)
+    left_with, left_without = error_with_transfer(z_source, z_target), 1 - z_target
+    scale = np.sqrt(spectrum.shares)
+    error_with = Interval.of_magnitude(left_with * scale, delta)
+    error_without = Interval.of_magnitude(left_without * scale, delta)
+    relative = np.linalg.norm(left_with * scale, axis=1) / np.maximum(
+        np.linalg.norm(left_without * scale, axis=1), GAIN_MIN
+    )
+    helps = float(np.mean(relative < 1))
+    reduction = Interval.of(1 - relative, delta)
+    if error_with.low == 0:
+        reduction = replace(reduction, high=np.ones(()))
     verdict, reason = _judge(helps, reduction, spectrum.outside(tested_band_rad_s), delta)
     return TransferPrediction(
         source=source_name,
         target=target_name,
         omega_rad_s=spectrum.omega_rad_s,
-        gain_with=Interval.of(gain_with, delta),
-        gain_without=Interval.of(gain_without, delta),
-        error_with=Interval.of(error_with, delta),
-        error_without=Interval.of(error_without, delta),
+        gain_with=Interval.of_magnitude(left_with[..., None], delta),
+        gain_without=Interval.of_magnitude(left_without[..., None], delta),
+        error_with=error_with,
+        error_without=error_without,
         reduction=reduction,
         probability_helps=helps,
         verdict=verdict,
@@ -120,14 +145,14 @@ def _judge(
 ) -> tuple[Verdict, str]:
     below, above = outside
     parts = [
-        f"{100 * share:.2g} % of its motion is {where} the tested band"
+        f"{100 * share:.2g} % of the trajectory's motion is {where} the tested band"
         for share, where in ((below, "below"), (above, "above"))
         if share > OUTSIDE_REPORTED
     ]
-    leaves = f"; the trajectory leaves the tested band: {' and '.join(parts)}" if parts else ""
+    leaves = f"; {' and '.join(parts)}" if parts else ""
     low, median, high = (100 * float(x) for x in (reduction.low, reduction.median, reduction.high))
     if below + above > OUTSIDE_MAX:
-        return Verdict.NEED_MORE_TESTS, f"nothing is known of much of it{leaves}"
+        return Verdict.NEED_MORE_TESTS, f"too much of it has not been tested{leaves}"
     if helps >= 1 - delta:
         text = f"the error is expected to fall by {median:.0f} % ({low:.0f} to {high:.0f} %)"
         return Verdict.TRANSFER, text + leaves

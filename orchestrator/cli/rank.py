@@ -61,6 +61,18 @@ from orchestrator.cli.options import connect_options, json_option, runs_option
     ),
 )
 @click.option(
+    "--trajectory",
+    metavar="FILE|NAME",
+    help="Rank for this drawing (CSV or SVG, or an installed one such as `pear`).",
+)
+@click.option(
+    "--speed",
+    "speed_m_s",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="M/S",
+    help="With --trajectory: the largest speed on it.  [default: what the target's axis allows]",
+)
+@click.option(
     "--realtime",
     type=click.FloatRange(min=0, min_open=True),
     metavar="FACTOR",
@@ -85,6 +97,8 @@ def rank(
     iterations: int,
     seed: int,
     algorithm: Literal["paper", "adaptive"],
+    trajectory: str | None,
+    speed_m_s: float | None,
     realtime: float | None,
     live: bool,
     runs_root: Path,
@@ -94,10 +108,13 @@ def rank(
 
     All robots are tested at one frequency at a time, chosen by Bayesian optimisation (Algorithm 1
     of Sorocky, Zhou, Schoellig, ICRA 2020); the closest source's experience is expected to help the
-    target most. Ctrl-C brings all robots to rest.
+    target most, and for each source the result says whether it will help at all. With --trajectory
+    the best source is the one whose inverse leaves the smallest error on that. Ctrl-C brings all
+    robots to rest.
 
     \b
     nufleet rank --fleet paper_linear
+    nufleet rank --fleet paper_linear --trajectory pear --speed 0.6
     nufleet rank --connect tcp/192.168.1.10:7447 --target drone-7 --band 0.1 5.4
     """
     from orchestrator.cli.rank_session import RankCommand, rank_and_print
@@ -116,6 +133,8 @@ def rank(
             iterations=iterations,
             seed=seed,
             algorithm=algorithm,
+            trajectory=trajectory,
+            speed_m_s=speed_m_s,
             realtime=realtime,
             live=live,
             runs_root=runs_root,

@@ -12,12 +12,14 @@ from rich.console import Console
 
 from orchestrator.connection import Connection, running_fleet, started_fleet
 from orchestrator.console import ConsoleObserver, ranking_table, stderr_console
+from orchestrator.desired_motion import Drawing, read_motion
 from orchestrator.live_view import LiveView
 from orchestrator.preflight import check_band, check_names
 from orchestrator.rank_run import Algorithm, RankRequest, prepare, run_study
 from orchestrator.results import RunRecord
 from orchestrator.run_folder import RunFolder, make_runs_root
 from orchestrator.study_clock import StudyClock
+from orchestrator.verdict_table import print_verdicts
 from orchestrator.viewer.ports import GRPC_PORT, WEB_PORT
 from orchestrator.viewer.writer import RerunWriter, ServeOptions
 from shared.command_line import invocation
@@ -46,6 +48,8 @@ class RankCommand:
     live: bool = False
     as_json: bool = False
     processes: int | None = 2
+    trajectory: str | None = None
+    speed_m_s: float | None = None
 
 
 def rank_and_print(command: RankCommand) -> None:
@@ -60,10 +64,11 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
     """Rank a fleet and return the stored record; raises before anything moves when it cannot."""
     if command.band_rad_s is not None:
         check_band(command.band_rad_s)
+    drawing = _drawing(command)
     make_runs_root(command.runs_root)
     with ExitStack() as stack:
         fleet, name, robots = stack.enter_context(_connection(command, console))
-        ready = prepare(fleet, _request(command), robots)
+        ready = prepare(fleet, _request(command, drawing), robots)
         folder = stack.enter_context(RunFolder(command.runs_root, name))
         serve = ServeOptions(grpc_port=GRPC_PORT, web_port=WEB_PORT) if command.live else None
         writer = stack.enter_context(
@@ -84,6 +89,7 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
             observers=[ConsoleObserver(console, command.iterations), live],
         )
     console.print(ranking_table(record.result.ranking, record.closed_form))
+    print_verdicts(console, record.result)
     console.print(
         f"selected: [bold green]{record.result.selected}[/]  "
         f"({record.result.robot_time_s:.0f} robot-seconds, {record.wall_time_s:.1f} s)"
@@ -126,7 +132,15 @@ def _target(command: RankCommand) -> str:
     raise InvalidInputError("which robot needs experience? Name it with --target")
 
 
-def _request(command: RankCommand) -> RankRequest:
+def _drawing(command: RankCommand) -> Drawing | None:
+    if command.trajectory is not None:
+        return read_motion(command.trajectory, command.speed_m_s)
+    if command.speed_m_s is not None:
+        raise InvalidInputError("--speed is that of a trajectory: name one with --trajectory")
+    return None
+
+
+def _request(command: RankCommand, drawing: Drawing | None) -> RankRequest:
     band = command.band_rad_s
     if band is None and command.fleet_file is not None:
         study = read_fleet_file(command.fleet_file).study
@@ -138,4 +152,5 @@ def _request(command: RankCommand) -> RankRequest:
         iterations=command.iterations,
         seed=command.seed,
         axis=command.axis,
+        drawing=drawing,
     )

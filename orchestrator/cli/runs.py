@@ -52,6 +52,7 @@ def show(run: str, runs_root: Path, as_json: bool) -> None:
     """Show the result of RUN: a folder, its name, or `latest`."""
     from orchestrator.console import ranking_table, stderr_console
     from orchestrator.run_folder import find_run, read_record
+    from orchestrator.verdict_table import print_verdicts
     from shared.command_line import invocation
 
     folder = find_run(runs_root, run)
@@ -66,6 +67,7 @@ def show(run: str, runs_root: Path, as_json: bool) -> None:
         f"band {low:g} to {high:g} rad/s, seed {record.seed}"
     )
     console.print(ranking_table(record.result.ranking, record.closed_form))
+    print_verdicts(console, record.result)
     for robot, reason in record.dropped.items():
         console.print(f"[red]without {robot}: {reason}[/]")
     console.print(f"files: {', '.join(sorted(p.name for p in folder.iterdir()))}")

@@ -10,6 +10,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 
@@ -43,7 +44,7 @@ def test_rank_prints_the_documented_json_alone_on_stdout(tmp_path: Path) -> None
     document = json.loads(done.stdout)
     assert list(document) == [
         *("schema", "target", "band_rad_s", "selected", "ranking", "iterations"),
-        *("robot_time_s", "run"),
+        *("robot_time_s", "run", "verdicts", "findings"),
     ]
     assert document["schema"] == 1
     assert document["target"] == "target"
@@ -56,6 +57,33 @@ def test_rank_prints_the_documented_json_alone_on_stdout(tmp_path: Path) -> None
         assert row["psi"] == pytest.approx(closed_form, rel=0.01)
         assert row["tests"] == 7
     assert document["robot_time_s"] > 0
+    for found in document["verdicts"].values():
+        # All four loops differ little, and none follows the upper band by itself.
+        assert found["verdict"] == "transfer"
+        assert found["error_with"]["high"] < found["error_without"]["low"]
+        assert len(found["gain_with"]["median"]) == len(found["omega_rad_s"])
+
+
+def test_rank_for_a_trajectory_names_what_leaves_the_smallest_error_on_it(tmp_path: Path) -> None:
+    circle = tmp_path / "circle.csv"
+    angles = np.linspace(0, 2 * np.pi, 200)
+    rows = (f"{np.cos(a)},{np.sin(a)}" for a in angles)
+    circle.write_text("x_m,y_m\n" + "\n".join(rows) + "\n")
+    arguments = ("rank", "--fleet", str(FLEET), "--trajectory", str(circle), "--speed", "0.5")
+    for algorithm in ("paper", "adaptive"):
+        done = nufleet(*arguments, "--algorithm", algorithm, "--json", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        document = json.loads(done.stdout)
+        assert document["trajectory"] == "circle at 0.5 m/s"
+        errors = [
+            document["verdicts"][row["robot"]]["error_with"]["median"]
+            for row in document["ranking"]
+        ]
+        assert errors == sorted(errors)
+        assert document["selected"] == document["ranking"][0]["robot"]
+        assert "transfer to target, on circle at 0.5 m/s" in done.stderr
+        report = (tmp_path / document["run"] / "report.md").read_text(encoding="utf-8")
+        assert "Transfer to target, on circle at 0.5 m/s" in report
 
 
 def test_the_adaptive_algorithm_says_how_sure_it_is_and_why_it_stopped(tmp_path: Path) -> None:
@@ -141,6 +169,8 @@ def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, after_s: 
         (["--band", "0.05", "90"], 2, "outside what robot target can be tested at"),
         (["--axis", "yaw"], 2, "no axis 'yaw'; it has x"),
         (["--iterations", "0"], 2, "--iterations"),
+        (["--trajectory", "no-such-drawing"], 2, "there is no such drawing"),
+        (["--speed", "0.5"], 2, "name one with --trajectory"),
     ],
 )
 def test_a_request_that_cannot_be_right_is_refused_with_the_reason(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from random_loops import BAND, SPEC, Loop, answers
 
 from orchestrator.adaptive_selection import AdaptiveSettings, AdaptiveStudy
-from orchestrator.study import Question, Report, StudyPlan
+from orchestrator.study import DesiredMotion, Question, Report, StudyPlan
 from orchestrator.tone_choice import first_look
 from shared.chordal import chordal_distance
 from shared.errors import StudyError
@@ -199,3 +201,22 @@ def test_when_all_sources_are_gone_the_study_ends_with_the_reasons() -> None:
     given = {"target": answers(FLEET, question, 0.01, np.random.default_rng(0))["target"]}
     with pytest.raises(StudyError, match=r"near: lost; middle: lost; far: lost"):
         study.tell(given, dict.fromkeys(SOURCES, "lost"))
+
+
+def test_with_a_trajectory_it_selects_what_leaves_the_smallest_error_on_that() -> None:
+    # At low frequency the twin of another gain is worse, although nowhere else is it far.
+    fleet = {
+        "target": Loop(3.0),
+        "twin": Loop(3.0, gain=0.93),
+        "slow": Loop(2.0, damping=0.55),
+    }
+    slow = DesiredMotion("slow", (0.2, 0.3, 0.4), (1.0, 0.5, 0.2))
+    anywhere = plan_of(fleet)
+    specs, rng = dict.fromkeys(fleet, SPEC), np.random.default_rng(3)
+    for motion, best in ((None, "twin"), (slow, "slow")):
+        study = AdaptiveStudy(replace(anywhere, motion=motion), specs, rng)
+        _, reports = to_the_end(study, fleet, 0.005)
+        assert reports[-1].selected == best
+        assert (reports[-1].confidence or 0) > 0.95
+    assert reports[-1].stopped_because is not None
+    assert "smallest error" in reports[-1].stopped_because

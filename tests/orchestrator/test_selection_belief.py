@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from orchestrator.selection_belief import SelectionBelief
+from orchestrator.trajectory_spectrum import Spectrum
 from shared.arrays import FloatArray
 
 OMEGA = np.array([1.0, 2.0])
@@ -51,3 +52,20 @@ def test_a_source_is_out_only_when_it_is_surely_behind() -> None:
     assert set(out) == {"far"}
     assert out["far"].startswith("its worst-case distance is 0.399")
     assert out["far"].endswith("leader")
+
+
+def test_on_a_trajectory_the_best_leaves_the_smallest_error_even_where_another_is_closer() -> None:
+    # Three frequencies of the distance, then one of a trajectory, slower than all of them.
+    target = np.tile([1.0 + 0j, 0.5, 0.4, 1.0], (5, 1))
+    near = np.tile([1.0 + 0j, 0.5, 0.4, 1.2], (5, 1))
+    far = np.tile([1.0 + 0j, 0.1, 0.05, 1.01], (5, 1))
+    omega = np.array([1.0, 2.0, 3.0])
+    slow = Spectrum(np.array([0.2]), np.array([4.0]))
+    both = {"near": near, "far": far}
+    assert SelectionBelief.of(omega, target, both).leader(0.01) == ("near", 1.0)
+    found = SelectionBelief.of(omega, target, both, slow)
+    assert found.leader(0.01) == ("far", 1.0)
+    np.testing.assert_allclose(found.loss[:, 0], [0.2 / 1.2, 0.01 / 1.01])
+    assert "its predicted error is 0.157" in found.hopeless("far", 0.05)["near"]
+    assert found.decisive_omega_rad_s("near") == 0.2
+    assert SelectionBelief.of(omega, target, both).decisive_omega_rad_s("far") == 2.0

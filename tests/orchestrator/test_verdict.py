@@ -8,10 +8,12 @@ from random_loops import BAND, SPEC, Loop, answers
 from scipy.signal import lsim
 
 from orchestrator.adaptive_selection import AdaptiveStudy
+from orchestrator.robot_knowledge import RobotKnowledge
 from orchestrator.study import StudyPlan
 from orchestrator.trajectory_spectrum import Spectrum, spectrum_of
 from orchestrator.verdict import Verdict, best_first, predict_transfer
 from shared.arrays import ComplexArray, FloatArray
+from shared.frequency_response import FrequencyResponse
 
 STEP_S = 0.01
 TIMES_S = np.arange(6000) * STEP_S
@@ -43,6 +45,18 @@ def through_inverse(source: Loop, wanted: FloatArray) -> FloatArray:
     moving = np.abs(amplitudes) > 1e-9 * np.abs(amplitudes).max()
     amplitudes[moving] /= source.z(omega[moving])
     return np.fft.irfft(amplitudes, len(wanted))
+
+
+def drawn(
+    robot: str,
+    responses: list[FrequencyResponse],
+    omega_rad_s: FloatArray,
+    rng: np.random.Generator,
+) -> ComplexArray:
+    knowledge = RobotKnowledge(robot, SPEC, BAND[1])
+    for response in responses:
+        knowledge.learn(response, rng)
+    return knowledge.model.draw(omega_rad_s, 300, rng)
 
 
 def known(loop: Loop, omega_rad_s: FloatArray, samples: int = 3) -> ComplexArray:
@@ -89,7 +103,7 @@ def test_verdicts_from_tests_are_right_and_never_harmful() -> None:
             study.tell(answers(fleet, question, 0.02, rng), {})
         spectrum = spectrum_of(drawing(rng), STEP_S)
         omega, share = spectrum.omega_rad_s, spectrum.power / spectrum.power.sum()
-        believed = study.responses_at(omega, 300)
+        believed = {robot: drawn(robot, study.responses[robot], omega, rng) for robot in names}
         for source, target in [(s, "target") for s in "abc"] + [("target", s) for s in "abc"]:
             found = predict_transfer(
                 (source, believed[source]), (target, believed[target]), spectrum, BAND

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from orchestrator.repository.records import StudyRecord, TrialIntent
-from orchestrator.study import StudyPlan
+from orchestrator.study import DesiredMotion, StudyPlan
 from shared.excitation import Excitation, ExcitationPlan, Tone
 from shared.frequency_response import FrequencyResponse
 from shared.messages import GoalAccepted, GoalResult, Outcome
@@ -27,7 +27,10 @@ STUDY = StudyRecord(
     study_id="run-1",
     fleet=FLEET,
     algorithm="paper",
-    plan=StudyPlan("target", ("source",), (0.1, 1 / 3), 3, "x"),
+    plan=StudyPlan(
+        *("target", ("source",), (0.1, 1 / 3), 3, "x"),
+        motion=DesiredMotion("pear", (0.1, np.nextafter(1.0, 2.0)), (1 / 3, 1e-300)),
+    ),
     seed=2**80 + 1,
     parameters={"earlier": {"source": ["run-0.1.source.1"]}, "ξ": 0.1},
 )

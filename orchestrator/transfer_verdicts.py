@@ -1,0 +1,89 @@
+"""Whether each source's experience will help the target, from all tests, however chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.robot_knowledge import RobotKnowledge
+from orchestrator.study import SourceEstimate, StudyPlan
+from orchestrator.trajectory_spectrum import Spectrum
+from orchestrator.verdict import TransferPrediction, predict_transfer
+from orchestrator.verdict_document import TransferVerdict, verdict_document
+from shared.frequency_response import FrequencyResponse
+from shared.robot_spec import RobotSpec
+
+SAMPLES = 600
+CURVE_POINTS = 33
+
+JUDGED_MAX = 64
+"""Judging takes up to a third of a second per robot; nobody transfers from the hundredth."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The verdicts by source, in the ranking's order, and what the tests revealed of the robots."""
+
+    verdicts: Mapping[str, TransferVerdict]
+    findings: tuple[str, ...]
+
+
+def judge_transfers(
+    plan: StudyPlan,
+    ranking: Sequence[SourceEstimate],
+    specs: Mapping[str, RobotSpec],
+    responses: Mapping[str, Sequence[FrequencyResponse]],
+    rng: np.random.Generator,
+    *,
+    delta: float = 0.05,
+) -> Judgement:
+    """Judge the transfer from the sources that were tested to the target.
+
+    Args:
+        plan: of the study; with a `motion` the verdicts are for that, otherwise for a motion with
+            all frequencies of the band alike.
+        ranking: what the study came to; of a large fleet without a `motion` only the first
+            `JUDGED_MAX` are judged.
+        specs: what each robot says of itself.
+        responses: all usable tests of each robot, in the order of the tests.
+        rng: draws the samples of what is believed.
+        delta: probability of a wrong verdict that is accepted.
+    """
+    flat = Spectrum.flat(plan.band_rad_s, CURVE_POINTS)
+    spectrum = flat if plan.motion is None else Spectrum.of_motion(plan.motion)
+    omega = np.concatenate([flat.omega_rad_s, spectrum.omega_rad_s])
+    known: dict[str, RobotKnowledge] = {}
+    sources = [estimate.robot for estimate in ranking]
+    if plan.motion is None:
+        sources = sources[:JUDGED_MAX]
+    for robot in (plan.target, *sources):
+        if responses.get(robot):
+            known[robot] = RobotKnowledge(robot, specs[robot], plan.band_rad_s[1])
+            for response in responses[robot]:
+                known[robot].learn(response, rng)
+    if plan.target not in known:
+        return Judgement({}, ())
+    drawn = {robot: it.model.draw(omega, SAMPLES, rng) for robot, it in known.items()}
+
+    def predict(source: str, part: slice, motion: Spectrum) -> TransferPrediction:
+        at_source, at_target = drawn[source][:, part], drawn[plan.target][:, part]
+        return predict_transfer(
+            (source, at_source), (plan.target, at_target), motion, plan.band_rad_s, delta=delta
+        )
+
+    verdicts = {}
+    for source in sources:
+        if source in known:
+            curve = predict(source, slice(0, CURVE_POINTS), flat)
+            found = predict(source, slice(CURVE_POINTS, None), spectrum)
+            verdicts[source] = verdict_document(found, curve)
+    return Judgement(verdicts, tuple(f for it in known.values() for f in it.findings))
+
+
+def by_predicted_error(
+    ranking: tuple[SourceEstimate, ...], verdicts: Mapping[str, TransferVerdict]
+) -> tuple[SourceEstimate, ...]:
+    """Return a ranking with the smallest predicted error first."""
+    return tuple(sorted(ranking, key=lambda e: verdicts[e.robot].error_with.median))

@@ -1,0 +1,122 @@
+"""Verdicts from the tests of a study, whichever algorithm chose them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from random_loops import BAND, SPEC, Loop, answers
+
+from orchestrator.adaptive_selection import AdaptiveStudy
+from orchestrator.experience_selection import PaperStudy
+from orchestrator.response_record import ResponseRecord
+from orchestrator.study import DesiredMotion, SourceEstimate, Study, StudyPlan
+from orchestrator.transfer_verdicts import Judgement, by_predicted_error, judge_transfers
+from orchestrator.verdict import Verdict
+
+FLEET = {
+    "target": Loop(3.0),
+    "near": Loop(3.1, damping=0.75),
+    "worse": Loop(1.5, delay_s=0.3),
+}
+PLAN = StudyPlan("target", ("near", "worse"), BAND, 7, "x")
+MOTION = DesiredMotion("slow", (0.3, 0.6, 1.0), (1.0, 0.3, 0.1))
+
+
+def study_of(algorithm: str, plan: StudyPlan) -> Study:
+    rng = np.random.default_rng(4)
+    if algorithm == "paper":
+        return PaperStudy(plan, rng)
+    return AdaptiveStudy(plan, dict.fromkeys(FLEET, SPEC), rng)
+
+
+def judged(
+    algorithm: str, plan: StudyPlan = PLAN, deviation: float = 0.005, seed: int = 2
+) -> Judgement:
+    study, rng = study_of(algorithm, plan), np.random.default_rng(seed)
+    while (question := study.ask()) is not None:
+        study.tell(answers(FLEET, question, deviation, rng), {})
+    return judge_transfers(
+        plan, ranked(*plan.sources), dict.fromkeys(FLEET, SPEC), study.responses, rng
+    )
+
+
+def ranked(*sources: str) -> tuple[SourceEstimate, ...]:
+    return tuple(SourceEstimate(source, 0.1, 0.01, 1.0, 7) for source in sources)
+
+
+@pytest.mark.parametrize("algorithm", ["paper", "adaptive"])
+def test_the_same_verdicts_follow_from_single_tones_and_from_many(algorithm: str) -> None:
+    verdicts = judged(algorithm).verdicts
+    assert {source: found.verdict for source, found in verdicts.items()} == {
+        "near": Verdict.TRANSFER,
+        "worse": Verdict.DO_NOT_TRANSFER,
+    }
+    for found in verdicts.values():
+        assert (found.omega_rad_s[0], found.omega_rad_s[-1]) == BAND
+
+
+@pytest.mark.parametrize("algorithm", ["paper", "adaptive"])
+def test_gains_and_errors_lie_within_their_bounds_as_often_as_claimed(algorithm: str) -> None:
+    gains, errors = [], []
+    for seed in range(12):
+        for source, found in judged(algorithm, deviation=0.02, seed=seed).verdicts.items():
+            omega = np.array(found.omega_rad_s)
+            z_s, z_t = FLEET[source].z(omega), FLEET["target"].z(omega)
+            with_transfer, without = np.abs(1 - z_t / z_s), np.abs(1 - z_t)
+            for gain, truth in ((found.gain_with, with_transfer), (found.gain_without, without)):
+                gains.append((np.array(gain.low) <= truth) & (truth <= np.array(gain.high)))
+            for error, truth in ((found.error_with, with_transfer), (found.error_without, without)):
+                errors.append(error.low <= np.sqrt(np.mean(truth**2)) <= error.high)
+    # What is claimed is 0.95; errors of neighbouring frequencies and of one study go together.
+    assert np.mean(gains) > 0.9
+    assert np.mean(errors) > 0.87
+
+
+@pytest.mark.parametrize("algorithm", ["paper", "adaptive"])
+def test_with_a_trajectory_errors_are_those_on_it(algorithm: str) -> None:
+    plan = StudyPlan("target", ("near", "worse"), BAND, 7, "x", MOTION)
+    omega, share = np.array(MOTION.omega_rad_s), np.array(MOTION.power) / sum(MOTION.power)
+    for source, found in judged(algorithm, plan).verdicts.items():
+        gain = np.abs(1 - FLEET["target"].z(omega) / FLEET[source].z(omega))
+        error = float(np.sqrt(gain**2 @ share))
+        assert found.error_with.low <= error <= found.error_with.high
+        assert found.error_with.median == pytest.approx(error, abs=0.02, rel=0.15)
+
+
+def test_a_trajectory_beyond_the_tested_band_needs_more_tests_and_says_where() -> None:
+    fast = DesiredMotion("fast", (1.0, 9.0), (1.0, 0.1))
+    found = judged("adaptive", StudyPlan("target", ("near",), BAND, 7, "x", fast)).verdicts["near"]
+    assert found.verdict is Verdict.NEED_MORE_TESTS
+    # 0.1 · 9² of 1 + 0.1 · 9²
+    assert "89 % of the trajectory's motion is above the tested band" in found.reason
+
+
+def test_a_source_without_a_test_has_no_verdict() -> None:
+    study, rng = study_of("paper", PLAN), np.random.default_rng(0)
+    question = study.ask()
+    assert question is not None
+    responses = answers(FLEET, question, 0.01, rng)
+    study.tell({robot: responses[robot] for robot in ("target", "near")}, {"worse": "it fell"})
+    specs = dict.fromkeys(FLEET, SPEC)
+    both = ranked("near", "worse")
+    assert set(judge_transfers(PLAN, both, specs, study.responses, rng).verdicts) == {"near"}
+    untested = {"near": study.responses["near"]}
+    assert judge_transfers(PLAN, both, specs, untested, rng).verdicts == {}
+
+
+def test_a_ranking_for_a_trajectory_has_the_smallest_error_first() -> None:
+    verdicts = judged("paper").verdicts
+    found = by_predicted_error(ranked("worse", "near"), verdicts)
+    assert [e.robot for e in found] == ["near", "worse"]
+
+
+def test_a_response_comes_back_from_its_record() -> None:
+    study, rng = study_of("adaptive", PLAN), np.random.default_rng(0)
+    question = study.ask()
+    assert question is not None
+    response = answers(FLEET, question, 0.01, rng)["near"]
+    text = ResponseRecord.of(response).model_dump_json()
+    back = ResponseRecord.model_validate_json(text).response()
+    for name in ("omega_rad_s", "z", "variance", "degrees_of_freedom"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(response, name))
+    assert (back.segments, back.quality) == (response.segments, response.quality)
