@@ -18,6 +18,7 @@ from orchestrator.dispatcher import Measured
 from orchestrator.results import RunRecord
 from shared.codec import describe_validation
 from shared.errors import InvalidInputError
+from shared.strict import Strict
 
 if TYPE_CHECKING:
     import pyarrow.parquet
@@ -100,6 +101,11 @@ class RunFolder:
         """Write the results, and the report of them."""
         text = record.model_dump_json(indent=2, by_alias=True, exclude_none=True)
         (self.path / RESULTS).write_text(text + "\n", encoding="utf-8")
+
+    def write_document(self, name: str, document: Strict) -> None:
+        """Write what a run that is no ranking came to."""
+        text = document.model_dump_json(indent=2, by_alias=True)
+        (self.path / name).write_text(text + "\n", encoding="utf-8")
 
 
 def read_record(folder: Path) -> RunRecord:

@@ -27,3 +27,8 @@ def find_drawing(path_or_name: str) -> Path:
         raise InvalidInputError(f"{path}: there is no such drawing; known by name: {names}")
     found: Path = installed[path_or_name].load()
     return found
+
+
+def drawing_names() -> tuple[str, ...]:
+    """Return the names of the drawings that are installed."""
+    return tuple(sorted({entry.name for entry in entry_points(group=ENTRY_POINT_GROUP)}))

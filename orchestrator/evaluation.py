@@ -1,0 +1,211 @@
+"""Flies a target along drawings with every source's experience, with none, and with its baseline.
+
+Everything is chosen before the flights: experiences by their own robots, the order of the sources
+by frequency tests. What is flown afterwards only says whether that was right.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from orchestrator.evaluation_results import (
+    BaselineResult,
+    EvaluationResult,
+    FlightRecord,
+    InverseResult,
+    SourceResult,
+)
+from orchestrator.experience_learning import pick_up
+from orchestrator.fleet import Fleet
+from orchestrator.pilot import PathFlight, Pilot
+from orchestrator.prior_transfer import transfer
+from shared.arrays import FloatArray
+from shared.inverse_layout import Architecture
+from shared.messages import Description
+from shared.robot_spec import RobotSpec
+
+BASELINE = "baseline"
+NONE = "none"
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """One path to be flown with every inverse; `desired` has shape (samples, axes)."""
+
+    drawing: str
+    speed: float
+    desired: FloatArray
+
+    def label(self, inverse: str) -> str:
+        """Return what tells a flight along this path from others."""
+        return f"{inverse} · {self.drawing} · {self.speed:g} m/s"
+
+
+class FlightObserver(Protocol):
+    """Is told of each flight, from the thread that conducts the evaluation."""
+
+    def begins(self, robot: str, label: str, spec: RobotSpec) -> None:
+        """A flight begins."""
+
+    def ended(self, flight: PathFlight) -> None:
+        """A flight ended, and this is what was measured."""
+
+
+@dataclass(frozen=True)
+class Psi:
+    """How far a source is estimated to be from the target."""
+
+    mean: float
+    std: float
+
+
+def fly_target(
+    fleet: Fleet,
+    pilot: Pilot,
+    target: Description,
+    sources: Sequence[str],
+    legs: Sequence[Leg],
+    architecture: Architecture,
+    *,
+    guarded: bool,
+    observers: Sequence[FlightObserver],
+) -> tuple[FlightRecord, ...]:
+    """Fly a target along all legs: baseline, zero prior, then each source's experience.
+
+    The zero prior flies with the layout of the first source, so list the one selected first. The
+    target has no prior afterwards.
+
+    Raises:
+        RobotError: a real robot failed and somebody has to see to it.
+        RefusedError: the target refuses a flight, for example since its baseline is not known.
+    """
+    flights: list[FlightRecord] = []
+    robot = target.robot
+
+    def fly_legs(inverse: str, fly: Callable[[FloatArray, str], PathFlight]) -> None:
+        for leg in legs:
+            label = leg.label(inverse)
+            for observer in observers:
+                observer.begins(robot, label, target.spec)
+            flight = fly(leg.desired, label)
+            for observer in observers:
+                observer.ended(flight)
+            if flight.failure is not None:
+                pick_up(fleet, target, flight.failure)
+            flights.append(flight_record(flight, inverse, leg))
+
+    fly_legs(BASELINE, partial(pilot.baseline, robot))
+    try:
+        for place, source in enumerate(sources):
+            given = transfer(fleet, source, robot, architecture)
+            if place == 0:
+                layout = given.manifest.layout
+                fly_legs(NONE, partial(pilot.zero_prior, robot, layout=layout, guarded=guarded))
+            with_prior = partial(pilot.with_prior, robot, sha256=given.sha256, guarded=guarded)
+            fly_legs(source, with_prior)
+    finally:
+        fleet.remove_prior(robot)
+    return tuple(flights)
+
+
+def flight_record(flight: PathFlight, inverse: str, leg: Leg) -> FlightRecord:
+    """Return what is kept of a flight."""
+    event = flight.details.taken_back
+    return FlightRecord(
+        target=flight.robot,
+        inverse=inverse,
+        drawing=leg.drawing,
+        speed_m_s=leg.speed,
+        rms_m=None if flight.failure is not None else flight.rms_error,
+        taken_back=None if event is None else event.reason,
+        failure=flight.failure,
+        deadline_misses=flight.deadline_misses,
+    )
+
+
+def summarise(
+    target: str,
+    flights: Sequence[FlightRecord],
+    psi: Mapping[str, Psi],
+    architecture: Architecture,
+    *,
+    unit: str,
+    guarded: bool,
+    run: str,
+) -> EvaluationResult:
+    """Compare predictions with flights.
+
+    Args:
+        target: who flew.
+        flights: of that target, all inverses on the same paths.
+        psi: of each source.
+        architecture: of the experiences.
+        unit: of the target's axes.
+        guarded: whether the flights were.
+        run: the run's folder.
+    """
+    order = sorted(psi, key=lambda source: psi[source].mean)
+    of = {name: _inverse_result(flights, name) for name in (BASELINE, NONE, *order)}
+    sources = tuple(
+        SourceResult(
+            robot=source,
+            psi=psi[source].mean,
+            psi_std=psi[source].std,
+            **of[source].model_dump(),
+        )
+        for source in order
+    )
+    return EvaluationResult(
+        target=target,
+        architecture=architecture,
+        unit="rad" if unit == "rad" else "m",
+        guarded=guarded,
+        baseline=BaselineResult(rms_m=of[BASELINE].rms_m),
+        no_prior=of[NONE],
+        sources=sources,
+        selected=order[0],
+        kendall_tau=kendall_tau(
+            [s.psi for s in sources],
+            [math.inf if s.rms_m is None else s.rms_m for s in sources],
+        ),
+        run=run,
+    )
+
+
+def kendall_tau(predicted: Sequence[float], measured: Sequence[float]) -> float | None:
+    """Return Kendall's τ_b of two orders (Kendall 1945); None where it is not defined."""
+    from scipy.stats import kendalltau
+
+    if len(predicted) < 2:
+        return None
+    tau = float(kendalltau(predicted, measured).statistic)
+    return tau if math.isfinite(tau) else None
+
+
+def _inverse_result(flights: Sequence[FlightRecord], inverse: str) -> InverseResult:
+    mine = {(f.drawing, f.speed_m_s): f for f in flights if f.inverse == inverse}
+    own = {(f.drawing, f.speed_m_s): f.rms_m for f in flights if f.inverse == BASELINE}
+    errors = [f.rms_m for f in mine.values()]
+    finished = [error for error in errors if error is not None]
+    baseline = [error for error in own.values() if error is not None]
+    rms = float(np.mean(finished)) if finished and len(finished) == len(errors) else None
+    reduction = None
+    if rms is not None and baseline and inverse != BASELINE:
+        reduction = 100.0 * (1.0 - rms / float(np.mean(baseline)))
+    ratios = [
+        f.rms_m / base
+        for path, f in mine.items()
+        if f.rms_m is not None and (base := own.get(path))
+    ]
+    return InverseResult(
+        rms_m=rms,
+        reduction_percent=reduction,
+        worst_ratio=max(ratios) if len(ratios) == len(mine) and ratios else None,
+        taken_back=sum(f.taken_back is not None for f in mine.values()),
+    )

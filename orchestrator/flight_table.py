@@ -1,0 +1,62 @@
+"""The file in a run's folder that holds every sample of every flight along a path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from orchestrator.pilot import PathFlight
+
+if TYPE_CHECKING:
+    import pyarrow.parquet
+
+FLIGHTS = "flights.parquet"
+
+
+class FlightTable:
+    """Appends flights; close it (or leave its `with`) so that the file is complete."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / FLIGHTS
+        self._writer: pyarrow.parquet.ParquetWriter | None = None
+
+    def __enter__(self) -> FlightTable:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Complete the file."""
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
+
+    def write(self, flight: PathFlight, axes: tuple[str, ...]) -> None:
+        """Append a flight: one row for each sample and axis, in the axis's unit (γ in unit/s)."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        samples, details = len(flight.actual), flight.details
+        for column, axis in enumerate(axes):
+            table = pa.table(
+                {
+                    "robot": pa.array([flight.robot] * samples).dictionary_encode(),
+                    "flight": pa.array([flight.label] * samples).dictionary_encode(),
+                    "axis": pa.array([axis] * samples).dictionary_encode(),
+                    "sample": np.arange(samples, dtype=np.int32),
+                    "t_s": np.arange(samples) * flight.sample_time_s,
+                    "desired": details.desired[:, column],
+                    "reference": flight.reference[:, column],
+                    "actual": flight.actual[:, column],
+                    "prior": details.prior[:, column],
+                    "mean": details.mean[:, column],
+                    "variance": details.variance[:, column],
+                    "share": details.share,
+                }
+            )
+            if self._writer is None:
+                self._writer = pq.ParquetWriter(self._path, table.schema, compression="zstd")
+            self._writer.write_table(table)

@@ -1,0 +1,102 @@
+"""Shows flights along paths as they happen: turns samples into a viewer's events."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from orchestrator.fleet import Fleet
+from orchestrator.pilot import PathFlight
+from orchestrator.study_clock import StudyClock
+from orchestrator.viewer.events import (
+    MessageEvent,
+    TakenBackEvent,
+    TrackingSamplesEvent,
+    ViewerEvent,
+)
+from shared.arrays import FloatArray
+from shared.messages import TrackingTelemetry
+from shared.motions import TrackingDetails
+from shared.robot_spec import RobotSpec
+
+
+@dataclass(frozen=True)
+class _Current:
+    """The flight that is drawn, and when it began."""
+
+    robot: str
+    label: str
+    spec: RobotSpec
+    began_s: float
+
+
+class PathView:
+    """Draws one flight after another; `emit` must never block or raise."""
+
+    def __init__(self, clock: StudyClock, emit: Callable[[ViewerEvent], None]) -> None:
+        self._clock, self._emit = clock, emit
+        self._lock = threading.Lock()
+        self._current: _Current | None = None
+        self._drawn = 0
+
+    def watch(self, fleet: Fleet) -> None:
+        """Draw what robots stream from now on."""
+        fleet.observe_tracking(self._on_telemetry)
+
+    def begins(self, robot: str, label: str, spec: RobotSpec) -> None:
+        """Say that a robot begins a flight; `label` tells it from others."""
+        with self._lock:
+            self._current = _Current(robot, label, spec, self._clock.now_s())
+            self._drawn = 0
+
+    def ended(self, flight: PathFlight) -> None:
+        """Draw the flight whole if not all of it arrived while it was flown, and how it ended."""
+        with self._lock:
+            current, drawn = self._current, self._drawn
+            self._current = None
+        if current is None:
+            return
+        samples, step_s, details = len(flight.actual), flight.sample_time_s, flight.details
+        if drawn < samples:
+            self._emit(_event(current, 0, step_s, details, flight.actual))
+        if details.taken_back is not None:
+            taken_s = current.began_s + details.taken_back.sample * step_s
+            reason = details.taken_back.reason
+            self._emit(TakenBackEvent(taken_s, current.robot, current.label, reason))
+        end_s = current.began_s + samples * step_s
+        if flight.failure is not None:
+            self._emit(MessageEvent(end_s, "error", f"{current.label}: {flight.failure}"))
+        self._clock.advance_to(end_s + 1.0)
+
+    def _on_telemetry(self, robot: str, telemetry: TrackingTelemetry) -> None:
+        with self._lock:
+            current = self._current
+            if current is None or robot != current.robot:
+                return
+            self._drawn += len(telemetry.desired)
+        step_s = telemetry.sample_time_s
+        self._emit(_event(current, telemetry.first_sample, step_s, telemetry, telemetry.actual))
+
+
+def _event(
+    current: _Current,
+    first_sample: int,
+    sample_time_s: float,
+    signals: TrackingTelemetry | TrackingDetails,
+    actual: FloatArray,
+) -> TrackingSamplesEvent:
+    return TrackingSamplesEvent(
+        t_s=current.began_s + first_sample * sample_time_s,
+        robot=current.robot,
+        flight=current.label,
+        axes=tuple(axis.name for axis in current.spec.axes),
+        unit=current.spec.axes[0].unit,
+        sample_time_s=sample_time_s,
+        desired=signals.desired,
+        actual=actual,
+        prior=signals.prior,
+        mean=signals.mean,
+        variance=signals.variance,
+        share=signals.share,
+    )

@@ -1,0 +1,74 @@
+"""Algorithm 1 repeated with several seeds: how its estimates scatter (the paper's Fig. 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from orchestrator.dispatcher import Dispatcher, TestOutcome
+from orchestrator.evaluation import Psi
+from orchestrator.evaluation_results import StudyEstimates
+from orchestrator.experience_selection import PaperStudy
+from orchestrator.fleet import Fleet
+from orchestrator.rank_run import ReadyStudy
+from orchestrator.ranking import conduct
+from orchestrator.study import Question, Report
+
+
+def repeat_study(
+    fleet: Fleet,
+    ready: ReadyStudy,
+    seeds: Sequence[int],
+    run_id: str,
+    *,
+    on_study: Callable[[StudyEstimates], None] = lambda estimates: None,
+) -> tuple[StudyEstimates, ...]:
+    """Rank the sources once for every seed and return what each study believed.
+
+    Raises:
+        StudyError: a study cannot go on, since the target or every source is gone.
+    """
+    studies = []
+    for seed in seeds:
+        recorder = _Recorder()
+        dispatcher = Dispatcher(fleet, on_attempt_failed=recorder.attempt_failed)
+        study = PaperStudy(ready.plan, np.random.default_rng(seed))
+        conduct(study, f"{run_id}.s{seed}", dispatcher, recorder)
+        beliefs = recorder.beliefs
+        estimates = StudyEstimates(
+            seed=seed, second=beliefs[min(1, len(beliefs) - 1)], last=beliefs[-1]
+        )
+        studies.append(estimates)
+        on_study(estimates)
+    return tuple(studies)
+
+
+def psi_of(studies: Sequence[StudyEstimates]) -> dict[str, Psi]:
+    """Return each source's mean and spread over the studies' last iterations."""
+    last = [study.last for study in studies]
+    sources = [source for source in last[0] if all(source in study for study in last)]
+    return {
+        source: Psi(
+            mean=float(np.mean([study[source] for study in last])),
+            std=float(np.std([study[source] for study in last])),
+        )
+        for source in sources
+    }
+
+
+class _Recorder:
+    """Keeps what each round of one study led to."""
+
+    def __init__(self) -> None:
+        self.beliefs: list[dict[str, float]] = []
+
+    def asked(self, question: Question) -> None:
+        """Nothing is known yet."""
+
+    def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
+        """What failed for good is in the report that follows."""
+
+    def told(self, question: Question, outcomes: Mapping[str, TestOutcome], report: Report) -> None:
+        """Keep the estimates."""
+        self.beliefs.append({estimate.robot: estimate.psi for estimate in report.ranking})
