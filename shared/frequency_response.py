@@ -16,6 +16,7 @@ from shared.response_quality import (
     SILENCE,
     Finding,
     Quality,
+    changed,
     disturbed,
     f_quantile,
     uncertain,
@@ -33,6 +34,7 @@ from shared.sinusoid_fit import (
     sum_of_tones,
     variance_of_mean,
 )
+from shared.suspect_samples import Tested, suspicions
 
 GAIN_MAX = 1e12
 """An output larger than this multiple of the reference is no response to it."""
@@ -46,9 +48,10 @@ class FrequencyResponse:
     """Estimates ẑ of z(ω) = Y/U at the tones of one test, in the order of its plan.
 
     `variance` is E|ẑ − z|² (of a circular error), estimated from `segments` segments with so many
-    `degrees` of freedom; None are the 2P − 2 of tones that every segment tells apart. `amplitude`
-    is the peak of the reference in the axis's unit, None where it is not known. Where nothing could
-    be estimated ẑ is NaN and its variance infinite, and the test is not usable.
+    `degrees` of freedom, None for the 2P − 2 of tones that every segment tells apart, and what
+    suspicious samples may have added to it. `amplitude` is the peak of the reference in the axis's
+    unit, None where it is not known. Where nothing could be estimated ẑ is NaN and its variance
+    infinite, and the test is not usable.
     """
 
     omega_rad_s: FloatArray  # (tones,)
@@ -159,43 +162,53 @@ def _estimate(samples: _Samples, omegas: FloatArray, plan: ExcitationPlan) -> Fr
     segment_input = input_fit.segment_phasors[:, :tones]
     segment_z = scaled_z + (segment_output - scaled_z * segment_input) / input_tones
     gain = samples.y_scale / samples.u_scale
+    tested = Tested(
+        measured=samples.y,
+        tones=sum_of_tones(output_fit.phasors[:tones], omegas, step_s, len(samples.y)),
+        residual=samples.y - output_fit.fitted,
+        omega_rad_s=omegas,
+        amplitudes=np.abs(output_fit.phasors[:tones]),
+        sample_time_s=step_s,
+    )
+    suspected = list(suspicions(tested))
     variance = output_fit.scatter_factor[:tones] * variance_of_mean(gain * segment_z)
+    for suspicion in suspected:
+        variance += (gain * suspicion.phasor_error / np.abs(input_tones)) ** 2
     degrees = output_fit.scatter_degrees[:tones]
     estimates = _Estimates(gain * segment_z, variance, degrees)
-    findings = _findings(samples, input_fit, output_fit, estimates, omegas, plan)
+    findings = _findings(tested, samples, input_fit, output_fit, estimates, plan)
     return FrequencyResponse(
         omega_rad_s=omegas,
         z=gain * scaled_z,
         variance=variance,
         segments=plan.segments,
-        quality=verdict(findings),
+        quality=verdict([*findings, *(suspicion.finding for suspicion in suspected)]),
         degrees=degrees,
         amplitude=plan.amplitude,
     )
 
 
 def _findings(
+    tested: Tested,
     samples: _Samples,
     input_fit: SinusoidFit,
     output_fit: SinusoidFit,
     estimates: _Estimates,
-    omegas: FloatArray,
     plan: ExcitationPlan,
 ) -> list[Finding | None]:
-    tones, segments, step_s = len(omegas), plan.segments, plan.sample_time_s
+    omegas, segments, step_s = tested.omega_rad_s, plan.segments, plan.sample_time_s
     segment_z, variance, degrees = estimates.segment_z, estimates.variance, estimates.degrees
-    z = segment_z.mean(axis=0)
-    played, moved, usual = (
+    tones, z = len(omegas), segment_z.mean(axis=0)
+    moved, residual = tested.tones, tested.residual
+    played, usual = (
         sum_of_tones(phasors, omegas, step_s, len(samples.y))
         for phasors in (
             input_fit.phasors[:tones],
-            output_fit.phasors[:tones],
             # The median resists one bad segment, which spreads its error over all in the mean.
             complex_median(output_fit.segment_phasors[:, :tones]),
         )
     )
-    residual = samples.y - output_fit.fitted
-    silent = (np.abs(output_fit.phasors[:tones]) <= SILENCE) | (
+    silent = (tested.amplitudes <= SILENCE) | (
         np.abs(z) <= uncertainty_radius(variance, degrees, NO_RESPONSE_SIGNIFICANCE)
     )
     # In the unit that the output was scaled to; an output of zeros has none.
@@ -212,10 +225,15 @@ def _findings(
     if tones > 1:
         powers = power_distortion(residual, (moved, played), omegas, step_s, segments)
         distortion = max(distortion, powers)
+    gain = samples.y_scale / samples.u_scale
+    on_the_sphere = gain / np.abs(input_fit.phasors[:tones]) / (1 + np.abs(z) ** 2)
+    settling = unsettled(segment_z, omegas)
+    if settling is None or settling.code != "unsettled":
+        findings.append(changed(residual, on_the_sphere, omegas, step_s))
     return [
         *findings,
         disturbed(residual + moved - usual, moved, segments),
-        unsettled(segment_z, omegas),
+        settling,
         nonlinear(distortion),
     ]
 

@@ -21,6 +21,13 @@ both as chordal distance, which is what z is used for."""
 SETTLED_SIGNIFICANCE = 1e-3
 """Chance that noise alone is reported as a change."""
 
+WINDOWS_MAX = 64
+"""In how many windows at most a tone's response is looked at for a change."""
+
+CHANGED_SIGNIFICANCE = 1e-4
+"""Chance that white noise is taken for a change in the middle; slow noise is some times as often.
+"""
+
 R_SQUARED_REPORTED = 0.9
 R_SQUARED_MIN = 0.5
 
@@ -144,6 +151,47 @@ def unsettled(segment_z: ComplexArray, omega_rad_s: FloatArray) -> Finding | Non
     )
 
 
+def changed(
+    residual: FloatArray, z_scale: FloatArray, omega_rad_s: FloatArray, sample_time_s: float
+) -> Finding | None:
+    """Return the finding that z became another in the middle of the test, at any moment.
+
+    Half-periods of each tone are demodulated, and each moment is tried as the one at which their
+    mean changes. Segments are too few and too long to tell that from noise.
+
+    Args:
+        residual: what the fit of the output leaves over, shape (samples,).
+        z_scale: what a phasor of 1 in the residual is on the sphere, shape (tones,).
+        omega_rad_s: shape (tones,).
+        sample_time_s: time between samples.
+    """
+    worst, worst_omega, worst_at = 0.0, 0.0, 0
+    for omega, scale in zip(omega_rad_s.tolist(), z_scale.tolist(), strict=True):
+        edges = _half_periods(len(residual), omega * sample_time_s)
+        windows = len(edges) - 1
+        turned = residual * np.exp(-1j * omega * sample_time_s * np.arange(len(residual)))
+        values = 2 * np.add.reduceat(turned, edges[:-1]) / np.diff(edges)
+        values -= values.mean()
+        before = np.arange(1, windows)
+        # With the mean taken out, both sides of a step say the same.
+        step = np.abs(np.cumsum(values)[:-1]) * windows / (before * (windows - before))
+        explained = step**2 * before * (windows - before) / windows
+        total = float(np.sum(np.abs(values) ** 2))
+        noise = np.maximum(total - explained, 0.0) / (windows - 2)
+        limit = f_quantile(CHANGED_SIGNIFICANCE / (len(omega_rad_s) * len(before)), windows - 2)
+        size = np.where(explained > limit * noise, scale * step, 0.0)
+        if size.max() > worst:
+            worst, worst_omega = float(size.max()), omega
+            worst_at = int(edges[1 + np.argmax(size)])
+    if worst <= UNSETTLED_CHORDAL:
+        return None
+    return Finding(
+        code="changed",
+        text=f"the response at {worst_omega:.4g} rad/s changed by {worst:.2g} (chordal) "
+        f"{worst_at * sample_time_s:.3g} s into the measuring part: repeat the test",
+    )
+
+
 def uncertain(
     omega_rad_s: FloatArray, silent: BoolArray, geodesic_rad: FloatArray
 ) -> Iterator[Finding]:
@@ -173,6 +221,8 @@ FATAL = frozenset(
         "unexplained",
         "disturbed",
         "unsettled",
+        "changed",
+        "too-many-spikes",
         "distorted",
         "no-response",
         "uncertain",
@@ -193,6 +243,15 @@ def f_quantile(alpha: float, pairs: ArrayLike) -> FloatArray:
     """Return the upper α quantile of F with 2 and 2 × `pairs` degrees of freedom."""
     halves = np.asarray(pairs, dtype=np.float64)
     return np.asarray(halves * np.expm1(-math.log(alpha) / halves))
+
+
+def _half_periods(samples: int, phase_per_sample: float) -> NDArray[np.intp]:
+    """Return the edges of windows of whole half-periods, at most `WINDOWS_MAX` of them."""
+    half = np.pi / phase_per_sample
+    half *= math.ceil(samples / half / WINDOWS_MAX)
+    edges = np.round(half * np.arange(math.floor(samples / half) + 1)).astype(np.intp)
+    edges[-1] = samples
+    return edges
 
 
 def _detrended(rows: FloatArray) -> FloatArray:

@@ -1,0 +1,159 @@
+"""What can go wrong with a robot's sensor and its driver, as entries of a fleet file.
+
+Sensor faults change what was measured; the robot's own controller keeps the sensor it has. The
+others stop the robot's driver at a sample: an error, a crash, a hang.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from shared.strict import NonNegative, Positive, Strict
+
+Probability = Annotated[float, Field(ge=0, le=1)]
+SampleCount = Annotated[int, Field(ge=0)]
+
+
+class FaultBase(Strict):
+    """When a fault acts: in one motion (counted from 1) or all, from a sample or a time on.
+
+    Samples and times are counted from the beginning of the motion. Without a length the fault lasts
+    to the motion's end.
+    """
+
+    motion: Annotated[int, Field(ge=1)] | None = None
+    from_sample: SampleCount | None = None
+    from_s: NonNegative | None = None
+    samples: Annotated[int, Field(ge=1)] | None = None
+    for_s: Positive | None = None
+
+    @model_validator(mode="after")
+    def _said_once(self) -> FaultBase:
+        if self.from_sample is not None and self.from_s is not None:
+            raise ValueError("a fault begins from_sample or from_s, not both")
+        if self.samples is not None and self.for_s is not None:
+            raise ValueError("a fault lasts for some samples or for_s, not both")
+        return self
+
+    def acts(self, motion: int, sample: int, count: int, sample_time_s: float) -> NDArray[np.bool_]:
+        """Return at which of the next `count` samples of a motion it acts, shape (count,)."""
+        if self.motion not in (None, motion):
+            return np.zeros(count, dtype=np.bool_)
+        first = self.first_sample(sample_time_s)
+        length = self.samples
+        if self.for_s is not None:
+            length = max(1, round(self.for_s / sample_time_s))
+        index = np.arange(sample, sample + count)
+        return (index >= first) & (index < (np.inf if length is None else first + length))
+
+    def first_sample(self, sample_time_s: float) -> int:
+        """Return the first sample of a motion at which it acts."""
+        if self.from_sample is not None:
+            return self.from_sample
+        return round((self.from_s or 0.0) / sample_time_s)
+
+
+class NotANumber(FaultBase):
+    """Samples read NaN."""
+
+    kind: Literal["not-a-number"]
+    probability: Probability = 1.0
+
+
+class Infinite(FaultBase):
+    """Samples read infinity of either sign."""
+
+    kind: Literal["infinite"]
+    probability: Probability = 1.0
+
+
+class Frozen(FaultBase):
+    """The sensor stays at what it read last, `noise` (standard deviation) on top of it."""
+
+    kind: Literal["frozen"]
+    noise: NonNegative = 0.0
+
+
+class Saturated(FaultBase):
+    """The sensor reads nothing outside its range."""
+
+    kind: Literal["saturated"]
+    low: float
+    high: float
+
+    @model_validator(mode="after")
+    def _a_range(self) -> Saturated:
+        if not self.low < self.high:
+            raise ValueError(f"low must be below high, got {self.low:g} and {self.high:g}")
+        return self
+
+
+class Noisy(FaultBase):
+    """White noise of this standard deviation on top of the robot's own."""
+
+    kind: Literal["noisy"]
+    std: NonNegative
+
+
+class Spikes(FaultBase):
+    """Single samples are off by `height`, up or down; or read `height` instead of the output."""
+
+    kind: Literal["spikes"]
+    probability: Probability
+    height: float
+    replace: bool = False
+
+
+class Late(FaultBase):
+    """Each sample is one of `late_min` to `late_max` samples ago, drawn anew every time."""
+
+    kind: Literal["late"]
+    late_min: SampleCount = 0
+    late_max: Annotated[int, Field(ge=0, le=1000)]
+
+    @model_validator(mode="after")
+    def _a_range(self) -> Late:
+        if self.late_min > self.late_max:
+            raise ValueError(f"late_min {self.late_min} exceeds late_max {self.late_max}")
+        return self
+
+
+class Held(FaultBase):
+    """Samples drop out: with this probability one is missing and the last one is read again.
+
+    A drop-out that begins lasts for `run` samples.
+    """
+
+    kind: Literal["held"]
+    probability: Probability
+    run: Annotated[int, Field(ge=1)] = 1
+
+
+class DropOut(FaultBase):
+    """The driver reports an error (`RobotError`) instead of a sample."""
+
+    kind: Literal["drop-out"]
+    probability: Probability = 1.0
+
+
+class Crash(FaultBase):
+    """The driver ends: its process at once, or with an exception that no driver should raise."""
+
+    kind: Literal["crash"]
+    way: Literal["exits", "raises"]
+
+
+class Hang(FaultBase):
+    """The driver does not return from a sample; for `hang_s` seconds, or for ever."""
+
+    kind: Literal["hang"]
+    hang_s: Positive | None = None
+
+
+SensorFault = NotANumber | Infinite | Frozen | Saturated | Noisy | Spikes | Late | Held
+DriverFault = DropOut | Crash | Hang
+Fault = Annotated[SensorFault | DriverFault, Field(discriminator="kind")]
