@@ -166,22 +166,21 @@ def _add_rows(
     """Add sign × Σ_k weights[k, i] source[k] to target[i], for k in `rows`, in `columns`.
 
     All that is cubic in n, but one product, comes down to this. Four rows at a time save most loads
-    and stores of the target; `columns` begin and end at whole registers.
+    and stores of the target; `columns` begin and end at whole registers. One plain loop over them
+    becomes vector code where they are known to begin at 0; blocks of constant length never did.
     """
     first, last = rows
     four = first + (last - first) // 4 * 4
     for k in range(first, four, 4):
         c0, c1 = sign * weights[k, i], sign * weights[k + 1, i]
         c2, c3 = sign * weights[k + 2, i], sign * weights[k + 3, i]
-        for start in range(columns[0], columns[1], _LANES):
-            for j in range(start, start + _LANES):
-                pair = c0 * source[k, j] + c1 * source[k + 1, j]
-                target[i, j] += pair + c2 * source[k + 2, j] + c3 * source[k + 3, j]
+        for j in range(columns[0], columns[1]):
+            pair = c0 * source[k, j] + c1 * source[k + 1, j]
+            target[i, j] += pair + c2 * source[k + 2, j] + c3 * source[k + 3, j]
     for k in range(four, last):
         c0 = sign * weights[k, i]
-        for start in range(columns[0], columns[1], _LANES):
-            for j in range(start, start + _LANES):
-                target[i, j] += c0 * source[k, j]
+        for j in range(columns[0], columns[1]):
+            target[i, j] += c0 * source[k, j]
 
 
 @_compiled
