@@ -85,6 +85,11 @@ class OnlineGp:
         self._ease = 1.0 / (1.0 + layout.gp_ease_samples)
         self.dropped = 0
 
+    @property
+    def hyperparameters(self) -> tuple[Hyperparameters, ...]:
+        """What each axis was last fitted with; none for a window of 0."""
+        return tuple(fit.hyperparameters for fit in self._fits)
+
     def learn(self, axis: int, inputs: FloatArray, gamma: float) -> None:
         """Take the pair that has become available on an axis; `inputs` of shape (inputs,)."""
         if not self._window:

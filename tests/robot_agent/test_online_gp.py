@@ -144,6 +144,19 @@ def test_no_window_makes_it_raise_or_answer_with_something_not_finite(
         assert np.isfinite(found.variance).all()
 
 
+def test_what_each_axis_was_fitted_with_can_be_read() -> None:
+    process = OnlineGp(LAYOUT, (half, half))
+    for row, value in zip(*pairs(30), strict=True):
+        process.learn(0, row, value)
+    process.correct(pairs(2)[0])
+    fitted, at_start = (found.log(1) for found in process.hyperparameters)
+    np.testing.assert_allclose(at_start, START.log(1))
+    low, high = BOUNDS.log()
+    assert ((low <= fitted + 1e-12) & (fitted - 1e-12 <= high)).all()
+    assert np.abs(fitted - at_start).max() > 0.1
+    assert OnlineGp(LAYOUT, (half,), window=0).hyperparameters == ()
+
+
 def test_it_starts_where_the_paper_starts() -> None:
     np.testing.assert_allclose(np.exp(START.log(1)), [[0.1, 0.5, 0.002]])
     for name in ("signal_variance", "lengthscale", "noise_variance"):
