@@ -54,7 +54,7 @@ class PlanarRobot(Robot):
 
     def step(self, reference: FloatArray) -> FloatArray:
         """Follow a reference for one sample; shapes (2,)."""
-        return self.run(reference[np.newaxis])[0]
+        return np.asarray(self.run(reference[np.newaxis])[0])
 
     def run(self, references: FloatArray) -> FloatArray:
         """Follow a whole reference signal; shapes (samples, 2)."""
