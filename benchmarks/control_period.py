@@ -1,9 +1,9 @@
 """Does the control period hold? A robot tracks drawings for minutes by a real clock.
 
 Two of Section V's double integrators, samples of 15 ms, follow the drawings with all that a
-transfer brings: a prior network of four layers of 128 units, online processes for x and y, and the
-guard. The network's weights hold a linear inverse that was fitted to a flight before. A miss is a
-reference that reaches the robot later than its sample lasts, the wait for the processor included.
+transfer brings: a network of four layers of 128 units, trained on a flight before, as prior; online
+processes for x and y; and the guard. A miss is a reference that reaches the robot later than its
+sample lasts, the wait for the processor included. Needs torch, for the training.
 
     python -m benchmarks.control_period --minutes 10
 """
@@ -20,17 +20,22 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from benchmarks.planar_robot import LIMITS, PacedRobot, PlanarRobot, planar_double_integrator
+from benchmarks.planar_robot import (
+    ClockedRobot,
+    PlanarRobot,
+    planar_double_integrator,
+    tracking_limits,
+)
+from orchestrator.learning_record import LearningRecord, pooled_pairs
+from orchestrator.training import STEPS_MAX, Origin, TrainingData, train
 from robot_agent.baseline_model import identify_baseline
 from robot_agent.guard import Guard
-from robot_agent.horizon import pooled_pairs
-from robot_agent.inverse_model import LinearInverse, NetworkInverse
+from robot_agent.inverse_model import NetworkInverse
 from robot_agent.online_gp import OnlineGp
-from robot_agent.rich_flight import FlightRecord, fly_record, rich_references
+from robot_agent.rich_flight import fly_record, rich_references
 from robot_agent.tracking import Learner, track
 from shared.arrays import FloatArray
 from shared.drawing_files import read_drawing
-from shared.experience import Experience, ExperienceManifest
 from shared.gaussian_process import warm_up
 from shared.inverse_layout import InverseLayout
 from shared.trajectories import travel
@@ -39,11 +44,10 @@ from sims import drawings
 HORIZON_SAMPLES = 13
 SPEED_M_S, ACCELERATION_M_S2 = 0.7, 1.6
 NOISE_STD_M = 0.001
-WIDTH, LAYERS = 128, 4
 
 
 @dataclass(frozen=True)
-class PacedFlight:
+class ClockedFlight:
     """A flight by the clock.
 
     `choosing_…` is what choosing a reference took, of both; `arrival_…` is how long after the
@@ -82,62 +86,32 @@ def laps(duration_s: float, sample_time_s: float) -> FloatArray:
     return np.tile(lap, (math.ceil(samples / len(lap)), 1))[:samples]
 
 
-def network_of(inverse: LinearInverse, layout: InverseLayout) -> NetworkInverse:
-    """Return a network of the paper's size that computes a linear inverse exactly.
-
-    The first layer holds every input and its negative, the others pass on what is not negative, and
-    the last adds them up. All other units compute as much, of small random weights, for nothing.
-    """
-    rng = np.random.default_rng(0)
-    inputs = len(inverse.weights)
-    used = 2 * inputs
-    manifest = ExperienceManifest(
-        robot="target",
-        robot_kind="planar-double-integrator",
-        axes=("x", "y"),
-        unit="m",
-        layout=layout,
-        inputs=layout.input_names,
-        relative_degree=1,
-        hidden=(WIDTH,) * LAYERS,
-        input_mean=(0.0,) * inputs,
-        input_scale=(1.0,) * inputs,
-        output_mean=0.0,
-        output_scale=1.0,
-        points=1,
-        validation_rms=0.0,
-        data_sha256="0" * 64,
-        seed=0,
-        training_version="a linear inverse",
-    )
-    arrays = {
-        name: (0.1 * rng.standard_normal(shape)).astype(np.float32)
-        for name, shape in manifest.shapes.items()
-    }
-    signs = np.concatenate([np.eye(inputs), -np.eye(inputs)], axis=1)
-    arrays["weight_0"][:, :used] = signs
-    arrays["bias_0"][:used] = 0.0
-    for layer in range(1, LAYERS):
-        arrays[f"weight_{layer}"][:, :used] = np.eye(WIDTH, used)
-        arrays[f"bias_{layer}"][:used] = 0.0
-    arrays[f"weight_{LAYERS}"][:] = 0.0
-    arrays[f"weight_{LAYERS}"][:used, 0] = inverse.weights @ signs
-    arrays[f"bias_{LAYERS}"][:] = 0.0
-    return NetworkInverse(Experience(manifest, arrays))
-
-
-def prepared(robot: PlanarRobot, desired: FloatArray) -> tuple[Learner, Guard]:
+def prepared(
+    robot: PlanarRobot, desired: FloatArray, training_steps_max: int
+) -> tuple[Learner, Guard]:
     """Fly a record, fit the prior and the baseline's model to it, return learner and guard."""
     spec = robot.spec
-    references = rich_references(spec, spec.axes, 60.0, np.random.default_rng(0))
-    record: FlightRecord = fly_record(robot, references)
+    record = fly_record(robot, rich_references(spec, 60.0, np.random.default_rng(0)))
     layout = InverseLayout(
         architecture="state",
         states=robot.state_names,
         sample_time_s=spec.sample_time_s,
         horizon_samples=HORIZON_SAMPLES,
     )
-    prior = network_of(LinearInverse(*pooled_pairs(layout, record, (0, 1))), layout)
+    experience = train(
+        TrainingData(
+            *pooled_pairs(
+                layout,
+                LearningRecord(record.references, record.states, robot.state_names),
+                (0, 1),
+            )
+        ),
+        layout,
+        Origin("target", spec.kind, ("x", "y"), "m", relative_degree=1),
+        seed=0,
+        steps_max=training_steps_max,
+    )
+    prior = NetworkInverse(experience)
     models = [
         identify_baseline(
             [(record.references[:, axis], record.states[:, axis, 0])],
@@ -152,8 +126,12 @@ def prepared(robot: PlanarRobot, desired: FloatArray) -> tuple[Learner, Guard]:
     return Learner(layout, OnlineGp(layout, (prior, prior))), guard
 
 
-def fly_by_the_clock(minutes: float) -> PacedFlight:
+def fly_by_the_clock(minutes: float, training_steps_max: int = STEPS_MAX) -> ClockedFlight:
     """Fly so many minutes of laps in real time.
+
+    Args:
+        minutes: of the flight; what comes before it is not paced.
+        training_steps_max: of the prior.
 
     Raises:
         RuntimeError: the flight failed.
@@ -162,14 +140,15 @@ def fly_by_the_clock(minutes: float) -> PacedFlight:
     robot = planar_double_integrator(NOISE_STD_M)
     sample_time_s = robot.spec.sample_time_s
     desired = laps(60.0 * minutes, sample_time_s)
-    baseline = track(planar_double_integrator(NOISE_STD_M), desired, LIMITS)
-    learner, guard = prepared(robot, desired)
-    paced = PacedRobot(robot)
-    flight = track(paced, desired, LIMITS, learner, guard)
+    limits = tracking_limits(robot)
+    baseline = track(planar_double_integrator(NOISE_STD_M), desired, limits)
+    learner, guard = prepared(robot, desired, training_steps_max)
+    clocked = ClockedRobot(robot)
+    flight = track(clocked, desired, limits, learner, guard)
     if flight.failure is not None:
         raise RuntimeError(f"the flight failed: {flight.failure}")
-    choosing_ms, arrival_ms = 1e3 * flight.step_time_s, 1e3 * np.array(paced.reference_s)
-    return PacedFlight(
+    choosing_ms, arrival_ms = 1e3 * flight.step_time_s, 1e3 * np.array(clocked.reference_s)
+    return ClockedFlight(
         minutes=len(desired) * sample_time_s / 60,
         samples=len(desired),
         sample_time_ms=1e3 * sample_time_s,
@@ -189,7 +168,7 @@ def fly_by_the_clock(minutes: float) -> PacedFlight:
     )
 
 
-def print_flight(flight: PacedFlight) -> None:
+def print_flight(flight: ClockedFlight) -> None:
     """Print the flight's figures."""
     print(
         f"\n{flight.minutes:.2f} minutes by the clock, {flight.samples} samples of "

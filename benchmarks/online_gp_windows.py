@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 import sims
-from benchmarks.planar_robot import LIMITS, planar_double_integrator
+from benchmarks.planar_robot import planar_double_integrator, tracking_limits
 from robot_agent.online_gp import WINDOW_POINTS, Correction, OnlineGp
 from robot_agent.robot import Robot
 from robot_agent.tracking import Learner, TrackingRecord, track
@@ -141,7 +141,7 @@ def fly(kind: str, drawing: Path) -> tuple[Windows, TrackingRecord]:
     )
     path = travel(read_drawing(drawing), SPEED_M_S, ACCELERATION_M_S2, sample_time_s)
     process = RecordingGp(layout, path.shape[1])
-    flight = track(robot, path, LIMITS, Learner(layout, process))
+    flight = track(robot, path, tracking_limits(robot), Learner(layout, process))
     if flight.failure is not None:
         raise RuntimeError(f"the flight along {drawing.stem} failed: {flight.failure}")
     return process.windows(), flight

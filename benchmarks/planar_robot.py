@@ -9,20 +9,9 @@ import numpy as np
 
 from robot_agent.robot import Robot
 from shared.arrays import FloatArray
-from shared.robot_spec import RobotSpec
-from shared.trajectories import TrackingLimits
+from shared.errors import RobotError
+from shared.robot_spec import RobotSpec, TrackingLimits
 from sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
-
-LIMITS = TrackingLimits(
-    position_max=1.5,
-    speed_max=1.0,
-    acceleration_max=2.0,
-    correction_max=0.5,
-    correction_speed_max=0.6,
-)
-
-TARGET = {"alpha": 0.85, "beta": 0.003}
-"""The target of Section V."""
 
 
 class PlanarRobot(Robot):
@@ -72,16 +61,23 @@ class PlanarRobot(Robot):
             part.disconnect()
 
 
+def tracking_limits(robot: Robot) -> TrackingLimits:
+    """Return what paths may ask of a robot that tracks."""
+    if robot.spec.tracking is None:
+        raise RobotError(f"a {robot.spec.kind} has no tracking limits")
+    return robot.spec.tracking
+
+
 def planar_double_integrator(noise_std_m: float) -> PlanarRobot:
     """Return the target of Section V on two axes, ready to move, samples of 15 ms."""
-    settings = DoubleIntegratorSettings(**TARGET, noise_std_m=noise_std_m)
+    settings = DoubleIntegratorSettings(alpha=0.85, beta=0.003, noise_std_m=noise_std_m)
     x, y = (DoubleIntegrator(settings, rng) for rng in np.random.default_rng(0).spawn(2))
     robot = PlanarRobot(x, y)
     robot.connect()
     return robot
 
 
-class PacedRobot(Robot):
+class ClockedRobot(Robot):
     """A robot whose samples begin at ticks of a clock, whatever time the controller takes.
 
     `observe` waits for the next tick. The ticks are fixed when the first one is waited for: a

@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.control_period import HORIZON_SAMPLES, fly_by_the_clock, laps, network_of
-from benchmarks.planar_robot import LIMITS, PacedRobot, planar_double_integrator
-from robot_agent.inverse_model import LinearInverse
-from shared.inverse_layout import InverseLayout
+from benchmarks.control_period import fly_by_the_clock, laps
+from benchmarks.planar_robot import ClockedRobot, planar_double_integrator, tracking_limits
 from shared.trajectories import check_trajectory
 
 
@@ -29,7 +27,7 @@ class Clock:
 
 def test_ticks_stay_where_they_are_when_a_reference_is_late() -> None:
     clock = Clock()
-    robot = PacedRobot(planar_double_integrator(0.0), clock, clock.sleep)
+    robot = ClockedRobot(planar_double_integrator(0.0), clock, clock.sleep)
     for choosing_s in (0.001, 0.020, 0.004, 0.002):
         robot.observe()
         clock.now_s += choosing_s
@@ -41,37 +39,24 @@ def test_ticks_stay_where_they_are_when_a_reference_is_late() -> None:
 
 def test_it_does_with_a_clock_what_it_does_without() -> None:
     clock, rng = Clock(), np.random.default_rng(0)
-    paced = PacedRobot(planar_double_integrator(0.001), clock, clock.sleep)
+    clocked = ClockedRobot(planar_double_integrator(0.001), clock, clock.sleep)
     free = planar_double_integrator(0.001)
-    assert (paced.spec, paced.state_names) == (free.spec, free.state_names)
+    assert (clocked.spec, clocked.state_names) == (free.spec, free.state_names)
     assert [axis.name for axis in free.spec.axes] == ["x", "y"]
     for reference in 0.01 * rng.standard_normal((20, 2)):
-        np.testing.assert_array_equal(paced.observe(), free.observe())
-        np.testing.assert_array_equal(paced.step(reference), free.step(reference))
-    assert len(paced.reference_s) == 20
+        np.testing.assert_array_equal(clocked.observe(), free.observe())
+        np.testing.assert_array_equal(clocked.step(reference), free.step(reference))
+    assert len(clocked.reference_s) == 20
 
 
 def test_laps_last_as_long_as_asked_and_keep_to_the_limits() -> None:
     desired = laps(150.0, 0.015)
     assert desired.shape == (10_000, 2)
-    check_trajectory(desired, 0.015, LIMITS)
-
-
-def test_the_network_of_the_papers_size_is_the_linear_inverse() -> None:
-    rng = np.random.default_rng(0)
-    layout = InverseLayout(
-        architecture="state",
-        states=("position", "velocity"),
-        sample_time_s=0.015,
-        horizon_samples=HORIZON_SAMPLES,
-    )
-    inputs = rng.standard_normal((200, 4))
-    inverse = LinearInverse(inputs, inputs @ np.array([1.0, -2.0, 0.3, 0.0]))
-    np.testing.assert_allclose(network_of(inverse, layout)(inputs), inverse(inputs), atol=1e-5)
+    check_trajectory(desired, 0.015, tracking_limits(planar_double_integrator(0.0)))
 
 
 def test_a_flight_by_the_clock_takes_its_time_and_tracks() -> None:
-    flight = fly_by_the_clock(0.04)
+    flight = fly_by_the_clock(0.04, training_steps_max=20)
     assert flight.samples == 160
     assert flight.minutes == pytest.approx(0.04)
     assert flight.arrival_worst_ms >= flight.choosing_worst_ms > 0
