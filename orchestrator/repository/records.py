@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import datetime
 from enum import StrEnum
 
 from pydantic import JsonValue
@@ -39,7 +40,8 @@ class StudyRecord:
     """All that a study is made from, so that it can be made again.
 
     `study_id` is the prefix of its goal ids. `parameters` is what the algorithm was given besides
-    plan and seed, for example the goal ids of the earlier responses that it began with.
+    plan and seed, for example the goal ids of the earlier responses that it began with. `result` is
+    the document that a complete one printed.
     """
 
     study_id: str
@@ -50,6 +52,7 @@ class StudyRecord:
     parameters: Mapping[str, JsonValue] = field(default_factory=dict)
     status: StudyStatus = StudyStatus.OPEN
     reason: str = ""
+    result: Mapping[str, JsonValue] | None = None
 
 
 class TrialStatus(StrEnum):
@@ -86,8 +89,9 @@ class TrialRecord:
 
     `boot_id` is of the agent process that accepted it, `plan` what was played. `reason` says why a
     trial gave no usable response, and `retry` what its robot plays in the next attempt; None there
-    means that it is given up in this iteration. `response` is there for every complete test, also
-    one that failed because the response is not usable.
+    means that it is given up in this iteration. One that was `interrupted` ended with its
+    orchestrator and says nothing against the robot. `response` is there for every complete test,
+    also one that failed because the response is not usable.
     """
 
     intent: TrialIntent
@@ -97,18 +101,25 @@ class TrialRecord:
     outcome: Outcome | None = None
     reason: str = ""
     retry: Excitation | None = None
+    interrupted: bool = False
     robot_time_s: float = 0.0
     response: FrequencyResponse | None = None
 
 
 @dataclass(frozen=True)
 class ResponseRecord:
-    """A robot's response on one axis, and the goal that measured it."""
+    """A robot's response on one axis, the goal that measured it, and when, in UTC.
+
+    `kind` is what the robot said of itself then; empty where that was not stored.
+    """
 
     fleet: str
     robot: str
     axis: str
     goal_id: str
+    study_id: str
+    kind: str
+    measured_at: datetime
     response: FrequencyResponse
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sqlalchemy import select
+from sqlalchemy import Connection, select
 
 from orchestrator.repository.database import Database
 from orchestrator.repository.errors import UnknownRecordError
@@ -23,21 +23,11 @@ class RobotStore:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def describe(self, record: RobotRecord) -> None:
-        """Store what a robot says of itself now."""
-        key = {"fleet": record.fleet, "robot": record.robot}
-        values = {
-            "spec": record.spec.model_dump_json(),
-            "boot_id": record.boot_id,
-            "described_at": utc_now(),
-        }
+    def describe(self, *records: RobotRecord) -> None:
+        """Store what robots say of themselves now."""
         with self._database.write() as connection:
-            connection.execute(insert_new(connection, ROBOTS, {**key, **values}))
-            connection.execute(
-                ROBOTS.update()
-                .where(ROBOTS.c.fleet == record.fleet, ROBOTS.c.robot == record.robot)
-                .values(values)
-            )
+            for record in records:
+                _describe(connection, record)
 
     def robots(self, fleet: str) -> tuple[RobotRecord, ...]:
         """Return the robots of a fleet, by name."""
@@ -89,3 +79,18 @@ class RobotStore:
         )
         with self._database.read() as connection:
             return tuple(experience_summary(row) for row in connection.execute(query).mappings())
+
+
+def _describe(connection: Connection, record: RobotRecord) -> None:
+    key = {"fleet": record.fleet, "robot": record.robot}
+    values = {
+        "spec": record.spec.model_dump_json(),
+        "boot_id": record.boot_id,
+        "described_at": utc_now(),
+    }
+    connection.execute(insert_new(connection, ROBOTS, {**key, **values}))
+    connection.execute(
+        ROBOTS.update()
+        .where(ROBOTS.c.fleet == record.fleet, ROBOTS.c.robot == record.robot)
+        .values(values)
+    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from datetime import UTC
 from typing import Any
 
 from pydantic import JsonValue, TypeAdapter, ValidationError
@@ -15,6 +16,7 @@ from orchestrator.repository.errors import DamagedRecordError
 from orchestrator.repository.records import (
     ExperienceRecord,
     ExperienceSummary,
+    ResponseRecord,
     RobotRecord,
     StudyRecord,
     StudyStatus,
@@ -72,6 +74,7 @@ def study_record(row: RowMapping) -> StudyRecord:
             parameters=_OBJECT.validate_json(row["parameters"]),
             status=StudyStatus(row["status"]),
             reason=row["reason"],
+            result=None if row["result"] is None else _OBJECT.validate_json(row["result"]),
         )
 
 
@@ -111,6 +114,7 @@ def trial_record(row: RowMapping, response: FrequencyResponse | None) -> TrialRe
             outcome=None if outcome is None else Outcome(outcome),
             reason=row["reason"],
             retry=None if retry is None else Excitation.model_validate_json(retry),
+            interrupted=bool(row["interrupted"]),
             robot_time_s=row["robot_time_s"],
             response=response,
         )
@@ -162,6 +166,20 @@ def frequency_response(row: RowMapping) -> FrequencyResponse:
             degrees=None if degrees is None else unpack_floats(degrees, shape, what),
             amplitude=row["amplitude"],
         )
+
+
+def response_record(row: RowMapping) -> ResponseRecord:
+    """Return the response in a row joined with its trial."""
+    return ResponseRecord(
+        fleet=row["fleet"],
+        robot=row["robot"],
+        axis=row["axis"],
+        goal_id=row["goal_id"],
+        study_id=row["study_id"],
+        kind=row["kind"] or "",
+        measured_at=row["measured_at"].replace(tzinfo=UTC),
+        response=frequency_response(row),
+    )
 
 
 def experience_summary(row: RowMapping) -> ExperienceSummary:

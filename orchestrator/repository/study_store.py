@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
+from pydantic import JsonValue
 from sqlalchemy import Connection, select
 
 from orchestrator.repository.array_blob import pack_array
@@ -21,12 +23,15 @@ from orchestrator.repository.rows import (
     frequency_response,
     goal_result,
     intent_row,
+    json_object,
+    response_record,
     response_row,
+    robot_record,
     study_record,
     study_row,
     trial_record,
 )
-from orchestrator.repository.tables import RESPONSES, SAMPLES, STUDIES, TRIALS, utc_now
+from orchestrator.repository.tables import RESPONSES, ROBOTS, SAMPLES, STUDIES, TRIALS, utc_now
 from orchestrator.repository.trial_rules import (
     check_epoch,
     check_same_intent,
@@ -50,11 +55,19 @@ class StudyStore:
         with self._database.write() as connection:
             connection.execute(STUDIES.insert().values(**study_row(study), begun_at=utc_now()))
 
-    def end(self, study_id: str, status: StudyStatus, reason: str = "") -> None:
-        """Store that a study is over; an open one again when it is resumed after all."""
-        update = STUDIES.update().where(STUDIES.c.study_id == study_id)
+    def end(
+        self,
+        study_id: str,
+        status: StudyStatus,
+        reason: str = "",
+        result: Mapping[str, JsonValue] | None = None,
+    ) -> None:
+        """Store that a study is over, and its result; an open one again when it is resumed."""
+        document = None if result is None else json_object(result)
+        values = {"status": status, "reason": reason, "result": document}
+        update = STUDIES.update().where(STUDIES.c.study_id == study_id).values(values)
         with self._database.write() as connection:
-            found = connection.execute(update.values(status=status, reason=reason)).rowcount
+            found = connection.execute(update).rowcount
         if not found:
             raise UnknownRecordError(f"there is no study {study_id}")
 
@@ -75,27 +88,16 @@ class StudyStore:
         with self._database.read() as connection:
             return tuple(study_record(row) for row in connection.execute(query).mappings())
 
-    def intend(self, intent: TrialIntent) -> TrialRecord:
-        """Store what is about to be sent; return what is known of it, if it was stored before.
+    def intend(self, *intents: TrialIntent) -> tuple[TrialRecord, ...]:
+        """Store what is about to be sent; return what is known of each that was stored before.
 
         Raises:
-            RecordConflictError: its id or its place in the study is taken by another test.
-            StaleEpochError: a later owner has taken the trial over.
+            RecordConflictError: an id or a place in the study is taken by another test.
+            StaleEpochError: a later owner has taken a trial over.
             UnknownRecordError: there is no such study.
         """
-        row = {**intent_row(intent), "intended_at": utc_now()}
         with self._database.write() as connection:
-            if connection.execute(insert_new(connection, TRIALS, row)).rowcount == 1:
-                return TrialRecord(intent, TrialStatus.INTENDED)
-            known = _locked(connection, intent.goal_id)
-            if known is None:
-                raise RecordConflictError(
-                    f"study {intent.study_id} has an attempt {intent.attempt} of {intent.robot} in "
-                    f"iteration {intent.iteration} already, under another id than {intent.goal_id}"
-                )
-            check_same_intent(known, intent)
-            _update(connection, intent.goal_id, epoch=intent.epoch)
-            return TrialRecord(intent, known.status, known.boot_id, known.plan)
+            return tuple(_intend(connection, intent) for intent in intents)
 
     def accepted(self, accepted: GoalAccepted, *, epoch: int) -> None:
         """Store that a robot took a goal; raises TrialEndedError, StaleEpochError."""
@@ -127,6 +129,7 @@ class StudyStore:
         epoch: int,
         result: GoalResult | None = None,
         response: FrequencyResponse | None = None,
+        interrupted: bool = False,
     ) -> None:
         """Store that a trial gave nothing usable, with what was measured nevertheless.
 
@@ -137,6 +140,7 @@ class StudyStore:
             epoch: of the lease of whoever says so.
             result: what the robot returned, if it did.
             response: what was estimated from it, if the test was complete.
+            interrupted: whether it ended with its orchestrator, not because of its robot.
 
         Raises:
             TrialEndedError: it has ended in another way.
@@ -145,17 +149,26 @@ class StudyStore:
         with self._database.write() as connection:
             known = _known(connection, goal_id, epoch)
             if is_new_end(known, TrialStatus.FAILED):
-                played = {} if result is None else _played(result)
+                played: dict[str, Any] = {} if result is None else _played(result)
+                played["interrupted"] = interrupted
                 _end(connection, known, TrialStatus.FAILED, reason, retry, **played)
                 if result is not None:
                     _keep(connection, known, result, response)
 
-    def lost(self, goal_id: str, reason: str, *, retry: Excitation | None, epoch: int) -> None:
+    def lost(
+        self,
+        goal_id: str,
+        reason: str,
+        *,
+        retry: Excitation | None,
+        epoch: int,
+        interrupted: bool = False,
+    ) -> None:
         """Store that nobody will ever know what came of a trial; see `failed`."""
         with self._database.write() as connection:
             known = _known(connection, goal_id, epoch)
             if is_new_end(known, TrialStatus.LOST):
-                _end(connection, known, TrialStatus.LOST, reason, retry)
+                _end(connection, known, TrialStatus.LOST, reason, retry, interrupted=interrupted)
 
     def trials(self, study_id: str) -> tuple[TrialRecord, ...]:
         """Return the trials of a study by iteration, robot and attempt, with their responses."""
@@ -188,18 +201,41 @@ class StudyStore:
         self, fleet: str, robot: str, axis: str, *, usable: bool = True
     ) -> tuple[ResponseRecord, ...]:
         """Return what was ever measured of a robot's axis, oldest first, of any study."""
-        query = (
-            select(RESPONSES)
-            .where(RESPONSES.c.fleet == fleet, RESPONSES.c.robot == robot)
-            .where(RESPONSES.c.axis == axis, RESPONSES.c.usable == usable)
-            .order_by(RESPONSES.c.measured_at, RESPONSES.c.goal_id)
-        )
+        query = _RESPONSES.where(RESPONSES.c.fleet == fleet, RESPONSES.c.robot == robot)
+        query = query.where(RESPONSES.c.axis == axis, RESPONSES.c.usable == usable)
         with self._database.read() as connection:
-            rows = connection.execute(query).mappings().all()
-        return tuple(
-            ResponseRecord(fleet, robot, axis, row["goal_id"], frequency_response(row))
-            for row in rows
+            return tuple(response_record(row) for row in connection.execute(query).mappings())
+
+    def response(self, goal_id: str) -> ResponseRecord:
+        """Return what a goal measured; raises UnknownRecordError."""
+        query = _RESPONSES.where(RESPONSES.c.goal_id == goal_id)
+        with self._database.read() as connection:
+            row = connection.execute(query).mappings().one_or_none()
+        if row is None:
+            raise UnknownRecordError(f"no response of goal {goal_id} is stored")
+        return response_record(row)
+
+
+_RESPONSES = (
+    select(RESPONSES, TRIALS.c.study_id)
+    .join(TRIALS)
+    .order_by(RESPONSES.c.measured_at, RESPONSES.c.goal_id)
+)
+
+
+def _intend(connection: Connection, intent: TrialIntent) -> TrialRecord:
+    row = {**intent_row(intent), "intended_at": utc_now()}
+    if connection.execute(insert_new(connection, TRIALS, row)).rowcount == 1:
+        return TrialRecord(intent, TrialStatus.INTENDED)
+    known = _locked(connection, intent.goal_id)
+    if known is None:
+        raise RecordConflictError(
+            f"study {intent.study_id} has an attempt {intent.attempt} of {intent.robot} in "
+            f"iteration {intent.iteration} already, under another id than {intent.goal_id}"
         )
+    check_same_intent(known, intent)
+    _update(connection, intent.goal_id, epoch=intent.epoch)
+    return TrialRecord(intent, known.status, known.boot_id, known.plan)
 
 
 def _locked(connection: Connection, goal_id: str) -> TrialRecord | None:
@@ -271,6 +307,10 @@ def _keep(
     fleet = connection.execute(
         select(STUDIES.c.fleet).where(STUDIES.c.study_id == study_id)
     ).scalar_one()
+    described = select(ROBOTS).where(ROBOTS.c.fleet == fleet, ROBOTS.c.robot == known.intent.robot)
+    robot = connection.execute(described).mappings().one_or_none()
+    if robot is None:
+        raise UnknownRecordError(f"robot {known.intent.robot} of fleet {fleet} was never described")
     connection.execute(
         RESPONSES.insert().values(
             goal_id=goal_id,
@@ -278,6 +318,7 @@ def _keep(
             robot=known.intent.robot,
             axis=result.test_plan.axis,
             measured_at=utc_now(),
+            kind=robot_record(robot).spec.kind,
             **response_row(response),
         )
     )

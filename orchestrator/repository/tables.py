@@ -79,6 +79,7 @@ STUDIES = Table(
     Column("status", Text, nullable=False),
     Column("reason", Sentence, nullable=False),
     Column("begun_at", DateTime, nullable=False),
+    Column("result", Text),
 )
 
 TRIALS = Table(
@@ -100,6 +101,7 @@ TRIALS = Table(
     Column("robot_time_s", Double, nullable=False),
     Column("intended_at", DateTime, nullable=False),
     Column("ended_at", DateTime),
+    Column("interrupted", Boolean),
     UniqueConstraint("study_id", "iteration", "robot", "attempt"),
 )
 
@@ -120,6 +122,7 @@ RESPONSES = Table(
     Column("measured_at", DateTime, nullable=False),
     Column("degrees", LargeBinary),
     Column("amplitude", Double),
+    Column("kind", Text),
     ForeignKeyConstraint(["fleet", "robot"], ["robots.fleet", "robots.robot"]),
     Index(None, "fleet", "robot", "axis"),
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,15 @@ def test_a_study_that_ended_is_not_open_any_more(begun: Repository) -> None:
     assert [study.study_id for study in begun.studies.studies(StudyStatus.OPEN)] == ["run-2"]
     ended = begun.studies.study("run-1")
     assert (ended.status, ended.reason) == (StudyStatus.FAILED, "the target is gone\x00 \ud800")
+    assert ended.result is None
+
+
+def test_a_complete_study_has_its_result(begun: Repository) -> None:
+    result = {"selected": "source", "psi": 0.1 + 0.2, "ranking": [{"robot": "source"}]}
+    begun.studies.end("run-1", StudyStatus.COMPLETE, "sure enough", result)
+    ended = begun.studies.study("run-1")
+    assert (ended.status, ended.reason) == (StudyStatus.COMPLETE, "sure enough")
+    assert ended.result == result
 
 
 def test_a_study_begins_once(begun: Repository) -> None:
@@ -92,10 +102,21 @@ def test_what_was_never_stored_is_refused_by_name(repository: Repository) -> Non
         studies.accepted(accepted(intent()), epoch=1)
     with pytest.raises(UnknownRecordError, match=r"run-1\.1\.target\.1"):
         studies.result("run-1.1.target.1")
+    with pytest.raises(UnknownRecordError, match=r"run-1\.1\.target\.1"):
+        studies.response("run-1.1.target.1")
     with pytest.raises(UnknownRecordError):
         robots.experience("0" * 64)
     with pytest.raises(UnknownRecordError):
         robots.add_experience(ExperienceRecord(FLEET, "nobody", {}, b"model"))
+
+
+def test_the_intents_of_a_round_are_stored_together_or_not_at_all(begun: Repository) -> None:
+    target, source = intent("target"), intent("source")
+    assert [t.intent for t in begun.studies.intend(target, source)] == [target, source]
+    second = intent("target", attempt=2)
+    with pytest.raises(RecordConflictError):
+        begun.studies.intend(second, replace(source, excitation=LONGER))
+    assert {t.intent for t in begun.studies.trials("run-1")} == {target, source}
 
 
 def test_an_intent_is_there_before_anything_is_sent(begun: Repository, address: str) -> None:
@@ -122,7 +143,9 @@ def test_a_measured_trial_comes_back_bit_for_bit(
     assert record.response is not None
     assert identical(record.response, measured)
     assert identical(kept.response, measured)
-    assert kept.goal_id == trial.goal_id
+    assert (kept.goal_id, kept.study_id, kept.kind) == (trial.goal_id, "run-1", SPEC.kind)
+    assert abs(datetime.now(UTC) - kept.measured_at) < timedelta(minutes=10)
+    assert identical(begun.studies.response(trial.goal_id).response, measured)
     sent = result(trial)
     assert back.reference.tobytes() == sent.reference.tobytes()
     assert back.response.tobytes() == sent.response.tobytes()
@@ -164,7 +187,17 @@ def test_a_motion_that_was_cut_short_keeps_the_samples_it_has(begun: Repository)
     kept = begun.studies.result(intent().goal_id)
     assert (kept.outcome, len(kept.response)) == (Outcome.ABORTED, 5)
     (record,) = begun.studies.trials("run-1")
-    assert (record.response, record.retry) == (None, None)
+    assert (record.response, record.retry, record.interrupted) == (None, None, False)
+
+
+def test_a_trial_that_ended_with_its_orchestrator_says_so(begun: Repository) -> None:
+    begun.studies.intend(intent("target"), intent("source"))
+    aborted = result(intent("target"), Outcome.ABORTED)
+    begun.studies.failed(
+        aborted.goal_id, "its owner is gone", retry=TEST, epoch=1, result=aborted, interrupted=True
+    )
+    begun.studies.lost("run-1.1.source.1", "gone", retry=TEST, epoch=1, interrupted=True)
+    assert [trial.interrupted for trial in begun.studies.trials("run-1")] == [True, True]
 
 
 def test_storing_the_same_again_changes_nothing(begun: Repository) -> None:
@@ -175,7 +208,7 @@ def test_storing_the_same_again_changes_nothing(begun: Repository) -> None:
         begun.studies.accepted(accepted(trial), epoch=1)
     for _ in range(2):
         begun.studies.measured(result(trial), response(), epoch=1)
-    assert begun.studies.intend(trial).status is TrialStatus.MEASURED
+    assert [t.status for t in begun.studies.intend(trial)] == [TrialStatus.MEASURED]
     assert [t.status for t in begun.studies.trials("run-1")] == [TrialStatus.MEASURED]
 
 
