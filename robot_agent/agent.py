@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import threading
 import uuid
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -21,6 +22,7 @@ from robot_agent.memory import Memory
 from robot_agent.motion_worker import MotionWorker
 from robot_agent.robot import Robot
 from robot_agent.supervisor import StopOrder
+from robot_agent.watched_robot import WatchedRobot
 from shared.codec import M, decode
 from shared.errors import MalformedMessageError
 from shared.keys import FleetKeys
@@ -37,6 +39,7 @@ from shared.messages import (
     ReleaseRequest,
     RemovePriorRequest,
     ResultRequest,
+    RobotState,
     StopRequest,
 )
 from shared.transport import Session
@@ -76,7 +79,7 @@ class Agent:
         self._session = session
         self._keys = keys
         self._name = name
-        self._robot = robot
+        self._robot = WatchedRobot(robot, realtime=realtime)
         self._realtime = realtime
         self._boot_id = uuid.uuid4().hex
         self._changed = threading.Event()
@@ -93,6 +96,7 @@ class Agent:
         self._experiences = ExperienceService(
             name, robot, self._memory, self._decisions.refusal_to_change
         )
+        self._looks: list[Callable[[], None]] = []
         self._open = ExitStack()
 
     def __enter__(self) -> Agent:
@@ -123,7 +127,7 @@ class Agent:
         """Open everything in the order in which it is needed; it is closed in the opposite one."""
         session, keys, name, decisions = self._session, self._keys, self._name, self._decisions
         states = session.state_publisher(keys.robot(name, "state"))
-        opened.callback(Heartbeat(name, states, decisions.state, self._changed).close)
+        opened.callback(Heartbeat(name, states, self._state, self._changed).close)
         for stop_key in (keys.robot(name, "stop"), keys.stop):
             opened.callback(session.subscribe(stop_key, self._on_stop).withdraw)
         everyone = keys.every_orchestrator_alive
@@ -141,6 +145,7 @@ class Agent:
             realtime=self._realtime,
         )
         opened.callback(self._motions.close)
+        self._looks.append(self._motions.look_after_robot)
         endpoint = Endpoint(
             session,
             keys,
@@ -166,6 +171,12 @@ class Agent:
         opened.callback(decisions.shut_down)
         # Last: from now on it can serve.
         opened.callback(session.declare_alive(keys.robot(name, "alive")).withdraw)
+
+    def _state(self) -> RobotState:
+        """What the heartbeat publishes; it beats regularly, so it looks after the robot too."""
+        for look in self._looks:
+            look()
+        return self._decisions.state()
 
     # Zenoh's threads: hand on and return.
 

@@ -18,6 +18,7 @@ from robot_agent.motion import AxisMotion, Performance, Played, Samples, perform
 from robot_agent.online_gp import Correction
 from robot_agent.robot import Robot
 from robot_agent.telemetry import TelemetryBatcher
+from robot_agent.watched_robot import WatchedRobot
 from shared.arrays import FloatArray
 from shared.codec import Message
 from shared.errors import RobotError
@@ -33,6 +34,9 @@ from shared.messages import (
 from shared.strict import as_reason
 from shared.transport import Publisher
 
+CLOSING_LOOK_S = 0.1
+"""While it closes, the worker looks after the robot so often."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -43,7 +47,7 @@ class MotionWorker:
         self,
         name: str,
         boot_id: str,
-        robot: Robot,
+        robot: WatchedRobot,
         memory: Memory,
         decisions: Decisions,
         telemetry: Publisher,
@@ -59,6 +63,8 @@ class MotionWorker:
         self._tracking = tracking
         self._realtime = realtime
         self._jobs: queue.SimpleQueue[Assignment | Future[Message] | None] = queue.SimpleQueue()
+        self._lock = threading.Lock()
+        self._performing: tuple[Assignment, Performance | None] | None = None
         self._thread = threading.Thread(target=self._work, name=f"{name}-motions", daemon=True)
         self._thread.start()
 
@@ -69,15 +75,46 @@ class MotionWorker:
     def reconnect(self) -> Future[Message]:
         """Connect a robot with a fault anew; the answer comes when that has worked, or not."""
         answer: Future[Message] = Future()
-        self._jobs.put(answer)
+        if self._robot.hangs:
+            answer.set_result(Refusal(code="fault", reason="its driver hangs; restart its agent"))
+        else:
+            self._jobs.put(answer)
         return answer
 
+    def look_after_robot(self) -> None:
+        """End the motion of a robot whose driver hangs; to be called regularly."""
+        hang = self._robot.look()
+        if hang is None:
+            return
+        reason = f"{hang}: the robot may be moving and cannot be brought to rest from here"
+        with self._lock:
+            performing, self._performing = self._performing, None
+        if performing is None:
+            return
+        assignment, performance = performing
+        _log.error("goal %s: %s", assignment.goal.goal_id, reason)
+        # Should the driver return after all, this brings the robot to rest.
+        assignment.switch.halt(Outcome.FAILED, reason)
+        nothing = _nothing(assignment, self._robot)
+        samples = nothing if performance is None else performance.measured()
+        self._report(assignment, Played(Outcome.FAILED, reason, samples, fault=reason))
+
     def close(self) -> None:
-        """Do what was begun and end; the decisions must have been shut down before."""
+        """Do what was begun and end; the decisions must have been shut down before.
+
+        Raises:
+            RobotError: the driver hangs, so that the robot cannot be left at rest.
+        """
         self._jobs.put(None)
-        self._thread.join()
-        self._telemetry.withdraw()
-        self._tracking.withdraw()
+        try:
+            while self._thread.is_alive():
+                self._thread.join(CLOSING_LOOK_S)
+                hang = self._robot.look()
+                if hang is not None:
+                    raise RobotError(f"{hang}; the robot may not be at rest")
+        finally:
+            self._telemetry.withdraw()
+            self._tracking.withdraw()
 
     def _work(self) -> None:
         while (job := self._jobs.get()) is not None:
@@ -87,12 +124,26 @@ class MotionWorker:
                 job.set_result(self._reconnected())
 
     def _perform(self, assignment: Assignment) -> None:
+        with self._lock:
+            self._performing = (assignment, None)
         try:
             played = self._played(assignment)
         except Exception as error:  # noqa: BLE001 - a goal always ends, and the thread never does
             _log.exception("goal %s", assignment.goal.goal_id)
             reason = f"an unexpected error: {error!r}"
             played = Played(Outcome.FAILED, reason, _nothing(assignment, self._robot), fault=reason)
+        with self._lock:
+            given_up, self._performing = self._performing is None, None
+        if given_up:
+            _log.warning(
+                "goal %s: the driver returned after all; the robot %s",
+                assignment.goal.goal_id,
+                "is at rest" if played.fault is None else f"has a fault: {played.fault}",
+            )
+            return
+        self._report(assignment, played)
+
+    def _report(self, assignment: Assignment, played: Played) -> None:
         result = GoalResult(
             goal_id=assignment.goal.goal_id,
             boot_id=self._boot_id,
@@ -107,9 +158,12 @@ class MotionWorker:
 
     def _played(self, assignment: Assignment) -> Played:
         telemetry = self._batcher(assignment)
+        performance = self._performance(assignment, telemetry)
+        with self._lock:
+            self._performing = (assignment, performance)
         played = perform(
             self._robot,
-            self._performance(assignment, telemetry),
+            performance,
             assignment.switch,
             on_resting=self._decisions.resting,
         )

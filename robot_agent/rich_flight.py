@@ -90,16 +90,16 @@ def fly_record(robot: Robot, references: FloatArray) -> FlightRecord:
     """Play references (samples, axes) step by step and keep every state; the robot ends at rest.
 
     Raises:
-        RobotError: the robot failed, or measured a number that is not finite.
+        RobotError: the robot failed, or measured a number that is not finite; it may be moving.
     """
     states = np.empty((*references.shape, max(1, len(robot.state_names))))
     for k, reference in enumerate(references):
         observed = robot.observe()
         output = robot.step(reference)
         states[k] = observed if observed.shape[1] else output[:, np.newaxis]
+        if not np.isfinite(states[k]).all():
+            raise RobotError(f"the sensor returned a number that is not finite at sample {k}")
     robot.rest()
-    if not np.isfinite(states).all():
-        raise RobotError("the robot measured a number that is not finite")
     return FlightRecord(references, states)
 
 

@@ -193,6 +193,8 @@ class _Flight:
             observed = self._robot.observe() if self._learner is not None else None
             begin_s = time.perf_counter()
             correction, reference = None, wanted
+            if observed is not None and not np.isfinite(observed).all():
+                return f"the sensor returned a number that is not finite at sample {k}"
             if self._learner is not None and observed is not None:
                 if self._guard is not None:
                     self._share[k] = self._guard.judge(k, observed[:, 0] - wanted)

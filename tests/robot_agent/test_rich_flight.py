@@ -45,7 +45,7 @@ def test_a_record_holds_the_state_before_each_reference_acted() -> None:
 
 
 def test_a_sensor_that_measures_nan_gives_no_record() -> None:
-    with pytest.raises(RobotError, match="not finite"):
+    with pytest.raises(RobotError, match="not finite at sample 7"):
         fly_record(LaggedRobot(blind_at=7), np.zeros((20, 2)))
 
 

@@ -1,0 +1,186 @@
+"""A robot that fails gives a failed test with a reason, never a wrong number, and is at rest."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+from fleet_lab import Lab, Orchestrator, refusal
+from polling import PATIENCE_S, wait_until
+
+from orchestrator.dispatcher import ATTEMPTS, Dispatcher, Failed, Measured, TestOutcome
+from shared.errors import RefusedError, RobotError
+from shared.excitation import Excitation, Tone
+from shared.messages import Outcome, RobotStatus
+from sims.double_integrator import DoubleIntegrator
+from sims.faulty_robot import FAULTY, FaultyRobot, FaultyRobotSettings
+
+OMEGA_RAD_S = 4.0
+TEST = Excitation(axis="x", tones=(Tone(omega_rad_s=OMEGA_RAD_S),), settle_s=4.0)
+
+
+def faulty(*faults: dict[str, Any]) -> FaultyRobot:
+    document = {
+        "driver": "double_integrator",
+        "settings": {"alpha": 1.0, "beta": 0.003, "noise_std_m": 0.001},
+        "faults": faults,
+    }
+    settings = FaultyRobotSettings.model_validate_json(json.dumps(document))
+    return FAULTY.build({"a": settings}, np.random.default_rng(0))["a"]
+
+
+def inside(robot: FaultyRobot) -> DoubleIntegrator:
+    assert isinstance(robot._robot, DoubleIntegrator)
+    return robot._robot
+
+
+def outcome_of(orchestrator: Orchestrator, round_id: str) -> TestOutcome:
+    dispatcher = Dispatcher(orchestrator.fleet, on_attempt_failed=lambda *_: None)
+    return dispatcher.run(round_id, {"a": TEST})["a"]
+
+
+# Sensors. Faults that are everywhere last for the three motions of three attempts.
+
+SENSOR_FAULTS: dict[str, tuple[dict[str, Any], str]] = {
+    "NaN once": ({"kind": "not-a-number", "from_sample": 700, "samples": 1}, "not finite"),
+    "NaN now and then": ({"kind": "not-a-number", "probability": 0.01}, "not finite"),
+    "NaN from the first": ({"kind": "not-a-number"}, "not finite at sample 0"),
+    "infinite": ({"kind": "infinite", "from_sample": 650}, "not finite at sample 650"),
+    "frozen": ({"kind": "frozen", "from_sample": 500}, "stays at exactly"),
+    "frozen, noisily": (
+        {"kind": "frozen", "from_sample": 500, "noise": 0.001},
+        "no response|disturbed|did something else|changed",
+    ),
+    "frozen throughout": ({"kind": "frozen"}, "stays at exactly"),
+    "saturated": ({"kind": "saturated", "low": -0.2, "high": 0.2}, "cut off at -0.2 and 0.2"),
+    "saturated on one side": (
+        {"kind": "saturated", "low": -9.0, "high": 0.2},
+        "cut off at 0.2",
+    ),
+    "very noisy": ({"kind": "noisy", "std": 30.0}, "noise|did something else"),
+    "full of spikes": ({"kind": "spikes", "probability": 0.3, "height": 0.8}, "spikes"),
+    "huge spikes": ({"kind": "spikes", "probability": 0.01, "height": 1e6}, "something else|noise"),
+    "very late": ({"kind": "late", "late_max": 60}, "noise"),
+    "losing samples": ({"kind": "held", "probability": 0.1, "run": 30}, "stays at exactly"),
+}
+
+
+@pytest.mark.parametrize("name", SENSOR_FAULTS)
+def test_a_faulty_sensor_gives_no_response_but_a_reason(name: str, lab: Lab) -> None:
+    fault, said = SENSOR_FAULTS[name]
+    during = [{**fault, "motion": motion} for motion in range(1, ATTEMPTS + 1)]
+    robot = faulty(*during)
+    lab.agent("a", robot)
+    orchestrator = lab.orchestrator()
+    outcome = outcome_of(orchestrator, "round")
+    assert isinstance(outcome, Failed)
+    assert outcome.attempts == ATTEMPTS
+    assert re.search(said, outcome.reason), outcome.reason
+    orchestrator.state("a", lambda s: s.status is RobotStatus.IDLE)
+    assert inside(robot)._at_rest()
+    # Nothing of it stays: with the sensor repaired the robot is as good as ever.
+    assert isinstance(outcome_of(orchestrator, "repaired"), Measured)
+
+
+def test_a_sensor_that_fails_once_costs_one_attempt(lab: Lab) -> None:
+    lab.agent("a", faulty({"kind": "frozen", "from_sample": 500, "motion": 1}))
+    outcome = outcome_of(lab.orchestrator(), "round")
+    assert isinstance(outcome, Measured)
+    assert outcome.attempts == 2
+
+
+# Drivers.
+
+
+def test_a_driver_that_loses_a_sample_fails_the_test_with_the_samples_before(lab: Lab) -> None:
+    robot = faulty({"kind": "drop-out", "from_sample": 60, "motion": 1})
+    lab.agent("a", robot, realtime=50.0)
+    orchestrator = lab.orchestrator()
+    result = orchestrator.run("a", "g1")
+    assert (result.outcome, result.reason) == (Outcome.FAILED, "the driver got no sample 60")
+    assert len(result.response) == 60
+    assert inside(robot)._at_rest()
+    assert isinstance(outcome_of(orchestrator, "round"), Measured)
+
+
+def test_a_driver_that_breaks_is_a_fault_until_it_is_connected_anew(lab: Lab) -> None:
+    robot = faulty({"kind": "crash", "way": "raises", "from_sample": 60, "motion": 1})
+    lab.agent("a", robot)
+    orchestrator = lab.orchestrator()
+    outcome = outcome_of(orchestrator, "round")
+    assert isinstance(outcome, Failed)
+    assert "see to the robot, then release it" in outcome.reason
+    assert "the driver broke at sample 60" in outcome.reason
+    orchestrator.state("a", lambda s: s.status is RobotStatus.FAULT)
+    assert inside(robot)._at_rest()
+    orchestrator.fleet.release("a")
+    assert isinstance(outcome_of(orchestrator, "again"), Measured)
+
+
+def hung(lab: Lab, fault: dict[str, Any]) -> tuple[Orchestrator, FaultyRobot]:
+    robot = faulty({"kind": "hang", "from_sample": 30, "samples": 1, "motion": 1, **fault})
+    lab.agent("a", robot, realtime=1.0)
+    return lab.orchestrator(), robot
+
+
+def released(orchestrator: Orchestrator) -> bool:
+    try:
+        orchestrator.fleet.release("a")
+    except RefusedError:
+        return False
+    return True
+
+
+def test_a_driver_that_hangs_is_a_fault_within_seconds(lab: Lab) -> None:
+    orchestrator, robot = hung(lab, {"hang_s": 4.0})
+    began_s = time.monotonic()
+    outcome = outcome_of(orchestrator, "round")
+    # Sooner than it returns by itself.
+    assert time.monotonic() - began_s < 4.3
+    assert isinstance(outcome, Failed)
+    assert "has not returned from 'step'" in outcome.reason
+    state = orchestrator.state("a", lambda s: s.status is RobotStatus.FAULT)
+    assert "cannot be brought to rest from here" in state.reason
+    assert state.goal_id is None
+    with pytest.raises(RefusedError, match="its driver hangs"):
+        orchestrator.fleet.release("a")
+    orchestrator.fleet.stop("a", "smoke")
+    # It returned after all; then the robot was brought to rest and may be connected anew.
+    wait_until(lambda: released(orchestrator))
+    assert inside(robot)._at_rest()
+    assert orchestrator.run("a", "g2", settle_s=0.0).outcome is Outcome.COMPLETED
+
+
+def test_samples_before_a_hang_are_kept(lab: Lab) -> None:
+    orchestrator, _ = hung(lab, {"hang_s": 3.5})
+    result = orchestrator.run("a", "g1")
+    assert result.outcome is Outcome.FAILED
+    assert len(result.response) == 30
+    assert refusal(lambda: orchestrator.submit("a", "g2")) == "fault"
+    wait_until(lambda: released(orchestrator))
+
+
+def test_an_agent_whose_driver_hangs_ends_and_says_that_the_robot_may_move(lab: Lab) -> None:
+    robot = faulty({"kind": "hang", "from_sample": 30, "samples": 1, "hang_s": 4.5})
+    agent = lab.agent("a", robot, realtime=1.0)
+    orchestrator = lab.orchestrator()
+    orchestrator.submit("a", "g1")
+    orchestrator.state("a", lambda s: s.status is RobotStatus.FAULT)
+    began_s = time.monotonic()
+    with pytest.raises(RobotError, match="the robot may not be at rest"):
+        agent.close()
+    assert time.monotonic() - began_s < 3.0
+    watch = orchestrator.fleet.watch("a")
+    assert watch.wait_until(lambda w: not w.alive, timeout_s=PATIENCE_S)
+
+
+def test_a_hang_shorter_than_the_patience_ends_the_motion_at_rest(lab: Lab) -> None:
+    robot = faulty({"kind": "hang", "from_sample": 30, "samples": 1, "hang_s": 0.5})
+    lab.agent("a", robot, realtime=1.0)
+    orchestrator = lab.orchestrator()
+    assert orchestrator.run("a", "g1", settle_s=0.0).outcome is Outcome.COMPLETED
+    assert inside(robot)._at_rest()
