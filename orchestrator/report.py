@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from orchestrator.figure_style import COLOURS, new_figure, plain, save
 from orchestrator.results import RunRecord
 from orchestrator.study import Curve
 from orchestrator.verdict_table import verdict_markdown
@@ -13,9 +14,6 @@ from shared.arrays import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C564B", "#7F7F7F")
-"""The colour-blind-safe palette of Okabe and Ito, and two more."""
 
 CURVES_DRAWN = 8
 """Curves and lines of more sources than this would hide each other; the closest are drawn."""
@@ -35,9 +33,6 @@ def write_plots(
         curves: what was believed at the end.
         true_psi: the closed form of ψ_n on the curve's grid, for the sources where it is known.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     plots = folder / "plots"
     plots.mkdir(exist_ok=True)
     drawn = [estimate.robot for estimate in record.result.ranking[:CURVES_DRAWN]]
@@ -47,15 +42,12 @@ def write_plots(
         "psi_over_iterations.png": lambda axes: _draw_history(axes, record, colours),
     }
     for name, draw in drawings.items():
-        figure = Figure(figsize=(8.0, 4.5), layout="constrained")
-        FigureCanvasAgg(figure)
+        figure = new_figure()
         axes = figure.add_subplot()
         draw(axes)
-        axes.grid(alpha=0.3)
-        for side in ("top", "right"):
-            axes.spines[side].set_visible(False)
+        plain(axes)
         axes.legend(frameon=False, fontsize=9)
-        figure.savefig(plots / name, dpi=130)
+        save(figure, plots / name)
 
 
 def _draw_curves(

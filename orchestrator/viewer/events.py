@@ -71,9 +71,8 @@ class TrackingSamplesEvent:
     process's `mean` and `variance` are of γ, in unit/s. A variance of 0 everywhere says that no
     inverse was at work. `share`, shape (n,), is how much of the correction acted.
 
-    `flight` says who gave the prior, and then the path: "source-1 · clover · 0.6 m/s". "baseline"
-    stands for the robot's own controller alone and "none" for a zero prior. A new flight begins
-    with another label, or after a pause.
+    `flight` says who gave the prior, and then the path: "source-1 · clover · 0.6 m/s"; see
+    `flight_labels`. A new flight begins with another label, or after a pause.
     """
 
     t_s: float

@@ -7,20 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from orchestrator.flight_labels import BASELINE, prior_and_path
 from orchestrator.viewer.events import TrackingSamplesEvent
 from shared.arrays import FloatArray
-
-BASELINE = "baseline"
-"""Stands in a flight's label for the robot's own controller alone."""
-
-NO_PRIOR = "none"
-"""Stands in a flight's label for an online process with a zero prior."""
 
 PAUSE_S = 1.0
 """A flight whose samples pause for longer is another one, flown again: the robot had to go back
 to the path's start first."""
-
-_SEPARATOR = " · "
 
 
 @dataclass(eq=False)
@@ -59,12 +52,12 @@ class Flight:
     @property
     def prior(self) -> str:
         """Who gave the prior: a source, BASELINE or NO_PRIOR."""
-        return self.label.split(_SEPARATOR)[0]
+        return prior_and_path(self.label)[0]
 
     @property
     def path(self) -> str:
         """What was flown; flights of the same path can be compared."""
-        return _SEPARATOR.join(self.label.split(_SEPARATOR)[1:])
+        return prior_and_path(self.label)[1]
 
     @property
     def rms_error(self) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from orchestrator.viewer.flights import BASELINE, NO_PRIOR
+from orchestrator.flight_labels import BASELINE, NO_PRIOR
 
 Colour = tuple[int, int, int]
 

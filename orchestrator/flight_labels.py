@@ -1,0 +1,27 @@
+"""What flights along paths are called: who gave the prior, and then what was flown."""
+
+from __future__ import annotations
+
+BASELINE = "baseline"
+"""Instead of a source: the robot's own controller alone."""
+
+NO_PRIOR = "none"
+"""Instead of a source: an online process with a zero prior."""
+
+_SEPARATOR = " · "
+
+
+def path_label(drawing: str, speed: float, unit: str = "m") -> str:
+    """Return what is flown, such as "clover · 0.6 m/s"; flights of the same can be compared."""
+    return f"{drawing}{_SEPARATOR}{speed:g} {unit}/s"
+
+
+def flight_label(prior: str, path: str) -> str:
+    """Return a flight's name, such as "source-1 · clover · 0.6 m/s"."""
+    return f"{prior}{_SEPARATOR}{path}"
+
+
+def prior_and_path(flight: str) -> tuple[str, str]:
+    """Return who gave the prior, and what was flown."""
+    prior, _, path = flight.partition(_SEPARATOR)
+    return prior, path
