@@ -23,28 +23,14 @@ from orchestrator.evaluation_results import (
 )
 from orchestrator.experience_learning import pick_up
 from orchestrator.fleet import Fleet
+from orchestrator.flight_labels import BASELINE, NO_PRIOR
+from orchestrator.paths import Leg
 from orchestrator.pilot import PathFlight, Pilot
 from orchestrator.prior_transfer import transfer
 from shared.arrays import FloatArray
 from shared.inverse_layout import Architecture
 from shared.messages import Description
 from shared.robot_spec import RobotSpec
-
-BASELINE = "baseline"
-NONE = "none"
-
-
-@dataclass(frozen=True, eq=False)
-class Leg:
-    """One path to be flown with every inverse; `desired` has shape (samples, axes)."""
-
-    drawing: str
-    speed: float
-    desired: FloatArray
-
-    def label(self, inverse: str) -> str:
-        """Return what tells a flight along this path from others."""
-        return f"{inverse} · {self.drawing} · {self.speed:g} m/s"
 
 
 class FlightObserver(Protocol):
@@ -106,7 +92,7 @@ def fly_target(
             given = transfer(fleet, source, robot, architecture)
             if place == 0:
                 layout = given.manifest.layout
-                fly_legs(NONE, partial(pilot.zero_prior, robot, layout=layout, guarded=guarded))
+                fly_legs(NO_PRIOR, partial(pilot.zero_prior, robot, layout=layout, guarded=guarded))
             with_prior = partial(pilot.with_prior, robot, sha256=given.sha256, guarded=guarded)
             fly_legs(source, with_prior)
     finally:
@@ -151,7 +137,7 @@ def summarise(
         run: the run's folder.
     """
     order = sorted(psi, key=lambda source: psi[source].mean)
-    of = {name: _inverse_result(flights, name) for name in (BASELINE, NONE, *order)}
+    of = {name: _inverse_result(flights, name) for name in (BASELINE, NO_PRIOR, *order)}
     sources = tuple(
         SourceResult(
             robot=source,
@@ -167,7 +153,7 @@ def summarise(
         unit="rad" if unit == "rad" else "m",
         guarded=guarded,
         baseline=BaselineResult(rms_m=of[BASELINE].rms_m),
-        no_prior=of[NONE],
+        no_prior=of[NO_PRIOR],
         sources=sources,
         selected=order[0],
         kendall_tau=kendall_tau(

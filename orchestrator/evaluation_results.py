@@ -82,6 +82,7 @@ class StudyEstimates(Strict):
     """ψ̂*_n of every source after the second and after the last iteration of one study."""
 
     seed: Annotated[int, Field(ge=0)]
+    iterations: Annotated[int, Field(ge=1)]
     second: dict[str, float]
     last: dict[str, float]
 

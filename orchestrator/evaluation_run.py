@@ -7,10 +7,11 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from orchestrator.evaluation import FlightObserver, Leg, fly_target, summarise
+from orchestrator.evaluation import FlightObserver, fly_target, summarise
 from orchestrator.evaluation_results import EvaluationRecord
 from orchestrator.experience_learning import FLIGHT_S
 from orchestrator.fleet import Fleet
+from orchestrator.paths import Leg
 from orchestrator.pilot import Pilot
 from orchestrator.rank_run import ReadyStudy
 from orchestrator.repeated_studies import psi_of, repeat_study

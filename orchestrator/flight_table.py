@@ -19,7 +19,7 @@ class FlightTable:
     """Appends flights; close it (or leave its `with`) so that the file is complete."""
 
     def __init__(self, folder: Path) -> None:
-        self._path = folder / FLIGHTS
+        self.path = folder / FLIGHTS
         self._writer: pyarrow.parquet.ParquetWriter | None = None
 
     def __enter__(self) -> FlightTable:
@@ -58,5 +58,5 @@ class FlightTable:
                 }
             )
             if self._writer is None:
-                self._writer = pq.ParquetWriter(self._path, table.schema, compression="zstd")
+                self._writer = pq.ParquetWriter(self.path, table.schema, compression="zstd")
             self._writer.write_table(table)

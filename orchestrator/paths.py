@@ -2,15 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
+from orchestrator.flight_labels import flight_label, path_label
 from shared.arrays import FloatArray
+from shared.drawing_files import read_drawing
+from shared.drawings import find_drawing
 from shared.errors import InvalidInputError
+from shared.messages import Description
 from shared.robot_spec import RobotSpec, TrackingLimits
 from shared.trajectories import check_trajectory, travel
 
 ACCELERATION_SHARE = 0.8
 """Of the limit: what is left is for the corrections of the path."""
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """One path to be flown with every inverse; `desired` has shape (samples, axes), in `unit`."""
+
+    drawing: str
+    speed: float
+    unit: str
+    desired: FloatArray
+
+    def label(self, inverse: str) -> str:
+        """Return what tells a flight along this path from others."""
+        return flight_label(inverse, path_label(self.drawing, self.speed, self.unit))
 
 
 def tracking_limits(spec: RobotSpec, robot: str) -> TrackingLimits:
@@ -45,6 +66,27 @@ def trajectory(points: FloatArray, speed: float, spec: RobotSpec, robot: str) ->
     except InvalidInputError as error:
         raise InvalidInputError(f"robot {robot}: {error}") from error
     return path
+
+
+def legs_of(
+    drawings: Sequence[str], speeds: Sequence[float], target: Description, *, scale: float = 1.0
+) -> tuple[Leg, ...]:
+    """Return every drawing, given by path or name, at every speed, as paths of a robot.
+
+    Raises:
+        InvalidInputError: a drawing cannot be read, or the robot cannot fly it.
+    """
+    files = [find_drawing(drawing) for drawing in drawings]
+    return tuple(
+        Leg(
+            drawing=file.stem,
+            speed=speed,
+            unit=target.spec.axes[0].unit,
+            desired=trajectory(scale * read_drawing(file), speed, target.spec, target.robot),
+        )
+        for file in files
+        for speed in speeds
+    )
 
 
 def practice_path(spec: RobotSpec, robot: str) -> FloatArray:

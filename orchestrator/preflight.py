@@ -30,17 +30,24 @@ def check_band(band_rad_s: tuple[float, float]) -> None:
 
 def check_names(target: str, sources: tuple[str, ...], there: tuple[str, ...]) -> None:
     """Raise InvalidInputError unless target and sources are different robots that are there."""
-    for robot in (target, *sources):
-        if robot not in there:
-            raise InvalidInputError(
-                f"no robot {robot!r} in this fleet; there are {', '.join(there) or 'none'}"
-            )
+    check_robots((target, *sources), there)
     if target in sources:
         raise InvalidInputError(f"the target {target!r} is among the sources; take it out of them")
     if len(set(sources)) != len(sources):
         raise InvalidInputError("a source is named twice")
     if not sources:
         raise InvalidInputError(f"there is no source besides the target {target!r}")
+
+
+def check_robots(robots: tuple[str, ...], there: tuple[str, ...]) -> None:
+    """Raise InvalidInputError unless there are robots, and all of them are there."""
+    for robot in robots:
+        if robot not in there:
+            raise InvalidInputError(
+                f"no robot {robot!r} in this fleet; there are {', '.join(there) or 'none'}"
+            )
+    if not robots:
+        raise InvalidInputError("no robot is there; start some with `nufleet fleet up FLEET`")
 
 
 def chosen_axis(axis: str | None, target: Description) -> str:

@@ -37,7 +37,10 @@ def repeat_study(
         conduct(study, f"{run_id}.s{seed}", dispatcher, recorder)
         beliefs = recorder.beliefs
         estimates = StudyEstimates(
-            seed=seed, second=beliefs[min(1, len(beliefs) - 1)], last=beliefs[-1]
+            seed=seed,
+            iterations=len(beliefs),
+            second=beliefs[min(1, len(beliefs) - 1)],
+            last=beliefs[-1],
         )
         studies.append(estimates)
         on_study(estimates)

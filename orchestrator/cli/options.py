@@ -47,3 +47,22 @@ def json_option(command: F) -> F:
     return click.option(
         "--json", "as_json", is_flag=True, help="Print one JSON document on stdout, alone."
     )(command)
+
+
+def live_option(command: F) -> F:
+    """Add --live."""
+    return click.option(
+        "--live",
+        is_flag=True,
+        help="Serve the recording meanwhile: `nufleet view --live`.",
+    )(command)
+
+
+def fleet_option(command: F) -> F:
+    """Add --fleet."""
+    return click.option(
+        "--fleet",
+        "fleet_file",
+        metavar="FILE",
+        help="Start the simulated fleet of this file (or installed name) for this command alone.",
+    )(command)

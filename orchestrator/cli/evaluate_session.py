@@ -1,0 +1,189 @@
+"""What `nufleet evaluate` does: reach the fleet, evaluate one target or all, print it."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import click
+
+from orchestrator.cli.reach import KeptFlights, Reach, Session, flying
+from orchestrator.console import stderr_console
+from orchestrator.evaluation_report import evaluation_table, pairs_table, write_figures
+from orchestrator.evaluation_results import EvaluationRecord
+from orchestrator.evaluation_run import EvaluationPlan, run_evaluation
+from orchestrator.experience_learning import FLIGHT_S
+from orchestrator.pairs import PairsResult, compare_pairs
+from orchestrator.paths import legs_of
+from orchestrator.preflight import check_robots
+from orchestrator.rank_run import RankRequest, prepare
+from orchestrator.train_run import check_torch, train_robots
+from shared.drawings import drawing_names
+from shared.errors import InvalidInputError
+from shared.inverse_layout import Architecture
+
+SPEEDS = (0.3, 0.6, 0.9)
+"""The paper's, Section VI-D, in m/s."""
+
+STUDIES = 10
+QUICK_DRAWINGS = 2
+QUICK_SPEED = 0.6
+QUICK_STUDIES = 2
+QUICK_FLIGHT_S = 60.0
+
+
+@dataclass(frozen=True)
+class EvaluateCommand:
+    """The command line of one evaluation."""
+
+    fleet_file: Path | None
+    connect: str
+    fleet_name: str | None
+    target: str | None
+    sources: tuple[str, ...] | None
+    architecture: Architecture
+    drawings: tuple[str, ...] | None
+    speeds: tuple[float, ...] | None
+    scale: float
+    studies: int | None
+    iterations: int
+    quick: bool
+    all_pairs: bool
+    guarded: bool
+    seed: int
+    live: bool
+    runs_root: Path
+    as_json: bool
+
+    @property
+    def reach(self) -> Reach:
+        """Which fleet."""
+        return Reach(self.fleet_file, self.connect, self.fleet_name)
+
+    @property
+    def chosen_drawings(self) -> tuple[str, ...]:
+        """What is flown."""
+        if self.drawings is not None:
+            return self.drawings
+        names = drawing_names()
+        return names[:QUICK_DRAWINGS] if self.quick else names
+
+    @property
+    def chosen_speeds(self) -> tuple[float, ...]:
+        """How fast."""
+        if self.speeds is not None:
+            return self.speeds
+        return (QUICK_SPEED,) if self.quick else SPEEDS
+
+    @property
+    def flight_s(self) -> float:
+        """How long robots fly to learn."""
+        return QUICK_FLIGHT_S if self.quick else FLIGHT_S
+
+    @property
+    def seeds(self) -> range:
+        """Of the studies."""
+        count = self.studies or (QUICK_STUDIES if self.quick else STUDIES)
+        return range(self.seed, self.seed + count)
+
+
+def evaluate_and_print(command: EvaluateCommand) -> None:
+    """Evaluate, with progress on stderr and, when asked for, the document on stdout."""
+    check_torch()
+    console = stderr_console()
+    began_s = time.monotonic()
+    kind = "pairs" if command.all_pairs else "evaluate"
+    with flying(command.reach, kind, command.runs_root, console, live=command.live) as session:
+        configuration = {
+            **asdict(command),
+            "fleet_file": str(command.fleet_file),
+            "runs_root": str(command.runs_root),
+        }
+        session.folder.write_configuration({"kind": kind, **configuration})
+        if command.all_pairs:
+            pairs = _all_pairs(command, session)
+            document = pairs.document()
+        else:
+            record = _evaluated(command, session, _target(command))
+            write_figures(session.folder.path, record, session.table.path)
+            console.print(evaluation_table(record.result, paper=_is_papers(session)))
+            document = record.result.document()
+    if command.all_pairs:
+        console.print(pairs_table(pairs))
+    console.print(f"{time.monotonic() - began_s:.0f} s")
+    if command.as_json:
+        click.echo(document)
+
+
+def _all_pairs(command: EvaluateCommand, session: Session) -> PairsResult:
+    fleet, _, there = session.connection
+    check_robots(command.sources or there, there)
+    session.console.print(f"{len(there)} robots learn what they would pass on")
+    train_robots(
+        fleet,
+        session.pilot,
+        [fleet.describe(robot) for robot in there],
+        (command.architecture,),
+        session.folder.path / "experiences",
+        seed=command.seed,
+        duration_s=command.flight_s,
+        say=lambda robot, what: None,
+        on_trained=lambda done: session.console.print(f"  {done.lesson.robot} has learned"),
+    )
+    single = replace(command, studies=command.studies or 1, sources=None)
+    results = [_evaluated(single, session, target).result for target in there]
+    pairs = compare_pairs(results, str(session.folder.path))
+    session.folder.write_document("pairs.json", pairs)
+    return pairs
+
+
+def _evaluated(command: EvaluateCommand, session: Session, target: str) -> EvaluationRecord:
+    fleet, _, there = session.connection
+    file = command.reach.file
+    band = None if file is None or file.study is None else file.study.band_rad_s
+    request = RankRequest(
+        target=target,
+        sources=command.sources,
+        band_rad_s=band,
+        iterations=command.iterations,
+        seed=command.seed,
+        axis=None,
+    )
+    ready = prepare(fleet, request, there)
+    description = ready.descriptions[target]
+    legs = legs_of(command.chosen_drawings, command.chosen_speeds, description, scale=command.scale)
+    plan = EvaluationPlan(
+        ready=ready,
+        legs=legs,
+        architecture=command.architecture,
+        seeds=command.seeds,
+        seed=command.seed,
+        guarded=command.guarded,
+        flight_s=command.flight_s,
+    )
+    session.console.print(
+        f"[bold]target {target}[/]: {len(legs)} paths with {len(ready.plan.sources) + 2} inverses"
+    )
+    return run_evaluation(
+        fleet,
+        session.pilot,
+        plan,
+        session.folder,
+        say=session.console.print,
+        observers=[KeptFlights(session)],
+    )
+
+
+def _target(command: EvaluateCommand) -> str:
+    file = command.reach.file
+    if command.target is not None:
+        return command.target
+    if file is not None and file.study is not None:
+        return file.study.target
+    raise InvalidInputError("which robot is to be evaluated? Name it with --target")
+
+
+def _is_papers(session: Session) -> bool:
+    """Whether the fleet stands for the paper's own, so that its Table I can stand beside."""
+    return session.connection.name == "paper-quadrotors"

@@ -1,0 +1,110 @@
+"""`nufleet track`: fly a drawing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import click
+
+from orchestrator.cli.options import connect_options, json_option, live_option, runs_option
+
+
+@click.command()
+@connect_options
+@click.option("--target", required=True, metavar="NAME", help="Who flies.")
+@click.option(
+    "--trajectory",
+    "drawings",
+    required=True,
+    multiple=True,
+    metavar="FILE|NAME",
+    help=(
+        "A drawing: a CSV file of x and y, an SVG file, or one of clover, pear, ribbon, scrawl "
+        "and shell. May be given several times."
+    ),
+)
+@click.option(
+    "--speed",
+    type=click.FloatRange(min=0, min_open=True),
+    default=0.6,
+    show_default=True,
+    metavar="M_S",
+    help="Along the path, in unit/s of the robot's axes.",
+)
+@click.option(
+    "--scale",
+    type=click.FloatRange(min=0, min_open=True),
+    default=1.0,
+    show_default=True,
+    help="Makes the drawing larger or smaller.",
+)
+@click.option(
+    "--inverse",
+    type=click.Choice(["auto", "prior", "zero-prior", "baseline"]),
+    default="auto",
+    show_default=True,
+    help=(
+        "What stands in front of the robot's own controller: the prior that was transferred to it, "
+        "an online process that begins with nothing, or nothing. `auto` takes the prior if there "
+        "is one, else the baseline."
+    ),
+)
+@click.option(
+    "--horizon",
+    "horizon_s",
+    type=click.FloatRange(min=0, min_open=True),
+    default=0.4,
+    show_default=True,
+    metavar="SECONDS",
+    help="With --inverse zero-prior: how far ahead its feedback aims.",
+)
+@click.option(
+    "--no-learning", is_flag=True, help="Use the prior as it is, without the online process."
+)
+@click.option("--no-guard", is_flag=True, help="Never fall back to the baseline.")
+@live_option
+@runs_option
+@json_option
+def track(
+    connect: str,
+    fleet_name: str | None,
+    target: str,
+    drawings: tuple[str, ...],
+    speed: float,
+    scale: float,
+    inverse: Literal["auto", "prior", "zero-prior", "baseline"],
+    horizon_s: float,
+    no_learning: bool,
+    no_guard: bool,
+    live: bool,
+    runs_root: Path,
+    as_json: bool,
+) -> None:
+    """Have a robot track a hand drawing, with or without a transferred prior.
+
+    A drawing that leaves the workspace or is faster than the robot's limits is refused before
+    anything moves. Ctrl-C brings the robot to rest.
+
+    \b
+    nufleet track --target drone-7 --trajectory clover --speed 0.6
+    """
+    from orchestrator.cli.track_session import TrackCommand, track_and_print
+
+    track_and_print(
+        TrackCommand(
+            connect=connect,
+            fleet_name=fleet_name,
+            target=target,
+            drawings=drawings,
+            speed=speed,
+            scale=scale,
+            inverse=inverse,
+            horizon_s=horizon_s,
+            learn=not no_learning,
+            guarded=not no_guard,
+            live=live,
+            runs_root=runs_root,
+            as_json=as_json,
+        )
+    )

@@ -1,0 +1,89 @@
+"""What `nufleet transfer` does: find the source, hand over, say what the target has now."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+from rich.console import Console
+
+from orchestrator.connection import running_fleet
+from orchestrator.console import stderr_console
+from orchestrator.preflight import check_robots
+from orchestrator.prior_transfer import Transferred
+from orchestrator.prior_transfer import transfer as transfer_experience
+from orchestrator.run_folder import latest_ranking
+from shared.errors import InvalidInputError
+from shared.inverse_layout import Architecture
+
+
+@dataclass(frozen=True)
+class TransferCommand:
+    """The command line of one transfer."""
+
+    connect: str
+    fleet_name: str | None
+    target: str
+    source: str
+    architecture: Architecture | None
+    runs_root: Path
+    as_json: bool
+
+
+def transfer_and_print(command: TransferCommand) -> None:
+    """Transfer, and print what the target flies with from now on."""
+    console = stderr_console()
+    with running_fleet(command.connect, command.fleet_name) as (fleet, _, there):
+        check_robots((command.target,), there)
+        if command.source == "none":
+            fleet.remove_prior(command.target)
+            console.print(f"{command.target} flies without a prior from now on")
+            document: dict[str, object] = {"schema": 1, "target": command.target, "source": None}
+        else:
+            source = _source(command, console)
+            if source == command.target:
+                raise InvalidInputError(f"{source} is the target: choose another source")
+            check_robots((source,), there)
+            given = transfer_experience(fleet, source, command.target, command.architecture)
+            _print(console, given)
+            document = _document(given)
+    if command.as_json:
+        click.echo(json.dumps(document))
+
+
+def _source(command: TransferCommand, console: Console) -> str:
+    if command.source != "best":
+        return command.source
+    found = latest_ranking(command.runs_root, command.target)
+    if found is None:
+        raise InvalidInputError(
+            f"no ranking of {command.target} in {command.runs_root}: rank its sources first with "
+            f"`nufleet rank --target {command.target}`, or name a source"
+        )
+    folder, record = found
+    leader = record.result.ranking[0]
+    console.print(
+        f"best source of {command.target}: [bold]{leader.robot}[/], "
+        f"ψ* = {leader.psi:.4f} ± {leader.psi_std:.4f}, from {folder.name}"
+    )
+    return record.result.selected
+
+
+def _print(console: Console, given: Transferred) -> None:
+    layout = given.manifest.layout
+    console.print(
+        f"[green]{given.target} flies with the experience of {given.source} from now on[/]: "
+        f"{layout.architecture}, horizon {layout.horizon_s:.2f} s, sha256 {given.sha256[:12]}…"
+    )
+
+
+def _document(given: Transferred) -> dict[str, object]:
+    return {
+        "schema": 1,
+        "target": given.target,
+        "source": given.source,
+        "sha256": given.sha256,
+        "manifest": given.manifest.model_dump(mode="json"),
+    }

@@ -1,0 +1,161 @@
+"""The tables and figures of an evaluation, beside the paper's own numbers."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+
+from orchestrator.evaluation_plots import fig4, fig7, paths
+from orchestrator.evaluation_results import EvaluationRecord, EvaluationResult, InverseResult
+from orchestrator.evaluation_values import FlightError, FlownPath, StudyEstimate
+from orchestrator.flight_labels import flight_label, path_label
+from orchestrator.pairs import PairsResult
+from shared.arrays import FloatArray
+
+PAPER_TABLE_I = {
+    "source-1": (0.07, 0.09, 67.2),
+    "source-2": (0.19, 0.10, 66.2),
+    "source-3": (0.44, 0.12, 57.9),
+    "source-4": (0.48, 0.14, 52.1),
+    "source-5": (0.52, 0.25, 12.3),
+}
+"""ψ̂*, e_rms in m and the reduction in % that Sorocky, Zhou and Schoellig (2020) measured."""
+
+
+def evaluation_table(result: EvaluationResult, *, paper: bool) -> Table:
+    """Return what each inverse did, the closest source first; with `paper`, beside Table I."""
+    unit = f"m{result.unit}"
+    table = Table(title=f"{result.target}, {result.architecture} inverses", title_justify="left")
+    table.add_column("prior")
+    for heading in ("ψ̂*", f"RMS, {unit}", "less error", "worst path", "taken back"):
+        table.add_column(heading, justify="right")
+    if paper:
+        for heading in ("paper: ψ̂*", "RMS, mm", "less error"):
+            table.add_column(heading, justify="right", style="dim")
+    blank = ("", "", "") if paper else ()
+    table.add_row("baseline", "", _milli(result.baseline.rms_m), "", "", "", *blank)
+    table.add_row("none", "", *_cells(result.no_prior), *blank)
+    for place, source in enumerate(result.sources):
+        psi, rms, less = PAPER_TABLE_I.get(source.robot, (0.0, 0.0, 0.0))
+        beside = (f"{psi:.2f}", f"{1000 * rms:.0f}", f"{less:.1f} %") if paper else ()
+        table.add_row(
+            source.robot,
+            f"{source.psi:.3f} ± {source.psi_std:.3f}",
+            *_cells(source),
+            *beside,
+            style="bold green" if place == 0 else None,
+        )
+    tau = result.kendall_tau
+    table.caption = f"Kendall's τ of ψ̂* with the error: {'-' if tau is None else f'{tau:.2f}'}"
+    table.caption_justify = "left"
+    return table
+
+
+def pairs_table(result: PairsResult) -> Table:
+    """Return the errors of all pairs as a share of the target's baseline, and what they say."""
+    targets = [target.target for target in result.targets]
+    table = Table(title="error over the baseline's (ψ̂*)", title_justify="left")
+    table.add_column("target")
+    for robot in targets:
+        table.add_column(f"from {robot}", justify="right")
+    cells = {
+        (pair.target, pair.source): f"{'-' if pair.ratio is None else f'{pair.ratio:.2f}'} "
+        f"({pair.psi:.2f})"
+        for pair in result.pairs
+    }
+    for target in targets:
+        table.add_row(target, *(cells.get((target, source), "") for source in targets))
+    table.caption = (
+        f"Kendall's τ, mean over targets: {_or_dash(result.kendall_tau)}, over all pairs: "
+        f"{_or_dash(result.kendall_tau_pooled)}; best source selected for {result.best_selected} "
+        f"of {len(targets)} targets; regret {result.regret.selected:.3f} of the baseline's error, "
+        f"at random {result.regret.random:.3f}; worse than the baseline on some path: "
+        f"{result.harmful} of {len(result.pairs)} pairs"
+    )
+    table.caption_justify = "left"
+    return table
+
+
+def write_figures(folder: Path, record: EvaluationRecord, flights: Path) -> None:
+    """Draw the paper's Figs. 4 and 7 from this evaluation, and the paths.
+
+    Args:
+        folder: the run's folder.
+        record: its results.
+        flights: the table of all samples.
+    """
+    plots = folder / "plots"
+    plots.mkdir(exist_ok=True)
+    estimates = [
+        StudyEstimate(study.seed, iteration, source, psi)
+        for study in record.studies
+        for iteration, beliefs in ((2, study.second), (study.iterations, study.last))
+        for source, psi in beliefs.items()
+    ]
+    fig4(plots / "fig4_psi_over_studies.png", estimates)
+    errors = [
+        FlightError(
+            prior=flight.inverse,
+            drawing=flight.drawing,
+            speed_m_s=flight.speed_m_s,
+            rms_error_m=math.inf if flight.rms_m is None else flight.rms_m,
+            taken_back=flight.taken_back is not None,
+        )
+        for flight in record.flights
+    ]
+    fig7(plots / "fig7_errors.png", errors)
+    flown = _flown(flights, errors, record.result.unit)
+    if flown:
+        paths(plots / "paths.png", flown)
+
+
+def _flown(table: Path, errors: list[FlightError], unit: str) -> list[FlownPath]:
+    """Return the paths of two axes at the fastest speed, from the table of samples."""
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+
+    if not table.exists():
+        return []
+    rows = pq.read_table(table)
+    axes = rows["axis"].unique().to_pylist()
+    fastest = max(error.speed_m_s for error in errors)
+    flown = []
+    for error in (e for e in errors if e.speed_m_s == fastest):
+        label = flight_label(error.prior, path_label(error.drawing, error.speed_m_s, unit))
+        mine = rows.filter(pc.equal(pc.cast(rows["flight"], "string"), label))
+        columns: dict[str, list[FloatArray]] = {"desired": [], "actual": []}
+        for axis in axes[:2]:
+            one = mine.filter(pc.equal(pc.cast(mine["axis"], "string"), axis))
+            for name, values in columns.items():
+                values.append(np.asarray(one[name]))
+        if len(axes) >= 2 and len(columns["desired"][0]):
+            flown.append(
+                FlownPath(
+                    error=error,
+                    desired_m=np.stack(columns["desired"], axis=1),
+                    actual_m=np.stack(columns["actual"], axis=1),
+                )
+            )
+    return flown
+
+
+def _cells(result: InverseResult) -> tuple[str, str, str, str]:
+    less = result.reduction_percent
+    worst = result.worst_ratio
+    return (
+        _milli(result.rms_m),
+        "" if less is None else f"{less:.1f} %",
+        "" if worst is None else f"{worst:.2f} × baseline",
+        str(result.taken_back),
+    )
+
+
+def _milli(value: float | None) -> str:
+    return "not finished" if value is None else f"{1000 * value:.1f}"
+
+
+def _or_dash(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"

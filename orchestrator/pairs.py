@@ -1,0 +1,112 @@
+"""Every robot as target and all others as its sources: how well ψ predicts in general."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from orchestrator.evaluation import kendall_tau
+from orchestrator.evaluation_results import EvaluationResult
+from shared.strict import NonNegative, Strict
+
+
+class Pair(Strict):
+    """One ordered pair. `ratio` is the error with the source's experience over the baseline's.
+
+    It is None where a path was not flown to its end. `harmful` says that the target did worse than
+    with its baseline on at least one path.
+    """
+
+    target: str
+    source: str
+    psi: float
+    rms_m: NonNegative | None
+    ratio: NonNegative | None
+    harmful: bool
+    taken_back: Annotated[int, Field(ge=0)]
+
+
+class Regret(Strict):
+    """How much worse than the best source, as a share of the baseline's error, over all targets.
+
+    `random` is the mean over all sources.
+    """
+
+    selected: NonNegative
+    random: NonNegative
+
+
+class PairsResult(Strict):
+    """What `nufleet evaluate --all-pairs --json` prints.
+
+    `kendall_tau` is the mean over the targets of the rank correlation of ψ with the error;
+    `kendall_tau_pooled` that over all pairs of ψ with the ratio to the baseline's error.
+    """
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    pairs: tuple[Pair, ...]
+    targets: tuple[EvaluationResult, ...]
+    kendall_tau: float | None
+    kendall_tau_pooled: float | None
+    regret: Regret
+    best_selected: Annotated[int, Field(ge=0)]
+    harmful: Annotated[int, Field(ge=0)]
+    run: str
+
+    def document(self) -> str:
+        """Return the JSON that other programs read."""
+        return self.model_dump_json(by_alias=True)
+
+
+def compare_pairs(targets: Sequence[EvaluationResult], run: str) -> PairsResult:
+    """Compare what was predicted for all targets with what they flew."""
+    pairs = tuple(pair for target in targets for pair in _pairs(target))
+    taus = [t.kendall_tau for t in targets if t.kendall_tau is not None]
+    regrets = [_regrets(target) for target in targets]
+    return PairsResult(
+        pairs=pairs,
+        targets=tuple(targets),
+        kendall_tau=float(np.mean(taus)) if taus else None,
+        kendall_tau_pooled=kendall_tau(
+            [pair.psi for pair in pairs],
+            [math.inf if pair.ratio is None else pair.ratio for pair in pairs],
+        ),
+        regret=Regret(
+            selected=float(np.mean([selected for selected, _ in regrets])),
+            random=float(np.mean([random for _, random in regrets])),
+        ),
+        best_selected=sum(selected == 0.0 for selected, _ in regrets),
+        harmful=sum(pair.harmful for pair in pairs),
+        run=run,
+    )
+
+
+def _pairs(target: EvaluationResult) -> list[Pair]:
+    base = target.baseline.rms_m
+    return [
+        Pair(
+            target=target.target,
+            source=source.robot,
+            psi=source.psi,
+            rms_m=source.rms_m,
+            ratio=None if source.rms_m is None or not base else source.rms_m / base,
+            harmful=source.worst_ratio is None or source.worst_ratio > 1.0,
+            taken_back=source.taken_back,
+        )
+        for source in target.sources
+    ]
+
+
+def _regrets(target: EvaluationResult) -> tuple[float, float]:
+    """Return the regret of the source selected and the mean regret of all.
+
+    A path that was not finished counts as twice the baseline's error.
+    """
+    base = target.baseline.rms_m or 1.0
+    errors = [2 * base if s.rms_m is None else s.rms_m for s in target.sources]
+    best = min(errors)
+    return (errors[0] - best) / base, (float(np.mean(errors)) - best) / base
