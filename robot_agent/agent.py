@@ -18,13 +18,15 @@ from robot_agent.decisions import Decisions
 from robot_agent.endpoint import MAX_LARGE_REQUEST_BYTES, Answer, Endpoint
 from robot_agent.experience_service import ExperienceService
 from robot_agent.heartbeat import Heartbeat
+from robot_agent.journal import Journal
 from robot_agent.memory import Memory
 from robot_agent.motion_worker import MotionWorker
+from robot_agent.planner import Planner
 from robot_agent.robot import Robot
-from robot_agent.supervisor import StopOrder
+from robot_agent.stop_service import StopService
+from robot_agent.unrecorded import Unrecorded
 from robot_agent.watched_robot import WatchedRobot
 from shared.codec import M, decode
-from shared.errors import MalformedMessageError
 from shared.keys import FleetKeys
 from shared.messages import (
     AcknowledgeRequest,
@@ -40,7 +42,6 @@ from shared.messages import (
     RemovePriorRequest,
     ResultRequest,
     RobotState,
-    StopRequest,
 )
 from shared.transport import Session
 
@@ -81,27 +82,23 @@ class Agent:
         self._name = name
         self._robot = WatchedRobot(robot, realtime=realtime)
         self._realtime = realtime
+        self._state_folder = state_folder
         self._boot_id = uuid.uuid4().hex
         self._changed = threading.Event()
         self._memory = Memory(None if state_folder is None else state_folder / "learned")
-        self._decisions = Decisions(
-            name,
-            self._boot_id,
-            robot.spec,
-            self._memory,
-            state_names=robot.state_names,
-            realtime=realtime,
-            changed=self._changed,
-        )
-        self._experiences = ExperienceService(
-            name, robot, self._memory, self._decisions.refusal_to_change
-        )
         self._looks: list[Callable[[], None]] = []
         self._open = ExitStack()
 
     def __enter__(self) -> Agent:
-        """Connect the robot and serve it; raises what the robot raises, with nothing left open."""
+        """Connect the robot and serve it; raises what the robot raises, with nothing left open.
+
+        Raises:
+            JournalInUseError: another agent serves this robot from the same state folder.
+            JournalError: what was to be remembered cannot be read.
+        """
         with ExitStack() as opened:
+            # First: two agents of one robot must be noticed before both reach for it.
+            self._remember(opened)
             opened.callback(self._robot.disconnect)
             self._robot.connect()
             self._join(opened)
@@ -123,13 +120,27 @@ class Agent:
         """
         self._open.close()
 
+    def _remember(self, opened: ExitStack) -> None:
+        folder = self._state_folder
+        journal = Unrecorded() if folder is None else Journal(folder / "journal")
+        opened.callback(journal.close)
+        for goal_id in journal.remembrance.lost:
+            _log.warning("%s: goal %s was lost with the agent before", self._name, goal_id)
+        robot, memory = self._robot, self._memory
+        planner = Planner(self._name, robot.spec, robot.state_names, memory, self._realtime)
+        self._decisions = Decisions(self._boot_id, planner, journal, self._changed)
+        refusal = self._decisions.refusal_to_change
+        self._experiences = ExperienceService(self._name, robot, memory, refusal)
+
     def _join(self, opened: ExitStack) -> None:
         """Open everything in the order in which it is needed; it is closed in the opposite one."""
         session, keys, name, decisions = self._session, self._keys, self._name, self._decisions
         states = session.state_publisher(keys.robot(name, "state"))
         opened.callback(Heartbeat(name, states, self._state, self._changed).close)
+        stops = StopService(name, decisions)
+        opened.callback(stops.close)
         for stop_key in (keys.robot(name, "stop"), keys.stop):
-            opened.callback(session.subscribe(stop_key, self._on_stop).withdraw)
+            opened.callback(session.subscribe(stop_key, stops.heard).withdraw)
         everyone = keys.every_orchestrator_alive
         opened.callback(session.watch_alive(everyone, self._on_orchestrator).withdraw)
         samples = session.telemetry_publisher(keys.robot(name, "telemetry/motion"))
@@ -165,7 +176,7 @@ class Agent:
                 "predict": self._predict,
             },
             large=("goal", "experience/install", "prior/install", "predict"),
-            urgent={"stop": self._stop},
+            urgent={"stop": stops.asked},
         )
         opened.callback(endpoint.close)
         opened.callback(decisions.shut_down)
@@ -186,22 +197,6 @@ class Agent:
             self._decisions.owner_appeared(owner)
         else:
             self._decisions.owner_lost(owner)
-
-    def _on_stop(self, key: str, payload: bytes) -> None:
-        try:
-            self._stop(payload)
-        except MalformedMessageError as error:
-            _log.warning("%s: malformed stop on %s: %s", self._name, key, error)
-
-    def _stop(self, payload: bytes) -> Answer:
-        try:
-            request = _decoded(payload, StopRequest)
-        except MalformedMessageError as error:
-            # Somebody wants this robot to stop; that the order is garbled does not make it move on.
-            self._decisions.stop(StopOrder("unknown", f"a malformed stop: {error}"))
-            raise
-        self._decisions.stop(StopOrder(request.sender, request.reason))
-        return Done()
 
     # The endpoint's worker.
 

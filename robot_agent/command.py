@@ -38,7 +38,8 @@ import click
     type=click.Path(file_okay=False, path_type=Path),
     envvar="NUFLEET_STATE",
     metavar="FOLDER",
-    help="Where robots keep what has to survive this process: what they learned.  "
+    help="Where robots keep what has to survive this process: which goals they did, whether they "
+    "are stopped, what they learned. One agent at a time.  "
     "[env: NUFLEET_STATE; default: nufleet in XDG_STATE_HOME or ~/.local/state]",
 )
 @click.option("--until-stdin-closes", is_flag=True, hidden=True)
@@ -54,7 +55,8 @@ def agent(
 
     Runs until Ctrl-C. It waits for the router when there is none yet, and survives its restarts.
     The robot is brought to rest when this agent ends, when the orchestrator that commands it
-    disappears, and when anyone stops it.
+    disappears, and when anyone stops it. A stop outlasts the agent; so does what it did, so that
+    no goal moves the robot twice.
     """
     from shared.drivers import needed_environment
     from shared.fleet_file import find_fleet_file, read_fleet_file

@@ -1,26 +1,25 @@
 """What an agent decides about its robot: the pure machines, the owners and the results together.
 
-Called from many threads; one lock is held for moments only, so that a stop never waits.
+Called from many threads; one lock is held for moments only, so that a stop never waits. What has to
+survive the process is in the journal before anybody is told of it; the disk is waited for without
+that lock.
 """
 
 from __future__ import annotations
 
-import hashlib
+import logging
 import threading
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from robot_agent import goal_machine, supervisor
-from robot_agent.excitation import plan_excitation
-from robot_agent.flight_plan import plan_flight
 from robot_agent.goal_machine import Goal
-from robot_agent.memory import Memory
+from robot_agent.journal import Journal
+from robot_agent.journal_ledger import JournalError
 from robot_agent.pace import HaltSwitch
+from robot_agent.planner import Planner, digest
 from robot_agent.results import KeptResults
-from shared.codec import MAX_BODY_BYTES, MAX_MESSAGE_BYTES
-from shared.excitation import Excitation
+from robot_agent.unrecorded import Unrecorded
 from shared.messages import (
     GoalAccepted,
     GoalRequest,
@@ -31,14 +30,9 @@ from shared.messages import (
     RobotStatus,
 )
 from shared.motions import Motion, MotionPlan
-from shared.robot_spec import RobotSpec
 from shared.strict import as_reason
 
-MAX_RESULT_NUMBERS = (MAX_MESSAGE_BYTES - 2 * MAX_BODY_BYTES) // 8
-"""A motion that measures more is refused: its result would not fit into one message."""
-
-_NUMBERS_PER_AXIS = 16
-"""No flight measures more per sample and axis, all its signals together."""
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -56,33 +50,35 @@ class Decisions:
 
     def __init__(
         self,
-        robot: str,
         boot_id: str,
-        spec: RobotSpec,
-        memory: Memory,
-        *,
-        state_names: tuple[str, ...] = (),
-        realtime: float | None,
+        planner: Planner,
+        journal: Journal | Unrecorded,
         changed: threading.Event,
     ) -> None:
-        self._robot = robot
+        """Begin with what the journal remembers of the agent processes before this one."""
+        self._robot = planner.robot
         self._boot_id = boot_id
-        self._spec = spec
-        self._memory = memory
-        self._state_names = state_names
-        self._realtime = realtime
+        self._planner = planner
+        self._journal = journal
         self._changed = changed
         self._lock = threading.Condition()
-        self._supervision = supervisor.Supervision()
-        self._goals = goal_machine.Goals()
+        # Each is held while the disk writes, so that memory and journal tell one story.
+        self._taking = threading.Lock()
+        self._stopping = threading.Lock()
+        found = journal.remembrance
+        self._supervision = supervisor.Supervision(stop=found.stop)
+        self._goals = found.goals
+        self._last_goal = found.lost[-1] if found.lost else None
+        self._last_reason = (
+            f"the agent before this one ended during {self._last_goal}" if found.lost else ""
+        )
         self._results = KeptResults()
         self._owners_alive: set[str] = set()
+        self._stops = 0
         self._shutting_down = False
         self._motion: Assignment | None = None
         self._resting = False
         self._progress = 0.0
-        self._last_goal: str | None = None
-        self._last_reason = ""
         self._robot_time_s = 0.0
         self._sequence = 0
 
@@ -106,9 +102,21 @@ class Decisions:
             return self._lock.wait_for(lambda: owner in self._owners_alive, timeout_s)
 
     def stop(self, order: supervisor.StopOrder) -> None:
-        """Stop: the motion in progress ends, and none begins until a release."""
+        """Stop: the motion in progress ends, and none begins until a release.
+
+        Waits for no disk; `store_stop` then makes it outlast the process.
+        """
         with self._lock:
+            self._stops += 1
             self._supervise(supervisor.StopOrdered(order))
+
+    def store_stop(self) -> None:
+        """Store the stop that is in force, if any; raises JournalError."""
+        with self._stopping:
+            with self._lock:
+                order = self._supervision.stop
+            if order is not None:
+                self._journal.stopped(order)
 
     def shut_down(self) -> None:
         """End the motion in progress and accept no more goals."""
@@ -128,38 +136,8 @@ class Decisions:
         Raises:
             RefusedError: the motion is outside the robot's limits.
         """
-        self.forget(request.acknowledges)
-        digest = _digest(request.motion)
-        with self._lock:
-            answer = self._submitted(request, digest)[1]
-        if isinstance(answer, Refusal):
-            return answer, None
-        # Planning takes a while and a stop must not wait for it, so what was looked at before the
-        # plan is looked at again after it. The same request gives the same plan every time.
-        plan = self._planned(request.motion)
-        per_sample = 2
-        if not isinstance(request.motion, Excitation):
-            per_sample = _NUMBERS_PER_AXIS * len(self._spec.axes)
-        if plan.samples * per_sample > MAX_RESULT_NUMBERS:
-            most = MAX_RESULT_NUMBERS // per_sample
-            too_long = f"{plan.samples} samples are too many; at most {most}"
-            return Refusal(code="duration", reason=too_long), None
-        motion = None
-        with self._lock:
-            self._goals, answer = self._submitted(request, digest)
-            if isinstance(answer, Refusal):
-                return answer, None
-            if answer.new:
-                motion = self._motion = Assignment(answer.goal, request.motion, plan)
-                self._resting, self._progress = False, 0.0
-                self._supervise(supervisor.MotionBegan(request.owner))
-        accepted = GoalAccepted(
-            goal_id=request.goal_id,
-            boot_id=self._boot_id,
-            plan=plan,
-            wall_duration_s=self._wall_duration_s(plan),
-        )
-        return accepted, motion
+        with self._taking:
+            return self._taken(request)
 
     def refusal_to_change(self) -> Refusal | None:
         """Return why what the robot flies with may not be changed now; None when it may."""
@@ -188,21 +166,38 @@ class Decisions:
             return Refusal(code="unknown-goal", reason=f"goal {goal_id} is not known here")
         if goal.outcome is None:
             return Refusal(code="not-finished", reason=f"goal {goal_id} is still running")
-        return Refusal(code="result-gone", reason=f"the result of {goal_id} was let go already")
+        return self._journal.result(goal_id) or Refusal(
+            code="result-gone", reason=f"the result of {goal_id} was let go already"
+        )
 
     def forget(self, goal_ids: Iterable[str]) -> None:
-        """Let results go that have arrived."""
+        """Let results go that have arrived; raises JournalError, and then keeps them."""
+        goal_ids = tuple(goal_ids)
+        self._journal.acknowledged(goal_ids)
         with self._lock:
             self._results.forget(goal_ids)
 
     def release(self, sender: str) -> Refusal | None:
-        """End a stop; return why not. A fault stays until the robot is connected anew."""
-        with self._lock:
-            if self._goals.running is not None:
-                return Refusal(code="busy", reason="still coming to rest; release it in a moment")
-            self._supervise(supervisor.ReleaseOrdered(sender))
-            self._last_reason = ""
-            return None
+        """End a stop; return why not. A fault stays until the robot is connected anew.
+
+        Raises JournalError when that cannot be stored; the robot stays stopped then.
+        """
+        with self._stopping:
+            with self._lock:
+                stops = self._stops
+                if self._goals.running is not None:
+                    return Refusal(
+                        code="busy", reason="still coming to rest; release it in a moment"
+                    )
+            self._journal.released(sender)
+            with self._lock:
+                if self._stops != stops:
+                    # Whoever sent that one does not know of this release; `store_stop`, which
+                    # waits for us, stores it anew.
+                    return Refusal(code="stopped", reason="it was stopped again just now")
+                self._supervise(supervisor.ReleaseOrdered(sender))
+                self._last_reason = ""
+        return None
 
     # What becomes of motions.
 
@@ -219,6 +214,11 @@ class Decisions:
 
     def ended(self, result: GoalResult, fault: str | None) -> None:
         """The motion in progress is over; `fault` says why the robot cannot be trusted now."""
+        try:
+            self._journal.ended(result)
+        except JournalError as error:
+            # It has ended all the same; the next process will call it lost, and not move it again.
+            _log.error("the end of %s is not stored: %s", result.goal_id, error)
         with self._lock:
             self._results.add(result)
             self._goals = goal_machine.end(self._goals, result.goal_id, result.outcome)
@@ -255,20 +255,82 @@ class Decisions:
                 robot_time_s=self._robot_time_s,
             )
 
+    # Taking a goal, one at a time.
+
+    def _taken(self, request: GoalRequest) -> tuple[GoalAccepted | Refusal, Assignment | None]:
+        sha256 = digest(request.motion)
+        with self._lock:
+            answer = self._submitted(request, sha256)[1]
+        if isinstance(answer, Refusal):
+            return answer, None
+        self._forget_quietly(request.acknowledges)
+        # Planning takes a while and a stop must not wait for it, so what was looked at before the
+        # plan is looked at again after it.
+        plan = None if answer.new else self._known_plan(request.goal_id)
+        plan = plan or self._planner.plan(request.motion)
+        motion = None
+        with self._lock:
+            self._goals, answer = self._submitted(request, sha256)
+            if isinstance(answer, Refusal):
+                return answer, None
+            if answer.new:
+                motion = self._motion = Assignment(answer.goal, request.motion, plan)
+                self._resting, self._progress = False, 0.0
+                self._supervise(supervisor.MotionBegan(request.owner))
+        if motion is not None:
+            # From here on a stop finds it and halts it, though it has not begun.
+            try:
+                self._journal.accepted(motion.goal, plan, self._boot_id)
+            except JournalError as error:
+                self._take_back(motion)
+                return Refusal(code="journal", reason=as_reason(error)), None
+        accepted = GoalAccepted(
+            goal_id=request.goal_id,
+            boot_id=self._boot_id,
+            plan=plan,
+            wall_duration_s=self._planner.wall_duration_s(plan),
+        )
+        return accepted, motion
+
+    def _forget_quietly(self, goal_ids: tuple[str, ...]) -> None:
+        try:
+            self.forget(goal_ids)
+        except JournalError as error:
+            # No reason to refuse the goal that came with it, which may be running already.
+            _log.warning("results that arrived are kept: %s", error)
+
+    def _known_plan(self, goal_id: str) -> MotionPlan | None:
+        """Return the plan of a goal that is known; None when it was let go with its result.
+
+        Planned again it might be another: the robot may have learned something since.
+        """
+        with self._lock:
+            if self._motion is not None and self._motion.goal.goal_id == goal_id:
+                return self._motion.plan
+        result = self.result(goal_id)
+        return result.plan if isinstance(result, GoalResult) else None
+
+    def _take_back(self, motion: Assignment) -> None:
+        """Forget a goal that could not be stored and that nobody was told of."""
+        with self._lock:
+            self._goals = goal_machine.take_back(self._goals, motion.goal.goal_id)
+            self._motion = None
+            self._supervise(supervisor.MotionEnded())
+
     # With the lock held.
 
     def _submitted(
-        self, request: GoalRequest, digest: str
+        self, request: GoalRequest, sha256: str
     ) -> tuple[goal_machine.Goals, goal_machine.Accepted | Refusal]:
         goal_id, owner = request.goal_id, request.owner
-        if goal_machine.recognise(self._goals, goal_id=goal_id, digest=digest) is None:
+        if goal_machine.recognise(self._goals, goal_id=goal_id, digest=sha256) is None:
             if self._shutting_down:
                 return self._goals, Refusal(code="shutting-down", reason="this agent is ending")
             alive = owner in self._owners_alive
             refusal = supervisor.refusal_to_start(self._supervision, owner=owner, owner_alive=alive)
             if refusal is not None:
                 return self._goals, refusal
-        return goal_machine.submit(self._goals, goal_id=goal_id, owner=owner, digest=digest)
+        return goal_machine.submit(self._goals, goal_id=goal_id, owner=owner, digest=sha256)
 
     def _supervise(self, event: supervisor.Event) -> None:
         self._supervision, halt = supervisor.supervise(self._supervision, event)
@@ -288,24 +350,3 @@ class Decisions:
         if stop is not None:
             return RobotStatus.STOPPED, f"stopped by {stop.sender}: {stop.reason}"
         return RobotStatus.IDLE, self._last_reason
-
-    def _planned(self, motion: Motion) -> MotionPlan:
-        if isinstance(motion, Excitation):
-            return plan_excitation(motion, self._spec, robot=self._robot)
-        return plan_flight(motion, self._spec, self._state_names, self._memory, self._robot)
-
-    def _wall_duration_s(self, plan: MotionPlan) -> float:
-        if not self._spec.simulated:
-            return plan.duration_s
-        return 0.0 if self._realtime is None else plan.duration_s / self._realtime
-
-
-def _digest(motion: Motion) -> str:
-    """Return a hash of all that a motion asks for."""
-    arrays: list[np.ndarray] = []
-    body = motion.model_dump_json(context=arrays)
-    digest = hashlib.sha256(body.encode())
-    for array in arrays:
-        digest.update(f"{array.shape}".encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()

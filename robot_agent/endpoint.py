@@ -15,6 +15,7 @@ from contextlib import suppress
 from functools import partial
 from typing import TypeVar
 
+from robot_agent.journal_ledger import JournalError
 from shared.codec import Message, encode
 from shared.errors import MalformedMessageError, RefusedError, TransportError
 from shared.keys import FleetKeys
@@ -30,12 +31,12 @@ MAX_WAITING_REQUESTS = 64
 
 Answer = Message | Future[Message]
 Handler = Callable[[bytes], Answer]
-"""Takes a payload; returns the reply or its future, or raises RefusedError or
+"""Takes a payload; returns the reply or its future, or raises RefusedError, JournalError or
 MalformedMessageError."""
 
 A = TypeVar("A")
 _log = logging.getLogger(__name__)
-_SHUTTING_DOWN = Refusal(code="shutting-down", reason="this agent is ending")
+SHUTTING_DOWN = Refusal(code="shutting-down", reason="this agent is ending")
 
 
 class Endpoint:
@@ -79,7 +80,7 @@ class Endpoint:
             self._closed = True
         with suppress(queue.Empty):
             while (request := self._waiting.get_nowait()) is not None:
-                _send(request, _SHUTTING_DOWN)
+                _send(request, SHUTTING_DOWN)
         self._waiting.put(None)
         self._worker.join()
 
@@ -107,7 +108,7 @@ class Endpoint:
     def _enqueue(self, request: Request) -> Refusal | None:
         with self._lock:
             if self._closed:
-                return _SHUTTING_DOWN
+                return SHUTTING_DOWN
             try:
                 self._waiting.put_nowait(request)
             except queue.Full:
@@ -136,8 +137,10 @@ def _answered(ask: Callable[[], A]) -> A | Refusal:
         return Refusal(code=error.code, reason=as_reason(error.reason))
     except MalformedMessageError as error:
         return Refusal(code="malformed", reason=as_reason(error))
+    except JournalError as error:
+        return Refusal(code="journal", reason=as_reason(error))
     except CancelledError:
-        return _SHUTTING_DOWN
+        return SHUTTING_DOWN
     except Exception as error:  # noqa: BLE001 - one bad request must not end the agent
         _log.exception("answering a request")
         return Refusal(code="internal-error", reason=as_reason(repr(error)))

@@ -96,6 +96,14 @@ def end(goals: Goals, goal_id: str, outcome: Outcome) -> Goals:
     return Goals(_remember(goals.known, ended), running=None)
 
 
+def take_back(goals: Goals, goal_id: str) -> Goals:
+    """Forget the running goal, which neither moved nor was answered: it could not be stored."""
+    if goals.running != goal_id:
+        raise ValueError(f"goal {goal_id} does not run; {goals.running} does")
+    others = {known: goal for known, goal in goals.known.items() if known != goal_id}
+    return Goals(MappingProxyType(others), running=None)
+
+
 def _remember(known: Mapping[str, Goal], goal: Goal) -> Mapping[str, Goal]:
     kept = {**known, goal.goal_id: goal}
     for oldest in list(kept)[: max(0, len(kept) - REMEMBERED_GOALS)]:

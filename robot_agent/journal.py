@@ -48,6 +48,7 @@ from robot_agent.journal_log import (
 from robot_agent.supervisor import StopOrder
 from shared.codec import decode, encode
 from shared.errors import MalformedMessageError
+from shared.excitation import ExcitationPlan
 from shared.messages import GoalResult, Outcome
 from shared.motions import MotionPlan
 
@@ -208,7 +209,8 @@ class Journal:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise JournalInUseError(
-                f"{self._folder} is in use: another agent serves this robot; end one of them"
+                f"{self._folder} is in use: another agent serves this robot; end one of them, "
+                "or if they are two robots give each a folder of its own with --state"
             ) from error
 
     def _read(self) -> tuple[LogFile, str | None]:
@@ -292,12 +294,13 @@ def _lost_result(known: LedgerGoal) -> GoalResult:
     """Return what is to be said of a goal whose process died: no samples, and never again."""
     if known.plan is None:
         raise ValueError(f"goal {known.goal.goal_id} does not run")
+    nothing = np.empty(0) if isinstance(known.plan, ExcitationPlan) else np.empty((0, 0))
     return GoalResult(
         goal_id=known.goal.goal_id,
         boot_id=known.boot_id,
         outcome=Outcome.ABORTED,
         reason=f"lost: the agent process {known.boot_id} ended during it; send a new attempt",
         plan=known.plan,
-        reference=np.empty(0),
-        response=np.empty(0),
+        reference=nothing,
+        response=nothing,
     )

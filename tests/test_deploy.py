@@ -50,6 +50,20 @@ def test_a_service_runs_a_command_that_exists_with_options_that_it_takes(unit: P
     command.make_context(name, list(arguments))
 
 
+def test_an_agents_service_and_its_container_keep_its_state() -> None:
+    unit = (DEPLOY / "systemd" / "nufleet-agent@.service").read_text()
+    assert "StateDirectory=nufleet\n" in unit
+    assert " --state %S/nufleet\n" in unit
+    kept = next(
+        line.split("=")[1]
+        for line in (DEPLOY / "containers" / "Dockerfile").read_text().splitlines()
+        if line.startswith("ENV NUFLEET_STATE=")
+    )
+    compose = (DEPLOY / "containers" / "compose.yaml").read_text()
+    agent = compose.split("x-agent:")[1].split("services:")[0]
+    assert f'volumes: ["state:{kept}"]' in agent
+
+
 def test_the_compose_file_names_robots_that_its_fleet_file_has() -> None:
     compose = (DEPLOY / "containers" / "compose.yaml").read_text()
     fleet = read_fleet_file(DEPLOY.parent / "sims" / "fleets" / "paper_linear.toml")

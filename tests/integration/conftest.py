@@ -24,6 +24,12 @@ def _nothing_is_left_running() -> Iterator[None]:
     wait_until(lambda: set(psutil.Process().children(recursive=True)) <= children)
 
 
+@pytest.fixture(autouse=True)
+def _state_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Agents that a test starts as processes know nothing of another test's robots."""
+    monkeypatch.setenv("NUFLEET_STATE", str(tmp_path / "state"))
+
+
 @pytest.fixture
 def endpoint(tmp_path: Path) -> str:
     return f"unixsock-stream/{tmp_path}/r.sock"

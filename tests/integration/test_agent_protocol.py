@@ -245,7 +245,7 @@ def test_a_stop_is_answered_while_other_requests_wait_and_the_rest_are_turned_aw
         assert planned.wait(PATIENCE_S)
         raise RefusedError("too-slow", "planning took too long", "a")
 
-    monkeypatch.setattr("robot_agent.decisions.plan_excitation", plan_for_ever)
+    monkeypatch.setattr("robot_agent.planner.plan_excitation", plan_for_ever)
     lab.agent("a", PuppetRobot())
     orchestrator = lab.orchestrator()
     codes: list[str] = []

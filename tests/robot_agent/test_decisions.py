@@ -12,11 +12,13 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 from puppet_robot import puppet_spec
 
-from robot_agent import decisions as decisions_module
+from robot_agent import planner as planner_module
 from robot_agent.decisions import Assignment, Decisions
 from robot_agent.excitation import plan_excitation
 from robot_agent.memory import Memory
+from robot_agent.planner import Planner
 from robot_agent.supervisor import StopOrder
+from robot_agent.unrecorded import Unrecorded
 from shared.codec import MAX_BODY_BYTES, MAX_MESSAGE_BYTES
 from shared.errors import RefusedError
 from shared.excitation import Excitation, Tone
@@ -37,14 +39,8 @@ EXCITATIONS = tuple(
 
 
 def new_decisions(*, realtime: float | None = None, spec: RobotSpec | None = None) -> Decisions:
-    return Decisions(
-        "r",
-        "boot",
-        spec or puppet_spec(),
-        Memory(None),
-        realtime=realtime,
-        changed=threading.Event(),
-    )
+    planner = Planner("r", spec or puppet_spec(), (), Memory(None), realtime)
+    return Decisions("boot", planner, Unrecorded(), threading.Event())
 
 
 def goal(goal_id: str, owner: str = "o-1", content: int = 0) -> GoalRequest:
@@ -266,7 +262,7 @@ def test_a_stop_during_planning_does_not_wait_and_is_not_missed(
         assert not stopping.is_alive()
         return planned
 
-    monkeypatch.setattr(decisions_module, "plan_excitation", plan_slowly)
+    monkeypatch.setattr(planner_module, "plan_excitation", plan_slowly)
     assert refused(decisions, goal("a")) == "stopped"
 
 
@@ -279,7 +275,7 @@ def test_an_owner_lost_during_planning_is_not_missed(monkeypatch: pytest.MonkeyP
         decisions.owner_lost("o-1")
         return planned
 
-    monkeypatch.setattr(decisions_module, "plan_excitation", plan_slowly)
+    monkeypatch.setattr(planner_module, "plan_excitation", plan_slowly)
     assert refused(decisions, goal("a")) == "owner-not-alive"
 
 
@@ -318,13 +314,15 @@ def test_a_goal_outside_the_limits_is_refused_and_not_remembered() -> None:
 def test_a_goal_whose_result_would_not_fit_into_a_message_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert 8 * decisions_module.MAX_RESULT_NUMBERS + MAX_BODY_BYTES < MAX_MESSAGE_BYTES
+    assert 8 * planner_module.MAX_RESULT_NUMBERS + MAX_BODY_BYTES < MAX_MESSAGE_BYTES
     decisions = new_decisions()
     decisions.owner_appeared("o-1")
     samples = plan_excitation(EXCITATIONS[0], puppet_spec(), robot="r").samples
-    monkeypatch.setattr(decisions_module, "MAX_RESULT_NUMBERS", 2 * samples - 1)
-    assert refused(decisions, goal("a")) == "duration"
-    monkeypatch.setattr(decisions_module, "MAX_RESULT_NUMBERS", 2 * samples)
+    monkeypatch.setattr(planner_module, "MAX_RESULT_NUMBERS", 2 * samples - 1)
+    with pytest.raises(RefusedError, match="samples are too many") as raised:
+        decisions.take(goal("a"))
+    assert raised.value.code == "duration"
+    monkeypatch.setattr(planner_module, "MAX_RESULT_NUMBERS", 2 * samples)
     taken(decisions, goal("a"))
 
 

@@ -23,6 +23,7 @@ from robot_agent.journal_frames import scan
 from robot_agent.journal_ledger import JournalError, Ledger, decode_record
 from robot_agent.supervisor import StopOrder
 from shared.messages import Outcome, Refusal
+from shared.motions import FlightPlan
 
 ROOT = Path(__file__).parents[2]
 HISTORY: tuple[tuple[Any, ...], ...] = (
@@ -358,3 +359,13 @@ def test_a_full_disk_takes_no_goal_and_heals(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert "No space left on device" in done.stdout
+
+
+def test_a_flight_in_progress_is_lost_as_a_test_is(tmp_path: Path) -> None:
+    plan = FlightPlan(sample_time_s=0.02, samples=100, duration_s=4.0)
+    with Journal(tmp_path) as journal:
+        journal.accepted(goal("g1"), plan, "boot-1")
+    with Journal(tmp_path) as journal:
+        lost = journal.result("g1")
+        assert lost is not None
+        assert (lost.outcome, lost.plan, lost.response.size) == (Outcome.ABORTED, plan, 0)

@@ -1,0 +1,127 @@
+"""Stops are taken at once and answered when they are stored, however slow or full the disk is."""
+
+from __future__ import annotations
+
+import errno
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from agent_lives import EXCITATION
+from polling import PATIENCE_S, wait_until
+from puppet_robot import puppet_spec
+
+from robot_agent import journal_log
+from robot_agent.decisions import Decisions
+from robot_agent.journal import Journal
+from robot_agent.memory import Memory
+from robot_agent.planner import Planner
+from robot_agent.stop_service import StopService
+from shared.codec import encode
+from shared.errors import MalformedMessageError
+from shared.messages import Done, GoalRequest, Outcome, Refusal, StopRequest
+
+STOP = encode(StopRequest(sender="alice", reason="smoke"))
+
+
+@pytest.fixture
+def journal(tmp_path: Path) -> Iterator[Journal]:
+    with Journal(tmp_path / "journal") as journal:
+        yield journal
+
+
+@pytest.fixture
+def decisions(journal: Journal) -> Decisions:
+    planner = Planner("r", puppet_spec(), (), Memory(None), None)
+    return Decisions("boot", planner, journal, threading.Event())
+
+
+@pytest.fixture
+def stops(decisions: Decisions) -> Iterator[StopService]:
+    stops = StopService("r", decisions)
+    yield stops
+    stops.close()
+
+
+def stored_stop(tmp_path: Path, journal: Journal) -> str | None:
+    journal.close()
+    with Journal(tmp_path / "journal") as reopened:
+        stop = reopened.remembrance.stop
+        return None if stop is None else f"{stop.sender}: {stop.reason}"
+
+
+def test_a_stop_is_answered_when_it_is_stored(
+    stops: StopService, tmp_path: Path, journal: Journal
+) -> None:
+    assert stops.asked(STOP).result(PATIENCE_S) == Done()
+    assert stored_stop(tmp_path, journal) == "alice: smoke"
+
+
+def test_a_stop_on_the_fleets_key_is_stored_too(
+    stops: StopService, tmp_path: Path, journal: Journal
+) -> None:
+    stops.heard("nufleet/lab/stop", STOP)
+    stops.close()
+    assert stored_stop(tmp_path, journal) == "alice: smoke"
+
+
+def test_a_thousand_stops_halt_at_once_while_the_disk_is_stuck(
+    stops: StopService, decisions: Decisions, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decisions.owner_appeared("o")
+    goal = GoalRequest(goal_id="a", owner="o", motion=EXCITATION)
+    motion = decisions.take(goal)[1]
+    assert motion is not None
+    stuck, goes_on = threading.Event(), threading.Event()
+    write = journal_log._write_all
+
+    def write_slowly(descriptor: int, data: bytes) -> None:
+        stuck.set()
+        assert goes_on.wait(PATIENCE_S)
+        write(descriptor, data)
+
+    monkeypatch.setattr(journal_log, "_write_all", write_slowly)
+    first = stops.asked(STOP)
+    assert motion.switch.order == (Outcome.ABORTED, "stopped by alice: smoke")
+    assert stuck.wait(PATIENCE_S)
+    answers = {stops.asked(STOP) for _ in range(1000)}
+    assert len(answers) == 1, "all that wait together wait for one write"
+    assert not first.done()
+    goes_on.set()
+    assert {answer.result(PATIENCE_S) for answer in (first, *answers)} == {Done()}
+
+
+def test_a_stop_that_cannot_be_stored_halts_and_says_so_and_the_next_one_tries_again(
+    stops: StopService,
+    tmp_path: Path,
+    journal: Journal,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as disk:
+        disk.setattr(journal_log, "_write_all", full)
+        answer = stops.asked(STOP).result(PATIENCE_S)
+        assert isinstance(answer, Refusal)
+        assert answer.code == "journal"
+        assert "it was halted, but the stop would not outlast its agent" in answer.reason
+        assert "No space left" in answer.reason
+    assert stops.asked(STOP).result(PATIENCE_S) == Done()
+    assert stored_stop(tmp_path, journal) == "alice: smoke"
+
+
+def test_a_garbled_stop_is_a_stop(stops: StopService, tmp_path: Path, journal: Journal) -> None:
+    with pytest.raises(MalformedMessageError):
+        stops.asked(b"stop!!")
+    stops.close()
+    assert stored_stop(tmp_path, journal) == "unknown: a malformed stop: not a nufleet message"
+
+
+def test_who_asks_an_agent_that_ends_is_told_so(stops: StopService, decisions: Decisions) -> None:
+    stops.close()
+    answer = stops.asked(STOP).result(PATIENCE_S)
+    assert isinstance(answer, Refusal)
+    assert answer.code == "shutting-down"
+    wait_until(lambda: not [t for t in threading.enumerate() if t.name.startswith("r-stops")])
