@@ -80,8 +80,9 @@ class Paths:
         before, self._flight = self._flight, flight
         self._drawn = 0
         if before is not None and (before.robot, before.path) == (flight.robot, flight.path):
-            self._earlier = [f for f in self._earlier if f.label != flight.label]
-            self._earlier = [*self._earlier, before][-EARLIER_MAX:]
+            # What is flown, or sent, again replaces what was.
+            others = [f for f in (*self._earlier, before) if f.label != flight.label]
+            self._earlier = others[-EARLIER_MAX:]
         else:
             self._earlier, self._longest, self._axes = [], np.empty((0, 2)), None
         self._stream.set_time("t", duration=flight.time_s[0])

@@ -115,6 +115,17 @@ def test_earlier_flights_along_the_same_path_stay_and_others_go(tmp_path: Path) 
     assert [len(strips or []) for strips in earlier] == [0, 1, 2, 0]  # type: ignore[arg-type]
 
 
+def test_a_flight_that_is_sent_again_whole_replaces_what_came_of_it(tmp_path: Path) -> None:
+    event = flight("s1", t_s=15.0)
+    lossy = [part for n, part in enumerate(parts(event, 50)) if n != 3]
+    path = record(tmp_path / "run.rrd", flight("baseline"), *lossy, event)
+    earlier = column(path, "/tracking/plot/path/earlier", "LineStrips2D:strips")
+    assert len(earlier[-1]) == 1  # type: ignore[arg-type]
+    assert [row.split()[0] for row in names(path).splitlines()[2:]] == ["s1", "baseline"]
+    trails = column(path, "/tracking/plot/path/trail", "LineStrips2D:strips")
+    np.testing.assert_allclose(trails[-1][0][-1], event.actual[-1], rtol=1e-6)  # type: ignore[index]
+
+
 def test_the_place_where_the_prior_was_taken_back_is_marked(tmp_path: Path) -> None:
     event = flight()
     path = record(tmp_path / "run.rrd", *parts(event, 100), taken_back(3.0))
