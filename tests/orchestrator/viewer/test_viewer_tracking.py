@@ -118,7 +118,7 @@ def test_earlier_flights_along_the_same_path_stay_and_others_go(tmp_path: Path) 
 def test_a_flight_that_is_sent_again_whole_replaces_what_came_of_it(tmp_path: Path) -> None:
     event = flight("s1", t_s=15.0)
     lossy = [part for n, part in enumerate(parts(event, 50)) if n != 3]
-    path = record(tmp_path / "run.rrd", flight("baseline"), *lossy, event)
+    path = record(tmp_path / "run.rrd", flight("baseline", late_s=0.2), *lossy, event)
     earlier = column(path, "/tracking/plot/path/earlier", "LineStrips2D:strips")
     assert len(earlier[-1]) == 1  # type: ignore[arg-type]
     assert [row.split()[0] for row in names(path).splitlines()[2:]] == ["s1", "baseline"]
