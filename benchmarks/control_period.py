@@ -122,7 +122,9 @@ def prepared(
     ]
     errors = np.stack([model.error(desired[:, i]) for i, model in enumerate(models)], axis=1)
     noise_variance = sum(model.residual_std**2 for model in models)
-    guard = Guard(errors, noise_variance, spec.sample_time_s)
+    guard = Guard(
+        errors, noise_variance, spec.sample_time_s, tracking_limits(robot).acceleration_max
+    )
     return Learner(layout, OnlineGp(layout, (prior, prior))), guard
 
 

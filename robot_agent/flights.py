@@ -191,4 +191,7 @@ def guard_for(desired: FloatArray, robot: Robot, memory: Memory) -> Guard:
     models = [memory.baseline[axis.name] for axis in robot.spec.axes]
     error = np.stack([m.error(desired[:, i]) for i, m in enumerate(models)], axis=1)
     noise_variance = sum(model.residual_std**2 for model in models)
-    return Guard(error, noise_variance, robot.spec.sample_time_s)
+    limits = robot.spec.tracking
+    if limits is None:
+        raise RobotError("the robot does not track")
+    return Guard(error, noise_variance, robot.spec.sample_time_s, limits.acceleration_max)

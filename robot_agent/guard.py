@@ -19,12 +19,15 @@ class GuardSettings(Strict):
 
     The squared error may exceed the baseline's by `budget` of the baseline's whole; the rest of the
     tolerated 10 % (21 % of the square) is left for the hand-over. A squared error averaged over
-    `window_s` that is `peak_ratio`² times the baseline's worst ends it at once.
+    `window_s` that is `peak_ratio`² times the baseline's worst ends it at once. So does a
+    correction that accelerates as hard as the path itself may, over `restless_window_s`: that is no
+    correction but an oscillation, which throws a robot over long before it is far off its path.
     """
 
     budget: Positive = 0.02
     peak_ratio: Positive = 1.3
     window_s: Positive = 0.2
+    restless_window_s: Positive = 0.3
     hand_over_s: Positive = 0.4
 
 
@@ -36,6 +39,7 @@ class Guard:
         baseline_error: FloatArray,
         noise_variance: float,
         sample_time_s: float,
+        acceleration_max: float,
         settings: GuardSettings | None = None,
     ) -> None:
         """Prepare for one trajectory.
@@ -44,6 +48,7 @@ class Guard:
             baseline_error: predicted for the whole path, shape (samples, axes), without noise.
             noise_variance: of the measured error, summed over the axes.
             sample_time_s: between two samples.
+            acceleration_max: of a path, in unit/s².
             settings: the defaults if left out.
         """
         chosen = settings or GuardSettings()
@@ -55,24 +60,39 @@ class Guard:
         # Over so few samples the noise may well be a few times its variance.
         self._peak = chosen.peak_ratio**2 * float(smooth.max()) + 4 * noise_variance
         self._recent = np.zeros(window)
+        restless = max(3, round(chosen.restless_window_s / sample_time_s))
+        self._accelerations = np.zeros(restless)
+        self._acceleration_max = acceleration_max
+        self._sample_time_s = sample_time_s
+        self._corrections = np.zeros((3, baseline_error.shape[1]))
         self._hand_over = max(1, round(chosen.hand_over_s / sample_time_s))
         self._spent = 0.0
         self.event: TakenBack | None = None
 
-    def judge(self, sample: int, error: FloatArray) -> float:
-        """Take the error at a sample, shape (axes,), and return the correction's share, 0 to 1.
+    def judge(self, sample: int, error: FloatArray, correction: FloatArray) -> float:
+        """Take what happened until a sample and return the share of the correction, 0 to 1.
 
-        An error that is not finite counts as the worst there is.
+        Args:
+            sample: the index, 0, 1, 2, ...
+            error: at that sample, shape (axes,); one that is not finite counts as the worst.
+            correction: how far the reference sent last was from the path, shape (axes,).
         """
         square = float(error @ error)
         if self.event is None:
             self._spent += square
             self._recent[sample % len(self._recent)] = square
+            self._accelerations[sample % len(self._accelerations)] = self._pull(correction)
             self.event = self._verdict(sample, square)
         if self.event is None:
             return 1.0
         progress = (sample - self.event.sample + 1) / self._hand_over
         return 0.5 + 0.5 * math.cos(math.pi * min(1.0, progress))
+
+    def _pull(self, correction: FloatArray) -> float:
+        """Return the squared acceleration of the correction."""
+        self._corrections = np.concatenate([self._corrections[1:], correction[np.newaxis]])
+        second = np.diff(self._corrections, 2, axis=0)[0] / self._sample_time_s**2
+        return float(second @ second)
 
     def _verdict(self, sample: int, square: float) -> TakenBack | None:
         if not math.isfinite(square):
@@ -82,6 +102,13 @@ class Guard:
                 sample=sample,
                 reason=f"an error of {math.sqrt(self._recent.mean()):.3g}, more than the "
                 "baseline's worst",
+            )
+        pull = math.sqrt(self._accelerations.mean())
+        if pull > self._acceleration_max:
+            return TakenBack(
+                sample=sample,
+                reason=f"its corrections oscillate: they accelerate by {pull:.3g}, more than a "
+                f"path may, {self._acceleration_max:g}",
             )
         excess = self._spent - float(self._allowed[sample])
         if excess > self._budget:

@@ -197,7 +197,8 @@ class _Flight:
                 return f"the sensor returned a number that is not finite at sample {k}"
             if self._learner is not None and observed is not None:
                 if self._guard is not None:
-                    self._share[k] = self._guard.judge(k, observed[:, 0] - wanted)
+                    sent = self._reference[self._span + k - 1] - self._desired[max(0, k - 1)]
+                    self._share[k] = self._guard.judge(k, observed[:, 0] - wanted, sent)
                 correction, reference = self._choose(self._learner, k, observed)
             self._reference[self._span + k] = reference
             self._step_time_s[k] = time.perf_counter() - begin_s

@@ -1,4 +1,4 @@
-"""`nufleet demo`: the paper's Section V, end to end, on this machine."""
+"""`nufleet demo`: the whole job, end to end, on this machine."""
 
 from __future__ import annotations
 
@@ -6,35 +6,34 @@ from pathlib import Path
 
 import click
 
-from orchestrator.cli.options import json_option, runs_option
+from orchestrator.cli.options import json_option, live_option, runs_option
 
 
 @click.command()
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @click.option(
-    "--live",
+    "--quadrotors",
     is_flag=True,
-    help="Serve the recording while it runs: open it with `nufleet view --live`.",
+    help="In the air: six simulated quadrotors (needs the extra `quadrotors`).",
 )
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
+@live_option
 @runs_option
 @json_option
-def demo(seed: int, live: bool, runs_root: Path, as_json: bool) -> None:
-    """Rank the paper's linear fleet: a router and four robots, each a process of its own.
+def demo(quadrotors: bool, seed: int, live: bool, runs_root: Path, as_json: bool) -> None:
+    """Rank the paper's linear fleet, transfer the best experience, and track a drawing with it.
 
-    A target (α, β) = (0.85, 0.003) and three sources are tested at seven frequencies; the source
-    with the smallest worst-case chordal distance is selected, and every estimate is shown beside
-    its closed form.
+    A router and four robots run as processes of their own. A target (α, β) = (0.85, 0.003) and
+    three sources are tested at seven frequencies; the source with the smallest worst-case chordal
+    distance is selected, and every estimate is shown beside its closed form. Then the closest and
+    the furthest source learn inverse models of themselves, and the target tracks a drawing with
+    each as its prior, with none, and with its baseline controller alone.
     """
-    from orchestrator.cli.rank_session import RankCommand, rank_and_print
-    from shared.fleet_file import find_fleet_file
+    from orchestrator.cli.demo_session import demo_and_print
 
-    rank_and_print(
-        RankCommand(
-            fleet_file=find_fleet_file("paper_linear"),
-            runs_root=runs_root,
-            seed=seed,
-            live=live,
-            as_json=as_json,
-            processes=None,
-        )
+    demo_and_print(
+        "paper_quadrotors" if quadrotors else "paper_linear",
+        seed=seed,
+        live=live,
+        runs_root=runs_root,
+        as_json=as_json,
     )

@@ -106,6 +106,7 @@ def evaluate_and_print(command: EvaluateCommand) -> None:
             document = pairs.document()
         else:
             record = _evaluated(command, session, _target(command))
+            session.table.close()
             write_figures(session.folder.path, record, session.table.path)
             console.print(evaluation_table(record.result, paper=_is_papers(session)))
             document = record.result.document()

@@ -13,6 +13,8 @@ from robot_agent.guard import Guard, GuardSettings
 from shared.arrays import FloatArray
 
 STEP_S = 0.02
+PULL_MAX = 2.0
+STILL = np.zeros(2)
 SAMPLES = 500
 
 
@@ -22,8 +24,8 @@ def baseline() -> FloatArray:
 
 
 def judged(errors: FloatArray, noise_variance: float = 0.0) -> tuple[list[float], Guard]:
-    guard = Guard(baseline(), noise_variance, STEP_S)
-    return [guard.judge(k, error) for k, error in enumerate(errors)], guard
+    guard = Guard(baseline(), noise_variance, STEP_S, PULL_MAX)
+    return [guard.judge(k, error, STILL) for k, error in enumerate(errors)], guard
 
 
 def test_a_model_as_good_as_the_baseline_is_left_alone() -> None:
@@ -59,6 +61,27 @@ def test_the_hand_over_is_smooth_and_takes_its_time() -> None:
     assert fall[steps - 1] > 0.0
 
 
+def oscillating(amplitude: float, omega_rad_s: float) -> Guard:
+    """Corrections that swing while the robot stays on its path."""
+    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX)
+    for k in range(SAMPLES):
+        swing = amplitude * (1 - np.cos(omega_rad_s * k * STEP_S))
+        guard.judge(k, np.zeros(2), np.array([0.0, swing]))
+    return guard
+
+
+def test_corrections_that_oscillate_are_taken_back_before_the_robot_is_off_its_path() -> None:
+    """At 10 rad/s, 4 cm to each side are 4 m/s²: a quadrotor tilts by 22 degrees, to and fro."""
+    event = oscillating(0.04, 10.0).event
+    assert event is not None
+    assert "oscillate" in event.reason
+    assert event.sample * STEP_S < 0.5
+
+
+def test_slow_corrections_as_large_are_left_alone() -> None:
+    assert oscillating(0.1, 3.0).event is None
+
+
 def test_once_taken_back_it_stays_so() -> None:
     errors = np.zeros((SAMPLES, 2))
     errors[100:120] = 1.0
@@ -68,9 +91,9 @@ def test_once_taken_back_it_stays_so() -> None:
 
 def test_measurement_noise_is_not_held_against_the_model() -> None:
     noise = 0.01 * np.random.default_rng(0).standard_normal((SAMPLES, 2))
-    guard = Guard(np.zeros((SAMPLES, 2)), 2 * 0.01**2, STEP_S, GuardSettings(budget=0.2))
+    guard = Guard(np.zeros((SAMPLES, 2)), 2 * 0.01**2, STEP_S, PULL_MAX, GuardSettings(budget=0.2))
     for k, error in enumerate(noise):
-        guard.judge(k, error)
+        guard.judge(k, error, STILL)
     assert guard.event is None
 
 
@@ -90,10 +113,10 @@ def test_a_model_that_obeys_its_share_never_costs_a_tenth_more_than_the_baseline
     """The error that is left is baseline + share × (what the model adds), a slow walk."""
     rng = np.random.default_rng(seed)
     harm = scale * 0.05 * np.cumsum(rng.standard_normal((SAMPLES, 2)), axis=0) / math.sqrt(SAMPLES)
-    own, guard = baseline(), Guard(baseline(), 0.0, STEP_S)
+    own, guard = baseline(), Guard(baseline(), 0.0, STEP_S, PULL_MAX)
     share, spent = 1.0, 0.0
     for k in range(SAMPLES):
         error = own[k] + share * harm[k]
         spent += float(error @ error)
-        share = guard.judge(k, error)
+        share = guard.judge(k, error, STILL)
     assert math.sqrt(spent / float((own**2).sum())) <= 1.1

@@ -1,0 +1,96 @@
+"""What `nufleet demo` does: rank an installed fleet, then show what the prediction was worth."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+
+from orchestrator.cli.reach import KeptFlights, Reach, Session, flying
+from orchestrator.console import ConsoleObserver, ranking_table, stderr_console
+from orchestrator.demonstration import DemoResult, demo_table, demonstrate
+from orchestrator.live_view import LiveView
+from orchestrator.paths import legs_of
+from orchestrator.rank_run import RankRequest, prepare, run_study
+from orchestrator.results import RunRecord
+from orchestrator.train_run import check_torch
+from shared.errors import InvalidInputError
+from shared.fleet_file import find_fleet_file
+from shared.inverse_layout import Architecture
+
+ITERATIONS = 7
+DRAWING = "clover"
+SPEED = 0.6
+FLIGHT_S = 60.0
+ARCHITECTURES: dict[str, Architecture] = {"paper_linear": "preview", "paper_quadrotors": "state"}
+"""The paper's own inverse in the air. On the linear fleet the filter that the tests predict: an
+inverse fed with the state is a feedback loop there, which orders the sources differently."""
+
+
+def demo_and_print(
+    fleet_name: str, *, seed: int, live: bool, runs_root: Path, as_json: bool
+) -> None:
+    """Demonstrate, with progress on stderr and, when asked for, the document on stdout."""
+    check_torch()
+    console = stderr_console()
+    began_s = time.monotonic()
+    reach = Reach(find_fleet_file(fleet_name), "", None)
+    with flying(reach, "demo", runs_root, console, live=live) as session:
+        record = _ranked(session, reach, seed)
+        console.print(ranking_table(record.result.ranking, record.closed_form))
+        result = _demonstrated(session, record, ARCHITECTURES[fleet_name], seed)
+    console.print(demo_table(result.flights))
+    console.print(f"{time.monotonic() - began_s:.0f} s")
+    if as_json:
+        click.echo(result.document())
+
+
+def _ranked(session: Session, reach: Reach, seed: int) -> RunRecord:
+    study = None if reach.file is None else reach.file.study
+    if study is None:
+        raise InvalidInputError(f"{reach.fleet_file} names no target")
+    fleet, _, there = session.connection
+    request = RankRequest(
+        target=study.target,
+        sources=None,
+        band_rad_s=study.band_rad_s,
+        iterations=ITERATIONS,
+        seed=seed,
+        axis=None,
+    )
+    ready = prepare(fleet, request, there)
+    unit = ready.descriptions[ready.plan.target].spec.axis(ready.plan.axis).unit
+    live = LiveView(ready.plan, unit, session.clock, session.writer.emit)
+    live.watch(fleet)
+    try:
+        return run_study(
+            fleet,
+            ready,
+            seed=seed,
+            algorithm="paper",
+            folder=session.folder,
+            observers=[ConsoleObserver(session.console, ITERATIONS), live],
+        )
+    finally:
+        live.stop_watching()
+
+
+def _demonstrated(
+    session: Session, record: RunRecord, architecture: Architecture, seed: int
+) -> DemoResult:
+    fleet = session.connection.fleet
+    target = fleet.describe(record.result.target)
+    return demonstrate(
+        fleet,
+        session.pilot,
+        target,
+        record.result,
+        legs_of((DRAWING,), (SPEED,), target),
+        architecture,
+        session.folder,
+        seed=seed,
+        flight_s=FLIGHT_S,
+        say=session.console.print,
+        observers=[KeptFlights(session)],
+    )
