@@ -89,10 +89,13 @@ class Guard:
         return 0.5 + 0.5 * math.cos(math.pi * min(1.0, progress))
 
     def _pull(self, correction: FloatArray) -> float:
-        """Return the squared acceleration of the correction."""
+        """Return the squared acceleration of the correction.
+
+        It is cut at twice the bound's: a single kink, as at a corner of the path, is no oscillation.
+        """
         self._corrections = np.concatenate([self._corrections[1:], correction[np.newaxis]])
         second = np.diff(self._corrections, 2, axis=0)[0] / self._sample_time_s**2
-        return float(second @ second)
+        return min(float(second @ second), (2 * self._acceleration_max) ** 2)
 
     def _verdict(self, sample: int, square: float) -> TakenBack | None:
         if not math.isfinite(square):

@@ -82,6 +82,14 @@ def test_slow_corrections_as_large_are_left_alone() -> None:
     assert oscillating(0.1, 3.0).event is None
 
 
+def test_a_single_kink_is_no_oscillation() -> None:
+    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX)
+    for k in range(SAMPLES):
+        kinked = max(0.0, 0.6 * (k - 200) * STEP_S)
+        guard.judge(k, np.zeros(2), np.array([kinked, 0.0]))
+    assert guard.event is None
+
+
 def test_once_taken_back_it_stays_so() -> None:
     errors = np.zeros((SAMPLES, 2))
     errors[100:120] = 1.0
