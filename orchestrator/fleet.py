@@ -55,7 +55,8 @@ R = TypeVar("R", bound=Message)
 class Fleet:
     """A client of all robots of one fleet, alive under its own id as long as its session is.
 
-    Observers are called on network threads, in order per robot; they must return at once.
+    Observers are called on network threads, in order per robot; they must return at once. Requests
+    that command a robot take the `epoch` of the lease under which that is done, 0 without one.
     """
 
     def __init__(self, session: Session, keys: FleetKeys, orchestrator_id: str) -> None:
@@ -138,18 +139,21 @@ class Fleet:
         """Ask for a motion; the same request may be sent again at any time."""
         return self._ask(robot, "goal", request, GoalAccepted)
 
-    def cancel(self, robot: str, goal_id: str) -> None:
+    def cancel(self, robot: str, goal_id: str, *, epoch: int = 0) -> None:
         """Ask a robot to end a goal early."""
-        self._ask(robot, "cancel", CancelRequest(goal_id=goal_id), Done)
+        request = CancelRequest(sender=self.orchestrator_id, epoch=epoch, goal_id=goal_id)
+        self._ask(robot, "cancel", request, Done)
 
     def result(self, robot: str, goal_id: str) -> GoalResult:
         """Return how a goal ended, with its samples."""
         request = ResultRequest(goal_id=goal_id)
         return self._ask(robot, "result", request, GoalResult, timeout_s=RESULT_TIMEOUT_S)
 
-    def acknowledge(self, robot: str, goal_ids: tuple[str, ...]) -> None:
+    def acknowledge(self, robot: str, goal_ids: tuple[str, ...], *, epoch: int = 0) -> None:
         """Tell a robot that these results arrived."""
-        self._ask(robot, "acknowledge", AcknowledgeRequest(goal_ids=goal_ids), Done)
+        sender = self.orchestrator_id
+        request = AcknowledgeRequest(sender=sender, epoch=epoch, goal_ids=goal_ids)
+        self._ask(robot, "acknowledge", request, Done)
 
     def fetch(self, robot: str, sha256: str) -> bytes:
         """Return the file of an experience or prior of a robot; the caller checks what is in it."""
@@ -158,16 +162,25 @@ class Fleet:
         return file.payload
 
     def install(
-        self, robot: str, slot: Literal["experience", "prior"], payload: bytes, sha256: str
+        self,
+        robot: str,
+        slot: Literal["experience", "prior"],
+        payload: bytes,
+        sha256: str,
+        *,
+        epoch: int = 0,
     ) -> ExperienceOffer:
         """Give a robot an experience: as its own, or as the prior that it flies with."""
-        request = InstallRequest(sender=self.orchestrator_id, sha256=sha256, payload=payload)
+        request = InstallRequest(
+            sender=self.orchestrator_id, epoch=epoch, sha256=sha256, payload=payload
+        )
         leaf = f"{slot}/install"
         return self._ask(robot, leaf, request, ExperienceOffer, timeout_s=RESULT_TIMEOUT_S)
 
-    def remove_prior(self, robot: str) -> None:
+    def remove_prior(self, robot: str, *, epoch: int = 0) -> None:
         """Take a robot's prior away."""
-        self._ask(robot, "prior/remove", RemovePriorRequest(sender=self.orchestrator_id), Done)
+        request = RemovePriorRequest(sender=self.orchestrator_id, epoch=epoch)
+        self._ask(robot, "prior/remove", request, Done)
 
     def predict(self, robot: str, sha256: str, inputs: FloatArray) -> FloatArray:
         """Return what an experience of a robot makes of inputs (m, inputs): γ in unit/s, (m,)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections.abc import Mapping
 
 from orchestrator.fleet import Fleet
 from orchestrator.robot_watch import HEARTBEAT_LOST_S, RobotWatch
@@ -30,8 +31,10 @@ class GoalRunner:
     `interrupt` ends all of them from another thread, with robots at rest.
     """
 
-    def __init__(self, fleet: Fleet) -> None:
+    def __init__(self, fleet: Fleet, epochs: Mapping[str, int] | None = None) -> None:
+        """Prepare; `epochs` are, per robot, of the lease under which it is commanded."""
         self._fleet = fleet
+        self._epochs = epochs or {}
         self._interrupted = threading.Event()
         self._lock = threading.Lock()
         self._running: dict[str, str] = {}
@@ -60,6 +63,7 @@ class GoalRunner:
         request = GoalRequest(
             goal_id=goal_id,
             owner=self._fleet.orchestrator_id,
+            epoch=self._epochs.get(robot, 0),
             motion=motion,
             acknowledges=self._unacknowledged.get(robot, ()),
         )
@@ -73,7 +77,7 @@ class GoalRunner:
         try:
             accepted = self._submit(robot, request)
             self._unacknowledged.pop(robot, None)
-            self._wait_for_end(watch, accepted)
+            self._wait_for_end(watch, request, accepted)
             result = self._fleet.result(robot, goal_id)
         finally:
             with self._lock:
@@ -88,7 +92,7 @@ class GoalRunner:
             running = dict(self._running)
         for robot, goal_id in running.items():
             try:
-                self._fleet.cancel(robot, goal_id)
+                self._fleet.cancel(robot, goal_id, epoch=self._epochs.get(robot, 0))
             except RefusedError as error:
                 _log.info("cancelling on %s: %s", robot, error)
             except NufleetError as error:
@@ -99,7 +103,7 @@ class GoalRunner:
         """Tell every robot that its last results arrived."""
         for robot, goal_ids in self._unacknowledged.items():
             try:
-                self._fleet.acknowledge(robot, goal_ids)
+                self._fleet.acknowledge(robot, goal_ids, epoch=self._epochs.get(robot, 0))
             except NufleetError as error:
                 _log.warning("%s keeps its last results until they expire: %s", robot, error)
         self._unacknowledged.clear()
@@ -112,7 +116,9 @@ class GoalRunner:
             _log.info("%s: asking again", error)
             return self._fleet.submit(robot, request)
 
-    def _wait_for_end(self, watch: RobotWatch, accepted: GoalAccepted) -> None:
+    def _wait_for_end(
+        self, watch: RobotWatch, request: GoalRequest, accepted: GoalAccepted
+    ) -> None:
         """Return when the goal has ended; raise when its robot is lost, restarted or overdue."""
         goal_id = accepted.goal_id
         patience_s = accepted.wall_duration_s * _OVERDUE_FACTOR + _OVERDUE_GRACE_S
@@ -137,7 +143,7 @@ class GoalRunner:
                     f"no heartbeat for {watch.silent_s:.1f} s"
                 )
             if time.monotonic() > deadline:
-                self._fleet.cancel(watch.robot, goal_id)
+                self._fleet.cancel(watch.robot, goal_id, epoch=request.epoch)
                 raise RobotLostError(
                     f"robot {watch.robot} did not finish {goal_id} within {patience_s:.0f} s"
                 )

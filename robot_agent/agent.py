@@ -21,6 +21,7 @@ from robot_agent.heartbeat import Heartbeat
 from robot_agent.journal import Journal
 from robot_agent.memory import Memory
 from robot_agent.motion_worker import MotionWorker
+from robot_agent.ownership import Commander
 from robot_agent.planner import Planner
 from robot_agent.robot import Robot
 from robot_agent.stop_service import StopService
@@ -129,8 +130,8 @@ class Agent:
         robot, memory = self._robot, self._memory
         planner = Planner(self._name, robot.spec, robot.state_names, memory, self._realtime)
         self._decisions = Decisions(self._boot_id, planner, journal, self._changed)
-        refusal = self._decisions.refusal_to_change
-        self._experiences = ExperienceService(self._name, robot, memory, refusal)
+        change = self._decisions.change
+        self._experiences = ExperienceService(self._name, robot, memory, change)
 
     def _join(self, opened: ExitStack) -> None:
         """Open everything in the order in which it is needed; it is closed in the opposite one."""
@@ -202,6 +203,7 @@ class Agent:
 
     def _describe(self, payload: bytes) -> Answer:
         _decoded(payload, DescribeRequest)
+        commander = self._decisions.commander
         return Description(
             robot=self._name,
             boot_id=self._boot_id,
@@ -210,6 +212,8 @@ class Agent:
             experiences=self._experiences.offers(),
             prior=self._experiences.prior(),
             baseline_known=bool(self._memory.baseline),
+            owner=None if commander is None else commander.owner,
+            epoch=0 if commander is None else commander.epoch,
         )
 
     def _take_goal(self, payload: bytes) -> Answer:
@@ -232,14 +236,17 @@ class Agent:
             self._decisions.wait_for_owner(owner, timeout_s=OWNER_PATIENCE_S)
 
     def _cancel(self, payload: bytes) -> Answer:
-        return self._decisions.cancel(_decoded(payload, CancelRequest).goal_id) or Done()
+        request = _decoded(payload, CancelRequest)
+        sender = Commander(request.sender, request.epoch)
+        return self._decisions.cancel(request.goal_id, sender) or Done()
 
     def _result(self, payload: bytes) -> Answer:
         return self._decisions.result(_decoded(payload, ResultRequest).goal_id)
 
     def _acknowledge(self, payload: bytes) -> Answer:
-        self._decisions.forget(_decoded(payload, AcknowledgeRequest).goal_ids)
-        return Done()
+        request = _decoded(payload, AcknowledgeRequest)
+        sender = Commander(request.sender, request.epoch)
+        return self._decisions.acknowledge(request.goal_ids, sender) or Done()
 
     def _fetch(self, payload: bytes) -> Answer:
         return self._experiences.fetch(_decoded(payload, FetchRequest))

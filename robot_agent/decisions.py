@@ -12,10 +12,11 @@ import threading
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from robot_agent import goal_machine, supervisor
+from robot_agent import goal_machine, ownership, supervisor
 from robot_agent.goal_machine import Goal
 from robot_agent.journal import Journal
 from robot_agent.journal_ledger import JournalError
+from robot_agent.ownership import Commander
 from robot_agent.pace import HaltSwitch
 from robot_agent.planner import Planner, digest
 from robot_agent.results import KeptResults
@@ -68,6 +69,8 @@ class Decisions:
         found = journal.remembrance
         self._supervision = supervisor.Supervision(stop=found.stop)
         self._goals = found.goals
+        owner = found.owner
+        self._commander = None if owner is None else Commander(owner.owner, owner.epoch)
         self._last_goal = found.lost[-1] if found.lost else None
         self._last_reason = (
             f"the agent before this one ended during {self._last_goal}" if found.lost else ""
@@ -139,17 +142,29 @@ class Decisions:
         with self._taking:
             return self._taken(request)
 
-    def refusal_to_change(self) -> Refusal | None:
-        """Return why what the robot flies with may not be changed now; None when it may."""
-        with self._lock:
-            if self._motion is None:
-                return None
-            return Refusal(code="busy", reason=f"running goal {self._motion.goal.goal_id}")
+    def change(self, sender: Commander) -> Refusal | None:
+        """Return why a sender may not change what the robot flies with now; None when it may.
 
-    def cancel(self, goal_id: str) -> Refusal | None:
+        It commands the robot from then on; raises JournalError when that cannot be stored.
+        """
+        with self._taking:
+            with self._lock:
+                refusal = self._refusal_to_command(sender)
+                if refusal is None and self._motion is not None:
+                    running = self._motion.goal.goal_id
+                    refusal = Refusal(code="busy", reason=f"running goal {running}")
+            if refusal is None:
+                self._follow(sender)
+        return refusal
+
+    def cancel(self, goal_id: str, sender: Commander) -> Refusal | None:
         """End a goal's motion early; return why not."""
         with self._lock:
-            refusal = goal_machine.cancel(self._goals, goal_id)
+            # Whoever began it may end it, whatever has become of its lease meanwhile.
+            refusal = None
+            if self._supervision.motion_owner != sender.owner:
+                refusal = self._refusal_to_command(sender)
+            refusal = refusal or goal_machine.cancel(self._goals, goal_id)
             if refusal is None and self._motion is not None:
                 self._motion.switch.halt(Outcome.CANCELLED, "cancelled")
             self._changed.set()
@@ -170,12 +185,13 @@ class Decisions:
             code="result-gone", reason=f"the result of {goal_id} was let go already"
         )
 
-    def forget(self, goal_ids: Iterable[str]) -> None:
-        """Let results go that have arrived; raises JournalError, and then keeps them."""
-        goal_ids = tuple(goal_ids)
-        self._journal.acknowledged(goal_ids)
+    def acknowledge(self, goal_ids: Iterable[str], sender: Commander) -> Refusal | None:
+        """Let results go that have arrived; return why not, or raise JournalError."""
         with self._lock:
-            self._results.forget(goal_ids)
+            refusal = self._refusal_to_command(sender)
+        if refusal is None:
+            self._forget(goal_ids)
+        return refusal
 
     def release(self, sender: str) -> Refusal | None:
         """End a stop; return why not. A fault stays until the robot is connected anew.
@@ -229,6 +245,11 @@ class Decisions:
             self._supervise(supervisor.MotionEnded(fault))
 
     @property
+    def commander(self) -> Commander | None:
+        """Who commanded the robot last under a lease."""
+        return self._commander
+
+    @property
     def fault(self) -> str | None:
         """Why the robot has to be connected anew; None when it is well."""
         return self._supervision.fault
@@ -277,13 +298,15 @@ class Decisions:
                 motion = self._motion = Assignment(answer.goal, request.motion, plan)
                 self._resting, self._progress = False, 0.0
                 self._supervise(supervisor.MotionBegan(request.owner))
-        if motion is not None:
-            # From here on a stop finds it and halts it, though it has not begun.
-            try:
+        # From here on a stop finds it and halts it, though it has not begun.
+        try:
+            self._follow(_commander(request))
+            if motion is not None:
                 self._journal.accepted(motion.goal, plan, self._boot_id)
-            except JournalError as error:
+        except JournalError as error:
+            if motion is not None:
                 self._take_back(motion)
-                return Refusal(code="journal", reason=as_reason(error)), None
+            return Refusal(code="journal", reason=as_reason(error)), None
         accepted = GoalAccepted(
             goal_id=request.goal_id,
             boot_id=self._boot_id,
@@ -292,9 +315,15 @@ class Decisions:
         )
         return accepted, motion
 
+    def _forget(self, goal_ids: Iterable[str]) -> None:
+        goal_ids = tuple(goal_ids)
+        self._journal.acknowledged(goal_ids)
+        with self._lock:
+            self._results.forget(goal_ids)
+
     def _forget_quietly(self, goal_ids: tuple[str, ...]) -> None:
         try:
-            self.forget(goal_ids)
+            self._forget(goal_ids)
         except JournalError as error:
             # No reason to refuse the goal that came with it, which may be running already.
             _log.warning("results that arrived are kept: %s", error)
@@ -317,12 +346,31 @@ class Decisions:
             self._motion = None
             self._supervise(supervisor.MotionEnded())
 
+    def _follow(self, sender: Commander) -> None:
+        """Remember an epoch before anything is done under it; raises JournalError."""
+        if ownership.takes_over(self._commander, sender):
+            self._journal.owned(sender.owner, sender.epoch)
+            with self._lock:
+                self._commander = sender
+
     # With the lock held.
+
+    def _refusal_to_command(self, sender: Commander) -> Refusal | None:
+        held, moving_for = self._commander, self._supervision.motion_owner
+        return ownership.refusal_to_command(
+            held,
+            sender,
+            held_alive=held is not None and held.owner in self._owners_alive,
+            moving_for=moving_for if moving_for in self._owners_alive else None,
+        )
 
     def _submitted(
         self, request: GoalRequest, sha256: str
     ) -> tuple[goal_machine.Goals, goal_machine.Accepted | Refusal]:
         goal_id, owner = request.goal_id, request.owner
+        refusal = self._refusal_to_command(_commander(request))
+        if refusal is not None:
+            return self._goals, refusal
         if goal_machine.recognise(self._goals, goal_id=goal_id, digest=sha256) is None:
             if self._shutting_down:
                 return self._goals, Refusal(code="shutting-down", reason="this agent is ending")
@@ -350,3 +398,7 @@ class Decisions:
         if stop is not None:
             return RobotStatus.STOPPED, f"stopped by {stop.sender}: {stop.reason}"
         return RobotStatus.IDLE, self._last_reason
+
+
+def _commander(request: GoalRequest) -> Commander:
+    return Commander(request.owner, request.epoch)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from robot_agent.memory import Kept, Memory
+from robot_agent.ownership import Commander
 from robot_agent.robot import Robot
 from shared.codec import Message
 from shared.errors import RefusedError
@@ -32,10 +33,14 @@ class ExperienceService:
     """Decides what may be installed, and serves what is; called from the endpoint's thread."""
 
     def __init__(
-        self, name: str, robot: Robot, memory: Memory, busy: Callable[[], Refusal | None]
+        self,
+        name: str,
+        robot: Robot,
+        memory: Memory,
+        change: Callable[[Commander], Refusal | None],
     ) -> None:
-        """Serve a robot's memory; `busy` says why nothing may be changed now."""
-        self._name, self._robot, self._memory, self._busy = name, robot, memory, busy
+        """Serve a robot's memory; `change` says why somebody may change nothing now."""
+        self._name, self._robot, self._memory, self._change = name, robot, memory, change
 
     def offers(self) -> tuple[ExperienceOffer, ...]:
         """Return the robot's own experiences."""
@@ -74,9 +79,9 @@ class ExperienceService:
         """Keep another robot's experience as the prior to fly with."""
         return self._installed(request, self._memory.keep_prior, own=False)
 
-    def remove_prior(self, _request: RemovePriorRequest) -> Message:
+    def remove_prior(self, request: RemovePriorRequest) -> Message:
         """Fly without a prior from now on."""
-        refusal = self._busy()
+        refusal = self._change(Commander(request.sender, request.epoch))
         if refusal is not None:
             return refusal
         self._memory.forget_prior()
@@ -85,7 +90,7 @@ class ExperienceService:
     def _installed(
         self, request: InstallRequest, keep: Callable[[bytes, str], Kept], *, own: bool
     ) -> Message:
-        refusal = self._busy()
+        refusal = self._change(Commander(request.sender, request.epoch))
         if refusal is not None:
             return refusal
         manifest = decode_experience(request.payload, request.sha256).manifest

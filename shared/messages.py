@@ -18,6 +18,8 @@ from shared.strict import Digest, Identifier, Name, NonNegative, Reason
 
 Count = Annotated[int, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
+Epoch = Annotated[int, Field(ge=0, lt=2**63)]
+"""Of the lease under which an orchestrator commands a robot; 0 when it has none."""
 
 
 class RobotStatus(StrEnum):
@@ -62,7 +64,8 @@ class Description(Message):
     """What a robot is, which agent process serves it, and what it has learned.
 
     `state_names` is what it measures on every axis; `experiences` are its own, `prior` is what was
-    transferred to it, `baseline_known` says whether a flight with that can be guarded.
+    transferred to it, `baseline_known` says whether a flight with that can be guarded. `owner`
+    commanded it last under a lease, and `epoch` is that lease's: lower ones are refused.
     """
 
     robot: Name
@@ -72,6 +75,8 @@ class Description(Message):
     experiences: tuple[ExperienceOffer, ...] = ()
     prior: ExperienceOffer | None = None
     baseline_known: bool = False
+    owner: Identifier | None = None
+    epoch: Epoch = 0
 
 
 class GoalRequest(Message):
@@ -82,6 +87,7 @@ class GoalRequest(Message):
 
     goal_id: Identifier
     owner: Identifier
+    epoch: Epoch = 0
     motion: Motion
     acknowledges: Annotated[tuple[Identifier, ...], Field(max_length=64)] = ()
 
@@ -98,6 +104,8 @@ class GoalAccepted(Message):
 class CancelRequest(Message):
     """Asks to end a goal early, with the robot at rest."""
 
+    sender: Identifier
+    epoch: Epoch = 0
     goal_id: Identifier
 
 
@@ -110,6 +118,8 @@ class ResultRequest(Message):
 class AcknowledgeRequest(Message):
     """Says that these goals' results arrived and may be forgotten."""
 
+    sender: Identifier
+    epoch: Epoch = 0
     goal_ids: Annotated[tuple[Identifier, ...], Field(max_length=64)]
 
 
@@ -165,6 +175,7 @@ class InstallRequest(Message):
     """Gives a robot an experience: as its own, or as the prior that it flies with."""
 
     sender: Identifier
+    epoch: Epoch = 0
     sha256: Digest
     payload: Bytes
 
@@ -173,6 +184,7 @@ class RemovePriorRequest(Message):
     """Takes a robot's prior away."""
 
     sender: Identifier
+    epoch: Epoch = 0
 
 
 class PredictRequest(Message):

@@ -35,9 +35,9 @@ NOT_SERVED = ("state", "alive", "telemetry/motion", "result/g", "Goal", "goal/x"
 ANY_REPLY: tuple[type[Message], ...] = (Refusal, Done, Description)
 VALID: dict[str, Message] = {
     "describe": DescribeRequest(),
-    "cancel": CancelRequest(goal_id="g"),
+    "cancel": CancelRequest(sender="me", goal_id="g"),
     "result": ResultRequest(goal_id="g"),
-    "acknowledge": AcknowledgeRequest(goal_ids=("g",)),
+    "acknowledge": AcknowledgeRequest(sender="me", goal_ids=("g",)),
     "release": ReleaseRequest(sender="me"),
     "stop": StopRequest(sender="me", reason="smoke"),
 }

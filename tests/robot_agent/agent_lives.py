@@ -22,6 +22,7 @@ from robot_agent import journal_log
 from robot_agent.decisions import Assignment, Decisions
 from robot_agent.journal import Journal
 from robot_agent.memory import Memory
+from robot_agent.ownership import Commander
 from robot_agent.planner import Planner
 from robot_agent.supervisor import StopOrder
 from shared.excitation import Excitation, Tone
@@ -207,7 +208,7 @@ class Lives:
     def acknowledge(self, goal_id: str) -> None:
         if self.known.get(goal_id) is not None:
             self.acknowledged.add(goal_id)
-            self.decisions.forget([goal_id])
+            assert self.decisions.acknowledge([goal_id], Commander("o")) is None
             assert self._refusal(goal_id) == "result-gone"
 
     # The process.

@@ -16,6 +16,7 @@ from robot_agent import planner as planner_module
 from robot_agent.decisions import Assignment, Decisions
 from robot_agent.excitation import plan_excitation
 from robot_agent.memory import Memory
+from robot_agent.ownership import Commander
 from robot_agent.planner import Planner
 from robot_agent.supervisor import StopOrder
 from robot_agent.unrecorded import Unrecorded
@@ -158,7 +159,7 @@ class History(RuleBasedStateMachine):
 
     @rule(goal_id=st.sampled_from(["a", "b", "c", "d"]))
     def cancel(self, goal_id: str) -> None:
-        refusal = self.decisions.cancel(goal_id)
+        refusal = self.decisions.cancel(goal_id, Commander("o-1"))
         running = self.motion is not None and self.motion.goal.goal_id == goal_id
         assert (refusal is None) == running
         if self.motion is not None and running:
@@ -186,7 +187,7 @@ class History(RuleBasedStateMachine):
 
     @rule(goal_ids=st.lists(st.sampled_from(["a", "b", "c", "d"]), max_size=3))
     def acknowledge(self, goal_ids: list[str]) -> None:
-        self.decisions.forget(goal_ids)
+        self.decisions.acknowledge(goal_ids, Commander("o-1"))
         self.kept -= set(goal_ids)
 
     @rule()

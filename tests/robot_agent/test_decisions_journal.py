@@ -18,6 +18,7 @@ from robot_agent.decisions import Assignment, Decisions
 from robot_agent.journal import LOG, Journal
 from robot_agent.journal_ledger import JournalError
 from robot_agent.memory import Memory
+from robot_agent.ownership import Commander
 from robot_agent.planner import Planner
 from robot_agent.supervisor import StopOrder
 from shared.errors import RefusedError
@@ -172,7 +173,7 @@ def test_acknowledgements_that_cannot_be_stored_keep_the_results_and_refuse_no_g
         with monkeypatch.context() as disk:
             disk.setattr(journal_log, "_write_all", full)
             with pytest.raises(JournalError):
-                decisions.forget(["a"])
+                decisions.acknowledge(["a"], Commander("o"))
             assert isinstance(decisions.take(again)[0], GoalAccepted)
         assert decisions.result("a") == result
 

@@ -67,6 +67,7 @@ EVERY_TYPE = tuple(
 
 names = st.from_regex(r"[a-z0-9][a-z0-9_-]{0,62}", fullmatch=True)
 identifiers = st.from_regex(r"[0-9a-z][0-9a-z._-]{0,199}", fullmatch=True)
+epochs = st.integers(0, 2**63 - 1)
 sentences = st.text(st.characters(exclude_categories=["Cs"]), max_size=200)
 positive = st.floats(1e-6, 1e6)
 non_negative = st.floats(0, 1e6)
@@ -160,6 +161,8 @@ def descriptions(draw: st.DrawFn) -> Description:
             settling_time_s=draw(non_negative),
             simulated=draw(st.booleans()),
         ),
+        owner=draw(st.none() | identifiers),
+        epoch=draw(epochs),
     )
 
 
@@ -214,6 +217,7 @@ STRATEGIES: dict[type[Message], st.SearchStrategy[Message]] = {
         GoalRequest,
         goal_id=identifiers,
         owner=identifiers,
+        epoch=epochs,
         motion=motions,
         acknowledges=goal_ids,
     ),
@@ -224,9 +228,11 @@ STRATEGIES: dict[type[Message], st.SearchStrategy[Message]] = {
         plan=plans,
         wall_duration_s=non_negative,
     ),
-    CancelRequest: st.builds(CancelRequest, goal_id=identifiers),
+    CancelRequest: st.builds(CancelRequest, sender=identifiers, epoch=epochs, goal_id=identifiers),
     ResultRequest: st.builds(ResultRequest, goal_id=identifiers),
-    AcknowledgeRequest: st.builds(AcknowledgeRequest, goal_ids=goal_ids),
+    AcknowledgeRequest: st.builds(
+        AcknowledgeRequest, sender=identifiers, epoch=epochs, goal_ids=goal_ids
+    ),
     GoalResult: results(),
     StopRequest: st.builds(StopRequest, sender=identifiers, reason=sentences),
     ReleaseRequest: st.builds(ReleaseRequest, sender=identifiers),
@@ -263,9 +269,9 @@ STRATEGIES: dict[type[Message], st.SearchStrategy[Message]] = {
         lambda sha256: ExperienceOffer(sha256=sha256, size_bytes=3, manifest=MANIFEST)
     ),
     InstallRequest: st.builds(
-        InstallRequest, sender=identifiers, sha256=digests, payload=st.binary()
+        InstallRequest, sender=identifiers, epoch=epochs, sha256=digests, payload=st.binary()
     ),
-    RemovePriorRequest: st.builds(RemovePriorRequest, sender=identifiers),
+    RemovePriorRequest: st.builds(RemovePriorRequest, sender=identifiers, epoch=epochs),
     PredictRequest: st.builds(PredictRequest, sha256=digests, inputs=flights),
     Prediction: st.builds(Prediction, gamma=finite_array(4)),
 }

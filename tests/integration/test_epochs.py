@@ -1,0 +1,125 @@
+"""Two orchestrators and one robot: who commands it, over a real router."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from fleet_lab import SLOW, Lab, Orchestrator, refusal
+from polling import wait_until
+from puppet_robot import PuppetRobot
+
+from orchestrator.goal_runner import GoalRunner
+from shared.errors import RefusedError
+from shared.excitation import Excitation
+from shared.messages import GoalAccepted, Outcome, RobotStatus
+
+
+def submit(
+    orchestrator: Orchestrator, goal_id: str, epoch: int, **excitation: object
+) -> GoalAccepted:
+    request = orchestrator.request(goal_id, **excitation)
+    return orchestrator.fleet.submit("a", request.model_copy(update={"epoch": epoch}))
+
+
+def test_everyone_can_see_who_commands_a_robot_and_under_which_epoch(lab: Lab) -> None:
+    lab.agent("a", PuppetRobot())
+    owner, watcher = lab.orchestrator("owner"), lab.orchestrator("watcher")
+    described = watcher.fleet.describe("a")
+    assert (described.owner, described.epoch) == (None, 0)
+    request = owner.request("g")
+    assert isinstance(request.motion, Excitation)
+    result = GoalRunner(owner.fleet, {"a": 5}).run("a", "g", request.motion)
+    assert result.outcome is Outcome.COMPLETED
+    described = watcher.fleet.describe("a")
+    assert (described.owner, described.epoch) == ("owner", 5)
+    assert watcher.fleet.result("a", "g").outcome is Outcome.COMPLETED
+
+
+def test_an_epoch_that_is_over_is_refused_in_everything_and_names_the_newer_owner(
+    lab: Lab, tmp_path: Path
+) -> None:
+    robot = PuppetRobot()
+    agent = lab.agent("a", robot, state_folder=tmp_path / "a")
+    late, owner = lab.orchestrator("late"), lab.orchestrator("owner")
+    submit(owner, "g", 5)
+    owner.result("a", "g")
+    for life in range(2):
+        with pytest.raises(RefusedError, match="owner commands it under epoch 5") as raised:
+            submit(late, "g2", 4)
+        assert raised.value.code == "stale-epoch"
+        assert refusal(lambda: submit(late, "g2", 5)) == "stale-epoch"
+        assert refusal(lambda: submit(late, "g", 4)) == "stale-epoch"
+        fleet = late.fleet
+        assert refusal(lambda: fleet.acknowledge("a", ("g",), epoch=4)) == "stale-epoch"  # noqa: B023
+        assert refusal(lambda: fleet.cancel("a", "g", epoch=4)) == "stale-epoch"  # noqa: B023
+        assert refusal(lambda: fleet.remove_prior("a", epoch=4)) == "stale-epoch"  # noqa: B023
+        sent = ("prior", b"", "0" * 64)
+        assert refusal(lambda: fleet.install("a", *sent, epoch=4)) == "stale-epoch"  # type: ignore[arg-type]  # noqa: B023
+        assert owner.fleet.result("a", "g").outcome is Outcome.COMPLETED
+        if life == 0:
+            boot_id = owner.state("a", lambda s: True).boot_id
+            agent.close()
+            agent = lab.agent("a", robot, state_folder=tmp_path / "a")
+            late.state("a", lambda s: s.boot_id != boot_id)  # noqa: B023
+            owner.state("a", lambda s: s.boot_id != boot_id)  # noqa: B023
+            wait_until(lambda: late.fleet.robots() == owner.fleet.robots() == ("a",))
+    assert robot.motions == 1
+
+
+def test_a_higher_epoch_takes_over_a_robot_at_rest_and_no_moving_one(lab: Lab) -> None:
+    robot = PuppetRobot()
+    lab.agent("a", robot, realtime=1.0)
+    first, second = lab.orchestrator("first"), lab.orchestrator("second")
+    submit(first, "g1", 5, **SLOW)
+    wait_until(lambda: not robot.at_rest)
+    assert refusal(lambda: submit(second, "g2", 6)) == "busy"
+    assert refusal(lambda: second.fleet.cancel("a", "g1", epoch=6)) == "busy"
+    first.state("a", lambda s: s.status is RobotStatus.RUNNING)
+    first.fleet.cancel("a", "g1", epoch=5)
+    first.result("a", "g1")
+    submit(second, "g2", 6, **SLOW)
+    assert refusal(lambda: first.fleet.cancel("a", "g2", epoch=5)) == "stale-epoch"
+    assert second.fleet.describe("a").owner == "second"
+    # A stop is everybody's.
+    first.fleet.stop("a", "smoke")
+    assert second.result("a", "g2").outcome is Outcome.ABORTED
+
+
+def test_a_robot_whose_owner_falls_silent_rests_and_can_be_taken_over(lab: Lab) -> None:
+    robot = PuppetRobot()
+    lab.agent("a", robot, realtime=1.0)
+    first, second = lab.orchestrator("first"), lab.orchestrator("second")
+    submit(first, "g1", 5, **SLOW)
+    wait_until(lambda: not robot.at_rest)
+    first.session.close()
+    result = second.result("a", "g1")
+    assert (result.outcome, result.reason) == (Outcome.ABORTED, "its owner first is gone")
+    submit(second, "g2", 6)
+    assert second.result("a", "g2").outcome is Outcome.COMPLETED
+    awake = lab.orchestrator("first")
+    assert refusal(lambda: submit(awake, "g3", 5)) == "stale-epoch"
+    assert refusal(lambda: submit(awake, "g3", 0)) == "stale-epoch"
+    assert robot.motions == 2
+
+
+def test_who_has_no_lease_may_use_a_robot_whose_owner_is_gone(lab: Lab) -> None:
+    lab.agent("a", PuppetRobot())
+    owner, visitor = lab.orchestrator("owner"), lab.orchestrator("visitor")
+    submit(owner, "g1", 5)
+    owner.result("a", "g1")
+    assert refusal(lambda: visitor.submit("a", "g2")) == "stale-epoch"
+    owner.session.close()
+    visitor.state("a", lambda s: s.status is RobotStatus.IDLE)
+
+    def admitted() -> bool:
+        try:
+            visitor.submit("a", "g2")
+        except RefusedError as error:
+            return error.code != "stale-epoch"
+        return True
+
+    wait_until(admitted)
+    assert visitor.result("a", "g2").outcome is Outcome.COMPLETED
+    described = visitor.fleet.describe("a")
+    assert (described.owner, described.epoch) == ("owner", 5)
