@@ -28,7 +28,7 @@ from benchmarks.planar_robot import (
 )
 from orchestrator.learning_record import LearningRecord, pooled_pairs
 from orchestrator.training import STEPS_MAX, Origin, TrainingData, train
-from robot_agent.baseline_model import identify_baseline
+from robot_agent.baseline_model import identify_baseline, needed_correction
 from robot_agent.guard import Guard
 from robot_agent.inverse_model import NetworkInverse
 from robot_agent.online_gp import OnlineGp
@@ -121,10 +121,12 @@ def prepared(
         for axis in (0, 1)
     ]
     errors = np.stack([model.error(desired[:, i]) for i, model in enumerate(models)], axis=1)
-    noise_variance = sum(model.residual_std**2 for model in models)
-    guard = Guard(
-        errors, noise_variance, spec.sample_time_s, tracking_limits(robot).acceleration_max
+    needed = np.stack(
+        [needed_correction(model, desired[:, i]) for i, model in enumerate(models)], axis=1
     )
+    noise_variance = sum(model.residual_std**2 for model in models)
+    limits = tracking_limits(robot)
+    guard = Guard(errors, noise_variance, spec.sample_time_s, limits.acceleration_max, needed)
     return Learner(layout, OnlineGp(layout, (prior, prior))), guard
 
 

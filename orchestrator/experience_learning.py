@@ -88,9 +88,12 @@ def fly_lessons(
         flight = pilot.with_prior(robot, path, "practice", sha256, learn=False)
         if flight.failure is not None:
             pick_up(fleet, description, flight.failure)
-        elif flight.details.taken_back is None:
-            return flight.rms_error
-        return math.inf
+            return math.inf
+        event = flight.details.taken_back
+        if event is not None:
+            say(robot, f"does not fly it to the end: {event.reason}")
+            return math.inf
+        return flight.rms_error
 
     lessons = []
     try:

@@ -32,6 +32,16 @@ class BaselineModel(Strict):
         return np.asarray(lfilter(self.error_response, [1.0], change))
 
 
+def needed_correction(model: BaselineModel, desired: FloatArray) -> FloatArray:
+    """Return about how far the reference has to be from the path for the output to be on it.
+
+    With the error operator E the exact correction is (1 − E)⁻¹ E y_d; these are the first two terms
+    of its Neumann series, which suffice where the baseline follows at all. Shape (samples,).
+    """
+    first = model.error(desired)
+    return first + model.error(first)
+
+
 def identify_baseline(
     records: list[tuple[FloatArray, FloatArray]], sample_time_s: float, memory_s: float
 ) -> BaselineModel:

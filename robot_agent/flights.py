@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from robot_agent.baseline_model import identify_baseline
+from robot_agent.baseline_model import identify_baseline, needed_correction
 from robot_agent.guard import Guard
 from robot_agent.memory import Memory
 from robot_agent.motion import Performance, Samples
@@ -190,8 +190,9 @@ def guard_for(desired: FloatArray, robot: Robot, memory: Memory) -> Guard:
     """Return the guard of one flight along a path (samples, axes)."""
     models = [memory.baseline[axis.name] for axis in robot.spec.axes]
     error = np.stack([m.error(desired[:, i]) for i, m in enumerate(models)], axis=1)
+    needed = np.stack([needed_correction(m, desired[:, i]) for i, m in enumerate(models)], axis=1)
     noise_variance = sum(model.residual_std**2 for model in models)
     limits = robot.spec.tracking
     if limits is None:
         raise RobotError("the robot does not track")
-    return Guard(error, noise_variance, robot.spec.sample_time_s, limits.acceleration_max)
+    return Guard(error, noise_variance, robot.spec.sample_time_s, limits.acceleration_max, needed)

@@ -20,7 +20,8 @@ class GuardSettings(Strict):
     The squared error may exceed the baseline's by `budget` of the baseline's whole; the rest of the
     tolerated 10 % (21 % of the square) is left for the hand-over. A squared error averaged over
     `window_s` that is `peak_ratio`² times the baseline's worst ends it at once. So does a
-    correction that accelerates as hard as the path itself may, over `restless_window_s`: that is no
+    correction that accelerates, over `restless_window_s`, harder than a path may and
+    `restless_ratio` times as hard as the one that would take the baseline's error away: that is no
     correction but an oscillation, which throws a robot over long before it is far off its path.
     """
 
@@ -28,6 +29,7 @@ class GuardSettings(Strict):
     peak_ratio: Positive = 1.3
     window_s: Positive = 0.2
     restless_window_s: Positive = 0.3
+    restless_ratio: Positive = 3.0
     hand_over_s: Positive = 0.4
 
 
@@ -40,6 +42,7 @@ class Guard:
         noise_variance: float,
         sample_time_s: float,
         acceleration_max: float,
+        needed: FloatArray,
         settings: GuardSettings | None = None,
     ) -> None:
         """Prepare for one trajectory.
@@ -49,6 +52,7 @@ class Guard:
             noise_variance: of the measured error, summed over the axes.
             sample_time_s: between two samples.
             acceleration_max: of a path, in unit/s².
+            needed: the correction that would take the baseline's error away, shape (samples, axes).
             settings: the defaults if left out.
         """
         chosen = settings or GuardSettings()
@@ -62,7 +66,10 @@ class Guard:
         self._recent = np.zeros(window)
         restless = max(3, round(chosen.restless_window_s / sample_time_s))
         self._accelerations = np.zeros(restless)
-        self._acceleration_max = acceleration_max
+        pulls = (np.diff(needed, 2, axis=0) ** 2).sum(axis=1) / sample_time_s**4
+        smooth = np.convolve(pulls, np.ones(restless) / restless, mode="same")
+        needed_max = math.sqrt(smooth.max()) if len(smooth) else 0.0
+        self._acceleration_max = max(acceleration_max, chosen.restless_ratio * needed_max)
         self._sample_time_s = sample_time_s
         self._corrections = np.zeros((3, baseline_error.shape[1]))
         self._hand_over = max(1, round(chosen.hand_over_s / sample_time_s))
@@ -91,7 +98,7 @@ class Guard:
     def _pull(self, correction: FloatArray) -> float:
         """Return the squared acceleration of the correction.
 
-        It is cut at twice the bound's: a single kink, as at a corner of the path, is no oscillation.
+        It is cut at twice the bound's: a single kink, as at a corner of a path, is no oscillation.
         """
         self._corrections = np.concatenate([self._corrections[1:], correction[np.newaxis]])
         second = np.diff(self._corrections, 2, axis=0)[0] / self._sample_time_s**2
@@ -110,8 +117,8 @@ class Guard:
         if pull > self._acceleration_max:
             return TakenBack(
                 sample=sample,
-                reason=f"its corrections oscillate: they accelerate by {pull:.3g}, more than a "
-                f"path may, {self._acceleration_max:g}",
+                reason=f"its corrections oscillate: they accelerate by {pull:.3g}, which no path "
+                f"asks for; {self._acceleration_max:.3g} is enough",
             )
         excess = self._spent - float(self._allowed[sample])
         if excess > self._budget:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from robots_that_learn import double_integrator
 
-from robot_agent.baseline_model import identify_baseline
+from robot_agent.baseline_model import identify_baseline, needed_correction
 from robot_agent.rich_flight import rich_references
 from shared.errors import InvalidInputError
 from shared.trajectories import travel
@@ -42,3 +42,17 @@ def test_too_little_to_learn_from_is_refused() -> None:
     broken = np.full(4000, np.nan)
     with pytest.raises(InvalidInputError, match="not finite"):
         identify_baseline([(np.zeros(4000), broken)], 0.02, 4.0)
+
+
+def test_the_correction_that_is_needed_takes_the_error_away() -> None:
+    robot = double_integrator()
+    spec = robot.spec
+    references = rich_references(spec, 60.0, np.random.default_rng(0))
+    outputs = robot.run(references)
+    model = identify_baseline([(references[:, 0], outputs[:, 0])], spec.sample_time_s, 6.0)
+    path = travel(np.array([[0.0], [0.9], [-0.5], [0.6], [0.0]]), 0.5, 1.0, spec.sample_time_s)
+    robot.rest()
+    before = path - robot.run(path)
+    robot.rest()
+    after = path - robot.run(path + needed_correction(model, path[:, 0])[:, np.newaxis])
+    assert np.sqrt(np.mean(after**2)) < 0.3 * np.sqrt(np.mean(before**2))

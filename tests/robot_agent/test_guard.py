@@ -16,6 +16,7 @@ STEP_S = 0.02
 PULL_MAX = 2.0
 STILL = np.zeros(2)
 SAMPLES = 500
+NEEDED = np.zeros((SAMPLES, 2))
 
 
 def baseline() -> FloatArray:
@@ -24,7 +25,7 @@ def baseline() -> FloatArray:
 
 
 def judged(errors: FloatArray, noise_variance: float = 0.0) -> tuple[list[float], Guard]:
-    guard = Guard(baseline(), noise_variance, STEP_S, PULL_MAX)
+    guard = Guard(baseline(), noise_variance, STEP_S, PULL_MAX, NEEDED)
     return [guard.judge(k, error, STILL) for k, error in enumerate(errors)], guard
 
 
@@ -63,7 +64,7 @@ def test_the_hand_over_is_smooth_and_takes_its_time() -> None:
 
 def oscillating(amplitude: float, omega_rad_s: float) -> Guard:
     """Corrections that swing while the robot stays on its path."""
-    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX)
+    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX, NEEDED)
     for k in range(SAMPLES):
         swing = amplitude * (1 - np.cos(omega_rad_s * k * STEP_S))
         guard.judge(k, np.zeros(2), np.array([0.0, swing]))
@@ -82,8 +83,17 @@ def test_slow_corrections_as_large_are_left_alone() -> None:
     assert oscillating(0.1, 3.0).event is None
 
 
+def test_corrections_that_are_as_fast_as_the_baseline_needs_are_left_alone() -> None:
+    time_s = np.arange(SAMPLES) * STEP_S
+    needed = 0.04 * np.stack([np.cos(10.0 * time_s), np.zeros(SAMPLES)], axis=1)
+    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX, needed)
+    for k in range(SAMPLES):
+        guard.judge(k, np.zeros(2), needed[k])
+    assert guard.event is None
+
+
 def test_a_single_kink_is_no_oscillation() -> None:
-    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX)
+    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX, NEEDED)
     for k in range(SAMPLES):
         kinked = max(0.0, 0.6 * (k - 200) * STEP_S)
         guard.judge(k, np.zeros(2), np.array([kinked, 0.0]))
@@ -99,7 +109,9 @@ def test_once_taken_back_it_stays_so() -> None:
 
 def test_measurement_noise_is_not_held_against_the_model() -> None:
     noise = 0.01 * np.random.default_rng(0).standard_normal((SAMPLES, 2))
-    guard = Guard(np.zeros((SAMPLES, 2)), 2 * 0.01**2, STEP_S, PULL_MAX, GuardSettings(budget=0.2))
+    guard = Guard(
+        np.zeros((SAMPLES, 2)), 2 * 0.01**2, STEP_S, PULL_MAX, NEEDED, GuardSettings(budget=0.2)
+    )
     for k, error in enumerate(noise):
         guard.judge(k, error, STILL)
     assert guard.event is None
@@ -121,7 +133,7 @@ def test_a_model_that_obeys_its_share_never_costs_a_tenth_more_than_the_baseline
     """The error that is left is baseline + share × (what the model adds), a slow walk."""
     rng = np.random.default_rng(seed)
     harm = scale * 0.05 * np.cumsum(rng.standard_normal((SAMPLES, 2)), axis=0) / math.sqrt(SAMPLES)
-    own, guard = baseline(), Guard(baseline(), 0.0, STEP_S, PULL_MAX)
+    own, guard = baseline(), Guard(baseline(), 0.0, STEP_S, PULL_MAX, NEEDED)
     share, spent = 1.0, 0.0
     for k in range(SAMPLES):
         error = own[k] + share * harm[k]

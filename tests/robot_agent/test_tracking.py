@@ -112,7 +112,7 @@ def test_under_the_guard_a_harmful_prior_costs_at_most_a_tenth(window: int) -> N
     record = flown(noise_std_m=0.001)
     model = identify_baseline([(record.references[:, 0], record.states[:, 0, 0])], 0.015, 6.0)
     layout = PREVIEW.model_copy(update={"sample_time_s": 0.015, "horizon_samples": 13})
-    guard = Guard(model.error(PATH[:, 0])[:, np.newaxis], model.residual_std**2, 0.015, 2.0)
+    guard = Guard(model.error(PATH[:, 0])[:, np.newaxis], model.residual_std**2, 0.015, 2.0, PATH)
     unguarded = track(robot, PATH, LIMITS, learner(layout, harmful, window=0))
     guarded = track(robot, PATH, LIMITS, learner(layout, harmful, window), guard)
     own = track(robot, PATH, LIMITS)
@@ -201,7 +201,7 @@ def test_what_breaks_a_limit_is_refused_before_anything_moves() -> None:
         (np.where(flat == flat[9], np.nan, flat), None, None, "not finite"),
         (0.5 * flat[::4], None, None, "speed"),
         (0.5 * flat, Learner(needy, OnlineGp(needy, (None, None))), None, "needs the states"),
-        (0.5 * flat, None, Guard(flat, 0.0, 0.02, 2.0), "baseline needs none"),
+        (0.5 * flat, None, Guard(flat, 0.0, 0.02, 2.0, flat), "baseline needs none"),
     ]
     for desired, asked, guard, message in wrong:
         with pytest.raises(InvalidInputError, match=message):
