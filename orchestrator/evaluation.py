@@ -21,6 +21,7 @@ from orchestrator.evaluation_results import (
     InverseResult,
     SourceResult,
 )
+from orchestrator.evaluation_summaries import kendall_tau
 from orchestrator.experience_learning import pick_up
 from orchestrator.fleet import Fleet
 from orchestrator.flight_labels import BASELINE, NO_PRIOR
@@ -162,16 +163,6 @@ def summarise(
         ),
         run=run,
     )
-
-
-def kendall_tau(predicted: Sequence[float], measured: Sequence[float]) -> float | None:
-    """Return Kendall's τ_b of two orders (Kendall 1945); None where it is not defined."""
-    from scipy.stats import kendalltau
-
-    if len(predicted) < 2:
-        return None
-    tau = float(kendalltau(predicted, measured).statistic)
-    return tau if math.isfinite(tau) else None
 
 
 def _inverse_result(flights: Sequence[FlightRecord], inverse: str) -> InverseResult:

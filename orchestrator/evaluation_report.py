@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from orchestrator.evaluation_plots import fig4, fig7, paths
+from orchestrator.evaluation_plots import fig4, fig7, paths, scatter
 from orchestrator.evaluation_results import EvaluationRecord, EvaluationResult, InverseResult
 from orchestrator.evaluation_values import FlightError, FlownPath, StudyEstimate
 from orchestrator.flight_labels import flight_label, path_label
-from orchestrator.pairs import PairsResult
+from orchestrator.pairs import PairsResult, transfer_pairs
 from shared.arrays import FloatArray
 
 PAPER_TABLE_I = {
@@ -110,6 +110,13 @@ def write_figures(folder: Path, record: EvaluationRecord, flights: Path) -> None
     flown = _flown(flights, errors, record.result.unit)
     if flown:
         paths(plots / "paths.png", flown)
+
+
+def write_scatter(folder: Path, result: PairsResult) -> None:
+    """Draw what was predicted of all pairs against what they flew."""
+    plots = folder / "plots"
+    plots.mkdir(exist_ok=True)
+    scatter(plots / "pairs.png", transfer_pairs(result.pairs))
 
 
 def _flown(table: Path, errors: list[FlightError], unit: str) -> list[FlownPath]:

@@ -52,14 +52,18 @@ def reduction(errors: Sequence[FlightError], prior: str) -> float | None:
     return 1 - float(np.mean(ratios)) if ratios and np.isfinite(ratios).all() else None
 
 
-def kendall_tau(pairs: Sequence[TransferPair]) -> float | None:
-    """Return Kendall's τ-b of ψ̂* and the RMS error; None where nothing can be ordered."""
+def kendall_tau(predicted: Sequence[float], measured: Sequence[float]) -> float | None:
+    """Return Kendall's τ-b of two orders (Kendall 1945); None where one of them orders nothing."""
     from scipy.stats import kendalltau
 
-    psi, errors = [pair.psi for pair in pairs], [pair.rms_error_m for pair in pairs]
-    if len(set(psi)) < 2 or len(set(errors)) < 2:
+    if len(set(predicted)) < 2 or len(set(measured)) < 2:
         return None
-    return float(kendalltau(psi, errors).statistic)
+    return float(kendalltau(predicted, measured).statistic)
+
+
+def pooled_kendall_tau(pairs: Sequence[TransferPair]) -> float | None:
+    """Return Kendall's τ-b of ψ̂* and the error ratio over all pairs together."""
+    return kendall_tau([pair.psi for pair in pairs], [pair.ratio for pair in pairs])
 
 
 def mean_kendall_tau(pairs: Sequence[TransferPair]) -> float | None:
@@ -68,6 +72,6 @@ def mean_kendall_tau(pairs: Sequence[TransferPair]) -> float | None:
     It is sources for the same target that a selection compares.
     """
     targets = sorted({pair.target for pair in pairs})
-    taus = [kendall_tau([pair for pair in pairs if pair.target == target]) for target in targets]
+    taus = [pooled_kendall_tau([pair for pair in pairs if pair.target == t]) for t in targets]
     known = [tau for tau in taus if tau is not None]
     return float(np.mean(known)) if known else None

@@ -44,10 +44,11 @@ class FlownPath:
 class TransferPair:
     """An ordered pair of robots: what was estimated, and what the transfer then gave.
 
-    `rms_error_m` is infinite where a flight was not finished.
+    `ratio` is the target's RMS error with the source's experience over that with its baseline;
+    infinite where a flight was not finished.
     """
 
     target: str
     source: str
     psi: float
-    rms_error_m: float
+    ratio: float

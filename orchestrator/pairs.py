@@ -9,8 +9,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from orchestrator.evaluation import kendall_tau
 from orchestrator.evaluation_results import EvaluationResult
+from orchestrator.evaluation_summaries import mean_kendall_tau, pooled_kendall_tau
+from orchestrator.evaluation_values import TransferPair
 from shared.strict import NonNegative, Strict
 
 
@@ -65,16 +66,13 @@ class PairsResult(Strict):
 def compare_pairs(targets: Sequence[EvaluationResult], run: str) -> PairsResult:
     """Compare what was predicted for all targets with what they flew."""
     pairs = tuple(pair for target in targets for pair in _pairs(target))
-    taus = [t.kendall_tau for t in targets if t.kendall_tau is not None]
+    transfers = transfer_pairs(pairs)
     regrets = [_regrets(target) for target in targets]
     return PairsResult(
         pairs=pairs,
         targets=tuple(targets),
-        kendall_tau=float(np.mean(taus)) if taus else None,
-        kendall_tau_pooled=kendall_tau(
-            [pair.psi for pair in pairs],
-            [math.inf if pair.ratio is None else pair.ratio for pair in pairs],
-        ),
+        kendall_tau=mean_kendall_tau(transfers),
+        kendall_tau_pooled=pooled_kendall_tau(transfers),
         regret=Regret(
             selected=float(np.mean([selected for selected, _ in regrets])),
             random=float(np.mean([random for _, random in regrets])),
@@ -82,6 +80,16 @@ def compare_pairs(targets: Sequence[EvaluationResult], run: str) -> PairsResult:
         best_selected=sum(selected == 0.0 for selected, _ in regrets),
         harmful=sum(pair.harmful for pair in pairs),
         run=run,
+    )
+
+
+def transfer_pairs(pairs: Sequence[Pair]) -> tuple[TransferPair, ...]:
+    """Return predictions and errors of pairs; one that was not finished is the worst of all."""
+    return tuple(
+        TransferPair(
+            pair.target, pair.source, pair.psi, math.inf if pair.ratio is None else pair.ratio
+        )
+        for pair in pairs
     )
 
 

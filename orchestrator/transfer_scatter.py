@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from orchestrator.evaluation_summaries import kendall_tau, mean_kendall_tau
+from orchestrator.evaluation_summaries import mean_kendall_tau, pooled_kendall_tau
 from orchestrator.evaluation_values import TransferPair
 from orchestrator.figure_style import COLOURS, new_figure, plain, save
 from orchestrator.label_places import label_places
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def scatter(png: Path, pairs: Sequence[TransferPair]) -> None:
-    """Draw ψ̂* against the RMS error over ordered pairs of robots, with Kendall's τ.
+    """Draw ψ̂* against the error over the baseline's, of ordered pairs, with Kendall's τ.
 
     τ is given over all pairs, and averaged over the targets, each by itself.
 
@@ -33,15 +33,15 @@ def scatter(png: Path, pairs: Sequence[TransferPair]) -> None:
     targets = sorted({pair.target for pair in pairs})
     figure = new_figure(8.0, 5.5)
     axes = figure.add_subplot()
-    finite = [p.rms_error_m for p in pairs if math.isfinite(p.rms_error_m)]
-    top = 1.06 * max(finite, default=1.0)
+    finite = [p.ratio for p in pairs if math.isfinite(p.ratio)]
+    top = max(1.1, 1.06 * max(finite, default=1.0))
     for k, target in enumerate(targets):
         some = [p for p in pairs if p.target == target]
         for mark, unfinished in (("o", False), ("^", True)):
-            kept = [p for p in some if math.isinf(p.rms_error_m) == unfinished]
+            kept = [p for p in some if math.isinf(p.ratio) == unfinished]
             axes.plot(
                 [p.psi for p in kept],
-                [min(p.rms_error_m, top) for p in kept],
+                [min(p.ratio, top) for p in kept],
                 mark,
                 color=COLOURS[k % len(COLOURS)],
                 ms=5,
@@ -50,8 +50,11 @@ def scatter(png: Path, pairs: Sequence[TransferPair]) -> None:
     axes.set_xlim(0.0, 1.1 * max(p.psi for p in pairs))
     axes.set_ylim(0.0, 1.04 * top)
     axes.set_xlabel(r"estimate $\hat{\psi}^*$ of the worst-case chordal distance")
-    axes.set_ylabel("RMS tracking error [m]")
-    title = f"target→source, {len(pairs)} pairs: Kendall's τ = {_rounded(kendall_tau(pairs))}"
+    axes.axhline(1.0, color="0.5", lw=0.8, ls="--")
+    axes.set_ylabel("RMS tracking error over the baseline's")
+    title = (
+        f"target→source, {len(pairs)} pairs: Kendall's τ = {_rounded(pooled_kendall_tau(pairs))}"
+    )
     if len(targets) > 1:
         title += f"; for the same target on average {_rounded(mean_kendall_tau(pairs))}"
     axes.set_title(title, loc="left", fontsize=10)
@@ -72,7 +75,7 @@ def _label(
     # The axes get their place when the figure is drawn.
     figure.canvas.draw()
     origin, corner = axes.transAxes.transform([(0.0, 0.0), (1.0, 1.0)])
-    points = [(p.psi, min(p.rms_error_m, top)) for p in pairs]
+    points = [(p.psi, min(p.ratio, top)) for p in pairs]
     places = axes.transData.transform(points) - origin
     texts = [f"{p.target}→{p.source}" for p in pairs]
     labels = [axes.text(0, 0, text, fontsize=6.5) for text in texts]

@@ -10,7 +10,12 @@ import click
 
 from orchestrator.cli.reach import KeptFlights, Reach, Session, flying
 from orchestrator.console import stderr_console
-from orchestrator.evaluation_report import evaluation_table, pairs_table, write_figures
+from orchestrator.evaluation_report import (
+    evaluation_table,
+    pairs_table,
+    write_figures,
+    write_scatter,
+)
 from orchestrator.evaluation_results import EvaluationRecord
 from orchestrator.evaluation_run import EvaluationPlan, run_evaluation
 from orchestrator.experience_learning import FLIGHT_S
@@ -136,6 +141,7 @@ def _all_pairs(command: EvaluateCommand, session: Session) -> PairsResult:
     results = [_evaluated(single, session, target).result for target in there]
     pairs = compare_pairs(results, str(session.folder.path))
     session.folder.write_document("pairs.json", pairs)
+    write_scatter(session.folder.path, pairs)
     return pairs
 
 
