@@ -182,7 +182,7 @@ ModelFile = TransferFunctionFile | TransferMatrixFile | StateSpaceFile | Frequen
 def _from_json(path: Path, text: str) -> ModelFile:
     try:
         document: Any = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # a number may also be too long for Python
         raise ModelFileError(f"{path}: not JSON: {error}") from error
     fields = document.keys() if isinstance(document, dict) else set()
     if "num" in fields or "den" in fields:
@@ -203,7 +203,10 @@ def _from_json(path: Path, text: str) -> ModelFile:
 
 def _from_csv(path: Path, text: str) -> FrequencyResponseFile:
     names = ["omega_rad_s", "real", "imag", "variance"]
-    header, *rows = [row for row in csv.reader(text.splitlines()) if row] or [[]]
+    try:
+        header, *rows = [row for row in csv.reader(text.splitlines()) if row] or [[]]
+    except csv.Error as error:
+        raise ModelFileError(f"{path}: not a CSV file: {error}") from error
     header = [name.strip() for name in header]
     if header not in (names, names[:3]):
         raise ModelFileError(

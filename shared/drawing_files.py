@@ -20,6 +20,9 @@ FILE_BYTES_MAX = 8 * 2**20
 SVG_EXTENT_M = 2.4
 """An SVG has no metres: its longer side is drawn this long, centred on the origin."""
 
+SVG_NUMBER_MAX = 1e9
+"""No drawing has coordinates beyond these; sums of larger ones would overflow."""
+
 _CSV_COLUMNS = ["x_m", "y_m"]
 _CURVE_POINTS = 24
 _PATH_DATA = re.compile(r"<path\b[^>]*?\sd\s*=\s*([\"'])(?P<data>.*?)\1", re.DOTALL)
@@ -52,7 +55,10 @@ def read_drawing(path: Path) -> FloatArray:
 
 
 def _csv(text: str, name: str) -> FloatArray:
-    rows = list(csv.reader(text.splitlines()))
+    try:
+        rows = list(csv.reader(text.splitlines()))
+    except csv.Error as error:
+        raise InvalidInputError(f"{name}: not a CSV file: {error}") from error
     if not rows or [cell.strip() for cell in rows[0]] != _CSV_COLUMNS:
         raise InvalidInputError(f"{name}: the first line must be {','.join(_CSV_COLUMNS)}")
     points = []
@@ -63,7 +69,7 @@ def _csv(text: str, name: str) -> FloatArray:
             x, y = (float(cell) for cell in row)
         except ValueError as error:
             raise InvalidInputError(
-                f"{name}, line {number}: expected two numbers, got {row}"
+                f"{name}, line {number}: expected two numbers, got {row!r:.80}"
             ) from error
         points.append((x, y))
     return np.array(points, dtype=np.float64).reshape(-1, 2)
@@ -79,7 +85,10 @@ def _svg(text: str, name: str) -> FloatArray:
     points = np.array(_drawn(found[0], name), dtype=np.float64)
     check_path(points, name)
     low, high = points.min(axis=0), points.max(axis=0)
-    scale = SVG_EXTENT_M / float((high - low).max())
+    extent = float((high - low).max())
+    if extent < 1 / SVG_NUMBER_MAX:
+        raise InvalidInputError(f"{name}: the path is only {extent:g} units long")
+    scale = SVG_EXTENT_M / extent
     return np.asarray((points - (low + high) / 2) * scale * np.array([1.0, -1.0]))
 
 
@@ -141,6 +150,8 @@ def _segments(data: str, name: str) -> Iterator[tuple[str, list[float]]]:
                 raise InvalidInputError(f"{name}: path command {command!r} is not supported")
         else:
             numbers.append(float(token["number"]))
+            if abs(numbers[-1]) > SVG_NUMBER_MAX:
+                raise InvalidInputError(f"{name}: a number beyond ±{SVG_NUMBER_MAX:g}")
             if command.upper() in {"", "Z"}:
                 raise InvalidInputError(f"{name}: a number without a command")
         if command and len(numbers) == _ARGUMENTS[command.upper()]:

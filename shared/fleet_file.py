@@ -80,7 +80,8 @@ def read_fleet_file(path: Path) -> FleetFile:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise FleetFileError(f"{path}: cannot be read: {error.strerror}") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
+        # Wrong TOML or UTF-8, numbers too long for Python, tables nested beyond its stack.
         raise FleetFileError(f"{path}: not valid TOML: {error}") from error
     return _validated(FleetFile, document, str(path))
 

@@ -1,0 +1,50 @@
+"""What a fleet does when things go wrong, in figures: one function for each, a table and JSON.
+
+python -m benchmarks.faults                   # all
+python -m benchmarks.faults --only fuzz --payloads 5000
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from benchmarks import fault_fuzz
+from benchmarks.fault_figures import Figure
+
+FIGURES: dict[str, Callable[[argparse.Namespace], list[Figure]]] = {
+    "fuzz": lambda arguments: fault_fuzz.figures(arguments.payloads, arguments.requests),
+}
+
+
+def main() -> None:
+    """Parse the command line, measure, print a table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", nargs="+", choices=list(FIGURES), default=list(FIGURES))
+    parser.add_argument(
+        "--payloads", type=int, default=5000, help="fuzz: to each decoder and reader"
+    )
+    parser.add_argument("--requests", type=int, default=20_000, help="fuzz: to a live agent")
+    parser.add_argument("--json", type=Path, help="also write the figures to this file")
+    arguments = parser.parse_args()
+    print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
+    found: list[Figure] = []
+    for name in arguments.only:
+        began_s = time.perf_counter()
+        for figure in FIGURES[name](arguments):
+            found.append(figure)
+            print(figure, flush=True)
+        print(f"  ({name}: {time.perf_counter() - began_s:.0f} s)", flush=True)
+    if arguments.json:
+        documents = [figure.document() for figure in found]
+        arguments.json.write_text(json.dumps(documents, indent=2))
+    missed = [figure for figure in found if figure.holds is False]
+    raise SystemExit(1 if missed else 0)
+
+
+if __name__ == "__main__":
+    main()
