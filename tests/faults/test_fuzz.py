@@ -1,6 +1,6 @@
 """Whatever bytes arrive, they are refused in words; who takes them lives on and stays small.
 
-A share of `python -m benchmarks.faults --only fuzz`, which does it a hundred thousand times.
+A share of `python -m benchmarks.faults fuzz`, which does it a hundred thousand times.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from polling import PATIENCE_S
 
-from benchmarks.fuzz_agent import LEAVES, assert_serves, fuzz_agent
-from benchmarks.fuzz_targets import (
+from benchmarks.faults.fuzz_agent import LEAVES, assert_serves, fuzz_agent
+from benchmarks.faults.fuzz_targets import (
     decoding_targets,
     every_type_of_message,
     example_messages,
     file_targets,
 )
-from benchmarks.fuzzing import EscapedError, Mutator, Target, fuzz, resident_bytes
+from benchmarks.faults.fuzzing import EscapedError, Mutator, Target, fuzz, resident_bytes
 from orchestrator.fleet import Fleet
 from orchestrator.fleet_processes import FleetProcesses
 from shared.errors import MalformedMessageError

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks.fuzz_targets import example_messages
-from benchmarks.fuzzing import EscapedError, Mutator, Tally
+from benchmarks.faults.fuzz_targets import example_messages
+from benchmarks.faults.fuzzing import EscapedError, Mutator, Tally
 from orchestrator.fleet import Fleet
 from shared.codec import Message, decode, encode
 from shared.errors import MalformedMessageError, RefusedError

@@ -1,7 +1,7 @@
 """What a fleet does when things go wrong, in figures: one function for each, a table and JSON.
 
-python -m benchmarks.faults                   # all
-python -m benchmarks.faults --only fuzz --payloads 5000
+python -m benchmarks.faults                        # all
+python -m benchmarks.faults fuzz --payloads 5000
 """
 
 from __future__ import annotations
@@ -13,27 +13,32 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks import fault_fuzz
-from benchmarks.fault_figures import Figure
+from benchmarks.faults import fuzz
+from benchmarks.faults.figure import Figure
 
 FIGURES: dict[str, Callable[[argparse.Namespace], list[Figure]]] = {
-    "fuzz": lambda arguments: fault_fuzz.figures(arguments.payloads, arguments.requests),
+    "fuzz": lambda arguments: fuzz.figures(arguments.payloads, arguments.requests),
 }
 
 
 def main() -> None:
     """Parse the command line, measure, print a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", nargs="+", choices=list(FIGURES), default=list(FIGURES))
+    parser.add_argument(
+        "what", nargs="*", metavar="FIGURE", help=f"of {', '.join(FIGURES)}; all without any"
+    )
     parser.add_argument(
         "--payloads", type=int, default=5000, help="fuzz: to each decoder and reader"
     )
     parser.add_argument("--requests", type=int, default=20_000, help="fuzz: to a live agent")
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     arguments = parser.parse_args()
+    for name in arguments.what:
+        if name not in FIGURES:
+            parser.error(f"there is no figure {name!r}; there are {', '.join(FIGURES)}")
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
     found: list[Figure] = []
-    for name in arguments.only:
+    for name in arguments.what or FIGURES:
         began_s = time.perf_counter()
         for figure in FIGURES[name](arguments):
             found.append(figure)

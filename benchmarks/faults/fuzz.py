@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.fault_figures import Figure
-from benchmarks.fault_fleet import running_processes
-from benchmarks.fuzz_agent import assert_serves, fuzz_agent
-from benchmarks.fuzz_targets import decoding_targets, file_targets
-from benchmarks.fuzzing import Tally, Target, fuzz, resident_bytes
+from benchmarks.faults.figure import Figure
+from benchmarks.faults.fleet import running_processes
+from benchmarks.faults.fuzz_agent import assert_serves, fuzz_agent
+from benchmarks.faults.fuzz_targets import decoding_targets, file_targets
+from benchmarks.faults.fuzzing import Tally, Target, fuzz, resident_bytes
 
 GROWTH_MAX_MIB = 32.0
 MIB = 2**20

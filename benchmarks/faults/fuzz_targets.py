@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import sims
-from benchmarks.fuzzing import Target
+from benchmarks.faults.fuzzing import Target
 from orchestrator.model_files import read_model
 from orchestrator.repository.array_blob import pack_array, unpack_complex
 from orchestrator.repository.errors import DamagedRecordError
@@ -55,7 +55,7 @@ from shared.messages import (
     Telemetry,
     TrackingTelemetry,
 )
-from shared.motions import RichFlight, RichFlightDetails, StepTest, Tracking
+from shared.motions import Motion, RichFlight, RichFlightDetails, StepTest, Tracking
 from shared.robot_spec import AxisSpec, RobotSpec
 
 PLAN = ExcitationPlan(
@@ -121,7 +121,7 @@ def example_messages() -> list[Message]:
     stored = experience()
     offer = ExperienceOffer(sha256="0" * 64, size_bytes=3, manifest=stored.manifest)
     goal = {"goal_id": "run-1.2.a.1", "boot_id": "b00f", "plan": PLAN, "reason": ""}
-    motions = (
+    motions: tuple[Motion, ...] = (
         Excitation(axis="x", tones=PLAN.tones, settle_s=0.5),
         StepTest(axis="x"),
         RichFlight(duration_s=20.0, seed=3),
@@ -138,9 +138,9 @@ def example_messages() -> list[Message]:
             for k, m in enumerate(motions)
         ),
         GoalAccepted(goal_id="g", boot_id="b00f", plan=PLAN, wall_duration_s=1.0),
-        CancelRequest(goal_id="g"),
+        CancelRequest(sender="me", goal_id="g"),
         ResultRequest(goal_id="g"),
-        AcknowledgeRequest(goal_ids=("g", "g2")),
+        AcknowledgeRequest(sender="me", goal_ids=("g", "g2")),
         GoalResult.model_validate(
             {**goal, "outcome": Outcome.COMPLETED, "reference": SIGNAL, "response": SIGNAL}
         ),
@@ -287,6 +287,7 @@ def results_example() -> bytes:
         iterations=7,
         robot_time_s=100.0,
         run="runs/1",
+        verdicts={},
     )
     whole = RunRecord(
         result=result,
@@ -295,6 +296,7 @@ def results_example() -> bytes:
         history=(),
         dropped={},
         closed_form={},
+        responses={},
         wall_time_s=1.0,
     )
     return whole.model_dump_json(by_alias=True, exclude_none=True).encode()
