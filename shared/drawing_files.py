@@ -151,7 +151,9 @@ def _segments(data: str, name: str) -> Iterator[tuple[str, list[float]]]:
         else:
             numbers.append(float(token["number"]))
             if abs(numbers[-1]) > SVG_NUMBER_MAX:
-                raise InvalidInputError(f"{name}: a number beyond ±{SVG_NUMBER_MAX:g}")
+                raise InvalidInputError(
+                    f"{name}: a number that is not finite or beyond ±{SVG_NUMBER_MAX:g}"
+                )
             if command.upper() in {"", "Z"}:
                 raise InvalidInputError(f"{name}: a number without a command")
         if command and len(numbers) == _ARGUMENTS[command.upper()]:
