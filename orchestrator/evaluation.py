@@ -27,6 +27,7 @@ from orchestrator.fleet import Fleet
 from orchestrator.flight_labels import BASELINE, NO_PRIOR
 from orchestrator.paths import Leg
 from orchestrator.pilot import PathFlight, Pilot
+from orchestrator.predicted_errors import PredictedRms
 from orchestrator.prior_transfer import transfer
 from shared.arrays import FloatArray
 from shared.inverse_layout import Architecture
@@ -125,6 +126,7 @@ def summarise(
     unit: str,
     guarded: bool,
     run: str,
+    predicted: PredictedRms | None = None,
 ) -> EvaluationResult:
     """Compare predictions with flights.
 
@@ -136,6 +138,7 @@ def summarise(
         unit: of the target's axes.
         guarded: whether the flights were.
         run: the run's folder.
+        predicted: the errors expected on these paths.
     """
     order = sorted(psi, key=lambda source: psi[source].mean)
     of = {name: _inverse_result(flights, name) for name in (BASELINE, NO_PRIOR, *order)}
@@ -144,23 +147,28 @@ def summarise(
             robot=source,
             psi=psi[source].mean,
             psi_std=psi[source].std,
+            predicted_rms_m=None if predicted is None else predicted.of[source],
             **of[source].model_dump(),
         )
         for source in order
     )
+    measured = [math.inf if s.rms_m is None else s.rms_m for s in sources]
     return EvaluationResult(
         target=target,
         architecture=architecture,
         unit="rad" if unit == "rad" else "m",
         guarded=guarded,
-        baseline=BaselineResult(rms_m=of[BASELINE].rms_m),
+        baseline=BaselineResult(
+            rms_m=of[BASELINE].rms_m,
+            predicted_rms_m=None if predicted is None else predicted.without,
+        ),
         no_prior=of[NO_PRIOR],
         sources=sources,
         selected=order[0],
-        kendall_tau=kendall_tau(
-            [s.psi for s in sources],
-            [math.inf if s.rms_m is None else s.rms_m for s in sources],
-        ),
+        kendall_tau=kendall_tau([s.psi for s in sources], measured),
+        kendall_tau_trajectory=None
+        if predicted is None
+        else kendall_tau([predicted.of[s.robot] for s in sources], measured),
         run=run,
     )
 

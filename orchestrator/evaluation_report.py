@@ -30,26 +30,39 @@ def evaluation_table(result: EvaluationResult, *, paper: bool) -> Table:
     unit = f"m{result.unit}"
     table = Table(title=f"{result.target}, {result.architecture} inverses", title_justify="left")
     table.add_column("prior")
-    for heading in ("ψ̂*", f"RMS, {unit}", "less error", "worst path", "taken back"):
+    for heading in (
+        "ψ̂*",
+        f"predicted, {unit}",
+        f"RMS, {unit}",
+        "less error",
+        "worst / baseline",
+        "taken back",
+    ):
         table.add_column(heading, justify="right")
     if paper:
         for heading in ("paper: ψ̂*", "RMS, mm", "less error"):
             table.add_column(heading, justify="right", style="dim")
     blank = ("", "", "") if paper else ()
-    table.add_row("baseline", "", _milli(result.baseline.rms_m), "", "", "", *blank)
-    table.add_row("none", "", *_cells(result.no_prior), *blank)
+    own = result.baseline
+    table.add_row(
+        "baseline", "", _predicted(own.predicted_rms_m), _milli(own.rms_m), "", "", "", *blank
+    )
+    table.add_row("none", "", "", *_cells(result.no_prior), *blank)
     for place, source in enumerate(result.sources):
         psi, rms, less = PAPER_TABLE_I.get(source.robot, (0.0, 0.0, 0.0))
         beside = (f"{psi:.2f}", f"{1000 * rms:.0f}", f"{less:.1f} %") if paper else ()
         table.add_row(
             source.robot,
             f"{source.psi:.3f} ± {source.psi_std:.3f}",
+            _predicted(source.predicted_rms_m),
             *_cells(source),
             *beside,
             style="bold green" if place == 0 else None,
         )
-    tau = result.kendall_tau
-    table.caption = f"Kendall's τ of ψ̂* with the error: {'-' if tau is None else f'{tau:.2f}'}"
+    table.caption = (
+        f"Kendall's τ with the error: {_or_dash(result.kendall_tau)} of ψ̂*, "
+        f"{_or_dash(result.kendall_tau_trajectory)} of the error predicted for these paths"
+    )
     table.caption_justify = "left"
     return table
 
@@ -69,11 +82,13 @@ def pairs_table(result: PairsResult) -> Table:
     for target in targets:
         table.add_row(target, *(cells.get((target, source), "") for source in targets))
     table.caption = (
-        f"Kendall's τ, mean over targets: {_or_dash(result.kendall_tau)}, over all pairs: "
-        f"{_or_dash(result.kendall_tau_pooled)}; best source selected for {result.best_selected} "
-        f"of {len(targets)} targets; regret {result.regret.selected:.3f} of the baseline's error, "
-        f"at random {result.regret.random:.3f}; worse than the baseline on some path: "
-        f"{result.harmful} of {len(result.pairs)} pairs"
+        f"Kendall's τ of ψ̂*, mean over targets: {_or_dash(result.kendall_tau)}, over all pairs: "
+        f"{_or_dash(result.kendall_tau_pooled)}; of the error predicted for the paths: "
+        f"{_or_dash(result.kendall_tau_trajectory)} and "
+        f"{_or_dash(result.kendall_tau_trajectory_pooled)}; best source selected for "
+        f"{result.best_selected} of {len(targets)} targets; regret {result.regret.selected:.3f} of "
+        f"the baseline's error, at random {result.regret.random:.3f}; worse than the baseline on "
+        f"some path: {result.harmful} of {len(result.pairs)} pairs"
     )
     table.caption_justify = "left"
     return table
@@ -155,13 +170,17 @@ def _cells(result: InverseResult) -> tuple[str, str, str, str]:
     return (
         _milli(result.rms_m),
         "" if less is None else f"{less:.1f} %",
-        "" if worst is None else f"{worst:.2f} × baseline",
+        "" if worst is None else f"{worst:.2f}",
         str(result.taken_back),
     )
 
 
 def _milli(value: float | None) -> str:
     return "not finished" if value is None else f"{1000 * value:.1f}"
+
+
+def _predicted(value: float | None) -> str:
+    return "" if value is None else f"{1000 * value:.1f}"
 
 
 def _or_dash(value: float | None) -> str:

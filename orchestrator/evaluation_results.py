@@ -41,24 +41,30 @@ class InverseResult(Strict):
 
 
 class SourceResult(InverseResult):
-    """The same for a source's experience, beside what the tests predicted."""
+    """The same for a source's experience, beside what the tests predicted.
+
+    `predicted_rms_m` is |1 − z_T/z_S| weighted by the spectra of the paths flown, from the same
+    tests as ψ.
+    """
 
     robot: str
     psi: float
     psi_std: NonNegative
+    predicted_rms_m: NonNegative | None = None
 
 
 class BaselineResult(Strict):
-    """What the target's own controller does alone."""
+    """What the target's own controller does alone; predicted is |1 − z_T|."""
 
     rms_m: NonNegative | None
+    predicted_rms_m: NonNegative | None = None
 
 
 class EvaluationResult(Strict):
     """What `nufleet evaluate --json` prints; sources are in the order of ψ, smallest first.
 
-    Every `rms_m` is in `unit`. `kendall_tau` is the rank correlation of ψ with the sources' errors;
-    None for fewer than two.
+    Every `rms_m` is in `unit`. `kendall_tau` is the rank correlation of ψ with the sources' errors,
+    `kendall_tau_trajectory` that of the errors predicted for these paths; None for fewer than two.
     """
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
@@ -71,6 +77,7 @@ class EvaluationResult(Strict):
     sources: tuple[SourceResult, ...]
     selected: str
     kendall_tau: float | None
+    kendall_tau_trajectory: float | None = None
     run: str
 
     def document(self) -> str:

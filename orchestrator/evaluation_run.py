@@ -7,12 +7,15 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+import numpy as np
+
 from orchestrator.evaluation import FlightObserver, fly_target, summarise
 from orchestrator.evaluation_results import EvaluationRecord
 from orchestrator.experience_learning import FLIGHT_S
 from orchestrator.fleet import Fleet
 from orchestrator.paths import Leg
 from orchestrator.pilot import Pilot
+from orchestrator.predicted_errors import predict_rms
 from orchestrator.rank_run import ReadyStudy
 from orchestrator.repeated_studies import psi_of, repeat_study
 from orchestrator.run_folder import RunFolder
@@ -63,8 +66,17 @@ def run_evaluation(
         run_id,
         on_study=lambda study: say(f"study {study.seed}: " + ranking_line(study.last)),
     )
-    psi = psi_of(studies)
+    psi = psi_of(studies.estimates)
     order = sorted(psi, key=lambda source: psi[source].mean)
+    predicted = predict_rms(
+        study.target,
+        order,
+        {robot: description.spec for robot, description in plan.ready.descriptions.items()},
+        studies.responses,
+        [leg.desired for leg in plan.legs],
+        np.random.default_rng(plan.seed),
+        omega_max_rad_s=study.band_rad_s[1],
+    )
     target = fleet.describe(study.target)
     flights = fly_target(
         fleet,
@@ -82,13 +94,14 @@ def run_evaluation(
         flights,
         psi,
         plan.architecture,
+        predicted=predicted,
         unit=target.spec.axis(study.axis).unit,
         guarded=plan.guarded,
         run=str(folder.path),
     )
     record = EvaluationRecord(
         result=result,
-        studies=studies,
+        studies=studies.estimates,
         flights=flights,
         wall_time_s=time.monotonic() - began_s,
     )

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from orchestrator.evaluation_results import EvaluationResult
-from orchestrator.evaluation_summaries import mean_kendall_tau, pooled_kendall_tau
+from orchestrator.evaluation_summaries import kendall_tau, mean_kendall_tau, pooled_kendall_tau
 from orchestrator.evaluation_values import TransferPair
 from shared.strict import NonNegative, Strict
 
@@ -18,8 +18,9 @@ from shared.strict import NonNegative, Strict
 class Pair(Strict):
     """One ordered pair. `ratio` is the error with the source's experience over the baseline's.
 
-    It is None where a path was not flown to its end. `harmful` says that the target did worse than
-    with its baseline on at least one path.
+    It is None where a path was not flown to its end; `predicted_ratio` is what the tests let expect
+    of it on these paths. `harmful` says that the target did worse than with its baseline on at
+    least one path.
     """
 
     target: str
@@ -27,6 +28,7 @@ class Pair(Strict):
     psi: float
     rms_m: NonNegative | None
     ratio: NonNegative | None
+    predicted_ratio: NonNegative | None = None
     harmful: bool
     taken_back: Annotated[int, Field(ge=0)]
 
@@ -45,7 +47,8 @@ class PairsResult(Strict):
     """What `nufleet evaluate --all-pairs --json` prints.
 
     `kendall_tau` is the mean over the targets of the rank correlation of ψ with the error;
-    `kendall_tau_pooled` that over all pairs of ψ with the ratio to the baseline's error.
+    `kendall_tau_pooled` that over all pairs of ψ with the ratio to the baseline's error. The two
+    of `trajectory` are the same of the errors predicted for the paths flown.
     """
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
@@ -53,6 +56,8 @@ class PairsResult(Strict):
     targets: tuple[EvaluationResult, ...]
     kendall_tau: float | None
     kendall_tau_pooled: float | None
+    kendall_tau_trajectory: float | None = None
+    kendall_tau_trajectory_pooled: float | None = None
     regret: Regret
     best_selected: Annotated[int, Field(ge=0)]
     harmful: Annotated[int, Field(ge=0)]
@@ -67,12 +72,18 @@ def compare_pairs(targets: Sequence[EvaluationResult], run: str) -> PairsResult:
     """Compare what was predicted for all targets with what they flew."""
     pairs = tuple(pair for target in targets for pair in _pairs(target))
     transfers = transfer_pairs(pairs)
+    predicted = [p.predicted_ratio for p in pairs if p.predicted_ratio is not None]
+    on_paths = [t.kendall_tau_trajectory for t in targets if t.kendall_tau_trajectory is not None]
     regrets = [_regrets(target) for target in targets]
     return PairsResult(
         pairs=pairs,
         targets=tuple(targets),
         kendall_tau=mean_kendall_tau(transfers),
         kendall_tau_pooled=pooled_kendall_tau(transfers),
+        kendall_tau_trajectory=float(np.mean(on_paths)) if on_paths else None,
+        kendall_tau_trajectory_pooled=kendall_tau(predicted, [pair.ratio for pair in transfers])
+        if len(predicted) == len(pairs)
+        else None,
         regret=Regret(
             selected=float(np.mean([selected for selected, _ in regrets])),
             random=float(np.mean([random for _, random in regrets])),
@@ -94,7 +105,7 @@ def transfer_pairs(pairs: Sequence[Pair]) -> tuple[TransferPair, ...]:
 
 
 def _pairs(target: EvaluationResult) -> list[Pair]:
-    base = target.baseline.rms_m
+    base, expected = target.baseline.rms_m, target.baseline.predicted_rms_m
     return [
         Pair(
             target=target.target,
@@ -102,6 +113,9 @@ def _pairs(target: EvaluationResult) -> list[Pair]:
             psi=source.psi,
             rms_m=source.rms_m,
             ratio=None if source.rms_m is None or not base else source.rms_m / base,
+            predicted_ratio=None
+            if source.predicted_rms_m is None or not expected
+            else source.predicted_rms_m / expected,
             harmful=source.worst_ratio is None or source.worst_ratio > 1.0,
             taken_back=source.taken_back,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,6 +15,15 @@ from orchestrator.fleet import Fleet
 from orchestrator.rank_run import ReadyStudy
 from orchestrator.ranking import conduct
 from orchestrator.study import Question, Report
+from shared.frequency_response import FrequencyResponse
+
+
+@dataclass(frozen=True)
+class RepeatedStudies:
+    """What each study believed, and every response that any of them measured of a robot."""
+
+    estimates: tuple[StudyEstimates, ...]
+    responses: Mapping[str, Sequence[FrequencyResponse]]
 
 
 def repeat_study(
@@ -23,18 +33,21 @@ def repeat_study(
     run_id: str,
     *,
     on_study: Callable[[StudyEstimates], None] = lambda estimates: None,
-) -> tuple[StudyEstimates, ...]:
-    """Rank the sources once for every seed and return what each study believed.
+) -> RepeatedStudies:
+    """Rank the sources once for every seed.
 
     Raises:
         StudyError: a study cannot go on, since the target or every source is gone.
     """
     studies = []
+    responses: dict[str, list[FrequencyResponse]] = {}
     for seed in seeds:
         recorder = _Recorder()
         dispatcher = Dispatcher(fleet, on_attempt_failed=recorder.attempt_failed)
         study = PaperStudy(ready.plan, np.random.default_rng(seed))
-        conduct(study, f"{run_id}.s{seed}", dispatcher, recorder)
+        conclusion = conduct(study, f"{run_id}.s{seed}", dispatcher, recorder)
+        for robot, measured in conclusion.responses.items():
+            responses.setdefault(robot, []).extend(measured)
         beliefs = recorder.beliefs
         estimates = StudyEstimates(
             seed=seed,
@@ -44,7 +57,7 @@ def repeat_study(
         )
         studies.append(estimates)
         on_study(estimates)
-    return tuple(studies)
+    return RepeatedStudies(tuple(studies), responses)
 
 
 def psi_of(studies: Sequence[StudyEstimates]) -> dict[str, Psi]:

@@ -40,12 +40,15 @@ class RobotKnowledge:
         self._noise: list[FloatArray] = []
         self._model: ResponseModel | None = None
 
-    def learn(self, response: FrequencyResponse, rng: np.random.Generator) -> None:
+    def learn(
+        self, response: FrequencyResponse, rng: np.random.Generator, *, check: bool = True
+    ) -> None:
         """Take in a test's usable estimates; what contradicts earlier tests becomes a finding.
 
         Args:
             response: the test's response.
             rng: draws what was expected of the test.
+            check: whether to look for contradictions, which takes as long as a fit of the model.
         """
         first = not self.responses
         self.responses.append(response)
@@ -60,7 +63,7 @@ class RobotKnowledge:
                 self._find(finding.text)
                 variance = variance + (NONLINEAR_DEVIATION * np.abs(z)) ** 2
         new = Tones(omega, z, variance)
-        doubt = 0.0 if first else self._contradiction(new, rng)
+        doubt = self._contradiction(new, rng) if check and not first else 0.0
         # Which of the tests is right is not known, so none is believed as before.
         self._tones = [Tones(t.omega_rad_s, t.z, t.variance + doubt) for t in (*self._tones, new)]
         self._model = None
