@@ -8,6 +8,7 @@ from robot_agent.memory import Memory
 from robot_agent.rich_flight import rich_references, step_references
 from robot_agent.tracking import approach
 from shared.errors import InvalidInputError, RefusedError
+from shared.experience_manifest import misfit
 from shared.inverse_layout import InverseLayout
 from shared.motions import Flight, FlightPlan, RichFlight, StepTest, Tracking
 from shared.robot_spec import RobotSpec, TrackingLimits
@@ -28,7 +29,7 @@ def plan_flight(
 
     Raises:
         RefusedError: with code `unknown-axis`, `no-tracking`, `trajectory`, `duration`, `layout`,
-            `no-prior`, `other-prior` or `no-baseline`.
+            `no-prior`, `other-prior`, `misfit` or `no-baseline`.
     """
     match motion:
         case StepTest(axis=axis):
@@ -89,6 +90,12 @@ def _check_inverse(
         if prior.sha256 != motion.prior_sha256:
             reason = f"its prior is another one, of {prior.manifest.robot}; transfer it again"
             raise RefusedError("other-prior", reason, robot)
+        for axis in prior.manifest.axes:
+            # It fitted when it was installed; the robot may have been configured anew since.
+            changed = misfit(prior.manifest, spec, state_names, axis)
+            if changed is not None:
+                reason = f"its prior does not fit it any more: {changed}; transfer another"
+                raise RefusedError("misfit", reason, robot)
     missing = [axis.name for axis in spec.axes if axis.name not in memory.baseline]
     if motion.guarded and missing:
         reason = (

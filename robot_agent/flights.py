@@ -15,9 +15,9 @@ from robot_agent.pace import HaltSwitch, Pace
 from robot_agent.paced_robot import PacedRobot
 from robot_agent.rich_flight import FlightRecord, fly_record, rich_references, step_references
 from robot_agent.robot import Robot
-from robot_agent.tracking import Learner, TrackingRecord, Watch, track
+from robot_agent.tracking import STOPPED, Learner, TrackingRecord, Watch, track
 from shared.arrays import FloatArray
-from shared.errors import RobotError
+from shared.errors import NufleetError, RobotError
 from shared.messages import Outcome
 from shared.motions import (
     Flight,
@@ -57,7 +57,7 @@ def performance_of(
         case RichFlight():
             return _Rich(paced, motion, memory)
         case Tracking():
-            return _Path(paced, motion, memory, watch, lambda: switch.order is not None)
+            return _Path(paced, motion, memory, watch, switch)
 
 
 class _Steps:
@@ -94,14 +94,20 @@ class _Rich:
         references = rich_references(spec, self._motion.duration_s, rng)
         self._record = fly_record(self._robot, references)
         outputs = self._record.states[:, :, 0]
-        self._memory.keep_baseline(
-            {
-                axis.name: identify_baseline(
-                    [(references[:, i], outputs[:, i])], spec.sample_time_s, spec.settling_time_s
-                )
-                for i, axis in enumerate(spec.axes)
-            }
-        )
+        try:
+            self._memory.keep_baseline(
+                {
+                    axis.name: identify_baseline(
+                        [(references[:, i], outputs[:, i])],
+                        spec.sample_time_s,
+                        spec.settling_time_s,
+                    )
+                    for i, axis in enumerate(spec.axes)
+                }
+            )
+        except NufleetError as error:
+            # The robot is well and at rest: what failed is the disk, or the record is too short.
+            return Outcome.FAILED, f"its baseline was not learned: {error}"
         return Outcome.COMPLETED, ""
 
     def measured(self) -> Samples:
@@ -120,10 +126,10 @@ class _Path:
         motion: Tracking,
         memory: Memory,
         watch: Watch,
-        stopped: Callable[[], bool],
+        switch: HaltSwitch,
     ) -> None:
         self._robot, self._motion = robot, motion
-        self._watch, self._stopped = watch, stopped
+        self._watch, self._switch = watch, switch
         self._learner = learner_for(motion, robot, memory)
         self._guard = None
         if self._learner is not None and motion.guarded:
@@ -141,10 +147,12 @@ class _Path:
             self._learner,
             self._guard,
             watch=self._watch,
-            stopped=self._stopped,
+            stopped=lambda: self._switch.order is not None,
         )
         if self._record.failure is None:
             return Outcome.COMPLETED, ""
+        if self._record.failure == STOPPED and self._switch.order is not None:
+            return self._switch.order
         return Outcome.FAILED, self._record.failure
 
     def measured(self) -> Samples:

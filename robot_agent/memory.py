@@ -1,6 +1,7 @@
 """What a robot keeps of what was learned: its experiences, the prior it was given, its baseline.
 
-In a folder of its own, so that it survives the agent's restart; every file is replaced as a whole.
+In a folder of its own, so that it survives the agent's restart; every file is replaced as a whole
+and begins with the sha256 of what follows, so that no damage goes unnoticed.
 """
 
 from __future__ import annotations
@@ -23,8 +24,10 @@ from shared.inverse_layout import Architecture
 from shared.strict import Name
 
 PRIOR = "prior"
-_BASELINE = "baseline.json"
-_SUFFIX = ".safetensors"
+_BASELINE = "baseline"
+_SUFFIX = ".learned"
+_SHA256_BYTES = 32
+_BASELINE_BYTES_MAX = 64 * 2**20
 _ARCHITECTURES: tuple[Architecture, ...] = ("state", "preview")
 _BASELINE_MODELS: TypeAdapter[dict[Name, BaselineModel]] = TypeAdapter(dict[Name, BaselineModel])
 
@@ -109,6 +112,7 @@ class Memory:
             if self._folder is not None:
                 try:
                     (self._folder / f"{PRIOR}{_SUFFIX}").unlink(missing_ok=True)
+                    _sync_folder(self._folder)
                 except OSError as error:
                     raise MemoryFolderError(
                         f"{self._folder}: the prior cannot be removed: {error.strerror}"
@@ -123,7 +127,7 @@ class Memory:
 
     def _keep(self, name: str, kept: Kept) -> Kept:
         with self._lock:
-            self._write(f"{name}{_SUFFIX}", kept.payload)
+            self._write(name, kept.payload)
             self._kept[name] = kept
         return kept
 
@@ -131,41 +135,63 @@ class Memory:
         """Replace a file as a whole: a crash leaves the old one or the new one."""
         if self._folder is None:
             return
-        part, whole = self._folder / f"{name}.part", self._folder / name
+        whole = self._folder / f"{name}{_SUFFIX}"
+        part = whole.with_suffix(".part")
         try:
             with part.open("wb") as file:
-                file.write(data)
+                file.write(bytes.fromhex(digest(data)) + data)
                 file.flush()
                 os.fsync(file.fileno())
             part.replace(whole)
-            descriptor = os.open(self._folder, os.O_RDONLY)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
+            _sync_folder(self._folder)
         except OSError as error:
             raise MemoryFolderError(f"{whole} cannot be written: {error.strerror}") from error
 
     def _read(self, folder: Path) -> None:
         for name in (*_ARCHITECTURES, PRIOR):
             path = folder / f"{name}{_SUFFIX}"
-            if path.exists():
+            payload = _stored(path, EXPERIENCE_BYTES_MAX, "then train or transfer anew")
+            if payload is not None:
                 try:
-                    with path.open("rb") as file:
-                        payload = file.read(EXPERIENCE_BYTES_MAX + 1)
                     self._kept[name] = _checked(payload, digest(payload))
                 except MalformedMessageError as error:
                     raise MemoryFolderError(
-                        f"{path} is damaged: {error}; remove it, then train or transfer anew"
+                        f"{path} cannot be read: {error}; remove it, then train or transfer anew"
                     ) from error
-        path = folder / _BASELINE
-        if path.exists():
+        path = folder / f"{_BASELINE}{_SUFFIX}"
+        models = _stored(path, _BASELINE_BYTES_MAX, "the robot learns it anew from a rich flight")
+        if models is not None:
             try:
-                self._baseline = _BASELINE_MODELS.validate_json(path.read_bytes())
+                self._baseline = _BASELINE_MODELS.validate_json(models)
             except ValidationError as error:
                 raise MemoryFolderError(
-                    f"{path} is damaged: {describe_validation(error)}; remove it"
+                    f"{path} cannot be read: {describe_validation(error)}; remove it, the robot "
+                    "learns it anew from a rich flight"
                 ) from error
+
+
+def _stored(path: Path, bytes_max: int, remedy: str) -> bytes | None:
+    """Return what a file was written with; None if it is not there."""
+    try:
+        with path.open("rb") as file:
+            stored = file.read(_SHA256_BYTES + bytes_max + 1)
+    except FileNotFoundError:
+        return None
+    sha256, data = stored[:_SHA256_BYTES], stored[_SHA256_BYTES:]
+    if sha256 != bytes.fromhex(digest(data)):
+        raise MemoryFolderError(
+            f"{path} is damaged: it is not what was stored there; remove it, {remedy}"
+        )
+    return data
+
+
+def _sync_folder(folder: Path) -> None:
+    """Return when the names in a folder are on the disk."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def _checked(payload: bytes, sha256: str) -> Kept:

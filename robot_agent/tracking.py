@@ -12,6 +12,7 @@ import numpy as np
 
 from robot_agent.guard import Guard
 from robot_agent.online_gp import Correction, OnlineGp
+from robot_agent.paced_robot import Halted
 from robot_agent.robot import Robot
 from shared.arrays import FloatArray
 from shared.errors import InvalidInputError, RobotError
@@ -19,6 +20,9 @@ from shared.inverse_layout import InverseLayout
 from shared.motions import TakenBack
 from shared.robot_spec import RobotSpec, TrackingLimits
 from shared.trajectories import check_trajectory, travel
+
+STOPPED = "stopped"
+"""Why a path was not finished when somebody asked for its end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +193,7 @@ class _Flight:
     def fly(self, stopped: Callable[[], bool]) -> str | None:
         for k, wanted in enumerate(self._desired):
             if stopped():
-                return "stopped"
+                return STOPPED
             observed = self._robot.observe() if self._learner is not None else None
             begin_s = time.perf_counter()
             correction, reference = None, wanted
@@ -202,7 +206,10 @@ class _Flight:
                 correction, reference = self._choose(self._learner, k, observed)
             self._reference[self._span + k] = reference
             self._step_time_s[k] = time.perf_counter() - begin_s
-            self._actual[k] = self._robot.step(reference)
+            try:
+                self._actual[k] = self._robot.step(reference)
+            except Halted:
+                return STOPPED
             if not np.isfinite(self._actual[k]).all():
                 return f"the sensor returned a number that is not finite at sample {k}"
             self._done = k + 1

@@ -1,0 +1,57 @@
+"""Experiences and layouts that the tests of a robot's memory and flights share."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from robot_agent.baseline_model import BaselineModel
+from shared.experience import Experience, encode_experience
+from shared.experience_manifest import ExperienceManifest
+from shared.inverse_layout import Architecture, InverseLayout
+
+BASELINE = BaselineModel(error_response=(1.0, 0.5, 0.25), residual_std=1e-3)
+
+
+def layout(architecture: Architecture = "preview", **changes: object) -> InverseLayout:
+    fields: dict[str, object] = {
+        "architecture": architecture,
+        "states": ("position", "velocity") if architecture == "state" else ("position",),
+        "sample_time_s": 0.015,
+        "horizon_samples": 20,
+    }
+    return InverseLayout.model_validate(fields | changes)
+
+
+def experience(
+    robot: str = "source", architecture: Architecture = "preview", seed: int = 0, **changes: object
+) -> bytes:
+    """A linear inverse with weights drawn from a seed, as a file."""
+    known = changes.pop("layout", layout(architecture))
+    assert isinstance(known, InverseLayout)
+    names = known.input_names
+    fields: dict[str, object] = {
+        "robot": robot,
+        "robot_kind": "double-integrator",
+        "axes": ("x",),
+        "unit": "m",
+        "layout": known,
+        "inputs": names,
+        "relative_degree": 1,
+        "hidden": (),
+        "input_mean": (0.0,) * len(names),
+        "input_scale": (1.0,) * len(names),
+        "output_mean": 0.0,
+        "output_scale": 1.0,
+        "points": 100,
+        "validation_rms": 0.01,
+        "data_sha256": "0" * 64,
+        "seed": seed,
+        "training_version": "linear",
+    }
+    manifest = ExperienceManifest.model_validate(fields | changes)
+    rng = np.random.default_rng(seed)
+    arrays = {
+        name: 0.01 * rng.standard_normal(shape).astype(np.float32)
+        for name, shape in manifest.shapes.items()
+    }
+    return encode_experience(Experience(manifest, arrays))
