@@ -28,6 +28,7 @@ from orchestrator.flight_labels import BASELINE, NO_PRIOR
 from orchestrator.paths import Leg
 from orchestrator.pilot import PathFlight, Pilot
 from orchestrator.predicted_errors import PredictedRms
+from orchestrator.prior_custody import prior_put_back
 from orchestrator.prior_transfer import transfer
 from shared.arrays import FloatArray
 from shared.inverse_layout import Architecture
@@ -67,7 +68,7 @@ def fly_target(
     """Fly a target along all legs: baseline, zero prior, then each source's experience.
 
     The zero prior flies with the layout of the first source, so list the one selected first. The
-    target has no prior afterwards.
+    target has the prior afterwards that it had before.
 
     Raises:
         RobotError: a real robot failed and somebody has to see to it.
@@ -89,7 +90,7 @@ def fly_target(
             flights.append(flight_record(flight, inverse, leg))
 
     fly_legs(BASELINE, partial(pilot.baseline, robot))
-    try:
+    with prior_put_back(fleet, pilot, target):
         for place, source in enumerate(sources):
             given = transfer(fleet, source, robot, architecture)
             if place == 0:
@@ -97,8 +98,6 @@ def fly_target(
                 fly_legs(NO_PRIOR, partial(pilot.zero_prior, robot, layout=layout, guarded=guarded))
             with_prior = partial(pilot.with_prior, robot, sha256=given.sha256, guarded=guarded)
             fly_legs(source, with_prior)
-    finally:
-        fleet.remove_prior(robot)
     return tuple(flights)
 
 
@@ -181,7 +180,8 @@ def _inverse_result(flights: Sequence[FlightRecord], inverse: str) -> InverseRes
     baseline = [error for error in own.values() if error is not None]
     rms = float(np.mean(finished)) if finished and len(finished) == len(errors) else None
     reduction = None
-    if rms is not None and baseline and inverse != BASELINE:
+    # Means over different paths cannot be compared.
+    if rms is not None and inverse != BASELINE and len(baseline) == len(own) and any(baseline):
         reduction = 100.0 * (1.0 - rms / float(np.mean(baseline)))
     ratios = [
         f.rms_m / base

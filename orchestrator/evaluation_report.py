@@ -86,9 +86,8 @@ def pairs_table(result: PairsResult) -> Table:
         f"{_or_dash(result.kendall_tau_pooled)}; of the error predicted for the paths: "
         f"{_or_dash(result.kendall_tau_trajectory)} and "
         f"{_or_dash(result.kendall_tau_trajectory_pooled)}; best source selected for "
-        f"{result.best_selected} of {len(targets)} targets; regret {result.regret.selected:.3f} of "
-        f"the baseline's error, at random {result.regret.random:.3f}; worse than the baseline on "
-        f"some path: {result.harmful} of {len(result.pairs)} pairs"
+        f"{result.best_selected} of {len(targets)} targets; {_regret(result)}worse than the "
+        f"baseline on some path: {result.harmful} of {len(result.pairs)} pairs"
     )
     table.caption_justify = "left"
     return table
@@ -181,6 +180,13 @@ def _milli(value: float | None) -> str:
 
 def _predicted(value: float | None) -> str:
     return "" if value is None else f"{1000 * value:.1f}"
+
+
+def _regret(result: PairsResult) -> str:
+    regret = result.regret
+    if regret is None:
+        return ""
+    return f"regret {regret.selected:.3f} of the baseline's error, at random {regret.random:.3f}; "
 
 
 def _or_dash(value: float | None) -> str:

@@ -12,12 +12,13 @@ from orchestrator.horizon import HorizonChoice, candidate_layouts, choose_horizo
 from orchestrator.learning_record import LearningRecord, pooled_pairs
 from orchestrator.paths import practice_path
 from orchestrator.pilot import Pilot
+from orchestrator.prior_custody import install, prior_put_back
 from orchestrator.relative_degree import relative_degree
 from orchestrator.training import Origin, TrainingData
-from shared.errors import InvalidInputError, MalformedMessageError, RobotError
-from shared.experience import Experience, digest, encode_experience
+from shared.errors import InvalidInputError, RobotError, StudyError
+from shared.experience import Experience, encode_experience
 from shared.inverse_layout import Architecture
-from shared.messages import Description, ExperienceOffer
+from shared.messages import Description
 
 FLIGHT_S = 120.0
 """Of a rich flight: five thousand pairs at 50 samples per second, of which training takes 2100."""
@@ -61,11 +62,12 @@ def fly_lessons(
         say: is told (robot, what it does now).
 
     Raises:
+        InvalidInputError: it does not track, or has axes of several units; nothing moved.
         StudyError: it does not answer to steps, or no horizon can be flown.
         RobotError: a flight failed.
     """
     robot, spec = description.robot, description.spec
-    path = practice_path(spec, robot)
+    path, unit = practice_path(spec, robot), _unit(description)
     say(robot, f"flies richly for {duration_s:.0f} s")
     result, details = pilot.rich(robot, duration_s=duration_s, seed=seed)
     record = LearningRecord(result.reference, details.states, details.state_names)
@@ -76,10 +78,9 @@ def fly_lessons(
         robot=robot,
         robot_kind=spec.kind,
         axes=tuple(axis.name for axis in spec.axes),
-        unit=_unit(description),
+        unit=unit,
         relative_degree=degree,
     )
-    before = None if description.prior is None else fleet.fetch(robot, description.prior.sha256)
 
     def fly(candidate: Experience) -> float:
         horizon = candidate.manifest.layout.horizon_s
@@ -96,7 +97,7 @@ def fly_lessons(
         return flight.rms_error
 
     lessons = []
-    try:
+    with prior_put_back(fleet, pilot, description):
         for architecture in architectures:
             layouts = candidate_layouts(
                 architecture, details.state_names, spec.sample_time_s, degree
@@ -104,28 +105,7 @@ def fly_lessons(
             choice = choose_horizon(layouts, record, columns, origin, fly)
             data = TrainingData(*pooled_pairs(choice.layout, record, columns))
             lessons.append(Lesson(robot, data, origin, choice))
-    finally:
-        if before is None:
-            fleet.remove_prior(robot)
-        else:
-            install(fleet, robot, "prior", before)
     return tuple(lessons)
-
-
-def install(
-    fleet: Fleet, robot: str, slot: Literal["experience", "prior"], payload: bytes
-) -> ExperienceOffer:
-    """Install an experience on a robot and read it back.
-
-    Raises:
-        RefusedError: it does not fit the robot.
-        MalformedMessageError: what the robot has now is not what was sent.
-    """
-    sha256 = digest(payload)
-    offer = fleet.install(robot, slot, payload, sha256)
-    if offer.sha256 != sha256 or fleet.fetch(robot, sha256) != payload:
-        raise MalformedMessageError(f"robot {robot} does not hold what was installed on it")
-    return offer
 
 
 def pick_up(fleet: Fleet, description: Description, failure: str) -> None:
@@ -143,7 +123,13 @@ def pick_up(fleet: Fleet, description: Description, failure: str) -> None:
 
 def _degree(pilot: Pilot, robot: str, column: int, axis: str) -> int:
     result = pilot.steps(robot, axis)
-    return relative_degree(result.reference[:, column], result.response[:, column])
+    try:
+        return relative_degree(result.reference[:, column], result.response[:, column])
+    except StudyError as error:
+        raise StudyError(
+            f"robot {robot}, axis {axis}: {error}; see whether it moves at all, with "
+            f"`nufleet track --target {robot} --inverse baseline --trajectory clover`"
+        ) from error
 
 
 def _unit(description: Description) -> Literal["m", "rad"]:

@@ -40,12 +40,17 @@ class FlightTable:
         import pyarrow.parquet as pq
 
         samples, details = len(flight.actual), flight.details
+
+        def repeated(name: str) -> pa.DictionaryArray:
+            # With its type, since a flight may have no samples to tell that from.
+            return pa.array([name] * samples, pa.string()).dictionary_encode()
+
         for column, axis in enumerate(axes):
             table = pa.table(
                 {
-                    "robot": pa.array([flight.robot] * samples).dictionary_encode(),
-                    "flight": pa.array([flight.label] * samples).dictionary_encode(),
-                    "axis": pa.array([axis] * samples).dictionary_encode(),
+                    "robot": repeated(flight.robot),
+                    "flight": repeated(flight.label),
+                    "axis": repeated(axis),
                     "sample": np.arange(samples, dtype=np.int32),
                     "t_s": np.arange(samples) * flight.sample_time_s,
                     "desired": details.desired[:, column],

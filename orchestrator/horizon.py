@@ -11,7 +11,7 @@ from orchestrator.linear_inverse import linear_experience
 from orchestrator.training import Origin, TrainingData
 from shared.errors import StudyError
 from shared.experience import Experience
-from shared.inverse_layout import Architecture, InverseLayout
+from shared.inverse_layout import HORIZON_SAMPLES_MAX, Architecture, InverseLayout
 
 CANDIDATES_S = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 """From the delay of a fast robot to the rise time of a slow one."""
@@ -52,7 +52,9 @@ def candidate_layouts(
 ) -> tuple[InverseLayout, ...]:
     """Return the layouts to try, shortest horizon first; none is shorter than the robot's delay."""
     least = max(relative_degree, 4 if architecture == "preview" else 1)
-    horizons = sorted({max(least, round(s / sample_time_s)) for s in candidates_s})
+    horizons = sorted(
+        {min(max(least, round(s / sample_time_s)), HORIZON_SAMPLES_MAX) for s in candidates_s}
+    )
     names = state_names if architecture == "state" else state_names[:1]
     return tuple(
         InverseLayout(
@@ -108,6 +110,13 @@ def choose_horizon(
     )
     best = min(trial.rms_error for trial in trials)
     if not math.isfinite(best):
-        raise StudyError("the robot could not be flown with an inverse of any horizon")
+        shortest, longest = layouts[0].horizon_s, layouts[-1].horizon_s
+        other = "preview" if layouts[0].architecture == "state" else "state"
+        raise StudyError(
+            f"robot {origin.robot} could not be flown with a {layouts[0].architecture} inverse of "
+            f"any horizon from {shortest:.2f} to {longest:.2f} s: none did better than its "
+            f"baseline; let it learn the other kind (--architecture {other}), or from a longer "
+            "flight (--duration)"
+        )
     alike = [i for i, trial in enumerate(trials) if trial.rms_error <= _CLOSE * best]
     return HorizonChoice(layouts[alike[-1 if layouts[0].architecture == "state" else 0]], trials)

@@ -34,9 +34,10 @@ class Pair(Strict):
 
 
 class Regret(Strict):
-    """How much worse than the best source, as a share of the baseline's error, over all targets.
+    """How much worse than the best source, as a share of the baseline's error, over the targets.
 
-    `random` is the mean over all sources.
+    `random` is the mean over all sources. Targets that did not finish with their baseline are left
+    out: there is nothing to compare with.
     """
 
     selected: NonNegative
@@ -48,7 +49,9 @@ class PairsResult(Strict):
 
     `kendall_tau` is the mean over the targets of the rank correlation of ψ with the error;
     `kendall_tau_pooled` that over all pairs of ψ with the ratio to the baseline's error. The two
-    of `trajectory` are the same of the errors predicted for the paths flown.
+    of `trajectory` are the same of the errors predicted for the paths flown. `regret` is None where
+    no target can be compared. `best_selected` counts the targets whose selected source left the
+    smallest error.
     """
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
@@ -58,7 +61,7 @@ class PairsResult(Strict):
     kendall_tau_pooled: float | None
     kendall_tau_trajectory: float | None = None
     kendall_tau_trajectory_pooled: float | None = None
-    regret: Regret
+    regret: Regret | None
     best_selected: Annotated[int, Field(ge=0)]
     harmful: Annotated[int, Field(ge=0)]
     run: str
@@ -74,7 +77,7 @@ def compare_pairs(targets: Sequence[EvaluationResult], run: str) -> PairsResult:
     transfers = transfer_pairs(pairs)
     predicted = [p.predicted_ratio for p in pairs if p.predicted_ratio is not None]
     on_paths = [t.kendall_tau_trajectory for t in targets if t.kendall_tau_trajectory is not None]
-    regrets = [_regrets(target) for target in targets]
+    regrets = [_regrets(t, base) for t in targets if (base := t.baseline.rms_m)]
     return PairsResult(
         pairs=pairs,
         targets=tuple(targets),
@@ -87,8 +90,10 @@ def compare_pairs(targets: Sequence[EvaluationResult], run: str) -> PairsResult:
         regret=Regret(
             selected=float(np.mean([selected for selected, _ in regrets])),
             random=float(np.mean([random for _, random in regrets])),
-        ),
-        best_selected=sum(selected == 0.0 for selected, _ in regrets),
+        )
+        if regrets
+        else None,
+        best_selected=sum(_best_was_selected(target) for target in targets),
         harmful=sum(pair.harmful for pair in pairs),
         run=run,
     )
@@ -123,12 +128,20 @@ def _pairs(target: EvaluationResult) -> list[Pair]:
     ]
 
 
-def _regrets(target: EvaluationResult) -> tuple[float, float]:
-    """Return the regret of the source selected and the mean regret of all.
+def _regrets(target: EvaluationResult, base: float) -> tuple[float, float]:
+    """Return the regret of the source selected and the mean regret of all, over the baseline's.
 
-    A path that was not finished counts as twice the baseline's error.
+    A path that was not finished counts as twice the baseline's error, or the worst that was flown
+    if that is more.
     """
-    base = target.baseline.rms_m or 1.0
-    errors = [2 * base if s.rms_m is None else s.rms_m for s in target.sources]
+    finished = [s.rms_m for s in target.sources if s.rms_m is not None]
+    unfinished = max([2 * base, *finished])
+    errors = [unfinished if s.rms_m is None else s.rms_m for s in target.sources]
     best = min(errors)
     return (errors[0] - best) / base, (float(np.mean(errors)) - best) / base
+
+
+def _best_was_selected(target: EvaluationResult) -> bool:
+    """Whether the source that is closest by ψ, which comes first, left the smallest error."""
+    errors = [math.inf if s.rms_m is None else s.rms_m for s in target.sources]
+    return math.isfinite(errors[0]) and errors[0] == min(errors)

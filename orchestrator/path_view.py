@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from orchestrator.fleet import Fleet
 from orchestrator.pilot import PathFlight
@@ -23,12 +23,13 @@ from shared.robot_spec import RobotSpec
 
 @dataclass(frozen=True)
 class _Current:
-    """The flight that is drawn, and when it began."""
+    """The flight that is drawn, and when it began; its goal is known from its first samples."""
 
     robot: str
     label: str
     spec: RobotSpec
     began_s: float
+    goal_id: str | None = None
 
 
 class PathView:
@@ -74,6 +75,10 @@ class PathView:
             current = self._current
             if current is None or robot != current.robot:
                 return
+            if current.goal_id is None and telemetry.first_sample == 0:
+                current = self._current = replace(current, goal_id=telemetry.goal_id)
+            if telemetry.goal_id != current.goal_id:
+                return  # late, of a flight before this one
             self._drawn += len(telemetry.desired)
         step_s = telemetry.sample_time_s
         self._emit(_event(current, telemetry.first_sample, step_s, telemetry, telemetry.actual))

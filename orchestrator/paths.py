@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,7 +39,8 @@ def tracking_limits(spec: RobotSpec, robot: str) -> TrackingLimits:
     """Return a robot's tracking limits; raises InvalidInputError when it does not track."""
     if spec.tracking is None:
         raise InvalidInputError(
-            f"robot {robot} has no tracking limits in its spec: it cannot track"
+            f"robot {robot} has no tracking limits in its spec: it cannot track; choose another "
+            "robot, or give its driver's spec `tracking`"
         )
     return spec.tracking
 
@@ -53,40 +55,84 @@ def trajectory(points: FloatArray, speed: float, spec: RobotSpec, robot: str) ->
         InvalidInputError: the drawing leaves the workspace, or is faster than the robot may go.
     """
     limits = tracking_limits(spec, robot)
+    unit = spec.axes[0].unit
     if speed > limits.speed_max:
         raise InvalidInputError(
-            f"{speed:g} is faster than robot {robot} may go: {limits.speed_max:g}"
+            f"{speed:g} {unit}/s is faster than robot {robot} may go along a path: choose a speed "
+            f"of at most {limits.speed_max:g} {unit}/s"
         )
     axes = len(spec.axes)
     columns = np.zeros((len(points), axes))
     columns[:, : min(2, axes)] = points[:, : min(2, axes)]
-    path = travel(columns, speed, ACCELERATION_SHARE * limits.acceleration_max, spec.sample_time_s)
+    acceleration = ACCELERATION_SHARE * limits.acceleration_max
     try:
+        path = travel(columns, speed, acceleration, spec.sample_time_s)
+        _check_workspace(path, limits.position_max, unit)
         check_trajectory(path, spec.sample_time_s, limits)
     except InvalidInputError as error:
-        raise InvalidInputError(f"robot {robot}: {error}") from error
+        raise InvalidInputError(f"robot {robot} cannot fly it: {error}") from error
     return path
 
 
-def legs_of(
-    drawings: Sequence[str], speeds: Sequence[float], target: Description, *, scale: float = 1.0
-) -> tuple[Leg, ...]:
-    """Return every drawing, given by path or name, at every speed, as paths of a robot.
+def _check_workspace(path: FloatArray, position_max: float, unit: str) -> None:
+    furthest = float(np.abs(path).max())
+    if furthest > position_max:
+        percent = math.floor(100 * position_max / furthest)
+        raise InvalidInputError(
+            f"it goes {furthest:.3g} {unit} from the origin, outside the workspace of "
+            f"±{position_max:g} {unit}: move it, or make it at most {percent} % as large (--scale)"
+        )
+
+
+def read_drawings(drawings: Sequence[str]) -> dict[str, FloatArray]:
+    """Return the points of drawings given by path or name, (n, 2) each, by what they are called.
 
     Raises:
-        InvalidInputError: a drawing cannot be read, or the robot cannot fly it.
+        InvalidInputError: a drawing cannot be read, or two are called the same.
     """
-    files = [find_drawing(drawing) for drawing in drawings]
+    points: dict[str, FloatArray] = {}
+    for drawing in drawings:
+        file = find_drawing(drawing)
+        if file.stem in points:
+            raise InvalidInputError(
+                f"two drawings are called {file.stem}: name each once, or rename one, so that "
+                "their flights can be told apart"
+            )
+        points[file.stem] = read_drawing(file)
+    return points
+
+
+def legs_of(
+    drawings: Mapping[str, FloatArray],
+    speeds: Sequence[float],
+    target: Description,
+    *,
+    scale: float = 1.0,
+) -> tuple[Leg, ...]:
+    """Return every drawing, (n, 2) by its name, at every speed, as paths of a robot.
+
+    Raises:
+        InvalidInputError: the robot cannot fly one, or a speed is named twice.
+    """
+    if len(set(speeds)) != len(speeds):
+        raise InvalidInputError("a speed is named twice: name each once")
     return tuple(
         Leg(
-            drawing=file.stem,
+            drawing=name,
             speed=speed,
             unit=target.spec.axes[0].unit,
-            desired=trajectory(scale * read_drawing(file), speed, target.spec, target.robot),
+            desired=_named(name, scale * points, speed, target),
         )
-        for file in files
+        for name, points in drawings.items()
         for speed in speeds
     )
+
+
+def _named(name: str, points: FloatArray, speed: float, target: Description) -> FloatArray:
+    try:
+        return trajectory(points, speed, target.spec, target.robot)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{name}: {error}") from error
 
 
 def practice_path(spec: RobotSpec, robot: str) -> FloatArray:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from orchestrator.experience_learning import install
 from orchestrator.fleet import Fleet
+from orchestrator.prior_custody import install
 from shared.errors import InvalidInputError
 from shared.experience import decode_experience
 from shared.experience_manifest import ExperienceManifest, misfit

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+import shutil
 import sys
 import tempfile
 from collections.abc import Mapping
@@ -45,8 +46,11 @@ class RunFolder:
     def __enter__(self) -> RunFolder:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, _type: object, error: BaseException | None, _traceback: object) -> None:
         self.close()
+        if error is not None and not (self.path / CONFIGURATION).exists():
+            # It was refused before it began.
+            shutil.rmtree(self.path)
 
     @property
     def recording(self) -> Path:

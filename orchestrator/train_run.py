@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from orchestrator.experience_learning import FLIGHT_S, Lesson, Say, fly_lessons, install
+from orchestrator.experience_learning import FLIGHT_S, Lesson, Say, fly_lessons
 from orchestrator.fleet import Fleet
 from orchestrator.pilot import Pilot
+from orchestrator.prior_custody import install
 from orchestrator.training import train
 from shared.errors import InvalidInputError
 from shared.experience import Experience, encode_experience

@@ -87,9 +87,14 @@ def train(
             change.
     """
     if len(data.gamma) < points or points < 10 * _BLOCKS:
-        raise InvalidInputError(f"{points} points are needed, at least 500; got {len(data.gamma)}")
+        raise InvalidInputError(
+            f"robot {origin.robot}: {points} points are needed, at least 500; got "
+            f"{len(data.gamma)}: let it fly for longer (--duration)"
+        )
     if not (np.isfinite(data.inputs).all() and np.isfinite(data.gamma).all()):
-        raise InvalidInputError("the training data hold a number that is not finite")
+        raise InvalidInputError(
+            f"robot {origin.robot}: the training data hold a number that is not finite"
+        )
     chosen = np.linspace(0, len(data.gamma) - 1, points).round().astype(int)
     inputs, gamma = data.inputs[chosen], data.gamma[chosen]
     held_back = (
@@ -98,7 +103,9 @@ def train(
     mean, scale = inputs[~held_back].mean(axis=0), inputs[~held_back].std(axis=0)
     offset, spread = float(gamma[~held_back].mean()), float(gamma[~held_back].std())
     if spread == 0 or (scale == 0).any():
-        raise InvalidInputError("the training data do not vary: the robot was not excited")
+        raise InvalidInputError(
+            f"robot {origin.robot}: the training data do not vary: it was not excited"
+        )
     network, error = _fit(
         (inputs - mean) / scale, (gamma - offset) / spread, held_back, seed, steps_max
     )

@@ -26,6 +26,8 @@ from shared.strict import Name, Positive, Strict
 
 Architecture = Literal["state", "preview"]
 
+HORIZON_SAMPLES_MAX = 500
+
 _PREVIEW_SHAPE = (-10.0, -7.0, -5.0, -3.5, -2.5, -1.6, -1.0, -0.6, -0.3, 0.3, 0.6, 1.0)
 """Where a preview looks, in horizons: far back, because an inverse remembers for as long as the
 baseline controller's zero is slow, and no further ahead than the robot's delay."""
@@ -41,7 +43,7 @@ class InverseLayout(Strict):
     architecture: Architecture
     states: Annotated[tuple[Name, ...], Field(min_length=1, max_length=8)]
     sample_time_s: Positive
-    horizon_samples: Annotated[int, Field(ge=1, le=500)]
+    horizon_samples: Annotated[int, Field(ge=1, le=HORIZON_SAMPLES_MAX)]
 
     @model_validator(mode="after")
     def _preview_is_resolved(self) -> InverseLayout:

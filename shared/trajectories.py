@@ -95,7 +95,9 @@ def travel(
     path = _interpolated(along, length, path)
     time_s = _arrival(path, along, speed, _MARGIN * acceleration_max / math.sqrt(2))
     if time_s[-1] / sample_time_s > POINTS_MAX:
-        raise InvalidInputError(f"at {speed:g} the path takes {time_s[-1]:.0f} s, too long")
+        raise InvalidInputError(
+            f"at {speed:g} the path takes {time_s[-1]:.0f} s, too long: choose a higher speed"
+        )
     samples = math.ceil(time_s[-1] / sample_time_s) + 1
     travelled = _interpolated(np.arange(samples) * sample_time_s, time_s, path)
     half = max(1, round(_ROUNDING_S / 2 / sample_time_s))

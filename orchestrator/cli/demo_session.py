@@ -11,7 +11,7 @@ from orchestrator.cli.reach import KeptFlights, Reach, Session, flying
 from orchestrator.console import ConsoleObserver, ranking_table, stderr_console
 from orchestrator.demonstration import DemoResult, demo_table, demonstrate
 from orchestrator.live_view import LiveView
-from orchestrator.paths import legs_of
+from orchestrator.paths import legs_of, read_drawings
 from orchestrator.rank_run import RankRequest, prepare, run_study
 from orchestrator.results import RunRecord
 from orchestrator.train_run import check_torch
@@ -86,7 +86,7 @@ def _demonstrated(
         session.pilot,
         target,
         record.result,
-        legs_of((DRAWING,), (SPEED,), target),
+        legs_of(read_drawings((DRAWING,)), (SPEED,), target),
         architecture,
         session.folder,
         seed=seed,

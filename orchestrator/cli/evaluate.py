@@ -8,6 +8,7 @@ from typing import Literal
 import click
 
 from orchestrator.cli.options import (
+    PositiveNumber,
     connect_options,
     fleet_option,
     json_option,
@@ -47,7 +48,7 @@ from orchestrator.cli.options import (
 )
 @click.option(
     "--scale",
-    type=click.FloatRange(min=0, min_open=True),
+    type=PositiveNumber(),
     default=1.0,
     show_default=True,
     help="Makes the drawings larger or smaller.",

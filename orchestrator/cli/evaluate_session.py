@@ -20,13 +20,18 @@ from orchestrator.evaluation_results import EvaluationRecord
 from orchestrator.evaluation_run import EvaluationPlan, run_evaluation
 from orchestrator.experience_learning import FLIGHT_S
 from orchestrator.pairs import PairsResult, compare_pairs
-from orchestrator.paths import legs_of
+from orchestrator.paths import Leg, legs_of, read_drawings
 from orchestrator.preflight import check_robots
 from orchestrator.rank_run import RankRequest, prepare
 from orchestrator.train_run import check_torch, train_robots
+from shared.arrays import FloatArray
 from shared.drawings import drawing_names
 from shared.errors import InvalidInputError
 from shared.inverse_layout import Architecture
+from shared.messages import Description
+
+Drawings = dict[str, FloatArray]
+"""Points, (n, 2), by the drawing's name."""
 
 SPEEDS = (0.3, 0.6, 0.9)
 """The paper's, Section VI-D, in m/s."""
@@ -99,6 +104,7 @@ def evaluate_and_print(command: EvaluateCommand) -> None:
     console = stderr_console()
     began_s = time.monotonic()
     kind = "pairs" if command.all_pairs else "evaluate"
+    drawings = read_drawings(command.chosen_drawings)
     with flying(command.reach, kind, command.runs_root, console, live=command.live) as session:
         configuration = {
             **asdict(command),
@@ -107,10 +113,10 @@ def evaluate_and_print(command: EvaluateCommand) -> None:
         }
         session.folder.write_configuration({"kind": kind, **configuration})
         if command.all_pairs:
-            pairs = _all_pairs(command, session)
+            pairs = _all_pairs(command, session, drawings)
             document = pairs.document()
         else:
-            record = _evaluated(command, session, _target(command))
+            record = _evaluated(command, session, drawings, _target(command))
             session.table.close()
             write_figures(session.folder.path, record, session.table.path)
             console.print(evaluation_table(record.result, paper=_is_papers(session)))
@@ -122,14 +128,18 @@ def evaluate_and_print(command: EvaluateCommand) -> None:
         click.echo(document)
 
 
-def _all_pairs(command: EvaluateCommand, session: Session) -> PairsResult:
+def _all_pairs(command: EvaluateCommand, session: Session, drawings: Drawings) -> PairsResult:
     fleet, _, there = session.connection
     check_robots(command.sources or there, there)
+    robots = [fleet.describe(robot) for robot in there]
+    for robot in robots:
+        # Nobody learns for minutes before it is known that all can fly what is asked for.
+        _legs(command, drawings, robot)
     session.console.print(f"{len(there)} robots learn what they would pass on")
     train_robots(
         fleet,
         session.pilot,
-        [fleet.describe(robot) for robot in there],
+        robots,
         (command.architecture,),
         session.folder.path / "experiences",
         seed=command.seed,
@@ -138,14 +148,16 @@ def _all_pairs(command: EvaluateCommand, session: Session) -> PairsResult:
         on_trained=lambda done: session.console.print(f"  {done.lesson.robot} has learned"),
     )
     single = replace(command, studies=command.studies or 1, sources=None)
-    results = [_evaluated(single, session, target).result for target in there]
+    results = [_evaluated(single, session, drawings, target).result for target in there]
     pairs = compare_pairs(results, str(session.folder.path))
     session.folder.write_document("pairs.json", pairs)
     write_scatter(session.folder.path, pairs)
     return pairs
 
 
-def _evaluated(command: EvaluateCommand, session: Session, target: str) -> EvaluationRecord:
+def _evaluated(
+    command: EvaluateCommand, session: Session, drawings: Drawings, target: str
+) -> EvaluationRecord:
     fleet, _, there = session.connection
     file = command.reach.file
     band = None if file is None or file.study is None else file.study.band_rad_s
@@ -158,8 +170,7 @@ def _evaluated(command: EvaluateCommand, session: Session, target: str) -> Evalu
         axis=None,
     )
     ready = prepare(fleet, request, there)
-    description = ready.descriptions[target]
-    legs = legs_of(command.chosen_drawings, command.chosen_speeds, description, scale=command.scale)
+    legs = _legs(command, drawings, ready.descriptions[target])
     plan = EvaluationPlan(
         ready=ready,
         legs=legs,
@@ -180,6 +191,10 @@ def _evaluated(command: EvaluateCommand, session: Session, target: str) -> Evalu
         say=session.console.print,
         observers=[KeptFlights(session)],
     )
+
+
+def _legs(command: EvaluateCommand, drawings: Drawings, target: Description) -> tuple[Leg, ...]:
+    return legs_of(drawings, command.chosen_speeds, target, scale=command.scale)
 
 
 def _target(command: EvaluateCommand) -> str:

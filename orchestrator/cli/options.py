@@ -2,11 +2,37 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+
+
+class PositiveNumber(click.ParamType[float]):
+    """A finite number above zero, between bounds if there are some; in words where it is not."""
+
+    name = "number"
+
+    def __init__(self, low: float | None = None, high: float | None = None) -> None:
+        self._low, self._high = low, high
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """Return the number; fails as click does."""
+        try:
+            number = float(str(value))
+        except ValueError:
+            self.fail(f"{value!r} is not a number", param, ctx)
+        if not 0 < number < math.inf:
+            self.fail(f"{value} must be a number above 0, and finite", param, ctx)
+        low, high = self._low or 0.0, self._high or math.inf
+        if not low <= number <= high:
+            self.fail(f"{value} must be between {low:g} and {high:g}", param, ctx)
+        return number
+
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import click
 
-from orchestrator.cli.options import connect_options, json_option, runs_option
+from orchestrator.cli.options import PositiveNumber, connect_options, json_option, runs_option
 
 
 @click.command()
@@ -68,13 +68,13 @@ from orchestrator.cli.options import connect_options, json_option, runs_option
 @click.option(
     "--speed",
     "speed_m_s",
-    type=click.FloatRange(min=0, min_open=True),
+    type=PositiveNumber(),
     metavar="M/S",
     help="With --trajectory: the largest speed on it.  [default: what the target's axis allows]",
 )
 @click.option(
     "--realtime",
-    type=click.FloatRange(min=0, min_open=True),
+    type=PositiveNumber(),
     metavar="FACTOR",
     help="With --fleet: play at this multiple of real time.  [default: as fast as possible]",
 )

@@ -7,7 +7,13 @@ from typing import Literal
 
 import click
 
-from orchestrator.cli.options import connect_options, json_option, live_option, runs_option
+from orchestrator.cli.options import (
+    PositiveNumber,
+    connect_options,
+    json_option,
+    live_option,
+    runs_option,
+)
 
 
 @click.command()
@@ -26,7 +32,7 @@ from orchestrator.cli.options import connect_options, json_option, live_option, 
 )
 @click.option(
     "--speed",
-    type=click.FloatRange(min=0, min_open=True),
+    type=PositiveNumber(),
     default=0.6,
     show_default=True,
     metavar="M_S",
@@ -34,7 +40,7 @@ from orchestrator.cli.options import connect_options, json_option, live_option, 
 )
 @click.option(
     "--scale",
-    type=click.FloatRange(min=0, min_open=True),
+    type=PositiveNumber(),
     default=1.0,
     show_default=True,
     help="Makes the drawing larger or smaller.",
@@ -53,7 +59,7 @@ from orchestrator.cli.options import connect_options, json_option, live_option, 
 @click.option(
     "--horizon",
     "horizon_s",
-    type=click.FloatRange(min=0, min_open=True),
+    type=PositiveNumber(),
     default=0.4,
     show_default=True,
     metavar="SECONDS",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -17,12 +16,12 @@ from orchestrator.evaluation import flight_record
 from orchestrator.evaluation_results import FlightRecord
 from orchestrator.experience_learning import FLIGHT_S
 from orchestrator.flight_labels import BASELINE, NO_PRIOR
-from orchestrator.paths import Leg, legs_of
-from orchestrator.pilot import PathFlight
+from orchestrator.paths import Leg, legs_of, read_drawings
+from orchestrator.pilot import PathFlight, Pilot
 from orchestrator.preflight import check_robots
 from shared.arrays import FloatArray
 from shared.errors import InvalidInputError, RobotError
-from shared.inverse_layout import InverseLayout
+from shared.inverse_layout import HORIZON_SAMPLES_MAX, InverseLayout
 from shared.messages import Description
 
 
@@ -48,15 +47,17 @@ class TrackCommand:
 def track_and_print(command: TrackCommand) -> None:
     """Track, with progress on stderr and, when asked for, the document on stdout."""
     console = stderr_console()
+    drawings = read_drawings(command.drawings)
     reach = Reach(None, command.connect, command.fleet_name)
     with flying(reach, "track", command.runs_root, console, live=command.live) as session:
         check_robots((command.target,), session.connection.robots)
         target = session.connection.fleet.describe(command.target)
-        legs = legs_of(command.drawings, (command.speed,), target, scale=command.scale)
-        name, fly = _flight(command, session, target)
+        legs = legs_of(drawings, (command.speed,), target, scale=command.scale)
+        inverse = _inverse(command, target)
         configuration = asdict(command) | {"runs_root": str(command.runs_root)}
         session.folder.write_configuration({"kind": "track", **configuration})
-        records = [_flown(session, target, name, leg, fly) for leg in legs]
+        _learn_baseline(inverse, command, session, target)
+        records = [_flown(session, target, inverse, leg) for leg in legs]
         (session.folder.path / "track.json").write_text(
             json.dumps(_document(records, session), indent=2) + "\n", encoding="utf-8"
         )
@@ -67,54 +68,84 @@ def track_and_print(command: TrackCommand) -> None:
         raise RobotError(f"{command.target} did not finish {failed.drawing}: {failed.failure}")
 
 
-def _flown(
-    session: Session,
-    target: Description,
-    name: str,
-    leg: Leg,
-    fly: Callable[[FloatArray, str], PathFlight],
-) -> FlightRecord:
-    kept, label = KeptFlights(session), leg.label(name)
+@dataclass(frozen=True)
+class _Inverse:
+    """What gives the prior, whether it acts in front of the baseline, and how it flies a path."""
+
+    name: str
+    corrects: bool
+    fly: Callable[[Pilot, FloatArray, str], PathFlight]
+
+
+def _flown(session: Session, target: Description, inverse: _Inverse, leg: Leg) -> FlightRecord:
+    kept, label = KeptFlights(session), leg.label(inverse.name)
     kept.begins(target.robot, label, target.spec)
-    flight = fly(leg.desired, label)
+    flight = inverse.fly(session.pilot, leg.desired, label)
     kept.ended(flight)
-    return flight_record(flight, name, leg)
+    return flight_record(flight, inverse.name, leg)
 
 
-def _flight(
-    command: TrackCommand, session: Session, target: Description
-) -> tuple[str, Callable[[FloatArray, str], PathFlight]]:
-    """Return what gives the prior, and how one path is flown with it."""
-    robot, pilot = target.robot, session.pilot
-    inverse = command.inverse
-    if inverse == "auto":
-        inverse = "baseline" if target.prior is None else "prior"
-    if inverse == "baseline":
-        return BASELINE, partial(pilot.baseline, robot)
-    if command.guarded and not target.baseline_known:
-        session.console.print(
-            f"{robot} flies for {FLIGHT_S:.0f} s first, so that its guard knows its baseline"
+def _learn_baseline(
+    inverse: _Inverse, command: TrackCommand, session: Session, target: Description
+) -> None:
+    """Let a robot learn what its guard has to know, unless it does or nothing is guarded."""
+    if not inverse.corrects or not command.guarded or target.baseline_known:
+        return
+    session.console.print(
+        f"{target.robot} flies for {FLIGHT_S:.0f} s first, so that its guard knows its baseline"
+    )
+    session.pilot.rich(target.robot, duration_s=FLIGHT_S, seed=0)
+
+
+def _inverse(command: TrackCommand, target: Description) -> _Inverse:
+    """Return what flies; raises InvalidInputError where the target lacks it."""
+    robot, guarded = target.robot, command.guarded
+    wanted = command.inverse
+    if wanted == "auto":
+        wanted = "baseline" if target.prior is None else "prior"
+    if wanted == "baseline":
+        return _Inverse(BASELINE, False, lambda pilot, *path: pilot.baseline(robot, *path))
+    if wanted == "zero-prior":
+        layout = _layout(command.horizon_s, target)
+        return _Inverse(
+            NO_PRIOR,
+            True,
+            lambda pilot, *path: pilot.zero_prior(robot, *path, layout, guarded=guarded),
         )
-        pilot.rich(robot, duration_s=FLIGHT_S, seed=0)
-    if inverse == "zero-prior":
-        layout = InverseLayout(
-            architecture="state",
-            states=target.state_names,
-            sample_time_s=target.spec.sample_time_s,
-            horizon_samples=max(1, round(command.horizon_s / target.spec.sample_time_s)),
-        )
-        return NO_PRIOR, partial(pilot.zero_prior, robot, layout=layout, guarded=command.guarded)
-    if target.prior is None:
+    prior = target.prior
+    if prior is None:
         raise InvalidInputError(
             f"{robot} has no prior; give it one with `nufleet transfer --target {robot} "
             "--source best`"
         )
-    return target.prior.manifest.robot, partial(
-        pilot.with_prior,
-        robot,
-        sha256=target.prior.sha256,
-        guarded=command.guarded,
-        learn=command.learn,
+    return _Inverse(
+        prior.manifest.robot,
+        True,
+        lambda pilot, *path: pilot.with_prior(
+            robot, *path, prior.sha256, guarded=guarded, learn=command.learn
+        ),
+    )
+
+
+def _layout(horizon_s: float, target: Description) -> InverseLayout:
+    """Return the layout of a feedback that aims so far ahead."""
+    if not target.state_names:
+        raise InvalidInputError(
+            f"robot {target.robot} measures no states, so that nothing can be learned in flight; "
+            "fly it with --inverse baseline"
+        )
+    sample_time_s = target.spec.sample_time_s
+    longest_s = HORIZON_SAMPLES_MAX * sample_time_s
+    if horizon_s > longest_s:
+        raise InvalidInputError(
+            f"a horizon of {horizon_s:g} s is too long for robot {target.robot}, whose sample is "
+            f"{sample_time_s:g} s: choose at most {longest_s:g} s"
+        )
+    return InverseLayout(
+        architecture="state",
+        states=target.state_names,
+        sample_time_s=sample_time_s,
+        horizon_samples=max(1, round(horizon_s / sample_time_s)),
     )
 
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import click
 
-from orchestrator.cli.options import connect_options, json_option, runs_option
+from orchestrator.cli.options import PositiveNumber, connect_options, json_option, runs_option
 
 
 @click.command()
@@ -32,7 +32,7 @@ from orchestrator.cli.options import connect_options, json_option, runs_option
 @click.option(
     "--duration",
     "duration_s",
-    type=click.FloatRange(min=60, max=600),
+    type=PositiveNumber(60, 600),
     default=120.0,
     show_default=True,
     metavar="SECONDS",

@@ -10,10 +10,10 @@ from fleet_lab import Lab, double_integrator, refusal
 from puppet_robot import PuppetRobot
 from robots_that_learn import LaggedRobot
 
-from orchestrator.experience_learning import install
 from orchestrator.fleet import Fleet
 from orchestrator.linear_inverse import linear_experience
 from orchestrator.pilot import Pilot
+from orchestrator.prior_custody import install
 from orchestrator.prior_transfer import transfer
 from orchestrator.training import Origin, TrainingData
 from robot_agent.inverse_model import NetworkInverse
