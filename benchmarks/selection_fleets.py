@@ -1,4 +1,4 @@
-"""Random fleets for experience selection: five families of loops, each robot testable in no time.
+"""Random fleets for experience selection: six families of loops, each robot testable in no time.
 
 A linear robot's test is not simulated sample by sample: its estimates ẑ are drawn from the error
 that least squares has with white noise on the output, E|ẑ − z|² = 4σ²/(N A²) for a tone of
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -195,12 +195,21 @@ def mildly_nonlinear(rng: np.random.Generator) -> NonlinearLoop:
     )
 
 
+def strongly_nonlinear(rng: np.random.Generator) -> NonlinearLoop:
+    """The same with so much of it that the response to many tones is far from that to one."""
+    mild = mildly_nonlinear(rng)
+    if mild.dead_zone_m_s2 > 0:
+        return replace(mild, dead_zone_m_s2=rng.uniform(0.1, 0.3))
+    return replace(mild, rate_max_m_s3=rng.uniform(12.0, 25.0))
+
+
 FAMILIES: dict[str, Callable[[np.random.Generator], LinearLoop | NonlinearLoop]] = {
     "second-order": second_order,
     "lightly-damped": lightly_damped,
     "flexible": flexible,
     "gain-and-delay": gain_and_delay,
     "mildly-nonlinear": mildly_nonlinear,
+    "strongly-nonlinear": strongly_nonlinear,
 }
 
 
@@ -212,7 +221,7 @@ def random_fleet(family: str, sources: int, noise_m: float, rng: np.random.Gener
     """
     draw = FAMILIES[family]
     robots = [TestedRobot(draw(rng), noise_m, rng) for _ in range(sources + 1)]
-    if family == "mildly-nonlinear":
+    if isinstance(robots[0].loop, NonlinearLoop):
         omega = np.geomspace(*BAND_RAD_S, 40)
     else:
         omega = np.linspace(*BAND_RAD_S, TRUTH_POINTS)
