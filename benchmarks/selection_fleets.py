@@ -3,7 +3,7 @@
 A linear robot's test is not simulated sample by sample: its estimates ẑ are drawn from the error
 that least squares has with white noise on the output, E|ẑ − z|² = 4σ²/(N A²) for a tone of
 amplitude A in N samples, and their variances from the χ² distribution with two degrees of freedom
-per segment and tone less one. `benchmarks.selection_check` compares this with a simulation.
+per segment and tone less one. `tests/benchmarks/test_selection_fleets.py` compares this with a simulation.
 """
 
 from __future__ import annotations
@@ -103,8 +103,10 @@ class Fleet:
         """All robots by name; the target is called so."""
         return {"target": self.target, **self.sources}
 
-    def regret(self, selected: str) -> float:
-        """Return how much further the source selected is than the closest."""
+    def regret(self, selected: str | None) -> float:
+        """Return how much further the source selected is than the closest; 1 where none was."""
+        if selected is None:
+            return 1.0
         return self.psi_star[selected] - min(self.psi_star.values())
 
 

@@ -13,6 +13,7 @@ from orchestrator.experience_selection import SEGMENT_MIN_S, SEGMENTS, PaperStud
 from orchestrator.study import Study, StudyPlan
 from orchestrator.tone_choice import ToneChoice
 from shared.chordal import chordal_distance
+from shared.errors import StudyError
 from shared.excitation import Excitation, Tone
 from shared.frequency_response import FrequencyResponse
 
@@ -26,9 +27,12 @@ LONG_TEST_PERIODS = 55
 
 @dataclass(frozen=True)
 class Step:
-    """What is selected after a round, how sure the method is of it, and robot-seconds so far."""
+    """What is selected after a round, how sure the method is of it, and robot-seconds so far.
 
-    selected: str
+    `selected` is None when the study could not go on, since no test of the target was usable.
+    """
+
+    selected: str | None
     confidence: float | None
     robot_time_s: float
 
@@ -73,7 +77,12 @@ def follow(study: Study, fleet: Fleet) -> Trace:
                 responses[name] = response
             else:
                 failed[name] = str(response.quality)
-        report = study.tell(responses, failed)
+        try:
+            report = study.tell(responses, failed)
+        except StudyError as error:
+            trace.steps.append(Step(None, None, robot_time_s))
+            trace.stopped_because = str(error)
+            break
         trace.steps.append(Step(report.selected, report.confidence, robot_time_s))
         trace.eliminated = len(report.eliminated)
         trace.stopped_because = report.stopped_because or ""
