@@ -3,7 +3,8 @@
 A linear robot's test is not simulated sample by sample: its estimates ẑ are drawn from the error
 that least squares has with white noise on the output, E|ẑ − z|² = 4σ²/(N A²) for a tone of
 amplitude A in N samples, and their variances from the χ² distribution with two degrees of freedom
-per segment and tone less one. `tests/benchmarks/test_selection_fleets.py` compares this with a simulation.
+per segment and tone less one. `tests/benchmarks/test_selection_fleets.py` compares this with a
+simulation.
 """
 
 from __future__ import annotations
