@@ -25,13 +25,14 @@ PAPER_TABLE_I = {
 """ψ̂*, e_rms in m and the reduction in % that Sorocky, Zhou and Schoellig (2020) measured."""
 
 
-def evaluation_table(result: EvaluationResult, *, paper: bool) -> Table:
-    """Return what each inverse did, the closest source first; with `paper`, beside Table I."""
+def evaluation_table(result: EvaluationResult) -> Table:
+    """Return what each inverse did, the closest source first."""
     unit = f"m{result.unit}"
     table = Table(title=f"{result.target}, {result.architecture} inverses", title_justify="left")
-    table.add_column("prior")
+    table.add_column("prior", no_wrap=True)
     for heading in (
         "ψ̂*",
+        "± σ",
         f"predicted, {unit}",
         f"RMS, {unit}",
         "less error",
@@ -39,24 +40,18 @@ def evaluation_table(result: EvaluationResult, *, paper: bool) -> Table:
         "taken back",
     ):
         table.add_column(heading, justify="right")
-    if paper:
-        for heading in ("paper: ψ̂*", "RMS, mm", "less error"):
-            table.add_column(heading, justify="right", style="dim")
-    blank = ("", "", "") if paper else ()
     own = result.baseline
     table.add_row(
-        "baseline", "", _predicted(own.predicted_rms_m), _milli(own.rms_m), "", "", "", *blank
+        "baseline", "", "", _predicted(own.predicted_rms_m), _milli(own.rms_m), "", "", ""
     )
-    table.add_row("none", "", "", *_cells(result.no_prior), *blank)
+    table.add_row("none", "", "", "", *_cells(result.no_prior))
     for place, source in enumerate(result.sources):
-        psi, rms, less = PAPER_TABLE_I.get(source.robot, (0.0, 0.0, 0.0))
-        beside = (f"{psi:.2f}", f"{1000 * rms:.0f}", f"{less:.1f} %") if paper else ()
         table.add_row(
             source.robot,
-            f"{source.psi:.3f} ± {source.psi_std:.3f}",
+            f"{source.psi:.3f}",
+            f"{source.psi_std:.3f}",
             _predicted(source.predicted_rms_m),
             *_cells(source),
-            *beside,
             style="bold green" if place == 0 else None,
         )
     table.caption = (
@@ -64,6 +59,30 @@ def evaluation_table(result: EvaluationResult, *, paper: bool) -> Table:
         f"{_or_dash(result.kendall_tau_trajectory)} of the error predicted for these paths"
     )
     table.caption_justify = "left"
+    return table
+
+
+def paper_table(result: EvaluationResult) -> Table:
+    """Return this evaluation beside the paper's Table I, for a fleet that stands for its own."""
+    table = Table(title="beside Table I of the paper", title_justify="left")
+    table.add_column("prior", no_wrap=True)
+    for heading in ("ψ̂*", "paper", "RMS, mm", "paper", "less error", "paper"):
+        table.add_column(
+            heading, justify="right", no_wrap=True, style="dim" if heading == "paper" else None
+        )
+    for source in result.sources:
+        if source.robot in PAPER_TABLE_I:
+            psi, rms_m, less = PAPER_TABLE_I[source.robot]
+            reduction = source.reduction_percent
+            table.add_row(
+                source.robot,
+                f"{source.psi:.2f}",
+                f"{psi:.2f}",
+                _milli(source.rms_m),
+                f"{1000 * rms_m:.0f}",
+                "" if reduction is None else f"{reduction:.1f} %",
+                f"{less:.1f} %",
+            )
     return table
 
 

@@ -13,6 +13,7 @@ from orchestrator.console import stderr_console
 from orchestrator.evaluation_report import (
     evaluation_table,
     pairs_table,
+    paper_table,
     write_figures,
     write_scatter,
 )
@@ -119,7 +120,9 @@ def evaluate_and_print(command: EvaluateCommand) -> None:
             record = _evaluated(command, session, drawings, _target(command))
             session.table.close()
             write_figures(session.folder.path, record, session.table.path)
-            console.print(evaluation_table(record.result, paper=_is_papers(session)))
+            console.print(evaluation_table(record.result))
+            if _is_papers(session):
+                console.print(paper_table(record.result))
             document = record.result.document()
     if command.all_pairs:
         console.print(pairs_table(pairs))
