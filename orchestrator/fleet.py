@@ -212,9 +212,11 @@ class Fleet:
         timeout_s: float = QUERY_TIMEOUT_S,
     ) -> R:
         key = self._keys.robot(robot, leaf)
+        began_s = time.monotonic()
         replies = self._session.ask_all(key, encode(request), timeout_s=timeout_s)
         if not replies:
-            raise NoReplyError(f"robot {robot} did not answer {leaf!r} within {timeout_s:g} s")
+            gone = time.monotonic() - began_s < timeout_s
+            raise NoReplyError(_no_reply(robot, leaf, request, None if gone else timeout_s))
         if len(replies) > 1:
             raise RobotLostError(
                 f"{len(replies)} agents answer as {robot}: stop all but one of them"
@@ -255,6 +257,17 @@ class Fleet:
             return
         for observer in observers:
             _tell(partial(observer, self._keys.robot_of(key), telemetry))
+
+
+def _no_reply(robot: str, leaf: str, request: Message, waited_s: float | None) -> str:
+    """Say who did not answer what; `waited_s` is None when nobody was there to answer."""
+    goal_id = getattr(request, "goal_id", None)
+    asked = repr(leaf) if goal_id is None else f"{leaf!r} about goal {goal_id}"
+    if waited_s is None:
+        return f"robot {robot} is not there, or went away when it was asked {asked}"
+    return (
+        f"robot {robot} did not answer {asked} within {waited_s:g} s; it may be cut off or frozen"
+    )
 
 
 def _tell(observer: Callable[[], None]) -> None:

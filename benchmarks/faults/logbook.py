@@ -1,0 +1,170 @@
+"""A robot that writes down each of its motions, so that what moved when is known from its own side.
+
+The logbook is a file that every process of a robot appends to, one line for each event, each line
+in one write: a process that is killed leaves whole lines. Times are of `time.monotonic`, which on
+one machine is the same clock for all processes.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robot_agent.robot import Robot
+from shared.arrays import FloatArray
+from shared.drivers import load_driver
+from shared.robot_spec import RobotSpec
+from shared.strict import NonNegative, Strict
+
+CONNECTED, MOVES, TOLD_TO_REST, RESTS = "connected", "moves", "told to rest", "rests"
+
+
+class LoggedRobotSettings(Strict):
+    """A driver and its settings, as in a fleet file, the logbook, and how long it takes to rest."""
+
+    driver: str
+    settings: dict[str, Any]
+    logbook: str
+    rest_s: NonNegative = 0.0
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of a logbook."""
+
+    time_s: float
+    robot: str
+    pid: int
+    what: str
+
+
+def read_logbook(path: Path) -> list[Entry]:
+    """Return what is written in a logbook, oldest first; nothing where there is none yet."""
+    if not path.exists():
+        return []
+    return [Entry(**json.loads(line)) for line in path.read_text().splitlines()]
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A robot's motion from its first sample to the order to rest; None if its process died."""
+
+    robot: str
+    began_s: float
+    ended_s: float | None
+
+
+def motions(entries: list[Entry]) -> list[Stretch]:
+    """Return every motion of a logbook, in the order in which they began."""
+    found: list[Stretch] = []
+    open_since: dict[str, float] = {}
+    for entry in sorted(entries, key=lambda e: e.time_s):
+        began_s = open_since.get(entry.robot)
+        if entry.what == MOVES:
+            open_since[entry.robot] = entry.time_s
+        elif began_s is not None and entry.what in (TOLD_TO_REST, CONNECTED):
+            ended_s = entry.time_s if entry.what == TOLD_TO_REST else None
+            found.append(Stretch(entry.robot, began_s, ended_s))
+            del open_since[entry.robot]
+    found += [Stretch(robot, began_s, None) for robot, began_s in open_since.items()]
+    return sorted(found, key=lambda stretch: stretch.began_s)
+
+
+class LoggedRobot(Robot):
+    """Another robot; each rest ends exactly at its origin, so that equal motions measure equally.
+
+    Without noise a test then gives the same samples whatever went before it.
+    """
+
+    def __init__(self, name: str, robot: Robot, logbook: Path, rest_s: float) -> None:
+        self._name, self._robot, self._rest_s = name, robot, rest_s
+        self._file = os.open(logbook, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        self._moving = False
+
+    @property
+    def spec(self) -> RobotSpec:
+        """That of the robot inside."""
+        return self._robot.spec
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Those of the robot inside."""
+        return self._robot.state_names
+
+    def connect(self) -> None:
+        """Connect the robot inside."""
+        self._write(CONNECTED)
+        self._robot.connect()
+
+    def observe(self) -> FloatArray:
+        """Measure the state now."""
+        return self._robot.observe()
+
+    def step(self, reference: FloatArray) -> FloatArray:
+        """Follow a reference for one sample."""
+        return np.asarray(self.run(reference[np.newaxis])[0])
+
+    def run(self, references: FloatArray) -> FloatArray:
+        """Follow a whole reference signal."""
+        if not self._moving:
+            self._moving = True
+            self._write(MOVES)
+        return self._robot.run(references)
+
+    def rest(self) -> None:
+        """Bring the robot inside to rest, and put it exactly to its origin."""
+        self._write(TOLD_TO_REST)
+        if self._rest_s:
+            time.sleep(self._rest_s)
+        self._robot.rest()
+        self._robot.connect()
+        self._moving = False
+        self._write(RESTS)
+
+    def disconnect(self) -> None:
+        """Let go of the robot inside."""
+        self._robot.disconnect()
+
+    def _write(self, what: str) -> None:
+        line = {"time_s": time.monotonic(), "robot": self._name, "pid": os.getpid(), "what": what}
+        os.write(self._file, json.dumps(line).encode() + b"\n")
+
+
+@dataclass(frozen=True)
+class LoggedRobotDriver:
+    """Builds robots of other drivers that keep logbooks."""
+
+    settings: type[LoggedRobotSettings] = LoggedRobotSettings
+    shares_process: bool = False
+    environment: Mapping[str, str] = field(default_factory=dict)
+
+    def build(
+        self, settings: Mapping[str, LoggedRobotSettings], rng: np.random.Generator
+    ) -> Mapping[str, LoggedRobot]:
+        """Build the robots, disconnected, by name."""
+        return {name: _built(name, own, rng) for name, own in settings.items()}
+
+
+def _built(name: str, settings: LoggedRobotSettings, rng: np.random.Generator) -> LoggedRobot:
+    driver = load_driver(settings.driver)
+    inner = driver.settings.model_validate_json(json.dumps(settings.settings, default=str))
+    robot = driver.build({name: inner}, rng)[name]
+    return LoggedRobot(name, robot, Path(settings.logbook), settings.rest_s)
+
+
+LOGGED = LoggedRobotDriver()
+
+
+def install_driver(folder: Path) -> None:
+    """Make the driver `logged` known to processes that have `folder` on their PYTHONPATH."""
+    metadata = folder / "nufleet_faults-1.dist-info"
+    metadata.mkdir(parents=True, exist_ok=True)
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: nufleet-faults\nVersion: 1\n")
+    (metadata / "entry_points.txt").write_text(f"[nufleet.robots]\nlogged = {__name__}:LOGGED\n")

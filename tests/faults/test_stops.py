@@ -1,0 +1,76 @@
+"""A stop reaches a robot that is busy, whose owner is dead or whose router is gone; it lasts."""
+
+from __future__ import annotations
+
+import pytest
+
+from benchmarks.faults.lab import Lab
+from benchmarks.faults.program import PATIENCE_S, Program
+from orchestrator.stopping import stop_robots
+from shared.errors import RefusedError
+from shared.excitation import Excitation, Tone
+from shared.messages import GoalRequest, Outcome, RobotStatus
+
+LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=60.0)
+ROBOTS = ("a", "b", "c")
+
+
+def submit_to_all(lab: Lab, goal_id: str, owner: str = "orchestrator-1") -> None:
+    fleet = lab.orchestrator(*ROBOTS, name=owner)
+    for robot in ROBOTS:
+        fleet.submit(robot, GoalRequest(goal_id=goal_id, owner=owner, motion=LONG))
+        lab.wait_for_state(fleet, robot, lambda state: state.progress > 0)
+
+
+@pytest.fixture
+def agent(lab: Lab) -> Program:
+    lab.describe_section_v(dict.fromkeys(ROBOTS, 0.9))
+    lab.router()
+    return lab.agent(*ROBOTS, realtime=1.0)
+
+
+def test_a_stop_of_all_halts_every_motion_and_outlasts_a_crash(lab: Lab, agent: Program) -> None:
+    submit_to_all(lab, "g")
+    boots = {}
+    with lab.joined(*ROBOTS, name="somebody") as fleet:
+        fleet.stop_everyone("smoke")
+        assert stop_robots(fleet, ROBOTS, "smoke") == {}
+        for robot in ROBOTS:
+            state = lab.wait_for_state(fleet, robot, lambda s: s.last_goal_id == "g")
+            boots[robot] = state.boot_id
+            result = fleet.result(robot, "g")
+            assert (result.outcome, result.reason) == (
+                Outcome.ABORTED,
+                "stopped by somebody: smoke",
+            )
+        agent.kill()
+        agent.start()
+        for robot in ROBOTS:
+            state = lab.wait_for_state(fleet, robot, lambda s: s.boot_id != boots[robot])  # noqa: B023
+            assert state.status is RobotStatus.STOPPED
+            assert state.reason == "stopped by somebody: smoke"
+        fleet.wait_for(ROBOTS, timeout_s=PATIENCE_S)
+        # A second stop is accepted, and a goal is refused with what to do.
+        assert stop_robots(fleet, ROBOTS, "again") == {}
+        request = GoalRequest(goal_id="g2", owner="somebody", motion=LONG)
+        with pytest.raises(RefusedError, match="release it first: it was stopped by somebody"):
+            fleet.submit("a", request)
+    assert all(len(lab.motions(robot)) == 1 for robot in ROBOTS)
+
+
+def test_a_stop_that_does_not_arrive_is_shouted(lab: Lab, agent: Program) -> None:
+    fleet = lab.orchestrator(*ROBOTS)
+    fleet.submit("a", GoalRequest(goal_id="g", owner=fleet.orchestrator_id, motion=LONG))
+    agent.freeze()
+    stop = lab.command("stop", "a", "b", "--connect", lab.endpoint, "--fleet-name", "lab")
+    assert stop.wait() == 1
+    for robot in ("a", "b"):
+        assert f"{robot} DID NOT CONFIRM ITS STOP" in stop.said
+    assert "Stop these robots by hand" in stop.said
+    agent.thaw()
+    # It rests by itself when it wakes, and can then be stopped.
+    lab.wait_for_state(fleet, "a", lambda state: state.last_goal_id == "g")
+    (motion,) = lab.motions("a")
+    assert motion.ended_s is not None
+    fleet.wait_for(ROBOTS, timeout_s=PATIENCE_S)
+    assert stop_robots(fleet, ROBOTS, "smoke") == {}
