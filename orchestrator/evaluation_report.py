@@ -33,7 +33,7 @@ def evaluation_table(result: EvaluationResult) -> Table:
     for heading in (
         "ψ̂*",
         "± σ",
-        f"predicted, {unit}",
+        f"expected, {unit}",
         f"RMS, {unit}",
         "less error",
         "worst / baseline",

@@ -17,9 +17,10 @@ CANDIDATES_S = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 """From the delay of a fast robot to the rise time of a slow one."""
 
 FAILURES_MAX = 2
-"""After so many horizons in a row that could not be flown, shorter ones are not tried."""
+"""After so many horizons in a row that failed, shorter ones are not tried."""
 
 _CLOSE = 1.05  # errors that differ by less are alike
+_FAR = 2.0  # an error this many times the best is a failure too
 _GAIN_ERROR = 1.25  # a horizon has to survive an inverse this much too eager
 
 Fly = Callable[[Experience], float]
@@ -92,19 +93,20 @@ def choose_horizon(
     Raises:
         StudyError: no candidate could be flown.
     """
-    errors: dict[int, float] = {}
+    errors = {layout.horizon_samples: math.inf for layout in layouts}
     failures = 0
     for layout in reversed(layouts):
-        data = TrainingData(*pooled_pairs(layout, record, columns))
-        gains = (1.0, _GAIN_ERROR) if layout.architecture == "state" else (1.0,)
-        worst = 0.0
-        for gain in gains:
-            if failures < FAILURES_MAX and math.isfinite(worst):
-                worst = max(worst, fly(linear_experience(data, layout, origin, gain=gain)))
         if failures == FAILURES_MAX:
-            worst = math.inf
-        failures = 0 if math.isfinite(worst) else min(FAILURES_MAX, failures + 1)
+            break
+        best = min(errors.values())
+        data = TrainingData(*pooled_pairs(layout, record, columns))
+        worst = fly(linear_experience(data, layout, origin))
+        # Where the first flight rules a horizon out, the robot need not fly the second.
+        if layout.architecture == "state" and worst <= _CLOSE * best and math.isfinite(worst):
+            worst = max(worst, fly(linear_experience(data, layout, origin, gain=_GAIN_ERROR)))
         errors[layout.horizon_samples] = worst
+        failed = not math.isfinite(worst) or worst > _FAR * best
+        failures = failures + 1 if failed else 0
     trials = tuple(
         Trial(layout.horizon_samples, errors[layout.horizon_samples]) for layout in layouts
     )

@@ -77,6 +77,28 @@ def test_after_two_failures_in_a_row_shorter_horizons_are_not_flown() -> None:
     assert [trial.rms_error for trial in choice.trials[:3]] == [math.inf] * 3
 
 
+def test_a_horizon_that_cannot_win_any_more_is_not_flown_a_second_time() -> None:
+    flown: list[int] = []
+
+    def best_at_twenty(experience: Experience) -> float:
+        flown.append(experience.manifest.layout.horizon_samples)
+        return 0.1 * (1 + abs(flown[-1] - 20) / 10)
+
+    assert choose("state", best_at_twenty).layout.horizon_samples == 20
+    assert flown == [27, 27, 20, 20, 13, 10]
+
+
+def test_shorter_horizons_are_left_once_two_were_far_off() -> None:
+    flown: list[int] = []
+
+    def worse_when_short(experience: Experience) -> float:
+        flown.append(experience.manifest.layout.horizon_samples)
+        return 0.1 if flown[-1] == 27 else 0.3
+
+    assert choose("preview", worse_when_short).layout.horizon_samples == 27
+    assert flown == [27, 20, 13]
+
+
 def test_a_robot_that_cannot_be_flown_with_any_horizon_says_so() -> None:
     with pytest.raises(StudyError, match="any horizon"):
         choose("state", lambda _: math.inf)
