@@ -19,12 +19,15 @@ from pathlib import Path
 import numpy as np
 import psutil
 
+from orchestrator.archive import Archive
 from orchestrator.connection import started_fleet
 from orchestrator.dispatcher import Dispatcher, Measured, TestOutcome
-from orchestrator.experience_selection import PaperStudy
 from orchestrator.rank_run import RankRequest, prepare
 from orchestrator.ranking import conduct
+from orchestrator.repository.repository import open_repository
+from orchestrator.robot_leases import lease_robots
 from orchestrator.study import Question, Report
+from orchestrator.study_recipe import make_study
 
 PROCESSES = 4
 
@@ -85,9 +88,16 @@ def measure(
             ready = prepare(fleet, request, there)
             prepared_s = time.perf_counter() - began_s - started_s
             timer = Timer()
-            dispatcher = Dispatcher(fleet, on_attempt_failed=timer.attempt_failed)
-            study = PaperStudy(ready.plan, np.random.default_rng(0))
-            conclusion = conduct(study, f"scale-{robots}", dispatcher, timer)
+            with (
+                open_repository(str(Path(directory) / "nufleet.sqlite")) as repository,
+                lease_robots(repository.leases, fleet, "scale", there) as leases,
+            ):
+                archive = Archive(repository, "scale", leases)
+                begun = archive.begin("scale", "paper", ready.plan, 0, ready.descriptions)
+                log = archive.log(begun.study_id)
+                dispatcher = Dispatcher(fleet, log, on_attempt_failed=timer.attempt_failed)
+                study = make_study(begun, repository.studies)
+                conclusion = conduct(study, log, dispatcher, timer)
             agents = [
                 child
                 for child in psutil.Process().children(recursive=True)

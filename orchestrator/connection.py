@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import platform
+import re
 import secrets
 import time
 from collections.abc import Iterator
@@ -30,8 +33,9 @@ class Connection(NamedTuple):
 
 
 def new_orchestrator_id() -> str:
-    """Return an id that no other orchestrator has."""
-    return f"orchestrator-{secrets.token_hex(6)}"
+    """Return an id that no other orchestrator has: with host and process, to find it by."""
+    host = re.sub("[^0-9a-z-]", "-", platform.node().lower())[:32]
+    return f"orchestrator-{host}-{os.getpid()}-{secrets.token_hex(4)}"
 
 
 @contextmanager

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 from orchestrator.fleet import Fleet
 from orchestrator.goal_runner import GoalRunner, Interrupted
+from orchestrator.resume import OpenTest
+from orchestrator.trial_log import TrialLog
 from shared.errors import (
     MalformedMessageError,
     NoReplyError,
@@ -19,6 +22,7 @@ from shared.frequency_response import FrequencyResponse, estimate_frequency_resp
 from shared.messages import GoalResult, Outcome
 
 ATTEMPTS = 3
+"""Failed attempts after which a robot is given up in a round."""
 
 
 @dataclass(frozen=True)
@@ -47,27 +51,33 @@ OnAttempt = Callable[[str, int, str], None]
 
 
 class Dispatcher:
-    """Sends tests to robots; `interrupt` ends a round from another thread with robots at rest."""
+    """Sends tests to robots; `interrupt` ends a round from another thread with robots at rest.
 
-    def __init__(self, fleet: Fleet, *, on_attempt_failed: OnAttempt) -> None:
+    What is sent is stored before, what comes of it before anything else is sent to that robot.
+    """
+
+    def __init__(self, fleet: Fleet, log: TrialLog, *, on_attempt_failed: OnAttempt) -> None:
         self._goals = GoalRunner(fleet)
+        self._log = log
         self._on_attempt_failed = on_attempt_failed
 
-    def run(self, round_id: str, tests: Mapping[str, Excitation]) -> dict[str, TestOutcome]:
+    def run(self, tests: Sequence[OpenTest]) -> dict[str, TestOutcome]:
         """Run one test on every robot named, all at the same time.
 
         Args:
-            round_id: unique; goal ids are made from it, so that a round sent again is recognised.
-            tests: what each robot plays.
+            tests: of different robots. One that an earlier orchestrator sent already is sent again
+                under its id, so that it stays one motion.
 
         Returns:
             What came of each test, by robot.
+
+        Raises:
+            Interrupted: `interrupt` was called.
+            RepositoryError: something could not be stored; every robot is at rest.
         """
+        self._log.intend(tests)
         with ThreadPoolExecutor(len(tests), thread_name_prefix="dispatch") as pool:
-            futures = {
-                robot: pool.submit(self._test, round_id, robot, excitation)
-                for robot, excitation in tests.items()
-            }
+            futures = {test.robot: pool.submit(self._test, test) for test in tests}
             try:
                 return {robot: future.result() for robot, future in futures.items()}
             except BaseException:
@@ -83,34 +93,95 @@ class Dispatcher:
         """Tell every robot that its last results arrived."""
         self._goals.acknowledge_all()
 
-    def _test(self, round_id: str, robot: str, excitation: Excitation) -> TestOutcome:
-        reason = ""
+    def _test(self, test: OpenTest) -> TestOutcome:
         robot_time_s = 0.0
-        for attempt in range(1, ATTEMPTS + 1):
-            goal_id = f"{round_id}.{robot}.{attempt}"
+        while True:
+            ended: Measured | _Unusable
             try:
-                result = self._goals.run(robot, goal_id, excitation)
+                result = self._play(test)
+                robot_time_s += len(result.reference) * result.plan.sample_time_s
+                ended = self._judge(test, result, robot_time_s)
             except RefusedError as error:
-                return Failed(robot, str(error), attempt, robot_time_s)
+                self._log.failed(test, str(error), retry=None)
+                return Failed(test.robot, str(error), test.attempt, robot_time_s)
             except (NoReplyError, RobotLostError, MalformedMessageError) as error:
-                reason = str(error)
-                self._on_attempt_failed(robot, attempt, reason)
-                continue
-            robot_time_s += len(result.reference) * result.plan.sample_time_s
+                ended = self._lose(test, str(error))
             if self._goals.interrupted:
                 raise Interrupted
-            if result.outcome is not Outcome.COMPLETED:
-                reason = f"{result.outcome}: {result.reason}"
-            else:
-                response = estimate_frequency_response(
-                    result.reference, result.response, result.test_plan
-                )
-                if response.quality.usable:
-                    return Measured(robot, response, result, attempt, robot_time_s)
-                reason = "; ".join(str(finding) for finding in response.quality.reasons)
-                excitation = _longer(excitation, result)
-            self._on_attempt_failed(robot, attempt, reason)
-        return Failed(robot, reason, ATTEMPTS, robot_time_s)
+            if isinstance(ended, Measured):
+                return ended
+            self._on_attempt_failed(test.robot, test.attempt, ended.reason)
+            if ended.retry is None:
+                return Failed(test.robot, ended.reason, test.attempt, robot_time_s)
+            test = test.followed_by(self._log.study_id, ended.retry, interrupted=ended.interrupted)
+            self._log.intend([test])
+
+    def _play(self, test: OpenTest) -> GoalResult:
+        """Have a test played, or fetch its result when it was played already."""
+        robot, goal_id = test.robot, test.goal_id
+        if test.accepted_by is None or test.may_be_sent_to(self._goals.boot_id(robot)):
+            return self._goals.run(
+                robot, goal_id, test.excitation, on_accepted=partial(self._log.accepted, test)
+            )
+        try:
+            return self._goals.result(robot, goal_id)
+        except RefusedError as error:
+            raise RobotLostError(
+                f"the agent of {robot} restarted after it took {goal_id}: {error.reason}"
+            ) from error
+
+    def _judge(
+        self, test: OpenTest, result: GoalResult, robot_time_s: float
+    ) -> Measured | _Unusable:
+        """Store what a robot returned; return what was measured, or why nothing was."""
+        if result.outcome is not Outcome.COMPLETED:
+            # A robot whose orchestrator went away ends what it plays: that is not its failure.
+            ours = test.record is not None or self._goals.interrupted
+            interrupted = ours and result.outcome in (Outcome.ABORTED, Outcome.CANCELLED)
+            reason = f"{result.outcome}: {result.reason}"
+            ended = _Unusable(reason, _retry(test, test.excitation, interrupted), interrupted)
+            response = None
+        else:
+            response = estimate_frequency_response(
+                result.reference, result.response, result.test_plan
+            )
+            if response.quality.usable:
+                self._log.measured(test, result, response)
+                return Measured(test.robot, response, result, test.attempt, robot_time_s)
+            reason = "; ".join(str(finding) for finding in response.quality.reasons)
+            ended = _Unusable(reason, _retry(test, _longer(test.excitation, result)))
+        self._log.failed(
+            test,
+            ended.reason,
+            retry=ended.retry,
+            interrupted=ended.interrupted,
+            result=result,
+            response=response,
+        )
+        return ended
+
+    def _lose(self, test: OpenTest, reason: str) -> _Unusable:
+        """Store that nobody will know what came of a test."""
+        # With an orchestrator that was killed its own fleet may have gone, too.
+        interrupted = test.accepted_by is not None
+        ended = _Unusable(reason, _retry(test, test.excitation, interrupted), interrupted)
+        self._log.lost(test, reason, retry=ended.retry, interrupted=interrupted)
+        return ended
+
+
+@dataclass(frozen=True)
+class _Unusable:
+    """An attempt without a usable response, and what its robot plays next; None gives it up."""
+
+    reason: str
+    retry: Excitation | None
+    interrupted: bool = False
+
+
+def _retry(test: OpenTest, excitation: Excitation, interrupted: bool = False) -> Excitation | None:
+    """Return what is played after an attempt failed; None when there were enough of them."""
+    failures = test.failures + (not interrupted)
+    return excitation if failures < ATTEMPTS else None
 
 
 def _longer(excitation: Excitation, result: GoalResult) -> Excitation:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orchestrator.archive import Archive
 from orchestrator.evaluation import FlightObserver, fly_target, summarise
 from orchestrator.evaluation_results import EvaluationRecord
 from orchestrator.experience_learning import FLIGHT_S
@@ -46,6 +47,7 @@ def run_evaluation(
     pilot: Pilot,
     plan: EvaluationPlan,
     folder: RunFolder,
+    archive: Archive,
     *,
     say: Say,
     observers: Sequence[FlightObserver],
@@ -64,6 +66,7 @@ def run_evaluation(
         plan.ready,
         plan.seeds,
         run_id,
+        archive,
         on_study=lambda study: say(f"study {study.seed}: " + ranking_line(study.last)),
     )
     psi = psi_of(studies.estimates)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Literal, TypeVar
 
@@ -56,13 +57,14 @@ class Fleet:
     """A client of all robots of one fleet, alive under its own id as long as its session is.
 
     Observers are called on network threads, in order per robot; they must return at once. Requests
-    that command a robot take the `epoch` of the lease under which that is done, 0 without one.
+    that command a robot carry the epoch of the lease under which that is done; see `hold`.
     """
 
     def __init__(self, session: Session, keys: FleetKeys, orchestrator_id: str) -> None:
         self.orchestrator_id = orchestrator_id
         self._session = session
         self._keys = keys
+        self._epochs: Mapping[str, int] = {}
         self._lock = threading.Lock()
         self._watches: dict[str, RobotWatch] = {}
         self._state_observers: list[Callable[[RobotState], None]] = []
@@ -71,6 +73,14 @@ class Fleet:
         session.declare_alive(keys.orchestrator_alive(orchestrator_id))
         session.watch_alive(keys.every_robot("alive"), self._on_presence)
         session.subscribe_state(keys.every_robot("state"), self._on_state)
+
+    def hold(self, epochs: Mapping[str, int]) -> None:
+        """Command robots under leases of these epochs from now on, all others without one."""
+        self._epochs = dict(epochs)
+
+    def epoch(self, robot: str) -> int:
+        """Return the epoch of the lease under which a robot is commanded; 0 without one."""
+        return self._epochs.get(robot, 0)
 
     # Who is there.
 
@@ -95,6 +105,11 @@ class Fleet:
                 raise RobotLostError(
                     f"robot {robot} did not appear within {timeout_s:g} s; robots there: {there}"
                 )
+
+    def is_alive(self, orchestrator_id: str) -> bool:
+        """Return whether an orchestrator is there; raises TransportError."""
+        key = self._keys.orchestrator_alive(orchestrator_id)
+        return bool(self._session.alive(key, timeout_s=QUERY_TIMEOUT_S))
 
     def observe_states(self, observer: Callable[[RobotState], None]) -> None:
         """Call an observer with every state that arrives."""
@@ -135,13 +150,19 @@ class Fleet:
                 "`nufleet fleet status` shows who is there"
             ) from error
 
+    def describe_all(self, robots: tuple[str, ...]) -> dict[str, Description]:
+        """Return what each of some robots is, asked at the same time; raises as `describe`."""
+        with ThreadPoolExecutor(min(32, len(robots)), thread_name_prefix="describe") as pool:
+            return dict(zip(robots, pool.map(self.describe, robots), strict=True))
+
     def submit(self, robot: str, request: GoalRequest) -> GoalAccepted:
         """Ask for a motion; the same request may be sent again at any time."""
         return self._ask(robot, "goal", request, GoalAccepted)
 
-    def cancel(self, robot: str, goal_id: str, *, epoch: int = 0) -> None:
+    def cancel(self, robot: str, goal_id: str) -> None:
         """Ask a robot to end a goal early."""
-        request = CancelRequest(sender=self.orchestrator_id, epoch=epoch, goal_id=goal_id)
+        sender, epoch = self.orchestrator_id, self.epoch(robot)
+        request = CancelRequest(sender=sender, epoch=epoch, goal_id=goal_id)
         self._ask(robot, "cancel", request, Done)
 
     def result(self, robot: str, goal_id: str) -> GoalResult:
@@ -149,9 +170,9 @@ class Fleet:
         request = ResultRequest(goal_id=goal_id)
         return self._ask(robot, "result", request, GoalResult, timeout_s=RESULT_TIMEOUT_S)
 
-    def acknowledge(self, robot: str, goal_ids: tuple[str, ...], *, epoch: int = 0) -> None:
+    def acknowledge(self, robot: str, goal_ids: tuple[str, ...]) -> None:
         """Tell a robot that these results arrived."""
-        sender = self.orchestrator_id
+        sender, epoch = self.orchestrator_id, self.epoch(robot)
         request = AcknowledgeRequest(sender=sender, epoch=epoch, goal_ids=goal_ids)
         self._ask(robot, "acknowledge", request, Done)
 
@@ -167,19 +188,16 @@ class Fleet:
         slot: Literal["experience", "prior"],
         payload: bytes,
         sha256: str,
-        *,
-        epoch: int = 0,
     ) -> ExperienceOffer:
         """Give a robot an experience: as its own, or as the prior that it flies with."""
-        request = InstallRequest(
-            sender=self.orchestrator_id, epoch=epoch, sha256=sha256, payload=payload
-        )
+        sender, epoch = self.orchestrator_id, self.epoch(robot)
+        request = InstallRequest(sender=sender, epoch=epoch, sha256=sha256, payload=payload)
         leaf = f"{slot}/install"
         return self._ask(robot, leaf, request, ExperienceOffer, timeout_s=RESULT_TIMEOUT_S)
 
-    def remove_prior(self, robot: str, *, epoch: int = 0) -> None:
+    def remove_prior(self, robot: str) -> None:
         """Take a robot's prior away."""
-        request = RemovePriorRequest(sender=self.orchestrator_id, epoch=epoch)
+        request = RemovePriorRequest(sender=self.orchestrator_id, epoch=self.epoch(robot))
         self._ask(robot, "prior/remove", request, Done)
 
     def predict(self, robot: str, sha256: str, inputs: FloatArray) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable
 
 from orchestrator.fleet import Fleet
 from orchestrator.robot_watch import HEARTBEAT_LOST_S, RobotWatch
@@ -31,10 +31,8 @@ class GoalRunner:
     `interrupt` ends all of them from another thread, with robots at rest.
     """
 
-    def __init__(self, fleet: Fleet, epochs: Mapping[str, int] | None = None) -> None:
-        """Prepare; `epochs` are, per robot, of the lease under which it is commanded."""
+    def __init__(self, fleet: Fleet) -> None:
         self._fleet = fleet
-        self._epochs = epochs or {}
         self._interrupted = threading.Event()
         self._lock = threading.Lock()
         self._running: dict[str, str] = {}
@@ -45,13 +43,21 @@ class GoalRunner:
         """Whether the end was asked for."""
         return self._interrupted.is_set()
 
-    def run(self, robot: str, goal_id: str, motion: Motion) -> GoalResult:
+    def run(
+        self,
+        robot: str,
+        goal_id: str,
+        motion: Motion,
+        *,
+        on_accepted: Callable[[GoalAccepted], None] = lambda accepted: None,
+    ) -> GoalResult:
         """Have a robot do a motion and return what it measured, however that ended.
 
         Args:
             robot: who.
             goal_id: unique; the same id and motion again is the same goal.
             motion: what.
+            on_accepted: is told when the robot has taken it; what it raises ends the motion.
 
         Raises:
             RefusedError: the robot refuses, and says why.
@@ -63,13 +69,11 @@ class GoalRunner:
         request = GoalRequest(
             goal_id=goal_id,
             owner=self._fleet.orchestrator_id,
-            epoch=self._epochs.get(robot, 0),
+            epoch=self._fleet.epoch(robot),
             motion=motion,
             acknowledges=self._unacknowledged.get(robot, ()),
         )
-        watch = self._fleet.watch(robot)
-        if not watch.wait_until(lambda w: w.alive, timeout_s=RETURN_PATIENCE_S):
-            raise RobotLostError(f"robot {robot} is gone and did not return")
+        watch = self._wait_until_there(robot)
         if self._interrupted.is_set():
             raise Interrupted
         with self._lock:
@@ -77,11 +81,27 @@ class GoalRunner:
         try:
             accepted = self._submit(robot, request)
             self._unacknowledged.pop(robot, None)
-            self._wait_for_end(watch, request, accepted)
+            try:
+                on_accepted(accepted)
+            except BaseException:
+                self._cancel(robot, goal_id)
+                raise
+            self._wait_for_end(watch, accepted)
             result = self._fleet.result(robot, goal_id)
         finally:
             with self._lock:
                 self._running.pop(robot, None)
+        self._unacknowledged[robot] = (goal_id,)
+        return result
+
+    def boot_id(self, robot: str) -> str:
+        """Return which agent process serves a robot; raises RobotLostError, NoReplyError."""
+        self._wait_until_there(robot)
+        return self._fleet.describe(robot).boot_id
+
+    def result(self, robot: str, goal_id: str) -> GoalResult:
+        """Return how a goal of earlier ended; raises RefusedError when its robot does not know."""
+        result = self._fleet.result(robot, goal_id)
         self._unacknowledged[robot] = (goal_id,)
         return result
 
@@ -91,22 +111,31 @@ class GoalRunner:
         with self._lock:
             running = dict(self._running)
         for robot, goal_id in running.items():
-            try:
-                self._fleet.cancel(robot, goal_id, epoch=self._epochs.get(robot, 0))
-            except RefusedError as error:
-                _log.info("cancelling on %s: %s", robot, error)
-            except NufleetError as error:
-                # Its agent rests by itself when this orchestrator's token disappears.
-                _log.warning("cancelling on %s: %s", robot, error)
+            self._cancel(robot, goal_id)
 
     def acknowledge_all(self) -> None:
         """Tell every robot that its last results arrived."""
         for robot, goal_ids in self._unacknowledged.items():
             try:
-                self._fleet.acknowledge(robot, goal_ids, epoch=self._epochs.get(robot, 0))
+                self._fleet.acknowledge(robot, goal_ids)
             except NufleetError as error:
                 _log.warning("%s keeps its last results until they expire: %s", robot, error)
         self._unacknowledged.clear()
+
+    def _cancel(self, robot: str, goal_id: str) -> None:
+        try:
+            self._fleet.cancel(robot, goal_id)
+        except RefusedError as error:
+            _log.info("cancelling on %s: %s", robot, error)
+        except NufleetError as error:
+            # Its agent rests by itself when this orchestrator's token disappears.
+            _log.warning("cancelling on %s: %s", robot, error)
+
+    def _wait_until_there(self, robot: str) -> RobotWatch:
+        watch = self._fleet.watch(robot)
+        if not watch.wait_until(lambda w: w.alive, timeout_s=RETURN_PATIENCE_S):
+            raise RobotLostError(f"robot {robot} is gone and did not return")
+        return watch
 
     def _submit(self, robot: str, request: GoalRequest) -> GoalAccepted:
         try:
@@ -116,9 +145,7 @@ class GoalRunner:
             _log.info("%s: asking again", error)
             return self._fleet.submit(robot, request)
 
-    def _wait_for_end(
-        self, watch: RobotWatch, request: GoalRequest, accepted: GoalAccepted
-    ) -> None:
+    def _wait_for_end(self, watch: RobotWatch, accepted: GoalAccepted) -> None:
         """Return when the goal has ended; raise when its robot is lost, restarted or overdue."""
         goal_id = accepted.goal_id
         patience_s = accepted.wall_duration_s * _OVERDUE_FACTOR + _OVERDUE_GRACE_S
@@ -143,7 +170,7 @@ class GoalRunner:
                     f"no heartbeat for {watch.silent_s:.1f} s"
                 )
             if time.monotonic() > deadline:
-                self._fleet.cancel(watch.robot, goal_id, epoch=request.epoch)
+                self._fleet.cancel(watch.robot, goal_id)
                 raise RobotLostError(
                     f"robot {watch.robot} did not finish {goal_id} within {patience_s:.0f} s"
                 )

@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
 
-from orchestrator.adaptive_selection import AdaptiveStudy
+from orchestrator.archive import Archive
 from orchestrator.desired_motion import Drawing, desired_motion
 from orchestrator.dispatcher import Dispatcher, Measured, TestOutcome
-from orchestrator.experience_selection import PaperStudy
 from orchestrator.fleet import Fleet
 from orchestrator.preflight import check_band, check_names, check_plan, chosen_axis
 from orchestrator.ranking import Conclusion, RankingObserver, conduct
 from orchestrator.report import write_plots, write_report
+from orchestrator.repository.records import StudyRecord, StudyStatus
 from orchestrator.response_record import ResponseRecord
 from orchestrator.results import (
     ClosedForm,
@@ -26,10 +26,12 @@ from orchestrator.results import (
     RunRecord,
 )
 from orchestrator.run_folder import RunFolder
-from orchestrator.study import Curve, Question, Report, Study, StudyPlan
+from orchestrator.study import Curve, Question, Report, StudyPlan
+from orchestrator.study_recipe import make_study, recipe_of
 from orchestrator.transfer_verdicts import Judgement, by_predicted_error, judge_transfers
 from shared.arrays import FloatArray
 from shared.chordal import chordal_distance, worst_case_chordal_distance
+from shared.errors import InvalidInputError
 from shared.messages import Description
 
 Algorithm = Literal["paper", "adaptive"]
@@ -76,8 +78,7 @@ def prepare(fleet: Fleet, request: RankRequest, there: tuple[str, ...]) -> Ready
         sources = tuple(robot for robot in there if robot != request.target)
     check_names(request.target, sources, there)
     robots = (request.target, *sources)
-    with ThreadPoolExecutor(min(32, len(robots)), thread_name_prefix="describe") as pool:
-        descriptions = dict(zip(robots, pool.map(fleet.describe, robots), strict=True))
+    descriptions = fleet.describe_all(robots)
     axis = chosen_axis(request.axis, descriptions[request.target])
     at_target = descriptions[request.target].spec
     plan = StudyPlan(
@@ -94,31 +95,56 @@ def prepare(fleet: Fleet, request: RankRequest, there: tuple[str, ...]) -> Ready
     return ReadyStudy(plan, descriptions, _closed_form(plan, descriptions))
 
 
-def new_study(algorithm: Algorithm, ready: ReadyStudy, rng: np.random.Generator) -> Study:
-    """Return a study that begins: the paper's Algorithm 1, or the adaptive one."""
-    if algorithm == "paper":
-        return PaperStudy(ready.plan, rng)
-    specs = {robot: description.spec for robot, description in ready.descriptions.items()}
-    return AdaptiveStudy(ready.plan, specs, rng)
+def prepare_again(fleet: Fleet, study: StudyRecord, gone: Collection[str]) -> ReadyStudy:
+    """Check that a study can go on: its robots are there, and what they were when it began.
+
+    Args:
+        fleet: the fleet, reached.
+        study: as it is stored.
+        gone: the robots that are not tested any more.
+
+    Raises:
+        InvalidInputError: a robot has changed since.
+        NoReplyError: a robot does not answer.
+    """
+    specs = recipe_of(study).specs
+    needed = tuple(robot for robot in specs if robot not in gone)
+    descriptions = fleet.describe_all(needed)
+    for robot in needed:
+        if descriptions[robot].spec != specs[robot]:
+            raise InvalidInputError(
+                f"robot {robot} is not what it was when study {study.study_id} began; begin anew"
+            )
+    for robot in gone:
+        descriptions[robot] = Description(robot=robot, boot_id="gone", spec=specs[robot])
+    return ReadyStudy(study.plan, descriptions, _closed_form(study.plan, descriptions))
 
 
 def run_study(
     fleet: Fleet,
     ready: ReadyStudy,
+    study: StudyRecord,
+    archive: Archive,
     *,
-    seed: int,
-    algorithm: Algorithm,
     folder: RunFolder,
     observers: Sequence[RankingObserver],
 ) -> RunRecord:
-    """Run a prepared study, with everything it learns kept in the folder."""
+    """Run a study that has begun, from where it stands, with what it learns kept in the folder.
+
+    Raises:
+        StudyError: it cannot go on, since the target or every source is gone.
+        ResumeError: what is stored of it does not belong to it.
+        LeaseLostError: another orchestrator has taken a robot over; all are at rest.
+        RepositoryError: something could not be stored; all robots are at rest.
+    """
     began_s = time.monotonic()
     recorder = _Recorder(folder)
     everyone = _Together([recorder, *observers])
-    dispatcher = Dispatcher(fleet, on_attempt_failed=everyone.attempt_failed)
-    folder.write_configuration({**_configuration(ready, seed), "algorithm": algorithm})
-    study = new_study(algorithm, ready, np.random.default_rng(seed))
-    conclusion = conduct(study, folder.path.name.lower(), dispatcher, everyone)
+    log = archive.log(study.study_id)
+    dispatcher = Dispatcher(fleet, log, on_attempt_failed=everyone.attempt_failed)
+    seed, studies = study.seed, archive.repository.studies
+    with archive.conducting(study.study_id, dispatcher.interrupt):
+        conclusion = conduct(make_study(study, studies), log, dispatcher, everyone)
     specs = {robot: description.spec for robot, description in ready.descriptions.items()}
     judgement = judge_transfers(
         ready.plan, conclusion.ranking, specs, conclusion.responses, np.random.default_rng(seed)
@@ -139,6 +165,8 @@ def run_study(
     folder.write_record(record)
     write_plots(folder.path, record, recorder.curves, _true_psi(ready, recorder.curves))
     write_report(folder.path, record)
+    why = conclusion.stopped_because or f"selected {record.result.selected}"
+    studies.end(study.study_id, StudyStatus.COMPLETE, why, json.loads(record.result.document()))
     return record
 
 
@@ -174,7 +202,8 @@ def _true_psi(ready: ReadyStudy, curves: tuple[Curve, ...]) -> dict[str, FloatAr
     return true_psi
 
 
-def _configuration(ready: ReadyStudy, seed: int) -> dict[str, Any]:
+def configuration(ready: ReadyStudy, seed: int) -> dict[str, Any]:
+    """Return what a study is made from, in full, for its run's folder."""
     return {
         "kind": "rank",
         "plan": asdict(ready.plan),

@@ -7,7 +7,10 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from orchestrator.dispatcher import Dispatcher, Failed, Measured, TestOutcome
+from orchestrator.repository.records import TrialRecord, TrialStatus
+from orchestrator.resume import ToldRound, resume, round_of
 from orchestrator.study import Question, Report, SourceEstimate, Study
+from orchestrator.trial_log import TrialLog
 from shared.frequency_response import FrequencyResponse
 
 
@@ -48,24 +51,42 @@ class Conclusion:
 
 
 def conduct(
-    study: Study, run_id: str, dispatcher: Dispatcher, observer: RankingObserver
+    study: Study, log: TrialLog, dispatcher: Dispatcher, observer: RankingObserver
 ) -> Conclusion:
-    """Run a study to its end.
+    """Run a study from where its stored trials leave it to its end.
+
+    Args:
+        study: new, not asked yet.
+        log: the study's trials; none are stored of a study that begins.
+        dispatcher: tests the robots.
+        observer: is told the rounds that are stored, too.
 
     Raises:
         StudyError: it cannot go on, since the target or every source is gone.
+        ResumeError: the stored trials are not those of this study.
+        RepositoryError: something could not be stored.
     """
-    robot_time_s = 0.0
+    at = resume(log.study_id, study, log.trials())
+    robot_time_s = at.robot_time_s
     report: Report | None = None
-    while (question := study.ask()) is not None:
-        observer.asked(question)
-        outcomes = dispatcher.run(f"{run_id}.{question.iteration}", question.tests)
-        robot_time_s += sum(outcome.robot_time_s for outcome in outcomes.values())
+    for told in at.told:
+        report = told.report
+        _show(told, log, observer)
+    now = at.open
+    while now is not None:
+        observer.asked(now.question)
+        tested = dispatcher.run(now.tests)
+        robot_time_s += sum(outcome.robot_time_s for outcome in tested.values())
+        known = {robot: _outcome(trial, log) for robot, trial in now.answers.items()}
+        # In the order of the question, whoever answered first.
+        outcomes = {robot: {**known, **tested}[robot] for robot in now.question.tests}
         report = study.tell(
             {r: o.response for r, o in outcomes.items() if isinstance(o, Measured)},
             {r: o.reason for r, o in outcomes.items() if isinstance(o, Failed)},
         )
-        observer.told(question, outcomes, report)
+        observer.told(now.question, outcomes, report)
+        question = study.ask()
+        now = None if question is None else round_of(log.study_id, question)
     dispatcher.acknowledge_all()
     if report is None:
         raise ValueError("a study asks at least one question")
@@ -80,3 +101,18 @@ def conduct(
         findings=report.findings,
         stopped_because=report.stopped_because,
     )
+
+
+def _show(told: ToldRound, log: TrialLog, observer: RankingObserver) -> None:
+    observer.asked(told.question)
+    outcomes = {robot: _outcome(trial, log) for robot, trial in told.answers.items()}
+    observer.told(told.question, outcomes, told.report)
+
+
+def _outcome(trial: TrialRecord, log: TrialLog) -> TestOutcome:
+    """Return what came of a test that is stored."""
+    intent = trial.intent
+    if trial.status is TrialStatus.MEASURED and trial.response is not None:
+        result = log.result(intent.goal_id)
+        return Measured(intent.robot, trial.response, result, intent.attempt, trial.robot_time_s)
+    return Failed(intent.robot, trial.reason, intent.attempt, trial.robot_time_s)

@@ -7,14 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orchestrator.archive import Archive
 from orchestrator.dispatcher import Dispatcher, TestOutcome
 from orchestrator.evaluation import Psi
 from orchestrator.evaluation_results import StudyEstimates
-from orchestrator.experience_selection import PaperStudy
 from orchestrator.fleet import Fleet
 from orchestrator.rank_run import ReadyStudy
 from orchestrator.ranking import conduct
+from orchestrator.repository.records import StudyStatus
 from orchestrator.study import Question, Report
+from orchestrator.study_recipe import make_study
 from shared.frequency_response import FrequencyResponse
 
 
@@ -31,10 +33,13 @@ def repeat_study(
     ready: ReadyStudy,
     seeds: Sequence[int],
     run_id: str,
+    archive: Archive,
     *,
     on_study: Callable[[StudyEstimates], None] = lambda estimates: None,
 ) -> RepeatedStudies:
     """Rank the sources once for every seed.
+
+    Each is kept as study `{run_id}.{target}.s{seed}`.
 
     Raises:
         StudyError: a study cannot go on, since the target or every source is gone.
@@ -43,9 +48,14 @@ def repeat_study(
     responses: dict[str, list[FrequencyResponse]] = {}
     for seed in seeds:
         recorder = _Recorder()
-        dispatcher = Dispatcher(fleet, on_attempt_failed=recorder.attempt_failed)
-        study = PaperStudy(ready.plan, np.random.default_rng(seed))
-        conclusion = conduct(study, f"{run_id}.s{seed}", dispatcher, recorder)
+        study_id = f"{run_id}.{ready.plan.target}.s{seed}"
+        begun = archive.begin(study_id, "paper", ready.plan, seed, ready.descriptions)
+        log = archive.log(begun.study_id)
+        dispatcher = Dispatcher(fleet, log, on_attempt_failed=recorder.attempt_failed)
+        kept = archive.repository.studies
+        with archive.conducting(begun.study_id, dispatcher.interrupt):
+            conclusion = conduct(make_study(begun, kept), log, dispatcher, recorder)
+        kept.end(begun.study_id, StudyStatus.COMPLETE, f"selected {conclusion.selected}")
         for robot, measured in conclusion.responses.items():
             responses.setdefault(robot, []).extend(measured)
         beliefs = recorder.beliefs

@@ -25,6 +25,7 @@ class OpenTest:
     """A test without an answer: what is to be sent next, or was sent already.
 
     `record` is what is stored of exactly this attempt; None when it was never meant to be sent.
+    `failures` counts the attempts before it that say something against the robot.
     """
 
     goal_id: str
@@ -33,6 +34,7 @@ class OpenTest:
     attempt: int
     excitation: Excitation
     record: TrialRecord | None
+    failures: int = 0
 
     def may_be_sent_to(self, boot_id: str) -> bool:
         """Return whether sending it can start no second motion.
@@ -40,8 +42,25 @@ class OpenTest:
         The agent process that accepted it knows it, and one that has seen nothing of it may take
         it. Any other process only has a result, or the attempt is lost.
         """
-        accepted_by = None if self.record is None else self.record.boot_id
-        return accepted_by in (None, boot_id)
+        return self.accepted_by in (None, boot_id)
+
+    @property
+    def accepted_by(self) -> str | None:
+        """The agent process that is known to have accepted it."""
+        return None if self.record is None else self.record.boot_id
+
+    def followed_by(self, study_id: str, excitation: Excitation, *, interrupted: bool) -> OpenTest:
+        """Return the attempt after this one, which ended without an answer."""
+        number = self.attempt + 1
+        return OpenTest(
+            goal_id_of(study_id, self.iteration, self.robot, number),
+            self.iteration,
+            self.robot,
+            number,
+            excitation,
+            None,
+            self.failures + (not interrupted),
+        )
 
 
 @dataclass(frozen=True)
@@ -89,25 +108,17 @@ def resume(study_id: str, study: Study, trials: Sequence[TrialRecord]) -> Resume
         ResumeError: the trials are not those that this study asks for.
         StudyError: it could not go on after one of its rounds, as it could not the first time.
     """
-    left: dict[tuple[int, str], list[TrialRecord]] = {}
+    left: _Attempts = {}
     for trial in sorted(trials, key=lambda t: t.intent.attempt):
         left.setdefault((trial.intent.iteration, trial.intent.robot), []).append(trial)
     told: list[ToldRound] = []
     open_round: OpenRound | None = None
     while open_round is None and (question := study.ask()) is not None:
-        answers: dict[str, TrialRecord] = {}
-        tests: list[OpenTest] = []
-        for robot, excitation in question.tests.items():
-            attempts = left.pop((question.iteration, robot), [])
-            found = next_of(study_id, question.iteration, robot, excitation, attempts)
-            if isinstance(found, OpenTest):
-                tests.append(found)
-            else:
-                answers[robot] = found
-        if tests:
-            open_round = OpenRound(question, answers, tuple(tests))
+        found = round_of(study_id, question, left)
+        if found.tests:
+            open_round = found
         else:
-            told.append(ToldRound(question, answers, tell(study, answers)))
+            told.append(ToldRound(question, found.answers, tell(study, found.answers)))
     if left:
         iteration, robot = min(left)
         raise ResumeError(
@@ -116,6 +127,27 @@ def resume(study_id: str, study: Study, trials: Sequence[TrialRecord]) -> Resume
         )
     robot_time_s = sum(trial.robot_time_s for trial in trials)
     return Resumed(tuple(told), open_round, robot_time_s)
+
+
+_Attempts = dict[tuple[int, str], list[TrialRecord]]
+
+
+def round_of(study_id: str, question: Question, stored: _Attempts | None = None) -> OpenRound:
+    """Return a round as its stored attempts leave it, which are taken out of `stored`.
+
+    Raises:
+        ResumeError: the attempts do not follow from what is asked.
+    """
+    answers: dict[str, TrialRecord] = {}
+    tests: list[OpenTest] = []
+    for robot, excitation in question.tests.items():
+        attempts = (stored or {}).pop((question.iteration, robot), [])
+        found = next_of(study_id, question.iteration, robot, excitation, attempts)
+        if isinstance(found, OpenTest):
+            tests.append(found)
+        else:
+            answers[robot] = found
+    return OpenRound(question, answers, tuple(tests))
 
 
 def tell(study: Study, answers: Mapping[str, TrialRecord]) -> Report:
@@ -153,6 +185,7 @@ def next_of(
     Raises:
         ResumeError: the attempts do not follow from what is asked.
     """
+    failures = 0
     for number, trial in enumerate(attempts, start=1):
         expected_id = goal_id_of(study_id, iteration, robot, number)
         if (trial.intent.goal_id, trial.intent.excitation) != (expected_id, excitation):
@@ -170,12 +203,13 @@ def next_of(
             raise ResumeError(f"goal {expected_id} decided, and {robot} was tested again after it")
         if not trial.status.ended:
             if last:
-                return OpenTest(expected_id, iteration, robot, number, excitation, trial)
+                return OpenTest(expected_id, iteration, robot, number, excitation, trial, failures)
             raise ResumeError(f"goal {expected_id} has not ended, and another attempt is stored")
         excitation = trial.retry or excitation
+        failures += not trial.interrupted
     number = len(attempts) + 1
     expected_id = goal_id_of(study_id, iteration, robot, number)
-    return OpenTest(expected_id, iteration, robot, number, excitation, None)
+    return OpenTest(expected_id, iteration, robot, number, excitation, None, failures)
 
 
 def _shown(excitation: Excitation) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import platform
+import re
 import shutil
 import sys
 import tempfile
@@ -27,20 +28,31 @@ if TYPE_CHECKING:
 RECORDING = "run.rrd"
 RESULTS = "results.json"
 CONFIGURATION = "config.json"
+_PASSWORD = re.compile(r"(://[^:/@]*:)[^/]*@")
 _PACKAGES = ("nufleet", "eclipse-zenoh", "numpy", "scipy", "numba", "pydantic", "rerun-sdk")
 
 
 class RunFolder:
     """Writes one run's folder; close it (or leave its `with`) so that the samples are complete."""
 
-    def __init__(self, root: Path, name: str, *, now: datetime | None = None) -> None:
-        """Create the folder in a root that is there.
+    def __init__(
+        self, root: Path, name: str, *, now: datetime | None = None, goes_on: bool = False
+    ) -> None:
+        """Create the folder in a root that is there, or open that of a run that goes on.
+
+        Of that one the samples and the recording are written anew, from what is stored of the run.
+
+        Args:
+            root: where.
+            name: what the run is of; of a run that goes on, the folder's.
+            now: the time in the folder's name.
+            goes_on: whether the folder is there.
 
         Raises:
-            InvalidInputError: the folder cannot be created.
+            InvalidInputError: the folder cannot be created, or not be written.
         """
         stamp = (now or datetime.now(UTC)).strftime("%Y%m%dT%H%M%SZ")
-        self.path = _create(root, f"{stamp}-{name}")
+        self.path = _reopened(root / name) if goes_on else _create(root, f"{stamp}-{name}")
         self._samples: pyarrow.parquet.ParquetWriter | None = None
 
     def __enter__(self) -> RunFolder:
@@ -63,6 +75,11 @@ class RunFolder:
             self._samples.close()
             self._samples = None
 
+    @property
+    def study_id(self) -> str:
+        """The id of the study that the run is, in the repository and in front of its goals."""
+        return study_id_of(self.path)
+
     def write_configuration(self, configuration: Mapping[str, Any]) -> None:
         """Write what was asked for, in full, and the versions that answer it."""
         document = {
@@ -71,10 +88,9 @@ class RunFolder:
                 "python": platform.python_version(),
                 **{package: version(package) for package in _PACKAGES},
             },
-            "command": sys.argv[1:],
+            "command": [_PASSWORD.sub(r"\1***@", word) for word in sys.argv[1:]],
         }
-        text = json.dumps(document, indent=2, default=str)
-        (self.path / CONFIGURATION).write_text(text + "\n", encoding="utf-8")
+        self._write(CONFIGURATION, json.dumps(document, indent=2, default=str))
 
     def write_samples(self, iteration: int, measured: Measured) -> None:
         """Append one test's samples: raw, so that a better estimator can be run on them later."""
@@ -103,13 +119,22 @@ class RunFolder:
 
     def write_record(self, record: RunRecord) -> None:
         """Write the results, and the report of them."""
-        text = record.model_dump_json(indent=2, by_alias=True, exclude_none=True)
-        (self.path / RESULTS).write_text(text + "\n", encoding="utf-8")
+        self._write(RESULTS, record.model_dump_json(indent=2, by_alias=True, exclude_none=True))
 
     def write_document(self, name: str, document: Strict) -> None:
         """Write what a run that is no ranking came to."""
-        text = document.model_dump_json(indent=2, by_alias=True)
-        (self.path / name).write_text(text + "\n", encoding="utf-8")
+        self._write(name, document.model_dump_json(indent=2, by_alias=True))
+
+    def _write(self, name: str, text: str) -> None:
+        """Write a file as a whole: who reads it finds all of it, or none."""
+        part = self.path / f"{name}.part"
+        part.write_text(text + "\n", encoding="utf-8")
+        part.replace(self.path / name)
+
+
+def study_id_of(folder: Path) -> str:
+    """Return the id of the study of a run's folder."""
+    return folder.name.lower()
 
 
 def read_record(folder: Path) -> RunRecord:
@@ -164,6 +189,14 @@ def make_runs_root(root: Path) -> None:
         raise InvalidInputError(
             f"runs cannot be stored in {root}: {error.strerror}; choose another place with --runs"
         ) from error
+
+
+def _reopened(path: Path) -> Path:
+    try:
+        (path / RECORDING).unlink(missing_ok=True)
+    except OSError as error:
+        raise InvalidInputError(f"{path} cannot be written: {error.strerror}") from error
+    return path
 
 
 def _create(root: Path, name: str) -> Path:

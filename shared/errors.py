@@ -67,5 +67,9 @@ class RobotLostError(NufleetError):
     """A robot that was there is not there any more."""
 
 
+class RobotOwnedError(NufleetError):
+    """Another orchestrator commands the robot."""
+
+
 class StudyError(NufleetError):
     """A study that cannot go on, for example because its target is gone."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from orchestrator.cli.options import json_option, live_option, runs_option
+from orchestrator.cli.options import json_option, live_option, repository_option, runs_option
 
 
 @click.command()
@@ -18,8 +18,16 @@ from orchestrator.cli.options import json_option, live_option, runs_option
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @live_option
 @runs_option
+@repository_option
 @json_option
-def demo(quadrotors: bool, seed: int, live: bool, runs_root: Path, as_json: bool) -> None:
+def demo(
+    quadrotors: bool,
+    seed: int,
+    live: bool,
+    runs_root: Path,
+    repository: str | None,
+    as_json: bool,
+) -> None:
     """Rank the paper's linear fleet, transfer the best experience, and track a drawing with it.
 
     A router and four robots run as processes of their own. A target (α, β) = (0.85, 0.003) and
@@ -35,5 +43,6 @@ def demo(quadrotors: bool, seed: int, live: bool, runs_root: Path, as_json: bool
         seed=seed,
         live=live,
         runs_root=runs_root,
+        repository=repository,
         as_json=as_json,
     )

@@ -7,12 +7,14 @@ from pathlib import Path
 
 import click
 
-from orchestrator.cli.reach import KeptFlights, Reach, Session, flying
+from orchestrator.cli.flying import KeptFlights, Session, flying
+from orchestrator.cli.storage import Storage
 from orchestrator.console import ConsoleObserver, ranking_table, stderr_console
 from orchestrator.demonstration import DemoResult, demo_table, demonstrate
 from orchestrator.live_view import LiveView
 from orchestrator.paths import legs_of, read_drawings
-from orchestrator.rank_run import RankRequest, prepare, run_study
+from orchestrator.rank_run import RankRequest, configuration, prepare, run_study
+from orchestrator.reach import Reach
 from orchestrator.results import RunRecord
 from orchestrator.train_run import check_torch
 from shared.errors import InvalidInputError
@@ -29,15 +31,22 @@ inverse fed with the state is a feedback loop there, which orders the sources di
 
 
 def demo_and_print(
-    fleet_name: str, *, seed: int, live: bool, runs_root: Path, as_json: bool
+    fleet_name: str,
+    *,
+    seed: int,
+    live: bool,
+    runs_root: Path,
+    repository: str | None,
+    as_json: bool,
 ) -> None:
     """Demonstrate, with progress on stderr and, when asked for, the document on stdout."""
     check_torch()
     console = stderr_console()
     began_s = time.monotonic()
-    reach = Reach(find_fleet_file(fleet_name), "", None)
-    with flying(reach, "demo", runs_root, console, live=live) as session:
-        record = _ranked(session, reach, seed)
+    reach = Reach(connect="", fleet_file=str(find_fleet_file(fleet_name)))
+    storage = Storage(runs_root, repository)
+    with flying(reach, "demo", storage, console, live=live, robots=lambda there: there) as session:
+        record = _ranked(session, reach, storage, seed)
         console.print(ranking_table(record.result.ranking, record.closed_form))
         result = _demonstrated(session, record, ARCHITECTURES[fleet_name], seed)
     console.print(demo_table(result.flights))
@@ -46,7 +55,7 @@ def demo_and_print(
         click.echo(result.document())
 
 
-def _ranked(session: Session, reach: Reach, seed: int) -> RunRecord:
+def _ranked(session: Session, reach: Reach, storage: Storage, seed: int) -> RunRecord:
     study = None if reach.file is None else reach.file.study
     if study is None:
         raise InvalidInputError(f"{reach.fleet_file} names no target")
@@ -60,6 +69,9 @@ def _ranked(session: Session, reach: Reach, seed: int) -> RunRecord:
         axis=None,
     )
     ready = prepare(fleet, request, there)
+    session.folder.write_configuration(
+        configuration(ready, seed) | {"kind": "demo", **storage.document()}
+    )
     unit = ready.descriptions[ready.plan.target].spec.axis(ready.plan.axis).unit
     live = LiveView(ready.plan, unit, session.clock, session.writer.emit)
     live.watch(fleet)
@@ -67,8 +79,10 @@ def _ranked(session: Session, reach: Reach, seed: int) -> RunRecord:
         return run_study(
             fleet,
             ready,
-            seed=seed,
-            algorithm="paper",
+            session.archive.begin(
+                session.folder.study_id, "paper", ready.plan, seed, ready.descriptions
+            ),
+            session.archive,
             folder=session.folder,
             observers=[ConsoleObserver(session.console, ITERATIONS), live],
         )

@@ -13,6 +13,7 @@ from orchestrator.cli.options import (
     fleet_option,
     json_option,
     live_option,
+    repository_option,
     runs_option,
 )
 
@@ -79,6 +80,7 @@ from orchestrator.cli.options import (
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @live_option
 @runs_option
+@repository_option
 @json_option
 def evaluate(
     fleet_file: str | None,
@@ -98,6 +100,7 @@ def evaluate(
     seed: int,
     live: bool,
     runs_root: Path,
+    repository: str | None,
     as_json: bool,
 ) -> None:
     """Fly a target along drawings with every source's experience, and compare with the prediction.
@@ -132,6 +135,7 @@ def evaluate(
             seed=seed,
             live=live,
             runs_root=runs_root,
+            repository=repository,
             as_json=as_json,
         )
     )

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import click
 
-from orchestrator.cli.reach import KeptFlights, Reach, Session, flying
+from orchestrator.cli.flying import KeptFlights, Session, flying
+from orchestrator.cli.storage import Storage
 from orchestrator.console import stderr_console
 from orchestrator.evaluation_report import (
     evaluation_table,
@@ -24,6 +25,7 @@ from orchestrator.pairs import PairsResult, compare_pairs
 from orchestrator.paths import Leg, legs_of, read_drawings
 from orchestrator.preflight import check_robots
 from orchestrator.rank_run import RankRequest, prepare
+from orchestrator.reach import Reach
 from orchestrator.train_run import check_torch, train_robots
 from shared.arrays import FloatArray
 from shared.drawings import drawing_names
@@ -65,12 +67,14 @@ class EvaluateCommand:
     seed: int
     live: bool
     runs_root: Path
+    repository: str | None
     as_json: bool
 
     @property
     def reach(self) -> Reach:
         """Which fleet."""
-        return Reach(self.fleet_file, self.connect, self.fleet_name)
+        file = None if self.fleet_file is None else str(self.fleet_file)
+        return Reach(connect=self.connect, fleet_name=self.fleet_name, fleet_file=file)
 
     @property
     def chosen_drawings(self) -> tuple[str, ...]:
@@ -106,11 +110,18 @@ def evaluate_and_print(command: EvaluateCommand) -> None:
     began_s = time.monotonic()
     kind = "pairs" if command.all_pairs else "evaluate"
     drawings = read_drawings(command.chosen_drawings)
-    with flying(command.reach, kind, command.runs_root, console, live=command.live) as session:
+    storage = Storage(command.runs_root, command.repository)
+
+    def robots(there: tuple[str, ...]) -> tuple[str, ...]:
+        if command.all_pairs or command.sources is None:
+            return there
+        return (_target(command), *command.sources)
+
+    with flying(command.reach, kind, storage, console, live=command.live, robots=robots) as session:
         configuration = {
             **asdict(command),
             "fleet_file": str(command.fleet_file),
-            "runs_root": str(command.runs_root),
+            **storage.document(),
         }
         session.folder.write_configuration({"kind": kind, **configuration})
         if command.all_pairs:
@@ -191,6 +202,7 @@ def _evaluated(
         session.pilot,
         plan,
         session.folder,
+        session.archive,
         say=session.console.print,
         observers=[KeptFlights(session)],
     )

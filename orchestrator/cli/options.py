@@ -68,6 +68,20 @@ def runs_option(command: F) -> F:
     )(command)
 
 
+def repository_option(command: F) -> F:
+    """Add --repository."""
+    return click.option(
+        "--repository",
+        metavar="URL",
+        envvar="NUFLEET_REPOSITORY",
+        help=(
+            "The database that keeps robots, studies and responses: a file, or "
+            "postgresql://USER@HOST/DATABASE.  [default: nufleet.sqlite in the folder of --runs; "
+            "env: NUFLEET_REPOSITORY]"
+        ),
+    )(command)
+
+
 def json_option(command: F) -> F:
     """Add --json."""
     return click.option(

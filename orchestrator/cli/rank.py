@@ -6,8 +6,15 @@ from pathlib import Path
 from typing import Literal
 
 import click
+from click.core import ParameterSource
 
-from orchestrator.cli.options import PositiveNumber, connect_options, json_option, runs_option
+from orchestrator.cli.options import (
+    PositiveNumber,
+    connect_options,
+    json_option,
+    repository_option,
+    runs_option,
+)
 
 
 @click.command()
@@ -83,7 +90,13 @@ from orchestrator.cli.options import PositiveNumber, connect_options, json_optio
     is_flag=True,
     help="Serve the recording while the study runs; `nufleet view --live` shows it.",
 )
+@click.option(
+    "--resume",
+    metavar="RUN",
+    help="Go on with this interrupted run, or the `latest`; target, band and all else are its.",
+)
 @runs_option
+@repository_option
 @json_option
 def rank(
     fleet_file: str | None,
@@ -101,7 +114,9 @@ def rank(
     speed_m_s: float | None,
     realtime: float | None,
     live: bool,
+    resume: str | None,
     runs_root: Path,
+    repository: str | None,
     as_json: bool,
 ) -> None:
     """Rank source robots by their worst-case chordal distance to a target.
@@ -117,6 +132,9 @@ def rank(
     nufleet rank --fleet paper_linear --trajectory pear --speed 0.6
     nufleet rank --connect tcp/192.168.1.10:7447 --target drone-7 --band 0.1 5.4
     """
+    if resume is not None:
+        _go_on(resume)
+        return
     from orchestrator.cli.rank_session import RankCommand, rank_and_print
     from shared.fleet_file import find_fleet_file
 
@@ -138,6 +156,39 @@ def rank(
             realtime=realtime,
             live=live,
             runs_root=runs_root,
+            repository=repository,
             as_json=as_json,
+        )
+    )
+
+
+_OF_A_RESUMPTION = {
+    *("resume", "connect", "wait_s", "live", "runs_root", "repository", "as_json"),
+}
+
+
+def _go_on(run: str) -> None:
+    from orchestrator.cli.resume_session import ResumeCommand, resume_and_print
+
+    context = click.get_current_context()
+    given = [
+        option
+        for option in context.command.params
+        if context.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE
+    ]
+    for option in given:
+        if option.name not in _OF_A_RESUMPTION:
+            raise click.UsageError(f"{option.opts[0]} is that of the run; leave it out to resume")
+    connect = next((o for o in given if o.name == "connect"), None)
+    options = context.params
+    resume_and_print(
+        ResumeCommand(
+            run=run,
+            connect=None if connect is None else options["connect"],
+            wait_s=options["wait_s"],
+            live=options["live"],
+            runs_root=options["runs_root"],
+            repository=options["repository"],
+            as_json=options["as_json"],
         )
     )

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import time
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import click
 from rich.console import Console
 
-from orchestrator.connection import Connection, running_fleet, started_fleet
-from orchestrator.console import ConsoleObserver, ranking_table, stderr_console
+from orchestrator.archive import Archive
+from orchestrator.cli.storage import Storage
+from orchestrator.cli.study_session import show_study
+from orchestrator.console import stderr_console
 from orchestrator.desired_motion import Drawing, read_motion
-from orchestrator.live_view import LiveView
 from orchestrator.preflight import check_band, check_names
-from orchestrator.rank_run import Algorithm, RankRequest, prepare, run_study
+from orchestrator.rank_run import Algorithm, RankRequest, configuration, prepare
+from orchestrator.reach import REACH, Reach
 from orchestrator.results import RunRecord
+from orchestrator.robot_leases import lease_robots
 from orchestrator.run_folder import RunFolder, make_runs_root
-from orchestrator.study_clock import StudyClock
-from orchestrator.verdict_table import print_verdicts
-from orchestrator.viewer.ports import GRPC_PORT, WEB_PORT
-from orchestrator.viewer.writer import RerunWriter, ServeOptions
-from shared.command_line import invocation
 from shared.errors import InvalidInputError
 from shared.fleet_file import FleetFile, read_fleet_file
 from shared.transport import DEFAULT_ENDPOINT
@@ -50,6 +47,7 @@ class RankCommand:
     processes: int | None = 2
     trajectory: str | None = None
     speed_m_s: float | None = None
+    repository: str | None = None
 
 
 def rank_and_print(command: RankCommand) -> None:
@@ -66,52 +64,59 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
         check_band(command.band_rad_s)
     drawing = _drawing(command)
     make_runs_root(command.runs_root)
+    storage = Storage(command.runs_root, command.repository)
     with ExitStack() as stack:
-        fleet, name, robots = stack.enter_context(_connection(command, console))
+        repository = stack.enter_context(storage.open())
+        reach = _reach(command)
+        wanted = (_target(command), *(command.sources or ()))
+        fleet, name, robots = stack.enter_context(
+            reach.connection(console, wanted, wait_s=command.wait_s)
+        )
         ready = prepare(fleet, _request(command, drawing), robots)
         folder = stack.enter_context(RunFolder(command.runs_root, name))
-        serve = ServeOptions(grpc_port=GRPC_PORT, web_port=WEB_PORT) if command.live else None
-        writer = stack.enter_context(
-            RerunWriter(folder.path.name, recording=folder.recording, serve=serve)
+        leases = stack.enter_context(
+            lease_robots(
+                repository.leases,
+                fleet,
+                reach.lease_scope(name, folder.study_id),
+                ready.descriptions,
+            )
         )
-        if command.live:
-            console.print(f"live: `nufleet view --live`, or {writer.web_url} in a browser")
-        unit = ready.descriptions[ready.plan.target].spec.axis(ready.plan.axis).unit
-        live = LiveView(ready.plan, unit, StudyClock(time.monotonic), writer.emit)
-        live.watch(fleet)
-        stack.callback(live.stop_watching)
-        record = run_study(
+        archive = Archive(repository, name, leases)
+        reached = reach.model_copy(update={"fleet_name": name})
+        folder.write_configuration(
+            {
+                **configuration(ready, command.seed),
+                "algorithm": command.algorithm,
+                **storage.document(),
+                REACH: reached.model_dump(mode="json"),
+            }
+        )
+        stack.enter_context(storage.saying_how_to_resume(console, folder.path.name))
+        return show_study(
             fleet,
             ready,
-            seed=command.seed,
-            algorithm=command.algorithm,
+            lambda: archive.begin(
+                folder.study_id, command.algorithm, ready.plan, command.seed, ready.descriptions
+            ),
+            archive,
             folder=folder,
-            observers=[ConsoleObserver(console, command.iterations), live],
+            live=command.live,
+            console=console,
         )
-    console.print(ranking_table(record.result.ranking, record.closed_form))
-    print_verdicts(console, record.result)
-    console.print(
-        f"selected: [bold green]{record.result.selected}[/]  "
-        f"({record.result.robot_time_s:.0f} robot-seconds, {record.wall_time_s:.1f} s)"
-    )
-    if writer.dropped:
-        console.print(f"[yellow]the recording and its viewers missed {writer.dropped} events[/]")
-    console.print(f"open the recording with:  {invocation()} view {folder.path}")
-    return record
 
 
-def _connection(command: RankCommand, console: Console) -> AbstractContextManager[Connection]:
+def _reach(command: RankCommand) -> Reach:
     if command.fleet_file is None:
-        return running_fleet(
-            command.connect,
-            command.fleet_name,
-            robots=(_target(command), *(command.sources or ())),
-            wait_s=command.wait_s,
-        )
+        return Reach(connect=command.connect, fleet_name=command.fleet_name)
     file = read_fleet_file(command.fleet_file)
     _check_against_file(command, file)
-    console.print(f"starting a router and {len(file.robots)} robots of {command.fleet_file}")
-    return started_fleet(command.fleet_file, processes=command.processes, realtime=command.realtime)
+    return Reach(
+        connect=command.connect,
+        fleet_file=str(command.fleet_file.resolve()),
+        realtime=command.realtime,
+        processes=command.processes,
+    )
 
 
 def _check_against_file(command: RankCommand, file: FleetFile) -> None:

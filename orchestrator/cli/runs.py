@@ -1,4 +1,4 @@
-"""`nufleet runs list` and `nufleet runs show`: what earlier runs left behind."""
+"""`nufleet runs`: list what earlier runs left behind, show it, and go on with it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from orchestrator.cli.options import json_option, runs_option
+from orchestrator.cli.options import json_option, repository_option, runs_option
 
 
 @click.command("list")
@@ -42,6 +42,59 @@ def list_runs(runs_root: Path, as_json: bool) -> None:
         stderr_console().print(table)
     else:
         click.echo(f"no runs in {runs_root}", err=True)
+
+
+@click.command()
+@click.argument("run", default="latest")
+@click.option(
+    "--connect",
+    metavar="ENDPOINT",
+    help="The router of the fleet.  [default: as the run did; a fleet of its own starts again]",
+)
+@click.option(
+    "--wait",
+    "wait_s",
+    type=click.FloatRange(min=0),
+    default=0.0,
+    metavar="SECONDS",
+    help="How long to wait for the router and the robots.",
+)
+@click.option(
+    "--live",
+    is_flag=True,
+    help="Serve the recording while the study runs; `nufleet view --live` shows it.",
+)
+@runs_option
+@repository_option
+@json_option
+def resume(
+    run: str,
+    connect: str | None,
+    wait_s: float,
+    live: bool,
+    runs_root: Path,
+    repository: str | None,
+    as_json: bool,
+) -> None:
+    """Go on with RUN, which was interrupted: a folder, its name, or `latest`.
+
+    What was measured is not flown again. A motion that was in progress is asked for by its id: it
+    counts if it was completed, and is repeated if it ended with the process that commanded it. The
+    result is that of the undisturbed run, for robots that answer the same question alike.
+    """
+    from orchestrator.cli.resume_session import ResumeCommand, resume_and_print
+
+    resume_and_print(
+        ResumeCommand(
+            run=run,
+            connect=connect,
+            wait_s=wait_s,
+            live=live,
+            runs_root=runs_root,
+            repository=repository,
+            as_json=as_json,
+        )
+    )
 
 
 @click.command()

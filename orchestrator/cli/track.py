@@ -12,6 +12,7 @@ from orchestrator.cli.options import (
     connect_options,
     json_option,
     live_option,
+    repository_option,
     runs_option,
 )
 
@@ -71,6 +72,7 @@ from orchestrator.cli.options import (
 @click.option("--no-guard", is_flag=True, help="Never fall back to the baseline.")
 @live_option
 @runs_option
+@repository_option
 @json_option
 def track(
     connect: str,
@@ -85,6 +87,7 @@ def track(
     no_guard: bool,
     live: bool,
     runs_root: Path,
+    repository: str | None,
     as_json: bool,
 ) -> None:
     """Have a robot track a hand drawing, with or without a transferred prior.
@@ -111,6 +114,7 @@ def track(
             guarded=not no_guard,
             live=live,
             runs_root=runs_root,
+            repository=repository,
             as_json=as_json,
         )
     )

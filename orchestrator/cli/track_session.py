@@ -10,7 +10,8 @@ from typing import Literal
 
 import click
 
-from orchestrator.cli.reach import KeptFlights, Reach, Session, flying
+from orchestrator.cli.flying import KeptFlights, Session, flying
+from orchestrator.cli.storage import Storage
 from orchestrator.console import stderr_console
 from orchestrator.evaluation import flight_record
 from orchestrator.evaluation_results import FlightRecord
@@ -18,7 +19,7 @@ from orchestrator.experience_learning import FLIGHT_S
 from orchestrator.flight_labels import BASELINE, NO_PRIOR
 from orchestrator.paths import Leg, legs_of, read_drawings
 from orchestrator.pilot import PathFlight, Pilot
-from orchestrator.preflight import check_robots
+from orchestrator.reach import Reach
 from shared.arrays import FloatArray
 from shared.errors import InvalidInputError, RobotError
 from shared.inverse_layout import HORIZON_SAMPLES_MAX, InverseLayout
@@ -41,6 +42,7 @@ class TrackCommand:
     guarded: bool
     live: bool
     runs_root: Path
+    repository: str | None
     as_json: bool
 
 
@@ -48,13 +50,20 @@ def track_and_print(command: TrackCommand) -> None:
     """Track, with progress on stderr and, when asked for, the document on stdout."""
     console = stderr_console()
     drawings = read_drawings(command.drawings)
-    reach = Reach(None, command.connect, command.fleet_name)
-    with flying(reach, "track", command.runs_root, console, live=command.live) as session:
-        check_robots((command.target,), session.connection.robots)
+    reach = Reach(connect=command.connect, fleet_name=command.fleet_name)
+    storage = Storage(command.runs_root, command.repository)
+    with flying(
+        reach,
+        "track",
+        storage,
+        console,
+        live=command.live,
+        robots=lambda there: (command.target,),
+    ) as session:
         target = session.connection.fleet.describe(command.target)
         legs = legs_of(drawings, (command.speed,), target, scale=command.scale)
         inverse = _inverse(command, target)
-        configuration = asdict(command) | {"runs_root": str(command.runs_root)}
+        configuration = asdict(command) | storage.document()
         session.folder.write_configuration({"kind": "track", **configuration})
         _learn_baseline(inverse, command, session, target)
         records = [_flown(session, target, inverse, leg) for leg in legs]

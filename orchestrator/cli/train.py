@@ -7,7 +7,13 @@ from typing import Literal
 
 import click
 
-from orchestrator.cli.options import PositiveNumber, connect_options, json_option, runs_option
+from orchestrator.cli.options import (
+    PositiveNumber,
+    connect_options,
+    json_option,
+    repository_option,
+    runs_option,
+)
 
 
 @click.command()
@@ -46,6 +52,7 @@ from orchestrator.cli.options import PositiveNumber, connect_options, json_optio
     help="Draws the flight and the network's first weights.",
 )
 @runs_option
+@repository_option
 @json_option
 def train(
     connect: str,
@@ -55,6 +62,7 @@ def train(
     duration_s: float,
     seed: int,
     runs_root: Path,
+    repository: str | None,
     as_json: bool,
 ) -> None:
     """Have robots learn an inverse model of themselves, which they then offer to others.
@@ -77,6 +85,7 @@ def train(
             duration_s=duration_s,
             seed=seed,
             runs_root=runs_root,
+            repository=repository,
             as_json=as_json,
         )
     )

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import json
 import math
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import click
 from rich.table import Table
 
+from orchestrator.cli.storage import Storage
 from orchestrator.connection import running_fleet
 from orchestrator.console import stderr_console
 from orchestrator.pilot import Pilot
 from orchestrator.preflight import check_robots
+from orchestrator.robot_leases import lease_robots
 from orchestrator.run_folder import RunFolder, make_runs_root
 from orchestrator.train_run import Trained, check_torch, train_robots
 from shared.inverse_layout import Architecture
@@ -30,6 +33,7 @@ class TrainCommand:
     duration_s: float
     seed: int
     runs_root: Path
+    repository: str | None
     as_json: bool
 
 
@@ -38,16 +42,21 @@ def train_and_print(command: TrainCommand) -> None:
     check_torch()
     make_runs_root(command.runs_root)
     console = stderr_console()
+    storage = Storage(command.runs_root, command.repository)
     with (
+        storage.open() as repository,
         running_fleet(command.connect, command.fleet_name) as (fleet, name, there),
         RunFolder(command.runs_root, f"{name}-train") as folder,
+        ExitStack() as stack,
     ):
         robots = command.robots or there
         check_robots(robots, there)
+        leases = stack.enter_context(lease_robots(repository.leases, fleet, name, robots))
         descriptions = [fleet.describe(robot) for robot in robots]
-        configuration = asdict(command) | {"runs_root": str(command.runs_root)}
+        configuration = asdict(command) | storage.document()
         folder.write_configuration({"kind": "train", **configuration})
-        pilot = Pilot(fleet, folder.path.name.lower())
+        pilot = Pilot(fleet, folder.study_id)
+        stack.enter_context(leases.guarding(pilot.interrupt))
         trained = train_robots(
             fleet,
             pilot,

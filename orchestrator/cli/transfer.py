@@ -7,7 +7,7 @@ from typing import Literal
 
 import click
 
-from orchestrator.cli.options import connect_options, json_option, runs_option
+from orchestrator.cli.options import connect_options, json_option, repository_option, runs_option
 
 
 @click.command()
@@ -28,6 +28,7 @@ from orchestrator.cli.options import connect_options, json_option, runs_option
     help="Which of the source's experiences.  [default: the only one it offers]",
 )
 @runs_option
+@repository_option
 @json_option
 def transfer(
     connect: str,
@@ -36,6 +37,7 @@ def transfer(
     source: str,
     architecture: Literal["state", "preview"] | None,
     runs_root: Path,
+    repository: str | None,
     as_json: bool,
 ) -> None:
     """Give a target the experience of a source, as the prior mean of its online process.
@@ -56,6 +58,7 @@ def transfer(
             source=source,
             architecture=architecture,
             runs_root=runs_root,
+            repository=repository,
             as_json=as_json,
         )
     )

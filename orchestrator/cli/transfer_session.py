@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import click
 from rich.console import Console
 
+from orchestrator.cli.storage import Storage
 from orchestrator.connection import running_fleet
 from orchestrator.console import stderr_console
 from orchestrator.preflight import check_robots
 from orchestrator.prior_transfer import Transferred
 from orchestrator.prior_transfer import transfer as transfer_experience
-from orchestrator.run_folder import latest_ranking
+from orchestrator.robot_leases import lease_robots
+from orchestrator.run_folder import latest_ranking, make_runs_root
 from shared.errors import InvalidInputError
 from shared.inverse_layout import Architecture
 
@@ -29,14 +32,21 @@ class TransferCommand:
     source: str
     architecture: Architecture | None
     runs_root: Path
+    repository: str | None
     as_json: bool
 
 
 def transfer_and_print(command: TransferCommand) -> None:
     """Transfer, and print what the target flies with from now on."""
     console = stderr_console()
-    with running_fleet(command.connect, command.fleet_name) as (fleet, _, there):
+    make_runs_root(command.runs_root)
+    with (
+        Storage(command.runs_root, command.repository).open() as repository,
+        running_fleet(command.connect, command.fleet_name) as (fleet, name, there),
+        ExitStack() as stack,
+    ):
         check_robots((command.target,), there)
+        stack.enter_context(lease_robots(repository.leases, fleet, name, (command.target,)))
         if command.source == "none":
             fleet.remove_prior(command.target)
             console.print(f"{command.target} flies without a prior from now on")

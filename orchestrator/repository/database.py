@@ -92,6 +92,11 @@ def parse_url(address: str) -> URL:
     raise RepositoryUrlError(f"{url.render_as_string(hide_password=True)}: {expected}")
 
 
+def name_of(address: str) -> str:
+    """Return a database's address without a password; raises RepositoryUrlError."""
+    return parse_url(address).render_as_string(hide_password=True)
+
+
 class Database:
     """Connections to one database; close it. Usable from many threads."""
 

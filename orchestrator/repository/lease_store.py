@@ -90,6 +90,12 @@ class LeaseStore:
             if row.owner is not None and row.remaining_s(now_s) > 0.0
         }
 
+    def epochs(self, fleet: str) -> Mapping[str, int]:
+        """Return the latest epoch that each robot was given out under."""
+        query = select(LEASES.c.robot, LEASES.c.epoch).where(LEASES.c.fleet == fleet)
+        with self._database.read() as connection:
+            return {row.robot: row.epoch for row in connection.execute(query)}
+
     def _change(self, leases: tuple[Lease, ...], *, renewing: bool) -> None:
         with self._database.write() as connection:
             stored = _locked(connection, [(lease.fleet, lease.robot) for lease in leases])

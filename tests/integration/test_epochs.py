@@ -29,7 +29,8 @@ def test_everyone_can_see_who_commands_a_robot_and_under_which_epoch(lab: Lab) -
     assert (described.owner, described.epoch) == (None, 0)
     request = owner.request("g")
     assert isinstance(request.motion, Excitation)
-    result = GoalRunner(owner.fleet, {"a": 5}).run("a", "g", request.motion)
+    owner.fleet.hold({"a": 5})
+    result = GoalRunner(owner.fleet).run("a", "g", request.motion)
     assert result.outcome is Outcome.COMPLETED
     described = watcher.fleet.describe("a")
     assert (described.owner, described.epoch) == ("owner", 5)
@@ -51,11 +52,12 @@ def test_an_epoch_that_is_over_is_refused_in_everything_and_names_the_newer_owne
         assert refusal(lambda: submit(late, "g2", 5)) == "stale-epoch"
         assert refusal(lambda: submit(late, "g", 4)) == "stale-epoch"
         fleet = late.fleet
-        assert refusal(lambda: fleet.acknowledge("a", ("g",), epoch=4)) == "stale-epoch"  # noqa: B023
-        assert refusal(lambda: fleet.cancel("a", "g", epoch=4)) == "stale-epoch"  # noqa: B023
-        assert refusal(lambda: fleet.remove_prior("a", epoch=4)) == "stale-epoch"  # noqa: B023
+        fleet.hold({"a": 4})
+        assert refusal(lambda: fleet.acknowledge("a", ("g",))) == "stale-epoch"  # noqa: B023
+        assert refusal(lambda: fleet.cancel("a", "g")) == "stale-epoch"  # noqa: B023
+        assert refusal(lambda: fleet.remove_prior("a")) == "stale-epoch"  # noqa: B023
         sent = ("prior", b"", "0" * 64)
-        assert refusal(lambda: fleet.install("a", *sent, epoch=4)) == "stale-epoch"  # type: ignore[arg-type]  # noqa: B023
+        assert refusal(lambda: fleet.install("a", *sent)) == "stale-epoch"  # type: ignore[arg-type]  # noqa: B023
         assert owner.fleet.result("a", "g").outcome is Outcome.COMPLETED
         if life == 0:
             boot_id = owner.state("a", lambda s: True).boot_id
@@ -74,12 +76,14 @@ def test_a_higher_epoch_takes_over_a_robot_at_rest_and_no_moving_one(lab: Lab) -
     submit(first, "g1", 5, **SLOW)
     wait_until(lambda: not robot.at_rest)
     assert refusal(lambda: submit(second, "g2", 6)) == "busy"
-    assert refusal(lambda: second.fleet.cancel("a", "g1", epoch=6)) == "busy"
+    second.fleet.hold({"a": 6})
+    assert refusal(lambda: second.fleet.cancel("a", "g1")) == "busy"
     first.state("a", lambda s: s.status is RobotStatus.RUNNING)
-    first.fleet.cancel("a", "g1", epoch=5)
+    first.fleet.hold({"a": 5})
+    first.fleet.cancel("a", "g1")
     first.result("a", "g1")
     submit(second, "g2", 6, **SLOW)
-    assert refusal(lambda: first.fleet.cancel("a", "g2", epoch=5)) == "stale-epoch"
+    assert refusal(lambda: first.fleet.cancel("a", "g2")) == "stale-epoch"
     assert second.fleet.describe("a").owner == "second"
     # A stop is everybody's.
     first.fleet.stop("a", "smoke")

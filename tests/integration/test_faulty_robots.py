@@ -5,14 +5,18 @@ from __future__ import annotations
 import json
 import re
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from fleet_lab import Lab, Orchestrator, refusal
+from kept_study import trial_log
 from polling import PATIENCE_S, wait_until
 
 from orchestrator.dispatcher import ATTEMPTS, Dispatcher, Failed, Measured, TestOutcome
+from orchestrator.resume import round_of
+from orchestrator.study import Question
 from shared.errors import RefusedError, RobotError
 from shared.excitation import Excitation, Tone
 from shared.messages import Outcome, RobotStatus
@@ -38,9 +42,10 @@ def inside(robot: FaultyRobot) -> DoubleIntegrator:
     return robot._robot
 
 
-def outcome_of(orchestrator: Orchestrator, round_id: str) -> TestOutcome:
-    dispatcher = Dispatcher(orchestrator.fleet, on_attempt_failed=lambda *_: None)
-    return dispatcher.run(round_id, {"a": TEST})["a"]
+def outcome_of(orchestrator: Orchestrator, folder: Path, study_id: str) -> TestOutcome:
+    with trial_log(folder, study_id, {"a": 0}) as log:
+        dispatcher = Dispatcher(orchestrator.fleet, log, on_attempt_failed=lambda *_: None)
+        return dispatcher.run(round_of(study_id, Question(1, {"a": TEST})).tests)["a"]
 
 
 # Sensors. Faults that are everywhere last for the three motions of three attempts.
@@ -70,25 +75,27 @@ SENSOR_FAULTS: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("name", SENSOR_FAULTS)
-def test_a_faulty_sensor_gives_no_response_but_a_reason(name: str, lab: Lab) -> None:
+def test_a_faulty_sensor_gives_no_response_but_a_reason(
+    name: str, lab: Lab, tmp_path: Path
+) -> None:
     fault, said = SENSOR_FAULTS[name]
     during = [{**fault, "motion": motion} for motion in range(1, ATTEMPTS + 1)]
     robot = faulty(*during)
     lab.agent("a", robot)
     orchestrator = lab.orchestrator()
-    outcome = outcome_of(orchestrator, "round")
+    outcome = outcome_of(orchestrator, tmp_path, "round")
     assert isinstance(outcome, Failed)
     assert outcome.attempts == ATTEMPTS
     assert re.search(said, outcome.reason), outcome.reason
     orchestrator.state("a", lambda s: s.status is RobotStatus.IDLE)
     assert inside(robot)._at_rest()
     # Nothing of it stays: with the sensor repaired the robot is as good as ever.
-    assert isinstance(outcome_of(orchestrator, "repaired"), Measured)
+    assert isinstance(outcome_of(orchestrator, tmp_path, "repaired"), Measured)
 
 
-def test_a_sensor_that_fails_once_costs_one_attempt(lab: Lab) -> None:
+def test_a_sensor_that_fails_once_costs_one_attempt(lab: Lab, tmp_path: Path) -> None:
     lab.agent("a", faulty({"kind": "frozen", "from_sample": 500, "motion": 1}))
-    outcome = outcome_of(lab.orchestrator(), "round")
+    outcome = outcome_of(lab.orchestrator(), tmp_path, "round")
     assert isinstance(outcome, Measured)
     assert outcome.attempts == 2
 
@@ -96,7 +103,9 @@ def test_a_sensor_that_fails_once_costs_one_attempt(lab: Lab) -> None:
 # Drivers.
 
 
-def test_a_driver_that_loses_a_sample_fails_the_test_with_the_samples_before(lab: Lab) -> None:
+def test_a_driver_that_loses_a_sample_fails_the_test_with_the_samples_before(
+    lab: Lab, tmp_path: Path
+) -> None:
     robot = faulty({"kind": "drop-out", "from_sample": 60, "motion": 1})
     lab.agent("a", robot, realtime=50.0)
     orchestrator = lab.orchestrator()
@@ -104,21 +113,23 @@ def test_a_driver_that_loses_a_sample_fails_the_test_with_the_samples_before(lab
     assert (result.outcome, result.reason) == (Outcome.FAILED, "the driver got no sample 60")
     assert len(result.response) == 60
     assert inside(robot)._at_rest()
-    assert isinstance(outcome_of(orchestrator, "round"), Measured)
+    assert isinstance(outcome_of(orchestrator, tmp_path, "round"), Measured)
 
 
-def test_a_driver_that_breaks_is_a_fault_until_it_is_connected_anew(lab: Lab) -> None:
+def test_a_driver_that_breaks_is_a_fault_until_it_is_connected_anew(
+    lab: Lab, tmp_path: Path
+) -> None:
     robot = faulty({"kind": "crash", "way": "raises", "from_sample": 60, "motion": 1})
     lab.agent("a", robot)
     orchestrator = lab.orchestrator()
-    outcome = outcome_of(orchestrator, "round")
+    outcome = outcome_of(orchestrator, tmp_path, "round")
     assert isinstance(outcome, Failed)
     assert "see to the robot, then release it" in outcome.reason
     assert "the driver broke at sample 60" in outcome.reason
     orchestrator.state("a", lambda s: s.status is RobotStatus.FAULT)
     assert inside(robot)._at_rest()
     orchestrator.fleet.release("a")
-    assert isinstance(outcome_of(orchestrator, "again"), Measured)
+    assert isinstance(outcome_of(orchestrator, tmp_path, "again"), Measured)
 
 
 def hung(lab: Lab, fault: dict[str, Any]) -> tuple[Orchestrator, FaultyRobot]:
@@ -135,10 +146,10 @@ def released(orchestrator: Orchestrator) -> bool:
     return True
 
 
-def test_a_driver_that_hangs_is_a_fault_within_seconds(lab: Lab) -> None:
+def test_a_driver_that_hangs_is_a_fault_within_seconds(lab: Lab, tmp_path: Path) -> None:
     orchestrator, robot = hung(lab, {"hang_s": 4.0})
     began_s = time.monotonic()
-    outcome = outcome_of(orchestrator, "round")
+    outcome = outcome_of(orchestrator, tmp_path, "round")
     # Sooner than it returns by itself.
     assert time.monotonic() - began_s < 4.3
     assert isinstance(outcome, Failed)

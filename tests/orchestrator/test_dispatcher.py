@@ -11,19 +11,36 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kept_study import kept_study
+from polling import wait_until
 from puppet_robot import PuppetRobot
 
-from orchestrator.dispatcher import ATTEMPTS, Dispatcher, Failed, Interrupted, Measured
+from orchestrator.dispatcher import (
+    ATTEMPTS,
+    Dispatcher,
+    Failed,
+    Interrupted,
+    Measured,
+    TestOutcome,
+)
 from orchestrator.fleet import Fleet
+from orchestrator.repository.errors import RepositoryError, StaleEpochError
+from orchestrator.repository.records import TrialRecord, TrialStatus
+from orchestrator.repository.study_store import StudyStore
+from orchestrator.resume import OpenTest, round_of
+from orchestrator.study import Question
+from orchestrator.trial_log import TrialLog
 from robot_agent.agent import Agent
 from shared.arrays import FloatArray
 from shared.errors import RobotError
 from shared.excitation import Excitation, Tone
 from shared.keys import FleetKeys
-from shared.transport import open_client, open_router
+from shared.messages import GoalRequest
+from shared.transport import Session, open_client, open_router
 
 KEYS = FleetKeys("lab")
 ROBOTS = ("r1", "r2", "r3")
+STUDY = "run-1"
 TEST = Excitation(axis="x", tones=(Tone(omega_rad_s=20.0),))
 
 
@@ -33,12 +50,47 @@ class Lab:
 
     endpoint: str
     robots: dict[str, PuppetRobot]
+    client: Session
     fleet: Fleet
     stack: ExitStack
+    studies: StudyStore
+    epoch: int = 1
     attempts: list[tuple[str, int, str]] = field(default_factory=list)
 
+    @property
+    def epochs(self) -> dict[str, int]:
+        return dict.fromkeys((*ROBOTS, "r9"), self.epoch)
+
+    def log(self) -> TrialLog:
+        return TrialLog(self.studies, STUDY, self.epochs)
+
     def dispatcher(self) -> Dispatcher:
-        return Dispatcher(self.fleet, on_attempt_failed=lambda *a: self.attempts.append(a))
+        return Dispatcher(
+            self.fleet, self.log(), on_attempt_failed=lambda *a: self.attempts.append(a)
+        )
+
+    def run(self, **tests: Excitation) -> dict[str, TestOutcome]:
+        """Have robots play a round, as an orchestrator that was just started does."""
+        return self.dispatcher().run(self.open_tests(**tests))
+
+    def open_tests(self, **tests: Excitation) -> tuple[OpenTest, ...]:
+        """The tests of the only round, as what is stored leaves them."""
+        stored: dict[tuple[int, str], list[TrialRecord]] = {}
+        for trial in self.studies.trials(STUDY):
+            stored.setdefault((1, trial.intent.robot), []).append(trial)
+        return round_of(STUDY, Question(1, tests), stored).tests
+
+    def trials(self) -> list[tuple[str, TrialStatus]]:
+        return [(t.intent.goal_id, t.status) for t in self.studies.trials(STUDY)]
+
+    def next_orchestrator(self, name: str = "orchestrator-next") -> None:
+        """Let another orchestrator take over; the one before is gone, and its token with it."""
+        self.client.close()
+        self.epoch += 1
+        self.client = self.stack.enter_context(open_client(self.endpoint, timeout_s=5.0))
+        self.fleet = Fleet(self.client, KEYS, name)
+        self.fleet.wait_for(ROBOTS, timeout_s=10.0)
+        self.fleet.hold(self.epochs)
 
 
 def start_lab(stack: ExitStack, tmp_path: Path, realtime: float | None) -> Lab:
@@ -51,7 +103,10 @@ def start_lab(stack: ExitStack, tmp_path: Path, realtime: float | None) -> Lab:
     client = stack.enter_context(open_client(endpoint, timeout_s=5.0))
     fleet = Fleet(client, KEYS, "orchestrator-test")
     fleet.wait_for(ROBOTS, timeout_s=10.0)
-    return Lab(endpoint, robots, fleet, stack)
+    repository = stack.enter_context(kept_study(tmp_path, STUDY, (*ROBOTS, "r9")))
+    lab = Lab(endpoint, robots, client, fleet, stack, repository.studies)
+    fleet.hold(lab.epochs)
+    return lab
 
 
 @pytest.fixture
@@ -67,7 +122,7 @@ def slow_lab(tmp_path: Path) -> Iterator[Lab]:
 
 
 def test_a_round_measures_every_robot_once(lab: Lab) -> None:
-    outcomes = lab.dispatcher().run("round", dict.fromkeys(ROBOTS, TEST))
+    outcomes = lab.run(r1=TEST, r2=TEST, r3=TEST)
     assert set(outcomes) == set(ROBOTS)
     for outcome in outcomes.values():
         assert isinstance(outcome, Measured)
@@ -77,22 +132,26 @@ def test_a_round_measures_every_robot_once(lab: Lab) -> None:
     assert not lab.attempts
 
 
-def test_the_same_round_sent_again_moves_no_robot_twice(lab: Lab) -> None:
-    first = lab.dispatcher().run("round", dict.fromkeys(ROBOTS, TEST))
-    second = lab.dispatcher().run("round", dict.fromkeys(ROBOTS, TEST))
-    assert [robot.motions for robot in lab.robots.values()] == [1, 1, 1]
-    for robot in ROBOTS:
-        one, other = first[robot], second[robot]
-        assert isinstance(one, Measured)
-        assert isinstance(other, Measured)
-        assert one.result.goal_id == other.result.goal_id
+def test_a_test_whose_end_was_not_stored_is_sent_again_and_moves_its_robot_once(lab: Lab) -> None:
+    log = lab.log()
+
+    def fails(*_: object) -> None:
+        raise RepositoryError("no room is left")
+
+    log.measured = fails  # type: ignore[method-assign]
+    with pytest.raises(RepositoryError, match="no room"):
+        Dispatcher(lab.fleet, log, on_attempt_failed=lambda *a: None).run(lab.open_tests(r1=TEST))
+    assert lab.trials() == [("run-1.1.r1.1", TrialStatus.ACCEPTED)]
+    assert isinstance(lab.run(r1=TEST)["r1"], Measured)
+    assert lab.trials() == [("run-1.1.r1.1", TrialStatus.MEASURED)]
+    assert lab.robots["r1"].motions == 1
 
 
 def test_robots_of_a_round_move_at_the_same_time(slow_lab: Lab) -> None:
     together = threading.Barrier(len(ROBOTS), timeout=10.0)
     for robot in slow_lab.robots.values():
         robot.on_sample = lambda k: together.wait() if k == 5 else None  # type: ignore[assignment, return-value]
-    outcomes = slow_lab.dispatcher().run("round", dict.fromkeys(ROBOTS, TEST))
+    outcomes = slow_lab.run(r1=TEST, r2=TEST, r3=TEST)
     assert all(isinstance(outcome, Measured) for outcome in outcomes.values())
 
 
@@ -105,7 +164,7 @@ def test_an_unusable_test_is_repeated_with_more_time(lab: Lab) -> None:
         return np.zeros_like(references) if robot.motions == 1 else references.copy()
 
     robot.measure = broken_first_time
-    outcome = lab.dispatcher().run("round", {"r1": TEST})["r1"]
+    outcome = lab.run(r1=TEST)["r1"]
     assert isinstance(outcome, Measured)
     assert outcome.attempts == 2
     assert outcome.robot_time_s > outcome.result.plan.duration_s
@@ -119,7 +178,7 @@ def test_a_robot_that_keeps_failing_is_given_up_with_the_reason(lab: Lab) -> Non
         raise RobotError("the motor driver reports overheating")
 
     lab.robots["r2"].measure = broken
-    outcomes = lab.dispatcher().run("round", dict.fromkeys(ROBOTS, TEST))
+    outcomes = lab.run(r1=TEST, r2=TEST, r3=TEST)
     failed = outcomes["r2"]
     assert isinstance(failed, Failed)
     assert "overheating" in failed.reason
@@ -130,7 +189,7 @@ def test_a_robot_that_keeps_failing_is_given_up_with_the_reason(lab: Lab) -> Non
 
 def test_a_refusal_is_not_asked_again(lab: Lab) -> None:
     too_fast = Excitation(axis="x", tones=(Tone(omega_rad_s=49.0),), amplitude=100.0)
-    outcome = lab.dispatcher().run("round", {"r1": too_fast})["r1"]
+    outcome = lab.run(r1=too_fast)["r1"]
     assert isinstance(outcome, Failed)
     assert outcome.attempts == 1
     assert "amplitude" in outcome.reason
@@ -150,7 +209,7 @@ def test_an_interrupted_round_leaves_every_robot_at_rest(slow_lab: Lab) -> None:
     ).start()
     began_s = time.monotonic()
     with pytest.raises(Interrupted):
-        dispatcher.run("round", dict.fromkeys(ROBOTS, long_test))
+        dispatcher.run(slow_lab.open_tests(r1=long_test, r2=long_test, r3=long_test))
     assert time.monotonic() - began_s < 10.0
     for name in ROBOTS:
         watch = slow_lab.fleet.watch(name)
@@ -158,6 +217,10 @@ def test_an_interrupted_round_leaves_every_robot_at_rest(slow_lab: Lab) -> None:
             lambda w: w.state is not None and w.state.goal_id is None, timeout_s=5.0
         )
         assert slow_lab.robots[name].at_rest
+    # It goes on with another attempt: that somebody pressed Ctrl-C is not the robots' failure.
+    assert [t.interrupted for t in slow_lab.studies.trials(STUDY)] == [True, True, True]
+    following = slow_lab.open_tests(r1=long_test, r2=long_test, r3=long_test)
+    assert [(t.attempt, t.failures) for t in following] == [(2, 0)] * 3
 
 
 def test_a_robot_that_comes_back_after_its_agent_died_is_tested_again(lab: Lab) -> None:
@@ -184,7 +247,7 @@ def test_a_robot_that_comes_back_after_its_agent_died_is_tested_again(lab: Lab) 
     replacement = threading.Thread(target=kill_and_restart)
     replacement.start()
     try:
-        outcome = lab.dispatcher().run("round", {"r9": TEST})["r9"]
+        outcome = lab.run(r9=TEST)["r9"]
         replacement.join()
     finally:
         for stack in agents:
@@ -192,3 +255,119 @@ def test_a_robot_that_comes_back_after_its_agent_died_is_tested_again(lab: Lab) 
     assert isinstance(outcome, Measured)
     assert outcome.attempts == 2
     assert (first.motions, second.motions) == (1, 1)
+
+
+def test_an_intent_is_stored_before_a_robot_moves_and_what_comes_of_it_after(lab: Lab) -> None:
+    seen: list[list[tuple[str, TrialStatus]]] = []
+    lab.robots["r1"].on_sample = lambda k: seen.append(lab.trials()) if k == 0 else None
+    lab.run(r1=TEST)
+    ((goal_id, status),) = seen[0]
+    assert goal_id == "run-1.1.r1.1"
+    assert status in (TrialStatus.INTENDED, TrialStatus.ACCEPTED)
+    (trial,) = lab.studies.trials(STUDY)
+    assert trial.status is TrialStatus.MEASURED
+    assert trial.boot_id == lab.fleet.describe("r1").boot_id
+    assert len(lab.studies.result(goal_id).response) == lab.robots["r1"].samples
+
+
+def test_every_attempt_is_stored_with_what_follows_on_it(lab: Lab) -> None:
+    robot = lab.robots["r1"]
+    robot.measure = lambda r: np.zeros_like(r) if robot.motions < 3 else r.copy()
+    lab.run(r1=TEST)
+    first, second, third = lab.studies.trials(STUDY)
+    assert [t.status for t in (first, second)] == [TrialStatus.FAILED] * 2
+    assert third.status is TrialStatus.MEASURED
+    assert (first.retry, second.retry) == (second.intent.excitation, third.intent.excitation)
+    assert first.response is not None
+    assert not first.response.quality.usable
+
+
+def test_nothing_moves_when_nothing_can_be_stored(lab: Lab) -> None:
+    later = TrialLog(lab.studies, STUDY, dict.fromkeys(ROBOTS, 5))
+    later.intend(lab.open_tests(r1=TEST))
+    with pytest.raises(StaleEpochError):
+        lab.run(r1=TEST, r2=TEST)
+    assert [robot.motions for robot in lab.robots.values()] == [0, 0, 0]
+
+
+def test_every_robot_comes_to_rest_when_one_acceptance_cannot_be_stored(slow_lab: Lab) -> None:
+    lab, moving = slow_lab, threading.Event()
+    lab.robots["r2"].on_sample = lambda k: moving.set()
+    log = lab.log()
+
+    def fails(test: OpenTest, accepted: object) -> None:
+        if test.robot == "r1":
+            assert moving.wait(10.0)
+            raise RepositoryError("no room is left")
+
+    log.accepted = fails  # type: ignore[method-assign]
+    dispatcher = Dispatcher(lab.fleet, log, on_attempt_failed=lambda *a: None)
+    long_test = Excitation(axis="x", tones=(Tone(omega_rad_s=0.5),))
+    with pytest.raises(RepositoryError, match="no room"):
+        dispatcher.run(lab.open_tests(r1=long_test, r2=long_test))
+    wait_until(lambda: all(robot.at_rest for robot in lab.robots.values()))
+
+
+def test_what_a_robot_finished_while_nobody_was_there_is_fetched_not_flown_again(
+    lab: Lab,
+) -> None:
+    tests = lab.open_tests(r1=TEST)
+    lab.log().intend(tests)
+    done = lab.dispatcher()._goals.run("r1", tests[0].goal_id, TEST)
+    lab.next_orchestrator()
+    outcome = lab.run(r1=TEST)["r1"]
+    assert isinstance(outcome, Measured)
+    assert outcome.result.response.tobytes() == done.response.tobytes()
+    assert lab.robots["r1"].motions == 1
+    assert lab.trials() == [("run-1.1.r1.1", TrialStatus.MEASURED)]
+
+
+def test_a_motion_that_ended_with_its_orchestrator_is_repeated_and_no_failure(
+    slow_lab: Lab,
+) -> None:
+    lab, moving = slow_lab, threading.Event()
+    robot = lab.robots["r1"]
+    robot.on_sample = lambda k: moving.set()
+    for life in range(ATTEMPTS + 1):
+        moving.clear()
+        killed = lab.dispatcher()
+        (test,) = lab.open_tests(r1=TEST)
+        lab.log().intend([test])
+        if test.record is not None:
+            # What this orchestrator finds when it begins: the motion of the one before, ended.
+            result = killed._play(test)
+            follows = killed._judge(test, result, 0.0)
+            assert not isinstance(follows, Measured)
+            (test,) = lab.open_tests(r1=TEST)
+            lab.log().intend([test])
+        request = GoalRequest(
+            goal_id=test.goal_id, owner=lab.fleet.orchestrator_id, motion=test.excitation
+        )
+        lab.log().accepted(test, lab.fleet.submit("r1", request))
+        assert moving.wait(10.0)
+        lab.next_orchestrator(f"orchestrator-{life}")
+    outcome = lab.run(r1=TEST)["r1"]
+    assert isinstance(outcome, Measured)
+    assert outcome.attempts == ATTEMPTS + 2
+    trials = lab.studies.trials(STUDY)
+    assert [t.interrupted for t in trials] == [*[True] * (ATTEMPTS + 1), False]
+    assert robot.motions == len(trials)
+
+
+def test_a_goal_whose_agent_was_replaced_is_lost_and_sent_again_under_a_new_id(lab: Lab) -> None:
+    (test,) = lab.open_tests(r1=TEST)
+    lab.log().intend([test])
+    request = GoalRequest(goal_id=test.goal_id, owner="orchestrator-test", motion=TEST)
+    accepted = lab.fleet.submit("r1", request)
+    lab.log().accepted(test, accepted.model_copy(update={"boot_id": "another"}))
+    wait_until(lambda: lab.robots["r1"].at_rest)
+    lab.fleet.watch("r1").wait_until(
+        lambda w: w.state is not None and w.state.goal_id is None, timeout_s=5.0
+    )
+    lab.fleet.acknowledge("r1", (test.goal_id,))
+    outcome = lab.run(r1=TEST)["r1"]
+    assert isinstance(outcome, Measured)
+    first, second = lab.studies.trials(STUDY)
+    assert (first.status, first.interrupted) == (TrialStatus.LOST, True)
+    assert "restarted" in first.reason
+    assert (second.intent.attempt, second.status) == (2, TrialStatus.MEASURED)

@@ -1,49 +1,29 @@
-"""How commands that fly reach their fleet, and keep and show what it does."""
+"""How commands that fly reach and take their robots, and keep and show what these do."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 
 from rich.console import Console
 
-from orchestrator.connection import Connection, running_fleet, started_fleet
+from orchestrator.archive import Archive
+from orchestrator.cli.storage import Storage
+from orchestrator.connection import Connection
 from orchestrator.flight_table import FlightTable
 from orchestrator.path_view import PathView
 from orchestrator.pilot import PathFlight, Pilot
+from orchestrator.preflight import check_robots
+from orchestrator.reach import Reach
+from orchestrator.robot_leases import lease_robots
 from orchestrator.run_folder import RunFolder, make_runs_root
 from orchestrator.study_clock import StudyClock
 from orchestrator.viewer.ports import GRPC_PORT, WEB_PORT
 from orchestrator.viewer.writer import RerunWriter, ServeOptions
 from shared.command_line import invocation
-from shared.fleet_file import FleetFile, read_fleet_file
 from shared.robot_spec import RobotSpec
-
-
-@dataclass(frozen=True)
-class Reach:
-    """Which fleet: one started from a file for this command alone, or a running one."""
-
-    fleet_file: Path | None
-    connect: str
-    fleet_name: str | None
-    realtime: float | None = None
-
-    @property
-    def file(self) -> FleetFile | None:
-        """The fleet file, read; None for a running fleet."""
-        return None if self.fleet_file is None else read_fleet_file(self.fleet_file)
-
-    def connection(self, console: Console) -> AbstractContextManager[Connection]:
-        """Start the fleet, or join it."""
-        if self.fleet_file is None:
-            return running_fleet(self.connect, self.fleet_name)
-        robots = len(read_fleet_file(self.fleet_file).robots)
-        console.print(f"starting a router and {robots} robots of {self.fleet_file}")
-        return started_fleet(self.fleet_file, processes=2, realtime=self.realtime)
 
 
 @dataclass(frozen=True)
@@ -54,6 +34,7 @@ class Session:
     folder: RunFolder
     writer: RerunWriter
     pilot: Pilot
+    archive: Archive
     view: PathView
     table: FlightTable
     clock: StudyClock
@@ -62,16 +43,46 @@ class Session:
 
 @contextmanager
 def flying(
-    reach: Reach, kind: str, runs_root: Path, console: Console, *, live: bool
+    reach: Reach,
+    kind: str,
+    storage: Storage,
+    console: Console,
+    *,
+    live: bool,
+    robots: Callable[[tuple[str, ...]], tuple[str, ...]],
 ) -> Iterator[Session]:
-    """Reach a fleet and open a run's folder, its recording and its table of flights.
+    """Reach a fleet, take robots, and open a run's folder, its recording and table of flights.
 
     When it is left early, all robots that fly are brought to rest first.
+
+    Args:
+        reach: the fleet.
+        kind: of the run.
+        storage: where it is kept.
+        console: what is told.
+        live: whether to serve the recording.
+        robots: returns, of the robots that are there, those that will fly.
+
+    Raises:
+        LeaseHeldError: one of them belongs to another orchestrator.
+        LeaseLostError: another orchestrator has taken one over.
     """
-    make_runs_root(runs_root)
+    make_runs_root(storage.runs_root)
     with ExitStack() as stack:
+        repository = stack.enter_context(storage.open())
         connection = stack.enter_context(reach.connection(console))
-        folder = stack.enter_context(RunFolder(runs_root, f"{connection.name}-{kind}"))
+        chosen = robots(connection.robots)
+        check_robots(chosen, connection.robots)
+        folder = stack.enter_context(RunFolder(storage.runs_root, f"{connection.name}-{kind}"))
+        leases = stack.enter_context(
+            lease_robots(
+                repository.leases,
+                connection.fleet,
+                reach.lease_scope(connection.name, folder.study_id),
+                chosen,
+            )
+        )
+        archive = Archive(repository, connection.name, leases)
         serve = ServeOptions(grpc_port=GRPC_PORT, web_port=WEB_PORT) if live else None
         writer = stack.enter_context(
             RerunWriter(folder.path.name, recording=folder.recording, serve=serve)
@@ -82,9 +93,10 @@ def flying(
         view = PathView(clock, writer.emit)
         view.watch(connection.fleet)
         table = stack.enter_context(FlightTable(folder.path))
-        pilot = Pilot(connection.fleet, folder.path.name.lower())
+        pilot = Pilot(connection.fleet, folder.study_id)
+        stack.enter_context(leases.guarding(pilot.interrupt))
         try:
-            yield Session(connection, folder, writer, pilot, view, table, clock, console)
+            yield Session(connection, folder, writer, pilot, archive, view, table, clock, console)
         except BaseException:
             pilot.interrupt()
             raise

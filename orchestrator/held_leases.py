@@ -1,0 +1,154 @@
+"""The leases of one orchestrator: acquired before anything moves, renewed, released at the end."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from orchestrator.goal_runner import Interrupted
+from orchestrator.repository.errors import LeaseHeldError, LeaseLostError, RepositoryError
+from orchestrator.repository.records import Lease
+
+if TYPE_CHECKING:
+    from orchestrator.repository.lease_store import LeaseStore
+
+TERM_S = 8.0
+"""So long a lease outlives its owner, and so long may a database be away during a study."""
+
+RENEW_EVERY_S = 2.0
+_LOOK_EVERY_S = 0.2
+
+_log = logging.getLogger(__name__)
+
+
+class HeldLeases:
+    """Renews leases in a thread of its own for as long as it is entered, then releases them.
+
+    When one is lost the robots are somebody else's, and what moves them is interrupted.
+    """
+
+    def __init__(self, store: LeaseStore, leases: tuple[Lease, ...]) -> None:
+        self.epochs: Mapping[str, int] = {lease.robot: lease.epoch for lease in leases}
+        self._store = store
+        self._leases = leases
+        self._lock = threading.Lock()
+        self._lost: LeaseLostError | None = None
+        self._interrupts: list[Callable[[], None]] = []
+        self._released = threading.Event()
+        self._thread = threading.Thread(target=self._renew, name="leases", daemon=True)
+
+    def __enter__(self) -> HeldLeases:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._released.set()
+        self._thread.join()
+        try:
+            self._store.release(self._leases)
+        except RepositoryError as problem:
+            _log.warning("others have to wait until the leases have run out: %s", problem)
+
+    @contextmanager
+    def guarding(self, interrupt: Callable[[], None]) -> Iterator[None]:
+        """Have what moves robots interrupted once a lease is lost, and raise why.
+
+        Args:
+            interrupt: ends what runs with `Interrupted`; called from another thread.
+
+        Raises:
+            LeaseLostError: another orchestrator has taken a robot over.
+        """
+        with self._lock:
+            self._interrupts.append(interrupt)
+            lost = self._lost is not None
+        if lost:
+            interrupt()
+        try:
+            yield
+        except Interrupted:
+            if self._lost is not None:
+                raise self._lost from None
+            raise
+
+    def _renew(self) -> None:
+        held_until_s = time.monotonic() + TERM_S
+        while not self._released.wait(RENEW_EVERY_S):
+            asked_s = time.monotonic()
+            try:
+                self._store.renew(self._leases)
+            except LeaseLostError as error:
+                return self._lose(error)
+            except RepositoryError as error:
+                if time.monotonic() >= held_until_s:
+                    first = self._leases[0]
+                    reason = f"it could not be renewed for {TERM_S:g} s: {error}"
+                    return self._lose(LeaseLostError(first.robot, first.owner, first.epoch, reason))
+                _log.warning("leases are not renewed yet: %s", error)
+            else:
+                held_until_s = asked_s + TERM_S
+        return None
+
+    def _lose(self, error: LeaseLostError) -> None:
+        _log.error("%s; the robots come to rest", error)
+        with self._lock:
+            self._lost = error
+            interrupts = list(self._interrupts)
+        for interrupt in interrupts:
+            interrupt()
+
+
+def hold_leases(
+    store: LeaseStore,
+    fleet: str,
+    robots: Iterable[str],
+    *,
+    owner: str,
+    above_epochs: Mapping[str, int] | None = None,
+    patient: bool = False,
+    on_wait: Callable[[LeaseHeldError], None] = lambda held: None,
+) -> HeldLeases:
+    """Take robots for this orchestrator; enter what is returned.
+
+    Args:
+        store: the repository's leases.
+        fleet: the robots'.
+        robots: who is to be commanded.
+        owner: this orchestrator's id.
+        above_epochs: per robot, the latest epoch that it has seen.
+        patient: whether to wait for an owner that renews nothing any more; one that does is alive.
+        on_wait: is told once for whom.
+
+    Raises:
+        LeaseHeldError: another orchestrator owns one of them; it says who and for how long.
+    """
+    names = tuple(robots)
+    waited_for: tuple[str, str, int] | None = None
+    until_s = 0.0
+    while True:
+        try:
+            leases = store.acquire(
+                fleet, names, owner=owner, term_s=TERM_S, above_epochs=above_epochs
+            )
+            return HeldLeases(store, leases)
+        except LeaseHeldError as held:
+            now_until_s = time.monotonic() + held.remaining_s
+            if not patient:
+                raise
+            if waited_for != (held.robot, held.owner, held.epoch):
+                waited_for = (held.robot, held.owner, held.epoch)
+                on_wait(held)
+            elif now_until_s > until_s + RENEW_EVERY_S / 2:
+                raise  # it was renewed: its owner lives
+            until_s = now_until_s
+        time.sleep(_LOOK_EVERY_S)

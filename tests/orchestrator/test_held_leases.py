@@ -1,0 +1,156 @@
+"""Leases that an orchestrator holds while it works: renewed, lost, released, waited for."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from polling import wait_until
+
+from orchestrator import held_leases
+from orchestrator.goal_runner import Interrupted
+from orchestrator.held_leases import HeldLeases, hold_leases
+from orchestrator.repository.errors import (
+    LeaseHeldError,
+    LeaseLostError,
+    RepositoryUnreachableError,
+)
+from orchestrator.repository.repository import Repository, open_repository
+
+ROBOTS = ("r1", "r2")
+
+
+@pytest.fixture
+def repository(tmp_path: Path) -> Iterator[Repository]:
+    with open_repository(f"{tmp_path}/nufleet.sqlite") as opened:
+        yield opened
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Terms short enough to be waited for."""
+    monkeypatch.setattr(held_leases, "TERM_S", 1.0)
+    monkeypatch.setattr(held_leases, "RENEW_EVERY_S", 0.1)
+
+
+def hold(repository: Repository, owner: str, **options: object) -> HeldLeases:
+    return hold_leases(repository.leases, "lab", ROBOTS, owner=owner, **options)  # type: ignore[arg-type]
+
+
+def test_robots_are_held_as_long_as_their_owner_lives_and_free_afterwards(
+    repository: Repository, quick: None
+) -> None:
+    with hold(repository, "a") as leases:
+        assert leases.epochs == {"r1": 1, "r2": 1}
+        time.sleep(1.3)
+        assert {owner for owner, _, _ in repository.leases.held("lab").values()} == {"a"}
+    assert not repository.leases.held("lab")
+    with hold(repository, "b") as leases:
+        assert leases.epochs == {"r1": 2, "r2": 2}
+
+
+def test_another_orchestrator_is_told_who_holds_a_robot_and_for_how_long(
+    repository: Repository,
+) -> None:
+    with hold(repository, "a"), pytest.raises(LeaseHeldError, match=r"owned by a .*another \d"):
+        hold(repository, "b")
+
+
+def test_waiting_for_an_owner_that_lives_ends_with_who_it_is(
+    repository: Repository, quick: None
+) -> None:
+    told: list[LeaseHeldError] = []
+    with hold(repository, "a"), pytest.raises(LeaseHeldError, match="owned by a"):
+        hold(repository, "b", patient=True, on_wait=told.append)
+    assert [held.owner for held in told] == ["a"]
+
+
+def test_the_robots_of_an_owner_that_died_are_had_once_its_lease_has_run_out(
+    repository: Repository, quick: None
+) -> None:
+    died_s = time.monotonic()
+    hold(repository, "a")  # never entered: nobody renews it
+    with hold(repository, "b", patient=True) as leases:
+        assert leases.epochs == {"r1": 2, "r2": 2}
+        assert time.monotonic() - died_s >= 0.9
+
+
+def taken_over(repository: Repository) -> bool:
+    """Let another have the robots, as after a pause in which nothing was renewed."""
+    try:
+        repository.leases.acquire("lab", ROBOTS, owner="b", term_s=60.0)
+    except LeaseHeldError:
+        return False
+    return True
+
+
+def test_who_lost_its_robots_is_interrupted_and_told_why(
+    repository: Repository, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(held_leases, "TERM_S", 0.3)
+    monkeypatch.setattr(held_leases, "RENEW_EVERY_S", 0.8)
+    interrupted = threading.Event()
+
+    def work(leases: HeldLeases) -> None:
+        with leases.guarding(interrupted.set):
+            wait_until(lambda: taken_over(repository))
+            assert interrupted.wait(10.0)
+            raise Interrupted
+
+    with hold(repository, "a") as leases:
+        with pytest.raises(LeaseLostError, match="a does not own robot r1 under epoch 1"):
+            work(leases)
+        # What begins only now is interrupted at once.
+        late = threading.Event()
+        with leases.guarding(late.set):
+            assert late.is_set()
+    assert {owner for owner, _, _ in repository.leases.held("lab").values()} == {"b"}
+
+
+def test_an_interruption_by_somebody_else_stays_one(repository: Repository) -> None:
+    with (
+        hold(repository, "a") as leases,
+        pytest.raises(Interrupted),
+        leases.guarding(lambda: None),
+    ):
+        raise Interrupted
+
+
+def test_a_database_that_is_away_for_less_than_a_term_loses_nothing(
+    repository: Repository, quick: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    interrupted, calls = threading.Event(), 0
+    renew = repository.leases.renew
+
+    def away_for_a_while(leases: object) -> None:
+        nonlocal calls
+        calls += 1
+        if 2 <= calls <= 4:
+            raise RepositoryUnreachableError("the server is restarting")
+        renew(leases)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(repository.leases, "renew", away_for_a_while)
+    with hold(repository, "a") as leases, leases.guarding(interrupted.set):
+        wait_until(lambda: calls > 6)
+        assert not interrupted.is_set()
+
+
+def test_a_database_that_stays_away_ends_the_work(
+    repository: Repository, quick: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def away(leases: object) -> None:
+        raise RepositoryUnreachableError("the server is gone")
+
+    monkeypatch.setattr(repository.leases, "renew", away)
+    interrupted = threading.Event()
+
+    def work(leases: HeldLeases) -> None:
+        with leases.guarding(interrupted.set):
+            assert interrupted.wait(10.0)
+            raise Interrupted
+
+    with hold(repository, "a") as leases, pytest.raises(LeaseLostError, match="server is gone"):
+        work(leases)
