@@ -8,15 +8,14 @@ import time
 from collections.abc import Callable
 
 from orchestrator.fleet import Fleet
+from orchestrator.overdue import Overdue
 from orchestrator.robot_watch import HEARTBEAT_LOST_S, RobotWatch
 from shared.errors import NoReplyError, NufleetError, RefusedError, RobotLostError
-from shared.messages import GoalAccepted, GoalRequest, GoalResult
+from shared.messages import GoalAccepted, GoalRequest, GoalResult, RobotState
 from shared.motions import Motion
 
 RETURN_PATIENCE_S = 10.0
 """How long a lost robot may take to come back before its attempt counts as failed."""
-_OVERDUE_FACTOR = 1.5
-_OVERDUE_GRACE_S = 30.0
 
 _log = logging.getLogger(__name__)
 
@@ -148,8 +147,7 @@ class GoalRunner:
     def _wait_for_end(self, watch: RobotWatch, accepted: GoalAccepted) -> None:
         """Return when the goal has ended; raise when its robot is lost, restarted or overdue."""
         goal_id = accepted.goal_id
-        patience_s = accepted.wall_duration_s * _OVERDUE_FACTOR + _OVERDUE_GRACE_S
-        deadline = time.monotonic() + patience_s
+        overdue = Overdue(accepted.wall_duration_s, time.monotonic())
 
         def settled(w: RobotWatch) -> bool:
             state = w.state
@@ -169,13 +167,18 @@ class GoalRunner:
                     f"robot {watch.robot} went silent during {goal_id}: "
                     f"no heartbeat for {watch.silent_s:.1f} s"
                 )
-            if time.monotonic() > deadline:
+            if overdue.is_late(_progress(state, goal_id), time.monotonic()):
                 self._fleet.cancel(watch.robot, goal_id)
                 raise RobotLostError(
-                    f"robot {watch.robot} did not finish {goal_id} within {patience_s:.0f} s"
+                    f"robot {watch.robot} is overdue with {goal_id}: for {overdue.grace_s:.0f} s "
+                    f"it got no further than {overdue.progress:.0%}; see whether its agent hangs"
                 )
         if not watch.alive:
             raise RobotLostError(f"robot {watch.robot} disappeared during {goal_id}")
         state = watch.state
         if state is not None and state.boot_id != accepted.boot_id:
             raise RobotLostError(f"the agent of {watch.robot} restarted during {goal_id}")
+
+
+def _progress(state: RobotState | None, goal_id: str) -> float:
+    return state.progress if state is not None and state.goal_id == goal_id else 0.0
