@@ -62,8 +62,9 @@ def _check_others(
 ) -> None:
     for robot, found in descriptions.items():
         owner = found.owner
-        unknown = found.epoch > given.get(robot, 0)
-        if owner is not None and unknown and fleet.is_alive(owner):
+        if owner in (None, fleet.orchestrator_id) or found.epoch <= given.get(robot, 0):
+            continue
+        if fleet.is_alive(owner):
             raise RobotOwnedError(
                 f"robot {robot} is commanded by {owner} (epoch {found.epoch}), who keeps another "
                 "repository; wait until it has ended, or share one repository with --repository"

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-import numpy as np
-
+from orchestrator.archive import Archive
 from orchestrator.dispatcher import Dispatcher, TestOutcome
-from orchestrator.experience_selection import PaperStudy
 from orchestrator.fleet import Fleet
 from orchestrator.ranking import Conclusion, conduct
+from orchestrator.repository.repository import open_repository
+from orchestrator.robot_leases import lease_robots
 from orchestrator.study import Question, Report, StudyPlan
+from orchestrator.study_recipe import make_study
 
 BAND_RAD_S = (5.0, 40.0)
 
@@ -47,9 +49,18 @@ def plan_of(
 def run_study(
     fleet: Fleet, plan: StudyPlan, run_id: str, story: Story, seed: int = 1
 ) -> Conclusion:
-    """Run a study from the beginning to its end."""
-    dispatcher = Dispatcher(fleet, on_attempt_failed=story.attempt_failed)
-    return conduct(PaperStudy(plan, np.random.default_rng(seed)), run_id, dispatcher, story)
+    """Run a study from the beginning to its end; what is stored of it is gone afterwards."""
+    robots = (plan.target, *plan.sources)
+    with (
+        tempfile.TemporaryDirectory(prefix="nufleet-faults-") as folder,
+        open_repository(f"{folder}/nufleet.sqlite") as repository,
+        lease_robots(repository.leases, fleet, "faults", robots) as leases,
+    ):
+        archive = Archive(repository, "faults", leases)
+        begun = archive.begin(run_id, "paper", plan, seed, fleet.describe_all(robots))
+        log = archive.log(run_id)
+        dispatcher = Dispatcher(fleet, log, on_attempt_failed=story.attempt_failed)
+        return conduct(make_study(begun, repository.studies), log, dispatcher, story)
 
 
 def ranking_of(conclusion: Conclusion) -> list[tuple[str, float, int]]:
