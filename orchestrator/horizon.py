@@ -17,7 +17,8 @@ CANDIDATES_S = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 """From the delay of a fast robot to the rise time of a slow one."""
 
 FAILURES_MAX = 2
-"""After so many horizons in a row that failed, shorter ones are not tried."""
+"""After so many horizons in a row that failed, below one that did not, shorter ones are not tried.
+Those above it may fail too: a fast robot aims badly when it looks far ahead."""
 
 _CLOSE = 1.05  # errors that differ by less are alike
 _FAR = 2.0  # an error this many times the best is a failure too
@@ -106,7 +107,7 @@ def choose_horizon(
             worst = max(worst, fly(linear_experience(data, layout, origin, gain=_GAIN_ERROR)))
         errors[layout.horizon_samples] = worst
         failed = not math.isfinite(worst) or worst > _FAR * best
-        failures = failures + 1 if failed else 0
+        failures = failures + 1 if failed and math.isfinite(best) else 0
     trials = tuple(
         Trial(layout.horizon_samples, errors[layout.horizon_samples]) for layout in layouts
     )

@@ -99,6 +99,13 @@ def test_shorter_horizons_are_left_once_two_were_far_off() -> None:
     assert flown == [27, 20, 13]
 
 
+def test_horizons_that_are_too_long_do_not_end_the_search() -> None:
+    def flies_when_short(experience: Experience) -> float:
+        return 0.1 if experience.manifest.layout.horizon_samples == 10 else math.inf
+
+    assert choose("state", flies_when_short).layout.horizon_samples == 10
+
+
 def test_a_robot_that_cannot_be_flown_with_any_horizon_says_so() -> None:
     with pytest.raises(StudyError, match="any horizon"):
         choose("state", lambda _: math.inf)
