@@ -1,0 +1,103 @@
+"""An orchestrator that is killed at any instant loses no goal, repeats none, and ranks alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fleet_lab import Lab
+from orchestrator_lives import ROBOTS, Life, OrchestratorLives
+from puppet_robot import PuppetRobot
+
+from orchestrator.repository.records import StudyStatus, TrialStatus
+from orchestrator.repository.repository import Repository, open_repository
+from shared.arrays import FloatArray
+
+GAINS = {"target": 1.0, "near": 0.9, "far": 0.5}
+TESTS = 2 * len(ROBOTS)
+COMMITS = 3 + 2 * (1 + 2 * len(ROBOTS)) + 2
+"""Of an undisturbed study: leases, robots, study; each round's intents, acceptances and responses;
+the study's end and the leases'."""
+
+
+def scaled(gain: float, references: FloatArray) -> FloatArray:
+    return gain * references
+
+
+@dataclass
+class Scene:
+    """Robots that stay, their repository, and orchestrators that come and go."""
+
+    lives: OrchestratorLives
+    endpoint: str
+    robots: dict[str, PuppetRobot]
+    repository: Repository
+    path: Path
+    orchestrators: int = 0
+
+    def orchestrator(self, study_id: str, **death: object) -> bool:
+        """Have one more orchestrator work on a study; return whether it was killed."""
+        self.orchestrators += 1
+        owner = f"orchestrator-{self.orchestrators}"
+        life = Life(study_id, self.endpoint, str(self.path), owner, **death)  # type: ignore[arg-type]
+        return self.lives.live(life)
+
+    @property
+    def motions(self) -> int:
+        return sum(robot.motions for robot in self.robots.values())
+
+    def check(self, study_id: str, undisturbed: object, motions: int) -> None:
+        """What holds of every study that is complete, whatever happened on the way."""
+        study = self.repository.studies.study(study_id)
+        trials = self.repository.studies.trials(study_id)
+        assert study.status is StudyStatus.COMPLETE
+        assert study.result == undisturbed
+        assert all(trial.status.ended for trial in trials)
+        measured = [trial for trial in trials if trial.status is TrialStatus.MEASURED]
+        assert len(measured) == TESTS
+        assert all(trial.interrupted for trial in trials if trial not in measured)
+        # Each goal is one motion, however often it was sent.
+        assert motions == len(trials)
+
+
+@pytest.fixture
+def scene(lab: Lab, tmp_path: Path) -> Iterator[Scene]:
+    robots = {name: PuppetRobot() for name in ROBOTS}
+    for name, robot in robots.items():
+        robot.measure = partial(scaled, GAINS[name])
+        lab.agent(name, robot)
+    path = tmp_path / "nufleet.sqlite"
+    with OrchestratorLives() as lives, open_repository(str(path)) as repository:
+        yield Scene(lives, lab.endpoint, robots, repository, path)
+
+
+def undisturbed(scene: Scene) -> object:
+    assert not scene.orchestrator("undisturbed", killed_at=COMMITS + 1)
+    result = scene.repository.studies.study("undisturbed").result
+    scene.check("undisturbed", result, scene.motions)
+    assert scene.motions == TESTS
+    return result
+
+
+def test_a_kill_at_any_commit_changes_nothing_of_what_a_study_comes_to(scene: Scene) -> None:
+    expected = undisturbed(scene)
+    for commit in range(1, COMMITS + 1):
+        for before_commit in (True, False):
+            study_id, before = f"killed-{commit}-{before_commit}".lower(), scene.motions
+            assert scene.orchestrator(study_id, killed_at=commit, before_commit=before_commit)
+            assert not scene.orchestrator(study_id)
+            scene.check(study_id, expected, scene.motions - before)
+
+
+def test_many_kills_in_one_study_change_nothing_of_what_it_comes_to(scene: Scene) -> None:
+    expected, rng, kills, motions = undisturbed(scene), np.random.default_rng(1), 0, scene.motions
+    while scene.orchestrator(
+        "killed-often", killed_at=int(rng.integers(1, 4)), before_commit=bool(rng.integers(2))
+    ):
+        kills += 1
+    assert kills >= 10
+    scene.check("killed-often", expected, scene.motions - motions)
