@@ -2,9 +2,9 @@
 # make test   sets everything up, lints, type-checks and passes the tests
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PIP_INSTALL = .venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
-# What the tests use that pip does not bring: a software renderer for pictures of recordings, and a
-# real PostgreSQL server.
-SYSTEM_PACKAGES = mesa-vulkan-drivers postgresql
+# What the tests use that pip does not bring: a software renderer for pictures of recordings, a real
+# PostgreSQL server, networks that can be cut in two, and clocks that are wrong.
+SYSTEM_PACKAGES = mesa-vulkan-drivers postgresql iproute2 libfaketime
 
 .PHONY: demo test lint clean system-packages
 

@@ -239,7 +239,10 @@ class Fleet:
             raise RobotLostError(
                 f"{len(replies)} agents answer as {robot}: stop all but one of them"
             )
-        reply = decode(replies[0], expected, Refusal)
+        try:
+            reply = decode(replies[0], expected, Refusal)
+        except MalformedMessageError as error:
+            raise type(error)(f"robot {robot} answered {leaf!r} with no answer: {error}") from error
         if isinstance(reply, Refusal):
             raise RefusedError(reply.code, reply.reason, robot)
         if not isinstance(reply, expected):

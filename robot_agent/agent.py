@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 import uuid
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -23,6 +24,7 @@ from robot_agent.memory import Memory
 from robot_agent.motion_worker import MotionWorker
 from robot_agent.ownership import Commander
 from robot_agent.planner import Planner
+from robot_agent.rivals import Rivals
 from robot_agent.robot import Robot
 from robot_agent.stop_service import StopService
 from robot_agent.unrecorded import Unrecorded
@@ -85,6 +87,7 @@ class Agent:
         self._realtime = realtime
         self._state_folder = state_folder
         self._boot_id = uuid.uuid4().hex
+        self._rivals = Rivals(name, self._boot_id, time.monotonic)
         self._changed = threading.Event()
         self._memory = Memory(None if state_folder is None else state_folder / "learned")
         self._looks: list[Callable[[], None]] = []
@@ -136,6 +139,7 @@ class Agent:
     def _join(self, opened: ExitStack) -> None:
         """Open everything in the order in which it is needed; it is closed in the opposite one."""
         session, keys, name, decisions = self._session, self._keys, self._name, self._decisions
+        opened.callback(session.subscribe(keys.robot(name, "state"), self._rivals.heard).withdraw)
         states = session.state_publisher(keys.robot(name, "state"))
         opened.callback(Heartbeat(name, states, self._state, self._changed).close)
         stops = StopService(name, decisions)
@@ -218,6 +222,9 @@ class Agent:
 
     def _take_goal(self, payload: bytes) -> Answer:
         request = _decoded(payload, GoalRequest)
+        refusal = self._rivals.refusal()
+        if refusal is not None:
+            return refusal
         self._await_owner(request.owner)
         answer, motion = self._decisions.take(request)
         if motion is not None:

@@ -38,6 +38,10 @@ class Lab:
         self._commands = 0
         install_driver(folder)
 
+    def close(self) -> None:
+        """End everything that was started here, last begun first."""
+        self._stack.close()
+
     @property
     def fleet_file(self) -> Path:
         """Where the fleet is described."""
