@@ -24,6 +24,9 @@ from shared.messages import GoalResult, Outcome
 ATTEMPTS = 3
 """Failed attempts after which a robot is given up in a round."""
 
+ATTEMPTS_IN_ALL = 50
+"""And attempts that ended for whatever reason, also one that is nobody's failure."""
+
 
 @dataclass(frozen=True)
 class Measured:
@@ -135,9 +138,7 @@ class Dispatcher:
     ) -> Measured | _Unusable:
         """Store what a robot returned; return what was measured, or why nothing was."""
         if result.outcome is not Outcome.COMPLETED:
-            # A robot whose orchestrator went away ends what it plays: that is not its failure.
-            ours = test.record is not None or self._goals.interrupted
-            interrupted = ours and result.outcome in (Outcome.ABORTED, Outcome.CANCELLED)
+            interrupted = self._was_interrupted(test, result)
             reason = f"{result.outcome}: {result.reason}"
             ended = _Unusable(reason, _retry(test, test.excitation, interrupted), interrupted)
             response = None
@@ -160,6 +161,19 @@ class Dispatcher:
         )
         return ended
 
+    def _was_interrupted(self, test: OpenTest, result: GoalResult) -> bool:
+        """Whether a motion ended for a reason that says nothing against its robot."""
+        if result.outcome not in (Outcome.ABORTED, Outcome.CANCELLED):
+            return False
+        if test.record is not None or self._goals.interrupted:
+            # A robot whose orchestrator went away ends what it plays.
+            return True
+        # So does one that was cut off from its orchestrator, or told to end by somebody else. But
+        # one whose agent died during a test may do so again.
+        return (
+            result.outcome is Outcome.ABORTED and self._goals.boot_id(test.robot) == result.boot_id
+        )
+
     def _lose(self, test: OpenTest, reason: str) -> _Unusable:
         """Store that nobody will know what came of a test."""
         # With an orchestrator that was killed its own fleet may have gone, too.
@@ -181,7 +195,8 @@ class _Unusable:
 def _retry(test: OpenTest, excitation: Excitation, interrupted: bool = False) -> Excitation | None:
     """Return what is played after an attempt failed; None when there were enough of them."""
     failures = test.failures + (not interrupted)
-    return excitation if failures < ATTEMPTS else None
+    given_up = failures >= ATTEMPTS or test.attempt >= ATTEMPTS_IN_ALL
+    return None if given_up else excitation
 
 
 def _longer(excitation: Excitation, result: GoalResult) -> Excitation:

@@ -17,6 +17,8 @@ from shared.motions import Motion
 RETURN_PATIENCE_S = 10.0
 """How long a lost robot may take to come back before its attempt counts as failed."""
 
+_ASK_AGAIN_S = 0.05
+
 _log = logging.getLogger(__name__)
 
 
@@ -60,7 +62,8 @@ class GoalRunner:
 
         Raises:
             RefusedError: the robot refuses, and says why.
-            RobotLostError: it is gone, silent, restarted or overdue.
+            RobotLostError: it is gone and does not return, knows nothing of the goal when it
+                does, or is overdue.
             NoReplyError: it does not answer.
             MalformedMessageError: its answer is none.
             Interrupted: `interrupt` was called before the motion began.
@@ -85,8 +88,10 @@ class GoalRunner:
             except BaseException:
                 self._cancel(robot, goal_id)
                 raise
-            self._wait_for_end(watch, accepted)
-            result = self._fleet.result(robot, goal_id)
+            lost = self._wait_for_end(watch, accepted)
+            if lost is not None:
+                _log.info("%s: waiting for its return", lost)
+            result = self._fetch(watch, goal_id, lost)
         finally:
             with self._lock:
                 self._running.pop(robot, None)
@@ -137,15 +142,25 @@ class GoalRunner:
         return watch
 
     def _submit(self, robot: str, request: GoalRequest) -> GoalAccepted:
-        try:
-            return self._fleet.submit(robot, request)
-        except NoReplyError as error:
-            # The same id again is the same goal: asking twice cannot move the robot twice.
-            _log.info("%s: asking again", error)
-            return self._fleet.submit(robot, request)
+        """Send a goal until there is an answer; asking again cannot move the robot again."""
+        give_up_s = time.monotonic() + RETURN_PATIENCE_S
+        while True:
+            try:
+                return self._fleet.submit(robot, request)
+            except NoReplyError as error:
+                if time.monotonic() > give_up_s:
+                    raise
+                _log.info("%s: asking again", error)
+            except RefusedError as error:
+                # After a restart of the router the robot may hear of the goal before its owner.
+                if error.code != "owner-not-alive" or time.monotonic() > give_up_s:
+                    raise
+                _log.info("%s: asking again", error)
+            time.sleep(_ASK_AGAIN_S)
+            self._wait_until_there(robot)
 
-    def _wait_for_end(self, watch: RobotWatch, accepted: GoalAccepted) -> None:
-        """Return when the goal has ended; raise when its robot is lost, restarted or overdue."""
+    def _wait_for_end(self, watch: RobotWatch, accepted: GoalAccepted) -> str | None:
+        """Return when the goal has ended, or how its robot was lost; raise when it is overdue."""
         goal_id = accepted.goal_id
         overdue = Overdue(accepted.wall_duration_s, time.monotonic())
 
@@ -161,9 +176,9 @@ class GoalRunner:
             state = watch.state
             if state is not None and state.goal_id != goal_id and watch.silent_s < HEARTBEAT_LOST_S:
                 # Two heartbeats later it still does something else: it has ended, unheard.
-                return
+                return None
             if watch.silent_s > HEARTBEAT_LOST_S:
-                raise RobotLostError(
+                return (
                     f"robot {watch.robot} went silent during {goal_id}: "
                     f"no heartbeat for {watch.silent_s:.1f} s"
                 )
@@ -174,10 +189,42 @@ class GoalRunner:
                     f"it got no further than {overdue.progress:.0%}; see whether its agent hangs"
                 )
         if not watch.alive:
-            raise RobotLostError(f"robot {watch.robot} disappeared during {goal_id}")
+            return f"robot {watch.robot} disappeared during {goal_id}"
         state = watch.state
         if state is not None and state.boot_id != accepted.boot_id:
-            raise RobotLostError(f"the agent of {watch.robot} restarted during {goal_id}")
+            return f"the agent of {watch.robot} restarted during {goal_id}"
+        return None
+
+    def _fetch(self, watch: RobotWatch, goal_id: str, lost: str | None) -> GoalResult:
+        """Return what a robot says of a goal, however often it is lost meanwhile.
+
+        A result is kept until it is acknowledged, so asking again by its id loses none.
+        """
+        robot = watch.robot
+        give_up_s = time.monotonic() + RETURN_PATIENCE_S
+        while True:
+            left_s = max(0.0, give_up_s - time.monotonic())
+            # One that was silent and has its token still has to be heard first.
+            if not watch.wait_until(_is_heard, timeout_s=left_s):
+                raise RobotLostError(f"{lost or f'robot {robot} is gone'}, and it did not return")
+            try:
+                return self._fleet.result(robot, goal_id)
+            except NoReplyError as error:
+                if time.monotonic() > give_up_s:
+                    raise
+                _log.info("%s: asking again", error)
+            except RefusedError as error:
+                if lost is None:
+                    raise
+                if error.code != "not-finished":
+                    raise RobotLostError(f"{lost}: {error.reason}") from error
+                if time.monotonic() > give_up_s:
+                    raise RobotLostError(f"{lost}, and it is not at rest") from error
+            time.sleep(_ASK_AGAIN_S)
+
+
+def _is_heard(watch: RobotWatch) -> bool:
+    return watch.alive and watch.silent_s < HEARTBEAT_LOST_S
 
 
 def _progress(state: RobotState | None, goal_id: str) -> float:

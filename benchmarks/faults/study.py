@@ -10,6 +10,7 @@ from orchestrator.archive import Archive
 from orchestrator.dispatcher import Dispatcher, TestOutcome
 from orchestrator.fleet import Fleet
 from orchestrator.ranking import Conclusion, conduct
+from orchestrator.repository.records import TrialRecord
 from orchestrator.repository.repository import open_repository
 from orchestrator.robot_leases import lease_robots
 from orchestrator.study import Question, Report, StudyPlan
@@ -24,6 +25,7 @@ class Story:
 
     failed: list[tuple[str, int, str]] = field(default_factory=list)
     rounds: int = 0
+    trials: tuple[TrialRecord, ...] = ()
 
     def asked(self, question: Question) -> None:
         """A round begins."""
@@ -60,7 +62,9 @@ def run_study(
         begun = archive.begin(run_id, "paper", plan, seed, fleet.describe_all(robots))
         log = archive.log(run_id)
         dispatcher = Dispatcher(fleet, log, on_attempt_failed=story.attempt_failed)
-        return conduct(make_study(begun, repository.studies), log, dispatcher, story)
+        conclusion = conduct(make_study(begun, repository.studies), log, dispatcher, story)
+        story.trials = log.trials()
+        return conclusion
 
 
 def ranking_of(conclusion: Conclusion) -> list[tuple[str, float, int]]:

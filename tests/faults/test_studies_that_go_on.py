@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from benchmarks.faults.lab import SECTION_V, Lab, opened_lab
-from benchmarks.faults.program import Program
+from benchmarks.faults.program import Program, wait_until
 from benchmarks.faults.study import Story, plan_of, ranking_of, run_study
 from orchestrator.fleet import Fleet
 from shared.messages import RobotState, RobotStatus
@@ -23,16 +23,16 @@ Ranking = list[tuple[str, float, int]]
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Ranking:
     with opened_lab(tmp_path_factory.mktemp("undisturbed")) as lab:
-        fleet, _ = start(lab)
+        fleet, *_ = start(lab)
         return ranking_of(run_study(fleet, PLAN, "undisturbed", Story()))
 
 
-def start(lab: Lab) -> tuple[Fleet, dict[str, Program]]:
+def start(lab: Lab) -> tuple[Fleet, Program, dict[str, Program]]:
     """A fleet that plays a test of some seconds in half a second and takes a moment to rest."""
     lab.describe_section_v(rest_s=0.2)
-    lab.router()
+    router = lab.router()
     agents = {robot: lab.agent(robot, realtime=20.0) for robot in ROBOTS}
-    return lab.orchestrator(*ROBOTS), agents
+    return lab.orchestrator(*ROBOTS), router, agents
 
 
 MOMENTS: dict[str, Callable[[RobotState], bool]] = {
@@ -71,7 +71,7 @@ class Killer:
 def test_kills_at_any_moment_of_a_test_leave_the_ranking_as_it_is(
     lab: Lab, undisturbed: Ranking
 ) -> None:
-    fleet, agents = start(lab)
+    fleet, _, agents = start(lab)
     killer = Killer(agents["near"], "near")
     fleet.observe_states(killer.observe)
     story = Story()
@@ -85,3 +85,23 @@ def test_kills_at_any_moment_of_a_test_leave_the_ranking_as_it_is(
     # At most one motion for each attempt, and the others' measurements stayed.
     assert 3 + 2 <= len(lab.motions("near")) <= 3 + 3
     assert [len(lab.motions(robot)) for robot in ("target", "far")] == [3, 3]
+
+
+def test_a_router_that_restarts_in_every_round_costs_attempts_and_nothing_else(
+    lab: Lab, undisturbed: Ranking
+) -> None:
+    fleet, router, _ = start(lab)
+    story = Story()
+    with ThreadPoolExecutor(1) as pool:
+        running = pool.submit(run_study, fleet, PLAN, "restarts", story)
+        for number in range(1, 4):
+            wait_until(
+                lambda: running.done() or len(lab.motions("target")) >= number  # noqa: B023
+            )
+            router.kill()
+            router.start()
+        conclusion = running.result()
+    assert ranking_of(conclusion) == undisturbed
+    for robot in ROBOTS:
+        attempts = 3 + sum(lost == robot for lost, *_ in story.failed)
+        assert len(lab.motions(robot)) <= attempts
