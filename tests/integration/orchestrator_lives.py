@@ -124,8 +124,6 @@ class Silent:
 
 def live(life: Life) -> None:
     """Begin a study, or go on with it, to its end."""
-    # A lease outlives its owner by a moment; none is renewed, so that commits can be counted.
-    held_leases.TERM_S, held_leases.RENEW_EVERY_S = 0.2, 60.0
     with (
         open_client(life.endpoint, timeout_s=10.0) as session,
         open_repository(life.database) as repository,
@@ -165,6 +163,8 @@ def warm_up() -> None:
 
 
 def main() -> None:
+    # A lease outlives its owner by a moment; none is renewed, so that commits can be counted.
+    held_leases.TERM_S, held_leases.RENEW_EVERY_S = 0.2, 60.0
     warm_up()
     for line in sys.stdin:
         child = os.fork()
