@@ -30,9 +30,9 @@ class FlightTable:
 
     def close(self) -> None:
         """Complete the file."""
-        if self._writer is not None:
-            self._writer.close()
-            self._writer = None
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            writer.close()
 
     def write(self, flight: PathFlight, axes: tuple[str, ...]) -> None:
         """Append a flight: one row for each sample and axis, in the axis's unit (γ in unit/s)."""

@@ -71,9 +71,9 @@ class RunFolder:
 
     def close(self) -> None:
         """Complete the file of samples."""
-        if self._samples is not None:
-            self._samples.close()
-            self._samples = None
+        samples, self._samples = self._samples, None
+        if samples is not None:
+            samples.close()
 
     @property
     def study_id(self) -> str:

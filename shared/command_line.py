@@ -7,6 +7,7 @@ Commands are entry points of the group `nufleet.commands`; a dot in a name makes
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import shutil
@@ -23,6 +24,7 @@ import click
 from shared.errors import NufleetError
 
 ENTRY_POINT_GROUP = "nufleet.commands"
+_DISK_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 _GROUP_HELP = {
     "fleet": "Launch a fleet of simulated robots, or see who is there.",
     "runs": "Look at what earlier runs left behind.",
@@ -100,9 +102,15 @@ def main() -> NoReturn:
         click.echo("interrupted", err=True)
         sys.exit(130)
     except NufleetError as error:
-        click.secho("error: ", fg="red", bold=True, nl=False, err=True)
-        click.echo(str(error), err=True)
+        _print_error(str(error))
         sys.exit(error.exit_code)
+    except OSError as error:
+        if error.errno not in _DISK_TROUBLE:
+            raise
+        # Wherever something is being written, there is nothing better to do about it.
+        place = f" ({error.filename})" if error.filename else ""
+        _print_error(f"cannot write: {os.strerror(error.errno)}{place}; make room, and try again")
+        sys.exit(NufleetError.exit_code)
     # Without its standalone mode click returns the code of `--help`, `--version` and `Exit`.
     sys.exit(code if isinstance(code, int) else 0)
 
@@ -124,6 +132,11 @@ Your robots:  nufleet router             on one machine
               nufleet agent FLEET.toml   beside each robot
               nufleet rank --target ...  from anywhere
 """
+
+
+def _print_error(sentence: str) -> None:
+    click.secho("error: ", fg="red", bold=True, nl=False, err=True)
+    click.echo(sentence, err=True)
 
 
 def _print_version(ctx: click.Context, _option: click.Parameter, wanted: bool) -> None:

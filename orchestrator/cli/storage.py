@@ -38,12 +38,12 @@ class Storage:
 
     def resume_command(self, run: str) -> str:
         """Return what to type to go on with a run."""
-        words = [invocation(), "runs", "resume", run]
+        words = ["runs", "resume", run]
         if self.runs_root != Path("runs"):
             words += ["--runs", str(self.runs_root)]
         if self.repository is not None:
             words += ["--repository", name_of(self.repository)]
-        return shlex.join(words)
+        return f"{invocation()} {shlex.join(words)}"
 
     @contextmanager
     def saying_how_to_resume(self, console: Console, run: str) -> Iterator[None]:
@@ -52,6 +52,6 @@ class Storage:
             yield
         except (StudyError, LeaseLostError):
             raise
-        except (KeyboardInterrupt, NufleetError):
+        except (KeyboardInterrupt, NufleetError, OSError):
             console.print(f"it can go on where it was:  {self.resume_command(run)}")
             raise
