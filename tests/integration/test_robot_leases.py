@@ -1,0 +1,119 @@
+"""Orchestrators that want the same robots, over a real router: by one repository and by two."""
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from fleet_lab import SLOW, Lab, Orchestrator
+from polling import wait_until
+from puppet_robot import PuppetRobot
+
+from orchestrator import held_leases
+from orchestrator.goal_runner import GoalRunner
+from orchestrator.held_leases import HeldLeases
+from orchestrator.repository.errors import LeaseHeldError
+from orchestrator.repository.repository import Repository, open_repository
+from orchestrator.robot_leases import lease_robots
+from shared.errors import RobotOwnedError
+from shared.excitation import Excitation, Tone
+from shared.messages import Outcome
+
+TEST = Excitation(axis="x", tones=(Tone(omega_rad_s=20.0),), settle_s=0.5)
+
+
+def lease(repository: Repository, orchestrator: Orchestrator, **options: bool) -> HeldLeases:
+    return lease_robots(repository.leases, orchestrator.fleet, "lab", ("a",), **options)
+
+
+def test_of_two_that_want_a_robot_at_once_one_has_it_and_the_other_is_told_who(
+    lab: Lab, tmp_path: Path
+) -> None:
+    robot = PuppetRobot()
+    lab.agent("a", robot)
+    rivals = [lab.orchestrator(name) for name in ("first", "second")]
+    together, done = threading.Barrier(2, timeout=10.0), threading.Barrier(2, timeout=10.0)
+
+    def work(rival: Orchestrator) -> str:
+        with open_repository(f"{tmp_path}/nufleet.sqlite") as repository:
+            together.wait()
+            try:
+                leases = lease(repository, rival)
+            except LeaseHeldError as held:
+                done.wait()
+                return held.owner
+            with leases:
+                done.wait()
+                goal_id = f"goal-of-{rival.fleet.orchestrator_id}"
+                assert GoalRunner(rival.fleet).run("a", goal_id, TEST).outcome is Outcome.COMPLETED
+            return "had it"
+
+    with ThreadPoolExecutor(2) as pool:
+        found = dict(zip(("first", "second"), pool.map(work, rivals), strict=True))
+    winner = next(name for name, came in found.items() if came == "had it")
+    loser = "second" if winner == "first" else "first"
+    assert found[loser] == winner
+    assert robot.motions == 1
+
+
+def test_who_keeps_another_repository_is_told_who_commands_a_robot_until_that_one_is_gone(
+    lab: Lab, tmp_path: Path
+) -> None:
+    lab.agent("a", PuppetRobot())
+    first, second = lab.orchestrator("first"), lab.orchestrator("second")
+    with (
+        open_repository(f"{tmp_path}/one.sqlite") as one,
+        open_repository(f"{tmp_path}/other.sqlite") as other,
+    ):
+        for number in range(3):  # so that the first one's epochs are ahead
+            with lease(one, first):
+                GoalRunner(first.fleet).run("a", f"g{number}", TEST)
+        with pytest.raises(RobotOwnedError, match=r"commanded by first \(epoch 3\).*--repository"):
+            lease(other, second)
+        first.session.close()
+        wait_until(lambda: not second.fleet.is_alive("first"))
+        with lease(other, second) as leases:
+            assert leases.epochs == {"a": 4}
+            assert GoalRunner(second.fleet).run("a", "g", TEST).outcome is Outcome.COMPLETED
+        assert second.fleet.describe("a").owner == "second"
+
+
+def test_who_only_watches_needs_no_lease(lab: Lab, tmp_path: Path) -> None:
+    lab.agent("a", PuppetRobot(), realtime=1.0)
+    owner, watcher = lab.orchestrator("owner"), lab.orchestrator("watcher")
+    with open_repository(f"{tmp_path}/nufleet.sqlite") as repository, lease(repository, owner):
+        motion = TEST.model_copy(update=SLOW)
+        with ThreadPoolExecutor(1) as pool:
+            runner = GoalRunner(owner.fleet)
+            running = pool.submit(runner.run, "a", "g", motion)
+            state = watcher.state("a", lambda s: s.goal_id == "g" and s.progress > 0.0)
+            assert state.goal_id == "g"
+            assert watcher.fleet.describe("a").owner == "owner"
+            assert [who for who, *_ in repository.leases.held("lab").values()] == ["owner"]
+            runner.interrupt()
+            assert running.result().outcome is Outcome.CANCELLED
+        assert watcher.fleet.result("a", "g").outcome is Outcome.CANCELLED
+
+
+def test_a_robot_whose_owner_falls_silent_rests_and_is_taken_over_within_the_lease(
+    lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(held_leases, "TERM_S", 1.0)
+    robot = PuppetRobot()
+    lab.agent("a", robot, realtime=1.0)
+    silent, heir = lab.orchestrator("silent"), lab.orchestrator("heir")
+    with open_repository(f"{tmp_path}/nufleet.sqlite") as repository:
+        lease(repository, silent)  # never entered: nobody renews it
+        request = silent.request("g", **SLOW)
+        epoch = silent.fleet.epoch("a")
+        silent.fleet.submit("a", request.model_copy(update={"epoch": epoch}))
+        wait_until(lambda: not robot.at_rest)
+        silent.session.close()
+        with lease(repository, heir, patient=True) as leases:
+            assert leases.epochs["a"] == epoch + 1
+            wait_until(lambda: robot.at_rest)
+            quick = heir.request("h")
+            assert isinstance(quick.motion, Excitation)
+            assert GoalRunner(heir.fleet).run("a", "h", quick.motion).outcome is Outcome.COMPLETED
