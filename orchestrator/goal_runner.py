@@ -92,6 +92,11 @@ class GoalRunner:
             if lost is not None:
                 _log.info("%s: waiting for its return", lost)
             result = self._fetch(watch, goal_id, lost)
+        except BaseException as error:
+            if not isinstance(error, Exception):
+                # Ctrl-C in this very thread, while the goal still counts as running.
+                self.interrupt()
+            raise
         finally:
             with self._lock:
                 self._running.pop(robot, None)

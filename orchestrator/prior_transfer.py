@@ -1,13 +1,14 @@
-"""Hands a source's experience to a target: checked, installed, read back."""
+"""Hands an experience to a target, from a source or a file: checked, installed, read back."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from orchestrator.fleet import Fleet
 from orchestrator.prior_custody import install
-from shared.errors import InvalidInputError
-from shared.experience import decode_experience
+from shared.errors import InvalidInputError, MalformedMessageError
+from shared.experience import EXPERIENCE_BYTES_MAX, decode_experience
 from shared.experience_manifest import ExperienceManifest, misfit
 from shared.inverse_layout import Architecture
 from shared.messages import Description
@@ -50,12 +51,49 @@ def transfer(
         )
     offer = offers[architecture]
     into = fleet.describe(target)
-    check_fit(offer.manifest, into)
+    check_fit(offer.manifest, into)  # before anything large is sent
     payload = fleet.fetch(source, offer.sha256)
-    manifest = decode_experience(payload, offer.sha256).manifest
-    check_fit(manifest, into)
-    installed = install(fleet, target, "prior", payload)
-    return Transferred(source, target, installed.sha256, manifest)
+    try:
+        manifest = decode_experience(payload, offer.sha256).manifest
+    except MalformedMessageError as error:
+        raise MalformedMessageError(
+            f"robot {source} did not send the experience that it offers: {error}; transfer again"
+        ) from error
+    return _installed(fleet, manifest, payload, into)
+
+
+def read_experience(path: Path) -> bytes:
+    """Return an experience's file, checked to be one, as `nufleet train` leaves it in a run.
+
+    Raises:
+        InvalidInputError: it cannot be read, or is truncated, altered or of another type.
+    """
+    try:
+        with path.open("rb") as file:
+            payload = file.read(EXPERIENCE_BYTES_MAX + 1)
+    except OSError as error:
+        raise InvalidInputError(f"{path}: cannot be read: {error.strerror}") from error
+    try:
+        decode_experience(payload)
+    except MalformedMessageError as error:
+        raise InvalidInputError(
+            f"{path}: {error}; choose a file that `nufleet train` left in its run's experiences"
+        ) from error
+    return payload
+
+
+def transfer_file(fleet: Fleet, payload: bytes, target: str) -> Transferred:
+    """Transfer an experience that was read from a file; raises as `transfer` does."""
+    manifest = decode_experience(payload).manifest
+    return _installed(fleet, manifest, payload, fleet.describe(target))
+
+
+def _installed(
+    fleet: Fleet, manifest: ExperienceManifest, payload: bytes, target: Description
+) -> Transferred:
+    check_fit(manifest, target)
+    installed = install(fleet, target.robot, "prior", payload)
+    return Transferred(manifest.robot, target.robot, installed.sha256, manifest)
 
 
 def check_fit(manifest: ExperienceManifest, target: Description) -> None:
@@ -64,5 +102,6 @@ def check_fit(manifest: ExperienceManifest, target: Description) -> None:
         reason = misfit(manifest, target.spec, target.state_names, axis)
         if reason is not None:
             raise InvalidInputError(
-                f"the experience of {manifest.robot} does not fit {target.robot}: {reason}"
+                f"the experience of {manifest.robot} does not fit {target.robot}: {reason}; choose "
+                "a source of its kind"
             )

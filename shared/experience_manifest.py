@@ -98,6 +98,7 @@ def misfit(
         )
     if state_names[: len(needed)] != needed:
         return (
-            f"it needs the states {', '.join(needed)}, the robot measures {state_names or 'none'}"
+            f"it needs the states {', '.join(needed)}, the robot measures "
+            f"{', '.join(state_names) or 'none'}"
         )
     return None

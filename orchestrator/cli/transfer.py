@@ -15,12 +15,16 @@ from orchestrator.cli.options import connect_options, json_option, repository_op
 @click.option("--target", required=True, metavar="NAME", help="Who flies with it from now on.")
 @click.option(
     "--source",
-    required=True,
     metavar="NAME|best|none",
     help=(
         "Whose experience; `best` is what the latest ranking of this target selected; `none` "
         "takes the target's prior away."
     ),
+)
+@click.option(
+    "--file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Instead of a source: a file that `nufleet train` left in its run.",
 )
 @click.option(
     "--architecture",
@@ -34,7 +38,8 @@ def transfer(
     connect: str,
     fleet_name: str | None,
     target: str,
-    source: str,
+    source: str | None,
+    file: Path | None,
     architecture: Literal["state", "preview"] | None,
     runs_root: Path,
     repository: str | None,
@@ -42,12 +47,17 @@ def transfer(
 ) -> None:
     """Give a target the experience of a source, as the prior mean of its online process.
 
-    The file is fetched from the source, checked to fit the target, installed there (size and sha256
-    verified, kept across restarts) and read back.
+    The experience is fetched from the source, or read from a file, checked to fit the target,
+    installed there (size and sha256 verified, kept across restarts) and read back.
 
     \b
     nufleet transfer --target drone-7 --source best
+    nufleet transfer --target drone-7 --file runs/.../experiences/drone-3-state.safetensors
     """
+    if (source is None) == (file is None):
+        raise click.UsageError("Whose experience? Give either --source or --file.")
+    if file is not None and architecture is not None:
+        raise click.UsageError("A file holds one experience: leave --architecture out.")
     from orchestrator.cli.transfer_session import TransferCommand, transfer_and_print
 
     transfer_and_print(
@@ -56,6 +66,7 @@ def transfer(
             fleet_name=fleet_name,
             target=target,
             source=source,
+            file=file,
             architecture=architecture,
             runs_root=runs_root,
             repository=repository,

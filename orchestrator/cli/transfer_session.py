@@ -13,8 +13,8 @@ from rich.console import Console
 from orchestrator.cli.storage import Storage
 from orchestrator.connection import running_fleet
 from orchestrator.console import stderr_console
-from orchestrator.preflight import check_robots
-from orchestrator.prior_transfer import Transferred
+from orchestrator.preflight import check_names, check_robots
+from orchestrator.prior_transfer import Transferred, read_experience, transfer_file
 from orchestrator.prior_transfer import transfer as transfer_experience
 from orchestrator.robot_leases import lease_robots
 from orchestrator.run_folder import latest_ranking, make_runs_root
@@ -24,12 +24,13 @@ from shared.inverse_layout import Architecture
 
 @dataclass(frozen=True)
 class TransferCommand:
-    """The command line of one transfer."""
+    """The command line of one transfer: either a source or a file."""
 
     connect: str
     fleet_name: str | None
     target: str
-    source: str
+    source: str | None
+    file: Path | None
     architecture: Architecture | None
     runs_root: Path
     repository: str | None
@@ -39,6 +40,7 @@ class TransferCommand:
 def transfer_and_print(command: TransferCommand) -> None:
     """Transfer, and print what the target flies with from now on."""
     console = stderr_console()
+    payload = None if command.file is None else read_experience(command.file)
     make_runs_root(command.runs_root)
     with (
         Storage(command.runs_root, command.repository).open() as repository,
@@ -52,11 +54,12 @@ def transfer_and_print(command: TransferCommand) -> None:
             console.print(f"{command.target} flies without a prior from now on")
             document: dict[str, object] = {"schema": 1, "target": command.target, "source": None}
         else:
-            source = _source(command, console)
-            if source == command.target:
-                raise InvalidInputError(f"{source} is the target: choose another source")
-            check_robots((source,), there)
-            given = transfer_experience(fleet, source, command.target, command.architecture)
+            if payload is not None:
+                given = transfer_file(fleet, payload, command.target)
+            else:
+                source = _source(command, console)
+                check_names(command.target, (source,), there)
+                given = transfer_experience(fleet, source, command.target, command.architecture)
             _print(console, given)
             document = _document(given)
     if command.as_json:
@@ -64,7 +67,7 @@ def transfer_and_print(command: TransferCommand) -> None:
 
 
 def _source(command: TransferCommand, console: Console) -> str:
-    if command.source != "best":
+    if command.source is not None and command.source != "best":
         return command.source
     found = latest_ranking(command.runs_root, command.target)
     if found is None:

@@ -1,0 +1,85 @@
+"""`nufleet` as a user runs it: commands that end, and fleets that stay up meanwhile."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from shared import command_line
+
+NUFLEET = [sys.executable, "-m", "shared.command_line"]
+PATIENCE_S = 120.0
+
+
+def nufleet(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end."""
+    return subprocess.run(
+        [*NUFLEET, *arguments],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+
+
+class Typed:
+    """Types commands into this very process, as `nufleet` runs them, without starting Python anew.
+
+    For what is refused: what matters is the exit code and what was said.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+        self._monkeypatch, self._capfd = monkeypatch, capfd
+
+    def __call__(self, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+        self._capfd.readouterr()
+        before = signal.getsignal(signal.SIGTERM)
+        try:
+            with self._monkeypatch.context() as patched:
+                patched.chdir(cwd)
+                patched.setattr(sys, "argv", ["nufleet", *arguments])
+                with pytest.raises(SystemExit) as ended:
+                    command_line.main()
+        finally:
+            signal.signal(signal.SIGTERM, before)
+        out, said = self._capfd.readouterr()
+        assert isinstance(ended.value.code, int)
+        return subprocess.CompletedProcess(arguments, ended.value.code, out, said)
+
+
+def begun(*arguments: str, cwd: Path, state: Path | None = None) -> subprocess.Popen[str]:
+    """Begin a command in a process group of its own; `state` is where its agents remember."""
+    environment = dict(os.environ) | ({} if state is None else {"NUFLEET_STATE": str(state)})
+    return subprocess.Popen(
+        [*NUFLEET, *arguments],
+        cwd=cwd,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+@contextmanager
+def fleet_that_is_up(
+    file: Path, endpoint: str, state: Path, *options: str
+) -> Iterator[subprocess.Popen[str]]:
+    """Keep a fleet up; it ends by Ctrl-C."""
+    up = begun("fleet", "up", str(file), "--listen", endpoint, *options, cwd=state, state=state)
+    assert up.stderr is not None
+    try:
+        line = up.stderr.readline()
+        assert "are up" in line, line + up.stderr.read()
+        yield up
+    finally:
+        up.send_signal(signal.SIGINT)
+        up.communicate(timeout=PATIENCE_S)

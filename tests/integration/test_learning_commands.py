@@ -1,0 +1,437 @@
+"""`nufleet train`, `transfer` and `track` as a user runs them, with a fleet that is up."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import signal
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+from command_processes import Typed, begun, fleet_that_is_up, nufleet
+from learned_things import experience, layout
+from polling import PATIENCE_S, wait_until
+
+from orchestrator.fleet import Fleet
+from shared.experience import decode_experience
+from shared.keys import FleetKeys
+from shared.messages import Description, RobotStatus
+from shared.transport import open_client
+
+FLEET = """
+schema = 1
+name = "lab"
+
+[robots.target]
+driver = "double_integrator"
+settings = { alpha = 0.85, beta = 0.003 }
+
+[robots.source-1]
+driver = "double_integrator"
+settings = { alpha = 1.0, beta = 0.003 }
+
+[robots.source-2]
+driver = "double_integrator"
+settings = { alpha = 0.97, beta = 0.004 }
+
+[robots.slower]
+driver = "double_integrator"
+settings = { alpha = 0.97, beta = 0.004, sample_time_s = 0.02 }
+"""
+
+SLOW = """
+schema = 1
+name = "slow"
+
+[robots.target]
+driver = "double_integrator"
+settings = { alpha = 0.85, beta = 0.003 }
+"""
+
+CIRCLE = [(np.cos(a), np.sin(a)) for a in np.linspace(0, 2 * np.pi, 200)]
+
+
+def drawing(folder: Path, name: str = "circle.csv", points: object = CIRCLE) -> Path:
+    path = folder / name
+    path.write_text("x_m,y_m\n" + "\n".join(f"{x},{y}" for x, y in np.asarray(points)) + "\n")
+    return path
+
+
+@dataclass(frozen=True)
+class Workplace:
+    """A fleet that is up, and the folder where commands are run."""
+
+    folder: Path
+    endpoint: str
+    name: str
+
+    def run(self, command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+        return nufleet(command, "--connect", self.endpoint, *arguments, cwd=self.folder)
+
+    def json(self, command: str, *arguments: str) -> dict[str, object]:
+        """What a command that succeeds prints on stdout, which is one document alone."""
+        done = self.run(command, *arguments, "--json")
+        assert done.returncode == 0, done.stderr
+        document = json.loads(done.stdout)
+        assert isinstance(document, dict)
+        return document
+
+    def describe(self, robot: str = "target") -> Description:
+        with open_client(self.endpoint, timeout_s=PATIENCE_S) as session:
+            return Fleet(session, FleetKeys(self.name), "tester").describe(robot)
+
+    def runs(self) -> set[Path]:
+        return set((self.folder / "runs").glob("*"))
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workplace]:
+    folder = tmp_path_factory.mktemp("lab")
+    file, endpoint = folder / "lab.toml", f"unixsock-stream/{folder}/r.sock"
+    file.write_text(FLEET)
+    with fleet_that_is_up(file, endpoint, folder):
+        yield Workplace(folder, endpoint, "lab")
+
+
+@pytest.fixture(scope="module")
+def training(lab: Workplace) -> dict[str, object]:
+    """One robot has learned; the document that said so."""
+    arguments = ("--robot", "source-2", "--architecture", "preview", "--duration", "60")
+    return lab.json("train", *arguments)
+
+
+@pytest.fixture
+def transferred(lab: Workplace, training: dict[str, object]) -> dict[str, object]:
+    return lab.json("transfer", "--target", "target", "--source", "source-2")
+
+
+# Learning, and handing over.
+
+
+def test_training_leaves_an_experience_on_the_robot_and_in_the_run(
+    lab: Workplace, training: dict[str, object]
+) -> None:
+    (one,) = training["experiences"]  # type: ignore[misc]
+    assert set(one) == {"robot", "sha256", "training_time_s", "horizon_trials", "manifest"}
+    offers = lab.describe("source-2").experiences
+    assert [offer.sha256 for offer in offers] == [one["sha256"]]
+    file = lab.folder / str(training["run"]) / "experiences" / "source-2-preview.safetensors"
+    payload = file.read_bytes()
+    assert hashlib.sha256(payload).hexdigest() == one["sha256"]
+    manifest = decode_experience(payload).manifest
+    assert one["manifest"] == manifest.model_dump(mode="json")
+    assert (manifest.robot, manifest.points) == ("source-2", 2100)
+    flown = [t["rms_error"] for t in one["horizon_trials"] if t["rms_error"] is not None]
+    chosen = manifest.layout.horizon_samples
+    (mine,) = (t for t in one["horizon_trials"] if t["horizon_samples"] == chosen)
+    assert mine["rms_error"] <= 1.05 * min(flown)
+    # Nobody flies with what was only tried.
+    assert lab.describe("source-2").prior is None
+
+
+def test_the_best_source_is_that_of_the_latest_ranking(
+    lab: Workplace, training: dict[str, object]
+) -> None:
+    lab.json("transfer", "--target", "target", "--source", "none")
+    unknown = lab.run("transfer", "--target", "slower", "--source", "best")
+    assert unknown.returncode == 2
+    assert "nufleet rank --target slower" in unknown.stderr
+    band = ("--band", "0.5", "10", "--iterations", "1")
+    ranked = lab.json("rank", "--target", "target", "--sources", "source-1,source-2", *band)
+    assert ranked["selected"] == "source-2"
+    given = lab.json("transfer", "--target", "target", "--source", "best")
+    assert (given["target"], given["source"]) == ("target", "source-2")
+    prior = lab.describe().prior
+    assert prior is not None
+    assert prior.sha256 == given["sha256"]
+
+
+def test_an_experience_is_handed_over_by_name_from_a_file_and_taken_away(
+    lab: Workplace, training: dict[str, object], transferred: dict[str, object]
+) -> None:
+    prior = lab.describe().prior
+    assert prior is not None
+    assert prior.sha256 == transferred["sha256"]
+    gone = lab.json("transfer", "--target", "target", "--source", "none")
+    assert gone == {"schema": 1, "target": "target", "source": None}
+    assert lab.describe().prior is None
+    file = f"{training['run']}/experiences/source-2-preview.safetensors"
+    again = lab.json("transfer", "--target", "target", "--file", file)
+    assert again == transferred
+    prior = lab.describe().prior
+    assert prior is not None
+    assert prior.sha256 == transferred["sha256"]
+
+
+def test_a_source_that_has_not_learned_is_refused_with_what_to_do(lab: Workplace) -> None:
+    done = lab.run("transfer", "--target", "target", "--source", "source-1")
+    assert done.returncode == 2
+    assert "nufleet train --robot source-1" in done.stderr
+
+
+# Tracking.
+
+
+def test_a_track_says_and_stores_what_was_flown(
+    lab: Workplace, transferred: dict[str, object]
+) -> None:
+    file = drawing(lab.folder)
+    both = ("--trajectory", "clover", "--trajectory", str(file), "--speed", "0.5")
+    said = lab.json("track", "--target", "target", *both)
+    run = lab.folder / str(said["run"])
+    assert {path.name for path in run.iterdir()} == {
+        *("config.json", "track.json", "flights.parquet", "run.rrd")
+    }
+    assert json.loads((run / "track.json").read_text()) == said
+    flights: list[dict[str, object]] = said["flights"]  # type: ignore[assignment]
+    assert [(f["inverse"], f["drawing"]) for f in flights] == [
+        ("source-2", "clover"),
+        ("source-2", "circle"),
+    ]
+    rows = pq.read_table(run / "flights.parquet")
+    for flight in flights:
+        label = f"source-2 · {flight['drawing']} · 0.5 m/s"
+        mine = rows.filter(pc.equal(pc.cast(rows["flight"], "string"), label))
+        desired, actual = np.asarray(mine["desired"]), np.asarray(mine["actual"])
+        assert len(desired) > 500
+        rms_m = float(np.sqrt(np.mean((actual - desired) ** 2)))
+        assert flight["rms_m"] == pytest.approx(rms_m)
+        speeds = np.abs(np.diff(desired)) / 0.015
+        assert speeds.max() == pytest.approx(0.5, rel=0.05)
+        assert (flight["failure"], flight["taken_back"]) == (None, None)
+    assert json.loads((run / "config.json").read_text())["drawings"] == ["clover", str(file)]
+    # And it was better than without.
+    alone = lab.json("track", "--target", "target", *both[:2], *both[4:], "--inverse", "baseline")
+    (baseline,) = alone["flights"]  # type: ignore[misc]
+    assert baseline["inverse"] == "baseline"
+    assert flights[0]["rms_m"] < 0.2 * baseline["rms_m"]  # type: ignore[operator]
+
+
+@pytest.fixture(scope="module")
+def slow(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workplace]:
+    """A robot in real time."""
+    folder = tmp_path_factory.mktemp("slow")
+    file, endpoint = folder / "slow.toml", f"unixsock-stream/{folder}/r.sock"
+    file.write_text(SLOW)
+    with fleet_that_is_up(file, endpoint, folder, "--realtime", "2"):
+        yield Workplace(folder, endpoint, "slow")
+
+
+def test_ctrl_c_during_a_track_leaves_the_robot_at_rest_and_its_samples_complete(
+    slow: Workplace,
+) -> None:
+    with open_client(slow.endpoint, timeout_s=PATIENCE_S) as session:
+        fleet = Fleet(session, FleetKeys("slow"), "tester")
+        watch = fleet.watch("target")
+        arguments = ("--target", "target", "--trajectory", "clover", "--speed", "0.3")
+        command = begun("track", "--connect", slow.endpoint, *arguments, cwd=slow.folder)
+        moving = watch.wait_until(
+            lambda w: w.state is not None and w.state.progress > 0.05, timeout_s=PATIENCE_S
+        )
+        assert moving, watch.state
+        command.send_signal(signal.SIGINT)
+        out, said = command.communicate(timeout=PATIENCE_S)
+        assert (command.returncode, out) == (130, ""), said
+        assert "Traceback" not in said
+        at_rest = watch.wait_until(
+            lambda w: w.state is not None and w.state.status is RobotStatus.IDLE,
+            timeout_s=PATIENCE_S,
+        )
+        assert at_rest, watch.state
+        state = watch.state
+        assert state is not None
+        assert state.goal_id is None
+        assert state.last_goal_id is not None
+        result = fleet.result("target", state.last_goal_id)
+        assert result.outcome == "cancelled"
+        assert result.details is None or len(result.response) > 0
+    wait_until(lambda: not psutil.pid_exists(command.pid))
+
+
+# What is refused, before anything moves.
+
+
+@pytest.fixture
+def typed(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Typed:
+    return Typed(monkeypatch, capfd)
+
+
+def refused(
+    typed: Typed,
+    lab: Workplace,
+    command: str,
+    *arguments: str,
+    words: tuple[str, ...],
+    robot: str = "target",
+) -> None:
+    """Run a command that has to be refused; nothing moves, nothing is left."""
+    runs = lab.runs()
+    with open_client(lab.endpoint, timeout_s=PATIENCE_S) as session:
+        fleet = Fleet(session, FleetKeys(lab.name), "tester")
+        watch = fleet.watch(robot)
+        assert watch.wait_until(lambda w: w.state is not None, timeout_s=PATIENCE_S)
+        before, learned = watch.state, fleet.describe(robot)
+        there = ("--connect", lab.endpoint, "--json")
+        done = typed(command, *there, *arguments, cwd=lab.folder)
+        assert watch.state is not None
+        assert before is not None
+        assert watch.state.robot_time_s == before.robot_time_s
+        assert watch.state.last_goal_id == before.last_goal_id
+        assert fleet.describe(robot) == learned
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+    for word in words:
+        assert word in done.stderr
+    assert lab.runs() == runs
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--scale", "3"), ("robot target", "outside the workspace", "--scale")),
+        (("--speed", "2.5"), ("robot target", "choose a speed of at most 1 m/s")),
+        (("--speed", "0.0001"), ("robot target", "choose a higher speed")),
+        (("--inverse", "zero-prior", "--horizon", "60"), ("robot target", "at most 7.5 s")),
+    ],
+    ids=["large", "fast", "slow", "far-ahead"],
+)
+def test_a_path_that_the_robot_may_not_fly_is_refused(
+    typed: Typed, lab: Workplace, options: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    refused(
+        typed, lab, "track", "--target", "target", "--trajectory", "clover", *options, words=words
+    )
+
+
+def refused_at_once(
+    typed: Typed, folder: Path, command: str, *arguments: str, words: tuple[str, ...]
+) -> None:
+    """Run a command that has to be refused without a router being there."""
+    nowhere = f"unixsock-stream/{folder}/nobody.sock"
+    done = typed(command, "--target", "target", "--connect", nowhere, *arguments, cwd=folder)
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+    for word in words:
+        assert word in done.stderr
+    assert not (folder / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--speed", "nan"), ("--speed", "above 0")),
+        (("--scale", "inf"), ("--scale", "finite")),
+        (("--trajectory", "clover"), ("two drawings are called clover",)),
+    ],
+    ids=["nan", "inf", "twice"],
+)
+def test_numbers_and_names_that_cannot_be_right_are_refused_before_a_fleet_is_reached(
+    typed: Typed, tmp_path: Path, options: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    refused_at_once(typed, tmp_path, "track", "--trajectory", "clover", *options, words=words)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("nan.csv", "x_m,y_m\n0,0\nnan,1\n1,1\n", "nan"),
+        ("one.csv", "x_m,y_m\n0.5,0.5\n", "two different points"),
+        ("other.csv", "time,speed\n0,0\n1,1\n", "the first line must be x_m,y_m"),
+        ("image.png", "\x89PNG", "a drawing is a .csv or .svg file"),
+    ],
+)
+def test_what_is_no_drawing_is_refused_before_a_fleet_is_reached(
+    typed: Typed, tmp_path: Path, name: str, text: str, words: str
+) -> None:
+    file = tmp_path / name
+    file.write_text(text)
+    refused_at_once(typed, tmp_path, "track", "--trajectory", str(file), words=(name, words))
+
+
+def test_without_a_prior_there_is_none_to_fly_with(typed: Typed, lab: Workplace) -> None:
+    arguments = ("--target", "source-1", "--trajectory", "clover", "--inverse", "prior")
+    words = ("source-1 has no prior", "nufleet transfer --target source-1")
+    refused(typed, lab, "track", *arguments, words=words, robot="source-1")
+
+
+GOOD = experience("source-2")
+
+
+@pytest.mark.parametrize(
+    ("name", "payload", "words"),
+    [
+        ("kind", experience(robot_kind="quadrotor"), "learned on a quadrotor"),
+        ("axis", experience(axes=("y",)), "the robot has no axis 'y'"),
+        ("sample-time", experience(layout=layout(sample_time_s=0.02)), "sample time is 0.02 s"),
+        (
+            "inputs",
+            experience(layout=layout("state", states=("position", "tilt"))),
+            "needs the states position, tilt, the robot measures position, velocity",
+        ),
+    ],
+    ids=["kind", "axis", "sample-time", "inputs"],
+)
+def test_an_experience_that_does_not_fit_is_refused_with_the_reason(
+    typed: Typed, lab: Workplace, name: str, payload: bytes, words: str
+) -> None:
+    file = lab.folder / f"{name}.safetensors"
+    file.write_bytes(payload)
+    arguments = ("--target", "target", "--file", str(file))
+    refused(
+        typed, lab, "transfer", *arguments, words=("does not fit target", words, "choose a source")
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "payload", "words"),
+    [
+        ("truncated", GOOD[:-7], "not a safetensors file"),
+        ("altered", GOOD.replace(b"preview", b"previex"), "manifest"),
+        ("zip", b"PK\x03\x04" + bytes(1000), "not an experience"),
+    ],
+    ids=["truncated", "altered", "zip"],
+)
+def test_a_file_that_is_no_whole_experience_is_refused_before_a_fleet_is_reached(
+    typed: Typed, tmp_path: Path, name: str, payload: bytes, words: str
+) -> None:
+    file = tmp_path / f"{name}.safetensors"
+    file.write_bytes(payload)
+    words_all = (file.name, words, "nufleet train")
+    refused_at_once(typed, tmp_path, "transfer", "--file", str(file), words=words_all)
+
+
+def test_an_experience_of_another_sample_time_is_refused_over_the_network_as_well(
+    typed: Typed, lab: Workplace, training: dict[str, object]
+) -> None:
+    arguments = ("--target", "slower", "--source", "source-2")
+    words = ("source-2 does not fit slower", "0.015 s, the robot's 0.02 s")
+    refused(typed, lab, "transfer", *arguments, words=words, robot="slower")
+
+
+def test_a_memory_that_was_altered_on_the_disk_is_not_served(
+    lab: Workplace, transferred: dict[str, object], tmp_path: Path
+) -> None:
+    (kept,) = lab.folder.glob("lab/target/learned/prior.*")
+    damaged = tmp_path / "lab" / "target" / "learned" / kept.name
+    damaged.parent.mkdir(parents=True)
+    stored = bytearray(kept.read_bytes())
+    stored[-9] ^= 1
+    damaged.write_bytes(stored)
+    done = nufleet(
+        *("agent", str(lab.folder / "lab.toml"), "--robot", "target", "--state", str(tmp_path)),
+        *("--connect", lab.endpoint),
+        cwd=tmp_path,
+    )
+    assert done.returncode == 1
+    assert str(damaged) in done.stderr
+    assert "remove it, then train or transfer anew" in done.stderr
+    assert "Traceback" not in done.stderr
