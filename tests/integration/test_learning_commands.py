@@ -88,7 +88,12 @@ class Workplace:
             return Fleet(session, FleetKeys(self.name), "tester").describe(robot)
 
     def runs(self) -> set[Path]:
-        return set((self.folder / "runs").glob("*"))
+        return set((self.folder / "runs").glob("*/"))
+
+
+@pytest.fixture
+def typed(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Typed:
+    return Typed(monkeypatch, capfd)
 
 
 @pytest.fixture(scope="module")
@@ -137,10 +142,10 @@ def test_training_leaves_an_experience_on_the_robot_and_in_the_run(
 
 
 def test_the_best_source_is_that_of_the_latest_ranking(
-    lab: Workplace, training: dict[str, object]
+    typed: Typed, lab: Workplace, training: dict[str, object]
 ) -> None:
-    lab.json("transfer", "--target", "target", "--source", "none")
-    unknown = lab.run("transfer", "--target", "slower", "--source", "best")
+    nobody = ("--target", "slower", "--source", "best", "--connect", lab.endpoint)
+    unknown = typed("transfer", *nobody, cwd=lab.folder)
     assert unknown.returncode == 2
     assert "nufleet rank --target slower" in unknown.stderr
     band = ("--band", "0.5", "10", "--iterations", "1")
@@ -154,26 +159,21 @@ def test_the_best_source_is_that_of_the_latest_ranking(
 
 
 def test_an_experience_is_handed_over_by_name_from_a_file_and_taken_away(
-    lab: Workplace, training: dict[str, object], transferred: dict[str, object]
+    typed: Typed, lab: Workplace, training: dict[str, object], transferred: dict[str, object]
 ) -> None:
     prior = lab.describe().prior
     assert prior is not None
     assert prior.sha256 == transferred["sha256"]
-    gone = lab.json("transfer", "--target", "target", "--source", "none")
-    assert gone == {"schema": 1, "target": "target", "source": None}
+    there = ("--target", "target", "--connect", lab.endpoint, "--json")
+    gone = typed("transfer", *there, "--source", "none", cwd=lab.folder)
+    assert json.loads(gone.stdout) == {"schema": 1, "target": "target", "source": None}
     assert lab.describe().prior is None
     file = f"{training['run']}/experiences/source-2-preview.safetensors"
-    again = lab.json("transfer", "--target", "target", "--file", file)
-    assert again == transferred
+    again = typed("transfer", *there, "--file", file, cwd=lab.folder)
+    assert json.loads(again.stdout) == transferred
     prior = lab.describe().prior
     assert prior is not None
     assert prior.sha256 == transferred["sha256"]
-
-
-def test_a_source_that_has_not_learned_is_refused_with_what_to_do(lab: Workplace) -> None:
-    done = lab.run("transfer", "--target", "target", "--source", "source-1")
-    assert done.returncode == 2
-    assert "nufleet train --robot source-1" in done.stderr
 
 
 # Tracking.
@@ -256,11 +256,6 @@ def test_ctrl_c_during_a_track_leaves_the_robot_at_rest_and_its_samples_complete
 
 
 # What is refused, before anything moves.
-
-
-@pytest.fixture
-def typed(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Typed:
-    return Typed(monkeypatch, capfd)
 
 
 def refused(
@@ -407,6 +402,13 @@ def test_a_file_that_is_no_whole_experience_is_refused_before_a_fleet_is_reached
     file.write_bytes(payload)
     words_all = (file.name, words, "nufleet train")
     refused_at_once(typed, tmp_path, "transfer", "--file", str(file), words=words_all)
+
+
+def test_a_source_that_has_not_learned_is_refused_with_what_to_do(
+    typed: Typed, lab: Workplace
+) -> None:
+    arguments = ("--target", "target", "--source", "source-1")
+    refused(typed, lab, "transfer", *arguments, words=("nufleet train --robot source-1",))
 
 
 def test_an_experience_of_another_sample_time_is_refused_over_the_network_as_well(
