@@ -1,0 +1,99 @@
+"""How long a stop takes from its sender to the robot, while many robots move and stream."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.faults.figure import Figure
+from benchmarks.faults.lab import Lab, opened_lab
+from benchmarks.faults.logbook import TOLD_TO_REST
+from benchmarks.faults.program import wait_until
+from orchestrator.fleet import Fleet
+from orchestrator.stopping import stop_robots
+from shared.excitation import Excitation, Tone
+from shared.messages import GoalRequest
+
+STOP_MAX_S = 0.02
+PROCESSES = 4
+LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=600.0)
+
+
+def figures(robots: int, rounds: int) -> list[Figure]:
+    """In each round, stop each of so many robots by itself, and then all of them together."""
+    names = tuple(f"r{k}" for k in range(robots))
+    with tempfile.TemporaryDirectory() as folder, opened_lab(Path(folder)) as lab:
+        lab.describe_section_v(dict.fromkeys(names, 0.9))
+        lab.router()
+        for start in range(PROCESSES):
+            lab.agent(*names[start::PROCESSES], realtime=1.0)
+        fleet = lab.orchestrator(*names)
+        streamed: Counter[str] = Counter()
+        fleet.observe_telemetry(lambda robot, samples: streamed.update([robot]))
+        alone, together = [], []
+        for number in range(rounds):
+            _all_move(lab, fleet, names, f"alone-{number}")
+            alone += [_stopped_s(lab, fleet, name) for name in names]
+            _all_move(lab, fleet, names, f"together-{number}")
+            together.append(_all_stopped_s(lab, fleet, names))
+    return [
+        Figure(
+            f"a stop is with its robot after, {robots} moving (p99)",
+            float(np.quantile(alone, 0.99)),
+            "s",
+            STOP_MAX_S,
+            {
+                "median": f"{1e3 * float(np.median(alone)):.2f} ms",
+                "worst": f"{1e3 * max(alone):.2f} ms",
+                "stops": len(alone),
+                "batches streamed meanwhile": streamed.total(),
+            },
+        ),
+        Figure(
+            f"a stop of all {robots} is with the last robot after (worst)",
+            max(together),
+            "s",
+            None,
+            {"median": f"{1e3 * float(np.median(together)):.2f} ms", "stops": len(together)},
+        ),
+    ]
+
+
+def _all_move(lab: Lab, fleet: Fleet, names: tuple[str, ...], goal_id: str) -> None:
+    for name in names:
+        fleet.release(name)
+        fleet.submit(name, GoalRequest(goal_id=goal_id, owner=fleet.orchestrator_id, motion=LONG))
+    for name in names:
+        lab.wait_for_state(
+            fleet, name, lambda state: state.goal_id == goal_id and state.progress > 0
+        )
+
+
+def _stopped_s(lab: Lab, fleet: Fleet, name: str) -> float:
+    began_s = time.monotonic()
+    fleet.stop(name, "measuring")
+    return _told_s(lab, name, began_s)
+
+
+def _all_stopped_s(lab: Lab, fleet: Fleet, names: tuple[str, ...]) -> float:
+    began_s = time.monotonic()
+    fleet.stop_everyone("measuring")
+    slowest_s = max(_told_s(lab, name, began_s) for name in names)
+    if stop_robots(fleet, names, "measuring"):
+        raise AssertionError("a robot did not confirm its stop")
+    return slowest_s
+
+
+def _told_s(lab: Lab, name: str, began_s: float) -> float:
+    """Return how long after the sender began the robot itself was told, by its own logbook."""
+
+    def told() -> list[float]:
+        entries = lab.logbook(name)
+        return [e.time_s for e in entries if e.what == TOLD_TO_REST and e.time_s > began_s]
+
+    wait_until(lambda: bool(told()))
+    return told()[0] - began_s
