@@ -13,12 +13,13 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.faults import detection, fuzz, memory, stop_time
+from benchmarks.faults import detection, fuzz, memory, restarts, stop_time
 from benchmarks.faults.figure import Figure
 
 FIGURES: dict[str, Callable[[argparse.Namespace], list[Figure]]] = {
     "detection": lambda own: detection.figures(own.kills, own.silences),
     "stop": lambda own: stop_time.figures(own.robots or 32, own.rounds),
+    "restarts": lambda own: restarts.figures(own.restarts),
     "memory": lambda own: memory.figures(own.tests),
     "fuzz": lambda own: fuzz.figures(own.payloads, own.requests),
 }
@@ -36,6 +37,9 @@ def main() -> None:
     )
     parser.add_argument("--robots", type=int, help="stop: moving (32); chaos: in the fleet (10)")
     parser.add_argument("--rounds", type=int, default=6, help="stop: of every robot, one by one")
+    parser.add_argument(
+        "--restarts", type=int, default=20, help="restarts: of the router, and of orchestrators"
+    )
     parser.add_argument("--tests", type=int, default=1000, help="memory: one after the other")
     parser.add_argument(
         "--payloads", type=int, default=5000, help="fuzz: to each decoder and reader"

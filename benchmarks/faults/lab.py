@@ -123,6 +123,28 @@ class Lab:
         what = f"{arguments[0]} {self._commands}"
         return self._stack.enter_context(Program(what, list(arguments), self.folder))
 
+    def study(
+        self,
+        study_id: str,
+        database: Path,
+        robots: tuple[str, ...],
+        *,
+        iterations: int,
+        connect: str | None = None,
+    ) -> Program:
+        """Start an orchestrator that begins a study of robots, target first, or goes on with it."""
+        self._commands += 1
+        arguments = ["--connect", connect or self.endpoint, "--database", str(database)]
+        arguments += ["--study", study_id, "--iterations", str(iterations)]
+        arguments += ["--owner", f"orchestrator-{self._commands}", "--robots", *robots]
+        study = Program(
+            f"{study_id} {self._commands}",
+            arguments,
+            self.folder,
+            module="benchmarks.faults.study_process",
+        )
+        return self._stack.enter_context(study)
+
     def owner(
         self, robot: str, name: str, epoch: int, *, connect: str, namespace: Namespace
     ) -> Program:

@@ -17,6 +17,7 @@ from orchestrator.repository.repository import Repository, open_repository
 from orchestrator.resume import OpenTest, goal_id_of
 from orchestrator.robot_leases import lease_robots
 from orchestrator.study import StudyPlan
+from shared.errors import StudyError
 from shared.excitation import Excitation, Tone
 
 GROWTH_MAX_KIB_PER_TEST = 2.0
@@ -78,7 +79,7 @@ def _test(dispatcher: Dispatcher, number: int) -> None:
     goal_id = goal_id_of(STUDY, number, "a", 1)
     outcome = dispatcher.run((OpenTest(goal_id, number, "a", 1, TEST, None),))["a"]
     if isinstance(outcome, Failed):
-        raise AssertionError(f"test {number}: {outcome.reason}")
+        raise StudyError(f"test {number}: {outcome.reason}")
 
 
 def _fail(robot: str, attempt: int, reason: str) -> None:

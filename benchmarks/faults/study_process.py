@@ -1,0 +1,95 @@
+"""An orchestrator in a process of its own, which begins a study or goes on with it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import os
+import sys
+from functools import partial
+from pathlib import Path
+
+from benchmarks.faults.study import Story, plan_of, ranking_of
+from orchestrator import held_leases
+from orchestrator.archive import Archive
+from orchestrator.dispatcher import Dispatcher
+from orchestrator.fleet import Fleet
+from orchestrator.ranking import conduct
+from orchestrator.repository.errors import UnknownRecordError
+from orchestrator.repository.records import StudyRecord, StudyStatus
+from orchestrator.repository.repository import Repository, open_repository
+from orchestrator.robot_leases import lease_robots
+from orchestrator.study_recipe import make_study
+from shared.errors import NufleetError
+from shared.keys import FleetKeys
+from shared.lifeline import when_stdin_closes
+from shared.transport import open_client
+
+FLEET = "lab"
+SEED = 3
+TERM_S = 2.0
+"""A successor waits so long for a killed owner; the product's own term would only take longer."""
+
+
+def main() -> None:
+    """Do what the command line says; exit code 1 for an error that has a name."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("connect", "study", "owner"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--database", type=Path, required=True)
+    parser.add_argument("--iterations", type=int, required=True)
+    parser.add_argument("--robots", nargs="+", required=True)
+    own = parser.parse_args()
+    logging.basicConfig(level=logging.INFO)
+    when_stdin_closes(partial(os._exit, 0))
+    held_leases.TERM_S, held_leases.RENEW_EVERY_S = TERM_S, TERM_S / 4
+    robots = tuple(own.robots)
+    try:
+        with (
+            open_client(own.connect, timeout_s=30.0) as session,
+            open_repository(str(own.database)) as repository,
+        ):
+            fleet = Fleet(session, FleetKeys(FLEET), own.owner)
+            fleet.wait_for(robots, timeout_s=60.0)
+            _run(fleet, repository, own.study, robots, own.iterations)
+    except NufleetError as error:
+        print(f"error: {type(error).__name__}: {error}", flush=True)
+        sys.exit(1)
+
+
+def _run(
+    fleet: Fleet, repository: Repository, study_id: str, robots: tuple[str, ...], iterations: int
+) -> None:
+    with lease_robots(repository.leases, fleet, FLEET, robots, patient=True) as leases:
+        archive = Archive(repository, FLEET, leases)
+        study = _study(archive, fleet, study_id, robots, iterations)
+        if study.status is not StudyStatus.OPEN:
+            return
+        print(f"goes on with {study_id}", flush=True)
+        story = Story()
+        log = archive.log(study_id)
+        dispatcher = Dispatcher(fleet, log, on_attempt_failed=story.attempt_failed)
+        with archive.conducting(study_id, dispatcher.interrupt):
+            conclusion = conduct(make_study(study, repository.studies), log, dispatcher, story)
+        result = {
+            "ranking": [list(row) for row in ranking_of(conclusion)],
+            "dropped": dict(conclusion.dropped),
+        }
+        repository.studies.end(
+            study_id, StudyStatus.COMPLETE, "done", json.loads(json.dumps(result))
+        )
+
+
+def _study(
+    archive: Archive, fleet: Fleet, study_id: str, robots: tuple[str, ...], iterations: int
+) -> StudyRecord:
+    try:
+        return archive.repository.studies.study(study_id)
+    except UnknownRecordError:
+        plan = plan_of(robots, iterations=iterations)
+        return archive.begin(study_id, "paper", plan, SEED, fleet.describe_all(robots))
+
+
+if __name__ == "__main__":
+    main()
