@@ -18,9 +18,10 @@ from shared.robot_spec import RobotSpec
 
 RAMP_MAX_S = 5.0
 RAMP_MIN_PERIODS = 1 / 8
-"""A ramp lasts one period of the slowest tone where that is short. A slow tone is ramped over 5 s
-or an eighth of its period: a whole one would cost minutes, and at worst this triples the peak
-velocity of a motion that is slow anyway."""
+"""A ramp lasts one period of the tone where that is short. A slow tone is ramped over 5 s or an
+eighth of its period: a whole one would cost minutes, and at worst this triples the peak velocity of
+a motion that is slow anyway. Of several tones it is the period of their geometric mean: the fast
+ones make the velocity, and what the slow ones excite decays while the robot settles."""
 
 RESOLUTION_PERIODS = 2.0
 """Periods of the slowest beat between two tones that the measuring part has to hold. At one the
@@ -58,8 +59,9 @@ def timing(excitation: Excitation, spec: RobotSpec) -> Timing:
     if len(omegas) > 1:
         beat_s = 2 * math.pi / float(np.min(np.diff(omegas)))
         segment_s = max(segment_s, RESOLUTION_PERIODS * beat_s / excitation.segments)
+    middle_s = 2 * math.pi / math.exp(float(np.mean(np.log(omegas))))
     return Timing(
-        ramp_s=min(period_s, max(RAMP_MAX_S, RAMP_MIN_PERIODS * period_s)),
+        ramp_s=min(middle_s, max(RAMP_MAX_S, RAMP_MIN_PERIODS * middle_s)),
         settle_s=spec.settling_time_s if excitation.settle_s is None else excitation.settle_s,
         segments=excitation.segments,
         segment_s=segment_s,

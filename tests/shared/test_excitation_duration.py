@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_agent.excitation import plan_excitation
 from shared.excitation import Excitation, Tone
-from shared.excitation_duration import duration_s
+from shared.excitation_duration import duration_s, timing
 from shared.robot_spec import AxisSpec, RobotSpec
 
 omegas = st.lists(st.integers(1, 200), min_size=1, max_size=12, unique=True)
@@ -49,3 +51,31 @@ def test_it_is_the_duration_of_the_robots_own_plan(
     )
     plan = plan_excitation(excitation, spec, "robot")
     assert duration_s(excitation, spec) == pytest.approx(plan.duration_s, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("omegas_rad_s", "ramp_s"),
+    [
+        ((2.0,), math.pi),
+        ((1.0, 4.0), math.pi),
+        ((0.5, 2.0, 8.0), math.pi),
+        ((0.1,), math.tau / 0.8),
+        ((0.05, 0.2), math.tau / 0.8),
+    ],
+)
+def test_a_ramp_lasts_a_period_of_the_tone_or_of_the_middle_of_several(
+    omegas_rad_s: tuple[float, ...], ramp_s: float
+) -> None:
+    spec = RobotSpec(
+        kind="any",
+        axes=(AxisSpec(name="x", unit="m", amplitude_max=1, velocity_max=1, acceleration_max=1),),
+        sample_time_s=0.02,
+        omega_min_rad_s=1e-3,
+        omega_max_rad_s=100.0,
+        duration_max_s=1e6,
+        settling_time_s=4.0,
+        simulated=True,
+    )
+    tones = tuple(Tone(omega_rad_s=omega) for omega in omegas_rad_s)
+    excitation = Excitation(axis="x", tones=tones, segments=3)
+    assert timing(excitation, spec).ramp_s == pytest.approx(ramp_s)
