@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orchestrator.figure_style import COLOURS, new_figure, plain, save
-from orchestrator.results import RunRecord
+from orchestrator.results import RankResult, RunRecord
 from orchestrator.study import Curve
 from orchestrator.verdict_table import verdict_markdown
 from shared.arrays import FloatArray
@@ -98,6 +98,16 @@ def _draw_history(axes: Axes, record: RunRecord, colours: Mapping[str, str]) -> 
     axes.set_xticks([entry.iteration for entry in record.history])
 
 
+def _certainty(result: RankResult) -> list[str]:
+    """Return how sure an algorithm is that knows it, and of whom it was sure early."""
+    if result.confidence is None:
+        return []
+    why = f": {result.stopped_because}" if result.stopped_because else ""
+    out = [f"- {source}: {reason}" for source, reason in (result.eliminated or {}).items()]
+    told = ["", f"Right with probability {result.confidence:.3f}{why}."]
+    return [*told, "", "Out of the contest:", "", *out] if out else told
+
+
 def write_report(folder: Path, record: RunRecord) -> None:
     """Write `report.md`: what was asked, what came out, in words and one table."""
     result = record.result
@@ -114,6 +124,7 @@ def write_report(folder: Path, record: RunRecord) -> None:
             f"Selected source: **{result.selected}**, after {result.robot_time_s:.0f} robot-seconds"
             f" and {record.wall_time_s:.1f} s on the clock."
         ),
+        *_certainty(result),
         "",
         "| source | ψ* | σ | at ω [rad/s] | tests | closed form |",
         "|---|---|---|---|---|---|",

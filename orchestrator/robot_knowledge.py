@@ -10,6 +10,7 @@ from orchestrator.response_features import ResponsePrior
 from orchestrator.response_fit import Tones
 from orchestrator.response_model import ResponseModel
 from shared.arrays import FloatArray
+from shared.errors import InvalidInputError
 from shared.frequency_response import FrequencyResponse
 from shared.robot_spec import RobotSpec
 
@@ -49,10 +50,18 @@ class RobotKnowledge:
             response: the test's response.
             rng: draws what was expected of the test.
             check: whether to look for contradictions, which takes as long as a fit of the model.
+
+        Raises:
+            InvalidInputError: the test has no usable estimate.
         """
+        known = np.isfinite(response.z) & np.isfinite(response.variance)
+        if not known.any():
+            raise InvalidInputError(
+                f"{self.robot}: a test of it holds no finite estimate: leave that test out, or "
+                "repeat it"
+            )
         first = not self.responses
         self.responses.append(response)
-        known = np.isfinite(response.z) & np.isfinite(response.variance)
         omega, z = response.omega_rad_s[known], response.z[known]
         degrees = response.degrees_of_freedom[known]
         variance = pooled_variance(omega, response.variance[known], degrees)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,7 +79,30 @@ def judge_transfers(
             curve = predict(source, slice(0, CURVE_POINTS), flat)
             found = predict(source, slice(CURVE_POINTS, None), spectrum)
             verdicts[source] = verdict_document(found, curve)
-    return Judgement(verdicts, tuple(f for it in known.values() for f in it.findings))
+    findings = [f for it in known.values() for f in it.findings]
+    findings += [f for s in sources if s in known for f in _gaps(known[s], known[plan.target])]
+    return Judgement(verdicts, tuple(dict.fromkeys(findings)))
+
+
+def _gaps(source: RobotKnowledge, target: RobotKnowledge) -> Iterator[str]:
+    """Yield what the tests of two robots leave to their models alone."""
+    bands = []
+    for known in (source, target):
+        omega = known.omega_rad_s
+        bands.append((float(omega.min()), float(omega.max())))
+        if bands[-1][0] == bands[-1][1]:
+            yield (
+                f"{known.robot}: it was tested at {bands[-1][0]:.4g} rad/s only: elsewhere nothing "
+                "but what is usual is known of it; test it at more frequencies"
+            )
+    low, high = max(low for low, _ in bands), min(high for _, high in bands)
+    if low > high:
+        (low_s, high_s), (low_t, high_t) = bands
+        yield (
+            f"{source.robot}: it was tested from {low_s:.4g} to {high_s:.4g} rad/s and "
+            f"{target.robot} from {low_t:.4g} to {high_t:.4g} rad/s: how far apart they are is "
+            "measured nowhere; test both over one band"
+        )
 
 
 def by_predicted_error(

@@ -153,10 +153,11 @@ def _judge(
     low, median, high = (100 * float(x) for x in (reduction.low, reduction.median, reduction.high))
     if below + above > OUTSIDE_MAX:
         return Verdict.NEED_MORE_TESTS, f"too much of it has not been tested{leaves}"
-    if helps >= 1 - delta:
+    # An interval with both ends on one side of 0, so that the words never contradict the numbers.
+    if helps >= 1 - delta and low > 0:
         text = f"the error is expected to fall by {median:.0f} % ({low:.0f} to {high:.0f} %)"
         return Verdict.TRANSFER, text + leaves
-    if helps <= delta:
+    if helps <= delta and high < 0:
         text = f"the error is expected to grow by {-median:.0f} % ({-high:.0f} to {-low:.0f} %)"
         return Verdict.DO_NOT_TRANSFER, text + leaves
     text = (

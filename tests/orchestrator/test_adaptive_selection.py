@@ -13,6 +13,7 @@ from orchestrator.study import DesiredMotion, Question, Report, StudyPlan
 from orchestrator.tone_choice import first_look
 from shared.chordal import chordal_distance
 from shared.errors import StudyError
+from shared.response_quality import Finding, Quality
 
 FLEET = {
     "target": Loop(3.0),
@@ -220,3 +221,37 @@ def test_with_a_trajectory_it_selects_what_leaves_the_smallest_error_on_that() -
         assert (reports[-1].confidence or 0) > 0.95
     assert reports[-1].stopped_because is not None
     assert "smallest error" in reports[-1].stopped_because
+
+
+def test_a_robot_that_changes_between_its_tests_is_said_and_believed_less() -> None:
+    fleet = {"target": Loop(3.0), "one": Loop(3.3), "other": Loop(2.75)}
+    worn = {**fleet, "target": Loop(3.0, gain=0.85)}
+    settings = AdaptiveSettings(delta=1e-4, epsilon=0.0)
+    last: dict[str, Report] = {}
+    for kind, later in (("steady", fleet), ("worn", worn)):
+        study, rng = begin(fleet, rounds=3, settings=settings), np.random.default_rng(0)
+        while (question := study.ask()) is not None:
+            there = fleet if question.iteration == 1 else later
+            last[kind] = study.tell(answers(there, question, 0.02, rng), {})
+    assert last["steady"].findings == ()
+    assert len(last["worn"].findings) == 1
+    assert last["worn"].findings[0].startswith("target: its response changed between tests, by 0.0")
+    assert "depends on the amplitude or on time" in last["worn"].findings[0]
+    steady, worn_out = ({e.robot: e.psi_std for e in last[k].ranking} for k in ("steady", "worn"))
+    assert all(worn_out[source] > 1.5 * steady[source] for source in steady)
+
+
+def test_harmonics_that_a_test_finds_are_said_and_the_response_is_believed_less() -> None:
+    finding = Finding(code="nonlinear", text="5 % of it is distortion")
+    deviations = {}
+    for bent in (False, True):
+        study, rng = begin(FLEET, rounds=1), np.random.default_rng(0)
+        question = study.ask()
+        assert question is not None
+        given = answers(FLEET, question, 0.002, rng)
+        if bent:
+            given["near"] = replace(given["near"], quality=Quality(warnings=(finding,)))
+        report = study.tell(given, {})
+        assert report.findings == (("near: 5 % of it is distortion",) if bent else ())
+        deviations[bent] = {e.robot: e.psi_std for e in report.ranking}
+    assert deviations[True]["near"] > 1.5 * deviations[False]["near"]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from random_loops import BAND, SPEC, Loop, answers
@@ -12,6 +14,8 @@ from orchestrator.response_record import ResponseRecord
 from orchestrator.study import DesiredMotion, SourceEstimate, Study, StudyPlan
 from orchestrator.transfer_verdicts import Judgement, by_predicted_error, judge_transfers
 from orchestrator.verdict import Verdict
+from shared.errors import InvalidInputError
+from shared.excitation import Excitation, Tone
 
 FLEET = {
     "target": Loop(3.0),
@@ -120,3 +124,84 @@ def test_a_response_comes_back_from_its_record() -> None:
     for name in ("omega_rad_s", "z", "variance", "degrees_of_freedom"):
         np.testing.assert_array_equal(getattr(back, name), getattr(response, name))
     assert (back.segments, back.quality) == (response.segments, response.quality)
+
+
+def tones(*omega_rad_s: float) -> Excitation:
+    return Excitation(
+        axis="x", tones=tuple(Tone(omega_rad_s=omega) for omega in omega_rad_s), segments=3
+    )
+
+
+LOW, HIGH = (0.3, 0.5, 0.7, 0.9), (3.0, 3.8, 4.6, 5.4)
+NOISE = 0.005
+
+
+def judged_from(
+    at_target: Excitation, at_sources: Excitation, motion: DesiredMotion | None, seed: int = 1
+) -> Judgement:
+    """Judge by stored tests, whatever was played on each robot."""
+    rng = np.random.default_rng(seed)
+    played = {name: at_target if name == "target" else at_sources for name in FLEET}
+    stored = {name: [FLEET[name].answer(played[name], NOISE, rng)] for name in FLEET}
+    plan = StudyPlan("target", PLAN.sources, BAND, 7, "x", motion)
+    return judge_transfers(plan, ranked(*PLAN.sources), dict.fromkeys(FLEET, SPEC), stored, rng)
+
+
+@pytest.mark.parametrize(("at_target", "at_sources"), [(LOW, HIGH), (HIGH, LOW)])
+@pytest.mark.parametrize("motion", [None, MOTION])
+def test_of_tests_on_disjoint_bands_no_verdict_is_wrong_and_the_gap_is_said(
+    at_target: tuple[float, ...], at_sources: tuple[float, ...], motion: DesiredMotion | None
+) -> None:
+    found = judged_from(tones(*at_target), tones(*at_sources), motion)
+    assert found.verdicts["near"].verdict is not Verdict.DO_NOT_TRANSFER
+    assert found.verdicts["worse"].verdict is not Verdict.TRANSFER
+    low, high = at_sources[0], at_sources[-1]
+    assert any(
+        f"near: it was tested from {low:.4g} to {high:.4g} rad/s" in finding
+        and "test both over one band" in finding
+        for finding in found.findings
+    )
+
+
+@pytest.mark.parametrize("motion", [None, MOTION])
+@pytest.mark.parametrize("at_sources", [(2.0,), (4.0,)])
+def test_one_frequency_decides_nothing_and_asks_for_more(
+    at_sources: tuple[float, ...], motion: DesiredMotion | None
+) -> None:
+    found = judged_from(tones(2.0), tones(*at_sources), motion)
+    assert found.verdicts["near"].verdict is Verdict.NEED_MORE_TESTS
+    assert found.verdicts["worse"].verdict is not Verdict.TRANSFER
+    assert "target: it was tested at 2 rad/s only" in " ".join(found.findings)
+    assert any(f.startswith(f"near: it was tested at {at_sources[0]:g}") for f in found.findings)
+
+
+def test_a_stored_test_without_any_finite_estimate_is_refused_by_name() -> None:
+    rng = np.random.default_rng(0)
+    good = FLEET["near"].answer(tones(*HIGH), NOISE, rng)
+    empty = replace(good, z=np.full(len(good.z), complex(np.nan, np.nan)))
+    stored = {"target": [FLEET["target"].answer(tones(*HIGH), NOISE, rng)], "near": [good, empty]}
+    with pytest.raises(InvalidInputError, match=r"near: .* no finite estimate: leave that test"):
+        judge_transfers(PLAN, ranked("near"), dict.fromkeys(FLEET, SPEC), stored, rng)
+
+
+def test_a_verdict_never_contradicts_its_own_bounds() -> None:
+    for played in (HIGH, LOW, (1.0,)):
+        for verdict in judged_from(tones(*LOW), tones(*played), MOTION).verdicts.values():
+            if verdict.verdict is Verdict.TRANSFER:
+                assert verdict.reduction.low > 0
+            if verdict.verdict is Verdict.DO_NOT_TRANSFER:
+                assert verdict.reduction.high < 0
+
+
+def test_a_robot_that_changes_between_its_tests_is_said_beside_the_verdicts() -> None:
+    rng = np.random.default_rng(0)
+    test = tones(*np.linspace(0.6, 5.4, 9).tolist())
+    stored = {name: [loop.answer(test, NOISE, rng)] for name, loop in FLEET.items()}
+    steady = judge_transfers(PLAN, ranked("near"), dict.fromkeys(FLEET, SPEC), stored, rng)
+    assert steady.findings == ()
+    stored["near"].append(Loop(3.1, damping=0.75, gain=0.9).answer(test, NOISE, rng))
+    moved = judge_transfers(PLAN, ranked("near"), dict.fromkeys(FLEET, SPEC), stored, rng)
+    assert len(moved.findings) == 1
+    assert moved.findings[0].startswith("near: its response changed between tests")
+    wide, narrow = (j.verdicts["near"].error_with for j in (moved, steady))
+    assert wide.high - wide.low > 2 * (narrow.high - narrow.low)
