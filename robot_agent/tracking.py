@@ -25,6 +25,12 @@ STOPPED = "stopped"
 """Why a path was not finished when somebody asked for its end."""
 
 
+PAIR_SPACING_S = 0.12
+"""The online process learns from pairs so far apart. A window of fifty then holds six seconds of
+path, so that it sees the dynamics from several sides; fifty neighbours all say the same, and what a
+process makes of those is steep feedback across the path."""
+
+
 @dataclass(frozen=True, eq=False)
 class TrackingRecord:
     """One flight along a path; arrays have one row per sample played, (samples, axes).
@@ -82,6 +88,7 @@ class Learner:
 
     layout: InverseLayout
     process: OnlineGp
+    pair_spacing_s: float = PAIR_SPACING_S
 
 
 def track(
@@ -169,12 +176,15 @@ class _Flight:
         self._learner, self._guard, self._watch = learner, guard, watch
         samples, axes = desired.shape
         self._back = self._ahead = self._span = 0
+        self._learn_every = 1
         states = max(1, len(robot.state_names))
         if learner is not None:
             layout = learner.layout
             self._back, self._ahead = layout.back_samples, layout.horizon_samples
             self._span = layout.span_samples
             states = len(layout.states)
+            spacing = round(learner.pair_spacing_s / robot.spec.sample_time_s)
+            self._learn_every = max(1, spacing)
         self._path = np.pad(desired, ((self._back, self._ahead + 1), (0, 0)), mode="edge")
         self._velocity = np.gradient(self._path, robot.spec.sample_time_s, axis=0)
         # Before the first sample the robot rested at the path's start.
@@ -223,7 +233,7 @@ class _Flight:
         layout, process, row = learner.layout, learner.process, self._span + k
         self._states[row] = observed[:, : self._states.shape[2]]
         window = slice(row + 1 - self._span, row + 1)
-        if k > 0:
+        if k > 0 and k % self._learn_every == 0:
             for axis in range(observed.shape[0]):
                 inputs, gamma = layout.pairs(
                     self._reference[window, axis], self._states[window, axis]

@@ -101,6 +101,22 @@ def test_the_online_process_learns_the_bias_of_a_preview() -> None:
     assert np.abs(alone.mean).max() == 0
 
 
+class Counting(OnlineGp):
+    learned = 0
+
+    def learn(self, axis: int, inputs: FloatArray, gamma: float) -> None:
+        self.learned += 1
+        super().learn(axis, inputs, gamma)
+
+
+@pytest.mark.parametrize(("spacing_s", "every"), [(0.0, 1), (0.015, 1), (0.12, 8)])
+def test_the_online_process_learns_from_pairs_that_are_apart(spacing_s: float, every: int) -> None:
+    layout = layout_of("state")
+    process = Counting(layout, (None,))
+    flight = track(double_integrator(), PATH, LIMITS, Learner(layout, process, spacing_s))
+    assert process.learned == (len(flight.desired) - 1) // every
+
+
 def harmful(inputs: FloatArray) -> FloatArray:
     """Ask for the opposite of what the preview shows."""
     return np.asarray(-4.0 * inputs[:, -1])
