@@ -14,7 +14,7 @@ from orchestrator.archive import Archive
 from orchestrator.desired_motion import Drawing, desired_motion
 from orchestrator.dispatcher import Dispatcher, Measured, TestOutcome
 from orchestrator.fleet import Fleet
-from orchestrator.preflight import check_band, check_names, check_plan, chosen_axis
+from orchestrator.preflight import check_band, check_names, check_plan, check_robots, chosen_axis
 from orchestrator.ranking import Conclusion, RankingObserver, conduct
 from orchestrator.report import write_plots, write_report
 from orchestrator.repository.records import StudyRecord, StudyStatus
@@ -26,6 +26,7 @@ from orchestrator.results import (
     RunRecord,
 )
 from orchestrator.run_folder import RunFolder
+from orchestrator.stored_responses import stored_responses
 from orchestrator.study import Curve, Question, Report, StudyPlan
 from orchestrator.study_recipe import make_study, recipe_of
 from orchestrator.transfer_verdicts import Judgement, by_predicted_error, judge_transfers
@@ -33,6 +34,7 @@ from shared.arrays import FloatArray
 from shared.chordal import chordal_distance, worst_case_chordal_distance
 from shared.errors import InvalidInputError
 from shared.messages import Description
+from shared.robot_spec import RobotSpec
 
 Algorithm = Literal["paper", "adaptive"]
 
@@ -59,13 +61,19 @@ class ReadyStudy:
     closed_form: Mapping[str, ClosedForm]
 
 
-def prepare(fleet: Fleet, request: RankRequest, there: tuple[str, ...]) -> ReadyStudy:
+def prepare(
+    fleet: Fleet,
+    request: RankRequest,
+    there: tuple[str, ...],
+    known: Mapping[str, RobotSpec] | None = None,
+) -> ReadyStudy:
     """Check a request against the fleet before anything moves.
 
     Args:
         fleet: the fleet, reached.
         request: what to rank.
         there: the robots that are there.
+        known: what sources said of themselves that need not be there.
 
     Raises:
         InvalidInputError: what is asked cannot be done with these robots.
@@ -76,9 +84,15 @@ def prepare(fleet: Fleet, request: RankRequest, there: tuple[str, ...]) -> Ready
     sources = request.sources
     if sources is None:
         sources = tuple(robot for robot in there if robot != request.target)
-    check_names(request.target, sources, there)
-    robots = (request.target, *sources)
-    descriptions = fleet.describe_all(robots)
+    away = {robot: spec for robot, spec in (known or {}).items() if robot not in there}
+    check_names(request.target, sources, (*there, *away))
+    check_robots((request.target,), there)
+    descriptions = fleet.describe_all(
+        tuple(robot for robot in (request.target, *sources) if robot not in away)
+    )
+    for robot, spec in away.items():
+        if robot in sources:
+            descriptions[robot] = Description(robot=robot, boot_id="away", spec=spec)
     axis = chosen_axis(request.axis, descriptions[request.target])
     at_target = descriptions[request.target].spec
     plan = StudyPlan(
@@ -150,7 +164,9 @@ def run_study(
         ready.plan, conclusion.ranking, specs, conclusion.responses, np.random.default_rng(seed)
     )
     record = RunRecord(
-        result=_result(ready.plan, conclusion, judgement, folder),
+        result=_result(ready.plan, conclusion, judgement, folder).model_copy(
+            update={"stored": stored_responses(studies, recipe_of(study).stored) or None}
+        ),
         axis=ready.plan.axis,
         seed=seed,
         history=tuple(recorder.history),

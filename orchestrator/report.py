@@ -137,6 +137,11 @@ def write_report(folder: Path, record: RunRecord) -> None:
             f"| {'' if exact is None else f'{exact.psi:.4f}'} |"
         )
     lines += [f"\nWithout {robot}: {reason}" for robot, reason in record.dropped.items()]
+    lines += [
+        f"\n{robot} did not fly: {stored.tests} stored tests stand for it, measured from "
+        f"{stored.measured_from} to {stored.measured_to}."
+        for robot, stored in (result.stored or {}).items()
+    ]
     lines += ["", *verdict_markdown(result)]
     lines += [f"\n{finding}" for finding in result.findings]
     lines += [

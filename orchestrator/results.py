@@ -14,12 +14,22 @@ from shared.strict import NonNegative, Strict
 Count = Annotated[int, Field(ge=0)]
 
 
+class StoredResponses(Strict):
+    """The tests of earlier studies that stood for tests of a source; ISO 8601 times, in UTC."""
+
+    tests: Count
+    measured_from: str
+    measured_to: str
+    studies: tuple[str, ...]
+
+
 class RankResult(Strict):
     """What `nufleet rank --json` prints: the ranking, best first, and what it cost.
 
     With a `trajectory` the best source is the one expected to leave the smallest error on it,
     otherwise the closest. `verdicts` say by source whether transfer will help, `findings` what the
-    tests revealed that weakens what is said here. `confidence`, `eliminated` and `stopped_because`
+    tests revealed that weakens what is said here. The sources in `stored` did not fly: responses
+    of earlier studies stood for them. `confidence`, `eliminated` and `stopped_because`
     are those of an algorithm that knows how sure it is.
     """
 
@@ -37,6 +47,7 @@ class RankResult(Strict):
     trajectory: str | None = None
     verdicts: Annotated[dict[str, TransferVerdict], Field(default_factory=dict)]
     findings: tuple[str, ...] = ()
+    stored: dict[str, StoredResponses] | None = None
 
     def document(self) -> str:
         """Return the JSON that other programs read: what the algorithm does not say is left out."""

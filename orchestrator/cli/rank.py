@@ -68,6 +68,18 @@ from orchestrator.cli.options import (
     ),
 )
 @click.option(
+    "--reuse",
+    "reuse_days",
+    type=click.FloatRange(min=0),
+    is_flag=False,
+    flag_value=30.0,
+    metavar="[DAYS]",
+    help=(
+        "With --algorithm adaptive: sources with stored responses that are no older than this "
+        "(30 days without a number) do not fly, and need not be there; the result names them."
+    ),
+)
+@click.option(
     "--trajectory",
     metavar="FILE|NAME",
     help="Rank for this drawing (CSV or SVG, or an installed one such as `pear`).",
@@ -110,6 +122,7 @@ def rank(
     iterations: int,
     seed: int,
     algorithm: Literal["paper", "adaptive"],
+    reuse_days: float | None,
     trajectory: str | None,
     speed_m_s: float | None,
     realtime: float | None,
@@ -151,6 +164,7 @@ def rank(
             iterations=iterations,
             seed=seed,
             algorithm=algorithm,
+            reuse_days=reuse_days,
             trajectory=trajectory,
             speed_m_s=speed_m_s,
             realtime=realtime,

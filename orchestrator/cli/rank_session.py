@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import click
@@ -14,12 +16,15 @@ from orchestrator.cli.storage import Storage
 from orchestrator.cli.study_session import show_study
 from orchestrator.console import stderr_console
 from orchestrator.desired_motion import Drawing, read_motion
+from orchestrator.fleet import Fleet
 from orchestrator.preflight import check_band, check_names
-from orchestrator.rank_run import Algorithm, RankRequest, configuration, prepare
+from orchestrator.rank_run import Algorithm, RankRequest, ReadyStudy, configuration, prepare
 from orchestrator.reach import REACH, Reach
+from orchestrator.repository.repository import Repository
 from orchestrator.results import RunRecord
 from orchestrator.robot_leases import lease_robots
 from orchestrator.run_folder import RunFolder, make_runs_root
+from orchestrator.stored_responses import check_absent, find_stored, oldest_reused
 from shared.errors import InvalidInputError
 from shared.fleet_file import FleetFile, read_fleet_file
 from shared.transport import DEFAULT_ENDPOINT
@@ -48,6 +53,7 @@ class RankCommand:
     trajectory: str | None = None
     speed_m_s: float | None = None
     repository: str | None = None
+    reuse_days: float | None = None
 
 
 def rank_and_print(command: RankCommand) -> None:
@@ -63,23 +69,26 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
     if command.band_rad_s is not None:
         check_band(command.band_rad_s)
     drawing = _drawing(command)
+    if command.reuse_days is not None and command.algorithm != "adaptive":
+        raise InvalidInputError("--reuse is that of --algorithm adaptive; name it")
     make_runs_root(command.runs_root)
     storage = Storage(command.runs_root, command.repository)
     with ExitStack() as stack:
         repository = stack.enter_context(storage.open())
         reach = _reach(command)
-        wanted = (_target(command), *(command.sources or ()))
+        sources = command.sources if command.reuse_days is None else None
+        wanted = (_target(command), *(sources or ()))
         fleet, name, robots = stack.enter_context(
             reach.connection(console, wanted, wait_s=command.wait_s)
         )
-        ready = prepare(fleet, _request(command, drawing), robots)
+        ready, stored = _ready(command, drawing, fleet, name, robots, repository, console)
         folder = stack.enter_context(RunFolder(command.runs_root, name))
         leases = stack.enter_context(
             lease_robots(
                 repository.leases,
                 fleet,
                 reach.lease_scope(name, folder.study_id),
-                ready.descriptions,
+                (robot for robot in ready.descriptions if robot not in stored),
             )
         )
         archive = Archive(repository, name, leases)
@@ -97,13 +106,46 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
             fleet,
             ready,
             lambda: archive.begin(
-                folder.study_id, command.algorithm, ready.plan, command.seed, ready.descriptions
+                folder.study_id,
+                command.algorithm,
+                ready.plan,
+                command.seed,
+                ready.descriptions,
+                stored,
             ),
             archive,
             folder=folder,
             live=command.live,
             console=console,
         )
+
+
+def _ready(
+    command: RankCommand,
+    drawing: Drawing | None,
+    fleet: Fleet,
+    name: str,
+    there: tuple[str, ...],
+    repository: Repository,
+    console: Console,
+) -> tuple[ReadyStudy, Mapping[str, tuple[str, ...]]]:
+    """Return the study, checked, and the stored goals that stand for tests, by source."""
+    request = _request(command, drawing)
+    if command.reuse_days is None:
+        return prepare(fleet, request, there), {}
+    known = {record.robot: record.spec for record in repository.robots.robots(name)}
+    ready = prepare(fleet, request, there, known)
+    reuse = find_stored(
+        repository,
+        name,
+        ready.plan,
+        {robot: description.spec for robot, description in ready.descriptions.items()},
+        newer_than=oldest_reused(command.reuse_days, datetime.now(UTC)),
+    )
+    check_absent([robot for robot in ready.plan.sources if robot not in there], reuse, name)
+    for robot, reason in reuse.unusable.items():
+        console.print(f"{robot} flies: {reason}")
+    return ready, reuse.known
 
 
 def _reach(command: RankCommand) -> Reach:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from datetime import UTC, datetime
 
 from rich.console import Console
 
@@ -16,6 +17,7 @@ from orchestrator.rank_run import ReadyStudy, run_study
 from orchestrator.repository.records import StudyRecord
 from orchestrator.results import RunRecord
 from orchestrator.run_folder import RunFolder
+from orchestrator.stored_responses import said_of
 from orchestrator.study_clock import StudyClock
 from orchestrator.verdict_table import print_verdicts
 from orchestrator.viewer.ports import GRPC_PORT, WEB_PORT
@@ -57,6 +59,8 @@ def show_study(
             observers=[ConsoleObserver(console, ready.plan.iterations), view],
         )
     console.print(ranking_table(record.result.ranking, record.closed_form))
+    for robot, stored in (record.result.stored or {}).items():
+        console.print(f"[yellow]{said_of(robot, stored, datetime.now(UTC))}[/]")
     print_verdicts(console, record.result)
     console.print(
         f"selected: [bold green]{record.result.selected}[/]  "

@@ -97,6 +97,15 @@ def test_the_adaptive_algorithm_says_how_sure_it_is_and_why_it_stopped(tmp_path:
     paper = json.loads(nufleet(*arguments, cwd=tmp_path).stdout)
     assert "confidence" not in paper
     assert document["robot_time_s"] < paper["robot_time_s"] / 4
+    refused = nufleet(*arguments, "--reuse", cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "--reuse is that of --algorithm adaptive" in refused.stderr
+    again = nufleet(*arguments, "--algorithm", "adaptive", "--reuse", cwd=tmp_path)
+    reusing = json.loads(again.stdout)
+    assert set(reusing["stored"]) == {"source-1", "source-2", "source-3"}
+    assert "source-2 did not fly" in again.stderr
+    assert reusing["selected"] == "source-2"
+    assert reusing["robot_time_s"] < document["robot_time_s"]
 
 
 def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(tmp_path: Path) -> None:
