@@ -26,6 +26,7 @@ from shared.errors import NufleetError
 ENTRY_POINT_GROUP = "nufleet.commands"
 _DISK_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 _GROUP_HELP = {
+    "drawing": "Import, draw and look at the drawings that robots track.",
     "fleet": "Launch a fleet of simulated robots, or see who is there.",
     "runs": "Look at what earlier runs left behind.",
 }

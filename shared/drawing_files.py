@@ -1,4 +1,4 @@
-"""Reads drawn paths from files: CSV in metres, or one path of an SVG."""
+"""Reads drawn paths from files, CSV in metres or one path of an SVG, and writes them as CSV."""
 
 from __future__ import annotations
 
@@ -52,6 +52,23 @@ def read_drawing(path: Path) -> FloatArray:
     points = reader(text, str(path))
     check_path(points, str(path))
     return points
+
+
+def write_drawing(path: Path, points: FloatArray) -> None:
+    """Store points (n, 2), in m, as a CSV that `read_drawing` reads, to a tenth of a millimetre.
+
+    Raises:
+        InvalidInputError: they are no path, the file is no .csv, or cannot be written.
+    """
+    if path.suffix.lower() != ".csv":
+        raise InvalidInputError(f"{path}: a drawing is stored as a .csv file")
+    rounded = np.round(points, 4) + 0.0  # no negative zeros
+    check_path(rounded, str(path))
+    rows = "".join(f"{x:.4f},{y:.4f}\n" for x, y in rounded)
+    try:
+        path.write_text(f"{','.join(_CSV_COLUMNS)}\n{rows}", encoding="utf-8")
+    except OSError as error:
+        raise InvalidInputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def _csv(text: str, name: str) -> FloatArray:

@@ -89,10 +89,7 @@ def travel(
     check_path(points, "the path")
     if not (0 < speed < math.inf and 0 < acceleration_max < math.inf):
         raise InvalidInputError(f"speed and acceleration must be positive, got {speed}")
-    path = _smoothed(points)
-    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    along = np.linspace(0.0, length[-1], len(path))
-    path = _interpolated(along, length, path)
+    path, along = smoothed(points)
     time_s = _arrival(path, along, speed, _MARGIN * acceleration_max / math.sqrt(2))
     if time_s[-1] / sample_time_s > POINTS_MAX:
         raise InvalidInputError(
@@ -108,8 +105,35 @@ def travel(
     )
 
 
-def _smoothed(points: FloatArray) -> FloatArray:
-    """Return the path as many evenly spaced points, tremor and corners smoothed, its ends kept."""
+def smoothed(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a path as it is travelled: tremor and corners smoothed, its ends kept.
+
+    Args:
+        points: shape (n, axes), a path by `check_path`.
+
+    Returns:
+        Many evenly spaced points, shape (m, axes), and how far along the path each lies, (m,).
+    """
+    path = _without_tremor(points)
+    length = lengths(path)
+    along = np.linspace(0.0, length[-1], len(path))
+    return _interpolated(along, length, path), along
+
+
+def lengths(points: FloatArray) -> FloatArray:
+    """Return how far along a path (n, axes) each of its points lies, shape (n,)."""
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def curvature(path: FloatArray, along: FloatArray) -> FloatArray:
+    """Return one over the radius at each of the points that `smoothed` gives, shape (m,)."""
+    step = along[1] - along[0]
+    tangent = np.gradient(path, step, axis=0)
+    return np.asarray(np.linalg.norm(np.gradient(tangent, step, axis=0), axis=1))
+
+
+def _without_tremor(points: FloatArray) -> FloatArray:
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     distinct = np.concatenate([[True], steps > 0])
     points, steps = points[distinct], steps[steps > 0]
@@ -128,9 +152,7 @@ def _smoothed(points: FloatArray) -> FloatArray:
 def _arrival(path: FloatArray, along: FloatArray, speed: float, acceleration: float) -> FloatArray:
     """Return when each point of the path is reached, at most `acceleration` along and across it."""
     step = along[1] - along[0]
-    tangent = np.gradient(path, step, axis=0)
-    curvature = np.linalg.norm(np.gradient(tangent, step, axis=0), axis=1)
-    square = np.minimum(speed**2, acceleration / np.maximum(curvature, 1e-12))
+    square = np.minimum(speed**2, acceleration / np.maximum(curvature(path, along), 1e-12))
     square[0] = square[-1] = 0.0
     gain = 2 * acceleration * step
     for i in range(1, len(square)):

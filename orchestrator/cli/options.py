@@ -106,3 +106,23 @@ def fleet_option(command: F) -> F:
         metavar="FILE",
         help="Start the simulated fleet of this file (or installed name) for this command alone.",
     )(command)
+
+
+def drawing_robots_options(command: F) -> F:
+    """Add --fleet, --connect and --fleet-name, and --robot: whose limits count."""
+    robots = click.option(
+        "--robot",
+        "robots",
+        multiple=True,
+        metavar="NAME",
+        help=(
+            "By whose limits; may be given several times.  [default: with --fleet all robots of "
+            "it, else those of the simulated quadrotors]"
+        ),
+    )
+    return fleet_option(connect_options(robots(command)))
+
+
+def overwriting_option(command: F) -> F:
+    """Add --force."""
+    return click.option("--force", is_flag=True, help="Replace a file that is there.")(command)
