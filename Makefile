@@ -28,14 +28,14 @@ lint: .venv/installed-test
 	$(PYTHON) -m venv .venv
 
 .venv/installed-demo: .venv/bin/python pyproject.toml constraints.txt
-	@echo "== installing nufleet and what it needs (once; a minute or two)"
-	$(PIP_INSTALL) -e .
+	@echo "== installing nufleet and what it needs, torch among it (once; some minutes)"
+	$(PIP_INSTALL) -e '.[learning]'
 	@echo "== compiling the numerics (once)"
 	.venv/bin/python -c 'from shared.gaussian_process import warm_up; warm_up()'
 	@touch $@
 
 .venv/installed-test: .venv/installed-demo
-	@echo "== installing what the tests need, simulators and torch among it (once; some minutes)"
+	@echo "== installing what the tests need, simulators among it (once; some minutes)"
 	$(PIP_INSTALL) -e '.[test,quadrotors,arms,learning,repository]'
 	@touch $@
 
