@@ -1,0 +1,170 @@
+"""A robot has the prior in the end that it had before, whatever came between."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from fleet_lab import Lab, double_integrator
+from learned_things import experience
+from robots_that_learn import LaggedRobot
+
+from orchestrator.experience_learning import fly_lessons
+from orchestrator.fleet import Fleet
+from orchestrator.pilot import Pilot
+from orchestrator.prior_custody import install, prior_put_back
+from shared.arrays import FloatArray
+from shared.errors import InvalidInputError, RobotError, StudyError
+from shared.experience import digest
+from shared.messages import GoalRequest
+from shared.motions import Tracking
+from shared.trajectories import travel
+
+PATH = travel(np.array([[0.0], [0.9], [-0.5], [0.0]]), 0.4, 1.5, 0.015)
+OWN, OTHER = experience("source", seed=1), experience("somebody", seed=2)
+
+
+def prior_of(fleet: Fleet, robot: str) -> str | None:
+    prior = fleet.describe(robot).prior
+    return None if prior is None else prior.sha256
+
+
+@pytest.fixture
+def fleet(lab: Lab) -> Fleet:
+    lab.agent("target", double_integrator(0.85, 1))
+    return lab.orchestrator().fleet
+
+
+@pytest.mark.parametrize("before", [None, OWN], ids=["none", "one"])
+@pytest.mark.parametrize("error", [None, RobotError("it fell over"), KeyboardInterrupt()])
+def test_a_prior_is_put_back_however_it_ends(
+    fleet: Fleet, before: bytes | None, error: BaseException | None
+) -> None:
+    if before is not None:
+        install(fleet, "target", "prior", before)
+    description = fleet.describe("target")
+
+    def borrow() -> None:
+        with prior_put_back(fleet, Pilot(fleet, "run"), description):
+            install(fleet, "target", "prior", OTHER)
+            assert prior_of(fleet, "target") == digest(OTHER)
+            if error is not None:
+                raise error
+
+    if error is None:
+        borrow()
+    else:
+        with pytest.raises(type(error)):
+            borrow()
+    assert prior_of(fleet, "target") == (None if before is None else digest(before))
+
+
+def test_ctrl_c_in_flight_brings_the_robot_to_rest_before_its_prior_is_put_back(lab: Lab) -> None:
+    lab.agent("slow", double_integrator(0.85, 1), realtime=4.0)
+    orchestrator = lab.orchestrator()
+    fleet = orchestrator.fleet
+    install(fleet, "slow", "prior", OWN)
+    pilot = Pilot(fleet, "run")
+    # The interrupt of the thread that waits for the flight, as Ctrl-C causes it. The way to the
+    # start takes the first third.
+    watch = fleet.watch("slow")
+    wait = watch.wait_until
+
+    def wait_and_interrupt(condition: object, *, timeout_s: float) -> bool:
+        if watch.state is not None and watch.state.progress > 0.4:
+            watch.wait_until = wait  # type: ignore[method-assign]
+            raise KeyboardInterrupt
+        return wait(condition, timeout_s=0.05)  # type: ignore[arg-type]
+
+    def fly() -> None:
+        with prior_put_back(fleet, pilot, fleet.describe("slow")):
+            install(fleet, "slow", "prior", OTHER)
+            watch.wait_until = wait_and_interrupt  # type: ignore[method-assign]
+            pilot.with_prior("slow", PATH, "prior", digest(OTHER), guarded=False)
+
+    with pytest.raises(KeyboardInterrupt):
+        fly()
+    assert prior_of(fleet, "slow") == digest(OWN)
+    state = watch.state
+    assert state is not None
+    assert state.goal_id is None
+    assert state.last_goal_id is not None
+    result = fleet.result("slow", state.last_goal_id)
+    assert result.outcome == "cancelled"
+    assert 0 < len(result.response) < len(PATH)
+
+
+def test_a_robot_that_is_gone_does_not_hide_why_the_flights_ended(
+    lab: Lab, caplog: pytest.LogCaptureFixture
+) -> None:
+    agent = lab.agent("target", double_integrator(0.85, 1))
+    fleet = lab.orchestrator().fleet
+
+    def lose() -> None:
+        with prior_put_back(fleet, Pilot(fleet, "run"), fleet.describe("target")):
+            agent.close()
+            raise RobotError("it flew away")
+
+    with pytest.raises(RobotError, match="it flew away"):
+        lose()
+    assert "the prior of target is not the one that it had" in caplog.text
+
+
+# What goes wrong while a robot learns names the robot.
+
+
+class StuckRobot(LaggedRobot):
+    """It does what it is told and does not move."""
+
+    def step(self, reference: FloatArray) -> FloatArray:
+        return super().step(np.zeros_like(reference))
+
+
+def test_a_robot_that_does_not_answer_to_steps_is_named_with_what_to_try(lab: Lab) -> None:
+    lab.agent("stuck", StuckRobot())
+    fleet = lab.orchestrator().fleet
+    with pytest.raises(StudyError, match=r"robot stuck, axis x: .*nufleet track --target stuck"):
+        lessons(fleet, "stuck")
+
+
+def test_a_robot_that_does_not_track_is_refused_before_it_moves(fleet: Fleet) -> None:
+    description = fleet.describe("target")
+    spec = description.spec.model_copy(update={"tracking": None})
+    with pytest.raises(InvalidInputError, match="robot target has no tracking limits"):
+        fly_lessons(
+            Pilot(fleet, "run"),
+            fleet,
+            description.model_copy(update={"spec": spec}),
+            ("preview",),
+            seed=0,
+            say=lambda robot, what: None,
+        )
+    state = fleet.watch("target").state
+    assert state is not None
+    assert state.last_goal_id is None
+
+
+def lessons(fleet: Fleet, robot: str) -> None:
+    fly_lessons(
+        Pilot(fleet, "run"),
+        fleet,
+        fleet.describe(robot),
+        ("preview",),
+        seed=0,
+        duration_s=60.0,
+        say=lambda robot, what: None,
+    )
+
+
+def test_a_goal_that_another_sent_is_not_cancelled_by_putting_back(fleet: Fleet) -> None:
+    """Only Ctrl-C ends flights; an error of one robot leaves the others' alone."""
+    request = GoalRequest(
+        goal_id="theirs",
+        owner=fleet.orchestrator_id,
+        motion=Tracking(desired=PATH, inverse="baseline"),
+    )
+    with prior_put_back(fleet, Pilot(fleet, "run"), fleet.describe("target")):
+        fleet.submit("target", request)
+        fleet.watch("target").wait_until(
+            lambda w: w.state is not None and w.state.last_goal_id == "theirs", timeout_s=30.0
+        )
+    assert fleet.result("target", "theirs").outcome == "completed"
