@@ -13,13 +13,14 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.faults import detection, fuzz, memory, restarts, stop_time
+from benchmarks.faults import chaos, detection, fuzz, memory, restarts, stop_time
 from benchmarks.faults.figure import Figure
 
 FIGURES: dict[str, Callable[[argparse.Namespace], list[Figure]]] = {
     "detection": lambda own: detection.figures(own.kills, own.silences),
     "stop": lambda own: stop_time.figures(own.robots or 32, own.rounds),
     "restarts": lambda own: restarts.figures(own.restarts),
+    "chaos": lambda own: chaos.figures(own.robots or 10, own.minutes, own.seed),
     "memory": lambda own: memory.figures(own.tests),
     "fuzz": lambda own: fuzz.figures(own.payloads, own.requests),
 }
@@ -40,6 +41,8 @@ def main() -> None:
     parser.add_argument(
         "--restarts", type=int, default=20, help="restarts: of the router, and of orchestrators"
     )
+    parser.add_argument("--minutes", type=float, default=10.0, help="chaos: how long")
+    parser.add_argument("--seed", type=int, default=1, help="chaos: of what fails when")
     parser.add_argument("--tests", type=int, default=1000, help="memory: one after the other")
     parser.add_argument(
         "--payloads", type=int, default=5000, help="fuzz: to each decoder and reader"

@@ -86,11 +86,11 @@ LAYOUT = InverseLayout(
 SIGNAL, FLIGHT = np.linspace(-1.0, 1.0, 80), np.linspace(-1.0, 1.0, 80).reshape(40, 2)
 
 
-def experience() -> Experience:
-    """Return a small inverse of the robots of Section V."""
+def experience(robot: str = "a") -> Experience:
+    """Return a small inverse of the robots of Section V, learned by one of them."""
     width = len(LAYOUT.input_names)
     manifest = ExperienceManifest(
-        robot="a",
+        robot=robot,
         robot_kind=SPEC.kind,
         axes=("x",),
         unit="m",

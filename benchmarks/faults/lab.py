@@ -73,6 +73,10 @@ class Lab:
         """Who is described."""
         return tuple(self._robots)
 
+    def journal(self, robot: str) -> Path:
+        """Return where a robot's agents write down what they accepted."""
+        return self.state_folder / FLEET / robot / "journal"
+
     def router(self, *more: str, namespace: Namespace | None = None) -> Program:
         """Start a router that listens at `endpoint` and more; returns when it does."""
         listen = [part for one in (self.endpoint, *more) for part in ("--listen", one)]

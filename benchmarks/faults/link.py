@@ -14,6 +14,9 @@ from typing import Literal
 
 CHUNK_BYTES = 64 * 1024
 _TICK_S = 0.005
+_IDLE_S = 0.05
+"""New connections and bytes are seen at once; so often it looks whether it is to end."""
+
 
 Direction = Literal["up", "down"]
 """Up is from who connects to the server, down is back."""
@@ -92,7 +95,8 @@ class Link:
                 for pipe in pipes:
                     with suppress(ValueError, KeyError):  # it was cut just now
                         selector.register(pipe.reader, selectors.EVENT_READ, pipe)
-                for key, _ in selector.select(_TICK_S):
+                waits = any(pipe.waiting for pipe in pipes)
+                for key, _ in selector.select(_TICK_S if waits else _IDLE_S):
                     if key.data is None:
                         self._accept()
                     else:

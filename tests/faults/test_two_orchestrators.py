@@ -1,0 +1,37 @@
+"""Two orchestrators that want the same robots: one gets them, the other is told who has them."""
+
+from __future__ import annotations
+
+import re
+
+from benchmarks.faults.lab import SECTION_V, Lab
+from benchmarks.faults.program import wait_until
+from orchestrator.repository.records import StudyStatus
+from orchestrator.repository.repository import open_repository
+
+ROBOTS = tuple(SECTION_V)
+
+
+def test_of_two_processes_that_race_for_robots_one_owns_them_and_the_other_says_who(
+    lab: Lab,
+) -> None:
+    lab.describe_section_v()
+    lab.router()
+    lab.agent(*ROBOTS, realtime=5.0)
+    lab.orchestrator(*ROBOTS, name="watcher")
+    database = lab.folder / "nufleet.sqlite"
+    rivals = [lab.study(f"s{n}", database, ROBOTS, iterations=2) for n in (1, 2)]
+    # A patient one waits for an owner that may be dead, and gives up when it sees it renew.
+    wait_until(lambda: any(not rival.running for rival in rivals), timeout_s=60.0)
+    loser, winner = sorted(rivals, key=lambda rival: rival.running)
+    assert loser.wait() == 1
+    assert winner.wait() == 0
+    owner = re.findall(r"LeaseHeldError: .*(orchestrator-\d)", loser.said)
+    assert owner, loser.said
+    with open_repository(str(database)) as repository:
+        (study,) = repository.studies.studies()
+        trials = repository.studies.trials(study.study_id)
+    assert study.status is StudyStatus.COMPLETE
+    assert winner.what == f"{study.study_id} {owner[0].removeprefix('orchestrator-')}"
+    assert len({trial.intent.epoch for trial in trials}) == 1
+    assert sum(len(lab.motions(robot)) for robot in ROBOTS) == len(trials)
