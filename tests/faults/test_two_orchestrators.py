@@ -17,7 +17,7 @@ def test_of_two_processes_that_race_for_robots_one_owns_them_and_the_other_says_
 ) -> None:
     lab.describe_section_v()
     lab.router()
-    lab.agent(*ROBOTS, realtime=5.0)
+    lab.agent(*ROBOTS, realtime=15.0)
     lab.orchestrator(*ROBOTS, name="watcher")
     database = lab.folder / "nufleet.sqlite"
     rivals = [lab.study(f"s{n}", database, ROBOTS, iterations=2) for n in (1, 2)]
