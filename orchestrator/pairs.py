@@ -14,6 +14,8 @@ from orchestrator.evaluation_summaries import kendall_tau, mean_kendall_tau, poo
 from orchestrator.evaluation_values import TransferPair
 from shared.strict import NonNegative, Strict
 
+PAIRS = "pairs.json"
+
 
 class Pair(Strict):
     """One ordered pair. `ratio` is the error with the source's experience over the baseline's.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from rich.console import Console
+from rich.console import RenderableType
 from rich.table import Table
 
 from orchestrator.results import RankResult
@@ -38,8 +38,8 @@ def verdict_rows(result: RankResult) -> Iterator[tuple[TransferVerdict, tuple[st
             yield found, (estimate.robot, *errors, f"{estimate.psi:.4f}", found.verdict)
 
 
-def print_verdicts(console: Console, result: RankResult) -> None:
-    """Print the table, and under it the reasons; nothing where there is no verdict."""
+def verdict_parts(result: RankResult) -> Iterator[RenderableType]:
+    """Yield the table, and under it the reasons; nothing where there is no verdict."""
     rows = list(verdict_rows(result))
     if not rows:
         return
@@ -48,9 +48,9 @@ def print_verdicts(console: Console, result: RankResult) -> None:
         table.add_column(heading)
     for found, row in rows:
         table.add_row(*row[:-1], f"[{COLOURS[found.verdict]}]{row[-1]}[/]")
-    console.print(table)
+    yield table
     for found, row in rows:
-        console.print(f"  {row[0]}: {found.reason}")
+        yield f"  {row[0]}: {found.reason}"
 
 
 def verdict_markdown(result: RankResult) -> list[str]:

@@ -28,7 +28,7 @@ _DISK_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 _GROUP_HELP = {
     "drawing": "Import, draw and look at the drawings that robots track.",
     "fleet": "Launch a fleet of simulated robots, or see who is there.",
-    "runs": "Look at what earlier runs left behind.",
+    "runs": "Look at what earlier runs left behind, or go on with one that was interrupted.",
 }
 
 

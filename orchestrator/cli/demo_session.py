@@ -70,7 +70,8 @@ def _ranked(session: Session, reach: Reach, storage: Storage, seed: int) -> RunR
     )
     ready = prepare(fleet, request, there)
     session.folder.write_configuration(
-        configuration(ready, seed) | {"kind": "demo", **storage.document()}
+        configuration(ready, seed)
+        | {"kind": "demo", "fleet": session.connection.name, **storage.document()}
     )
     unit = ready.descriptions[ready.plan.target].spec.axis(ready.plan.axis).unit
     live = LiveView(ready.plan, unit, session.clock, session.writer.emit)

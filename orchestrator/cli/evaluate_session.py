@@ -21,7 +21,7 @@ from orchestrator.evaluation_report import (
 from orchestrator.evaluation_results import EvaluationRecord
 from orchestrator.evaluation_run import EvaluationPlan, run_evaluation
 from orchestrator.experience_learning import FLIGHT_S
-from orchestrator.pairs import PairsResult, compare_pairs
+from orchestrator.pairs import PAIRS, PairsResult, compare_pairs
 from orchestrator.paths import Leg, legs_of, read_drawings
 from orchestrator.preflight import check_robots
 from orchestrator.rank_run import RankRequest, prepare
@@ -123,7 +123,9 @@ def evaluate_and_print(command: EvaluateCommand) -> None:
             "fleet_file": str(command.fleet_file),
             **storage.document(),
         }
-        session.folder.write_configuration({"kind": kind, **configuration})
+        session.folder.write_configuration(
+            {"kind": kind, "fleet": session.connection.name, **configuration}
+        )
         if command.all_pairs:
             pairs = _all_pairs(command, session, drawings)
             document = pairs.document()
@@ -164,7 +166,7 @@ def _all_pairs(command: EvaluateCommand, session: Session, drawings: Drawings) -
     single = replace(command, studies=command.studies or 1, sources=None)
     results = [_evaluated(single, session, drawings, target).result for target in there]
     pairs = compare_pairs(results, str(session.folder.path))
-    session.folder.write_document("pairs.json", pairs)
+    session.folder.write_document(PAIRS, pairs)
     write_scatter(session.folder.path, pairs)
     return pairs
 

@@ -96,6 +96,7 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
         folder.write_configuration(
             {
                 **configuration(ready, command.seed),
+                "fleet": name,
                 "algorithm": command.algorithm,
                 **storage.document(),
                 REACH: reached.model_dump(mode="json"),

@@ -14,34 +14,9 @@ from orchestrator.cli.options import json_option, repository_option, runs_option
 @json_option
 def list_runs(runs_root: Path, as_json: bool) -> None:
     """List earlier runs, the newest last."""
-    import json
+    from orchestrator.cli.runs_session import list_and_print
 
-    from rich.table import Table
-
-    from orchestrator.console import stderr_console
-    from orchestrator.run_folder import RESULTS, read_record
-    from orchestrator.run_folder import list_runs as folders
-
-    table = Table()
-    for heading in ("run", "target", "selected", "ψ*", "iterations"):
-        table.add_column(heading)
-    documents: list[dict[str, object]] = []
-    for folder in folders(runs_root):
-        if not (folder / RESULTS).exists():
-            table.add_row(folder.name, "", "[yellow]no result: interrupted or failed[/]")
-            documents.append({"run": str(folder), "result": None})
-            continue
-        result = read_record(folder).result
-        psi = f"{result.ranking[0].psi:.4f} ± {result.ranking[0].psi_std:.4f}"
-        table.add_row(folder.name, result.target, result.selected, psi, str(result.iterations))
-        document = result.model_dump(mode="json", by_alias=True, exclude_none=True)
-        documents.append({"run": str(folder), "result": document})
-    if as_json:
-        click.echo(json.dumps({"schema": 1, "runs": documents}))
-    elif documents:
-        stderr_console().print(table)
-    else:
-        click.echo(f"no runs in {runs_root}", err=True)
+    list_and_print(runs_root, as_json=as_json)
 
 
 @click.command()
@@ -102,26 +77,48 @@ def resume(
 @runs_option
 @json_option
 def show(run: str, runs_root: Path, as_json: bool) -> None:
-    """Show the result of RUN: a folder, its name, or `latest`."""
-    from orchestrator.console import ranking_table, stderr_console
-    from orchestrator.run_folder import find_run, read_record
-    from orchestrator.verdict_table import print_verdicts
-    from shared.command_line import invocation
+    """Show what RUN came to: a folder, its name, or `latest`."""
+    from orchestrator.cli.runs_session import show_and_print
 
-    folder = find_run(runs_root, run)
-    record = read_record(folder)
-    if as_json:
-        click.echo(record.model_dump_json(by_alias=True, exclude_none=True))
-        return
-    console = stderr_console()
-    low, high = record.result.band_rad_s
-    console.print(
-        f"[bold]{folder.name}[/]: target {record.result.target}, axis {record.axis}, "
-        f"band {low:g} to {high:g} rad/s, seed {record.seed}"
-    )
-    console.print(ranking_table(record.result.ranking, record.closed_form))
-    print_verdicts(console, record.result)
-    for robot, reason in record.dropped.items():
-        console.print(f"[red]without {robot}: {reason}[/]")
-    console.print(f"files: {', '.join(sorted(p.name for p in folder.iterdir()))}")
-    console.print(f"open the recording with:  {invocation()} view {folder}")
+    show_and_print(runs_root, run, as_json=as_json)
+
+
+@click.command()
+@click.argument("run", default="latest")
+@click.option(
+    "--to",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="FOLDER",
+    help="Where the files go, one for each robot.  [default: `responses` in the run's folder]",
+)
+@click.option(
+    "--format",
+    "suffix",
+    type=click.Choice(["json", "csv"]),
+    default="json",
+    show_default=True,
+)
+@runs_option
+@repository_option
+@json_option
+def export(
+    run: str,
+    to: Path | None,
+    suffix: str,
+    runs_root: Path,
+    repository: str | None,
+    as_json: bool,
+) -> None:
+    """Write the responses that RUN measured to files: a folder, its name, or `latest`.
+
+    Each holds one robot's z(ω) with its variance, all its usable tests together. `nufleet gap`
+    compares two of them; python-control takes real + 1j imag and omega_rad_s for a
+    FrequencyResponseData. Of an interrupted run it is what is stored so far.
+
+    \b
+    nufleet runs export latest --to responses
+    nufleet gap responses/target.json responses/source-2.json
+    """
+    from orchestrator.cli.runs_session import export_and_print
+
+    export_and_print(runs_root, run, to, suffix, repository, as_json=as_json)

@@ -19,7 +19,7 @@ from orchestrator.results import RunRecord
 from orchestrator.run_folder import RunFolder
 from orchestrator.stored_responses import said_of
 from orchestrator.study_clock import StudyClock
-from orchestrator.verdict_table import print_verdicts
+from orchestrator.verdict_table import verdict_parts
 from orchestrator.viewer.ports import GRPC_PORT, WEB_PORT
 from orchestrator.viewer.writer import RerunWriter, ServeOptions
 from shared.command_line import invocation
@@ -61,7 +61,8 @@ def show_study(
     console.print(ranking_table(record.result.ranking, record.closed_form))
     for robot, stored in (record.result.stored or {}).items():
         console.print(f"[yellow]{said_of(robot, stored, datetime.now(UTC))}[/]")
-    print_verdicts(console, record.result)
+    for part in verdict_parts(record.result):
+        console.print(part)
     console.print(
         f"selected: [bold green]{record.result.selected}[/]  "
         f"({record.result.robot_time_s:.0f} robot-seconds, {record.wall_time_s:.1f} s)"

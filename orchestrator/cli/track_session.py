@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from orchestrator.flight_labels import BASELINE, NO_PRIOR
 from orchestrator.paths import Leg, legs_of, read_drawings
 from orchestrator.pilot import PathFlight, Pilot
 from orchestrator.reach import Reach
+from orchestrator.run_documents import TRACKING, TrackResult
 from shared.arrays import FloatArray
 from shared.errors import InvalidInputError, RobotError
 from shared.inverse_layout import HORIZON_SAMPLES_MAX, InverseLayout
@@ -64,14 +64,15 @@ def track_and_print(command: TrackCommand) -> None:
         legs = legs_of(drawings, (command.speed,), target, scale=command.scale)
         inverse = _inverse(command, target)
         configuration = asdict(command) | storage.document()
-        session.folder.write_configuration({"kind": "track", **configuration})
+        session.folder.write_configuration(
+            {"kind": "track", "fleet": session.connection.name, **configuration}
+        )
         _learn_baseline(inverse, command, session, target)
         records = [_flown(session, target, inverse, leg) for leg in legs]
-        (session.folder.path / "track.json").write_text(
-            json.dumps(_document(records, session), indent=2) + "\n", encoding="utf-8"
-        )
+        result = TrackResult(flights=tuple(records), run=str(session.folder.path))
+        session.folder.write_document(TRACKING, result)
     if command.as_json:
-        click.echo(json.dumps(_document(records, session)))
+        click.echo(result.document())
     failed = next((record for record in records if record.failure is not None), None)
     if failed is not None:
         raise RobotError(f"{command.target} did not finish {failed.drawing}: {failed.failure}")
@@ -156,11 +157,3 @@ def _layout(horizon_s: float, target: Description) -> InverseLayout:
         sample_time_s=sample_time_s,
         horizon_samples=max(1, round(horizon_s / sample_time_s)),
     )
-
-
-def _document(records: list[FlightRecord], session: Session) -> dict[str, object]:
-    return {
-        "schema": 1,
-        "flights": [record.model_dump(mode="json") for record in records],
-        "run": str(session.folder.path),
-    }

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import json
-import math
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import click
-from rich.table import Table
 
 from orchestrator.cli.storage import Storage
 from orchestrator.connection import running_fleet
@@ -17,8 +14,10 @@ from orchestrator.console import stderr_console
 from orchestrator.pilot import Pilot
 from orchestrator.preflight import check_robots
 from orchestrator.robot_leases import lease_robots
+from orchestrator.run_documents import TRAINING, TrainResult
 from orchestrator.run_folder import RunFolder, make_runs_root
-from orchestrator.train_run import Trained, check_torch, train_robots
+from orchestrator.run_tables import experiences_table
+from orchestrator.train_run import check_torch, train_robots
 from shared.inverse_layout import Architecture
 
 
@@ -54,7 +53,7 @@ def train_and_print(command: TrainCommand) -> None:
         leases = stack.enter_context(lease_robots(repository.leases, fleet, name, robots))
         descriptions = [fleet.describe(robot) for robot in robots]
         configuration = asdict(command) | storage.document()
-        folder.write_configuration({"kind": "train", **configuration})
+        folder.write_configuration({"kind": "train", "fleet": name, **configuration})
         pilot = Pilot(fleet, folder.study_id)
         stack.enter_context(leases.guarding(pilot.interrupt))
         trained = train_robots(
@@ -69,47 +68,9 @@ def train_and_print(command: TrainCommand) -> None:
             on_trained=lambda done: console.print(f"  [green]{done.lesson.robot} offers it now[/]"),
         )
         pilot.acknowledge_all()
+        result = TrainResult.of(trained, str(folder.path))
+        folder.write_document(TRAINING, result)
     if command.as_json:
-        document = {
-            "schema": 1,
-            "experiences": [_document(one) for one in trained],
-            "run": str(folder.path),
-        }
-        click.echo(json.dumps(document))
-    console.print(_table(trained))
+        click.echo(result.document())
+    console.print(experiences_table(result))
     console.print(f"files: {folder.path / 'experiences'}")
-
-
-def _document(trained: Trained) -> dict[str, object]:
-    return {
-        "robot": trained.lesson.robot,
-        "sha256": trained.sha256,
-        "training_time_s": trained.training_time_s,
-        "horizon_trials": [
-            {
-                "horizon_samples": trial.horizon_samples,
-                "rms_error": trial.rms_error if math.isfinite(trial.rms_error) else None,
-            }
-            for trial in trained.lesson.choice.trials
-        ],
-        "manifest": trained.experience.manifest.model_dump(mode="json"),
-    }
-
-
-def _table(trained: tuple[Trained, ...]) -> Table:
-    table = Table(title="experiences on offer", title_justify="left")
-    for heading in ("robot", "architecture"):
-        table.add_column(heading)
-    for heading in ("horizon, s", "relative degree", "error held back", "s"):
-        table.add_column(heading, justify="right")
-    for one in trained:
-        manifest = one.experience.manifest
-        table.add_row(
-            one.lesson.robot,
-            manifest.layout.architecture,
-            f"{manifest.layout.horizon_s:.2f}",
-            str(manifest.relative_degree),
-            f"{100 * manifest.validation_rms / manifest.output_scale:.1f} %",
-            f"{one.training_time_s:.1f}",
-        )
-    return table
