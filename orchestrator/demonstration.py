@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from typing import Annotated, Literal
 
@@ -32,8 +33,12 @@ class DemoResult(Strict):
     run: str
 
     def document(self) -> str:
-        """Return the JSON that other programs read."""
-        return self.model_dump_json(by_alias=True, exclude_none=True)
+        """Return the JSON that other programs read: the documents of `rank` and `evaluate`."""
+        parts = {
+            "ranking": json.loads(self.ranking.document()),
+            "flights": json.loads(self.flights.document()),
+        }
+        return json.dumps({"schema": self.schema_version, **parts, "run": self.run})
 
 
 def demonstrate(
@@ -108,7 +113,7 @@ def demo_table(result: EvaluationResult) -> Table:
     """Return the four errors, in the order that was predicted."""
     table = Table(title="what the transfer did, in the order predicted", title_justify="left")
     table.add_column("prior")
-    for heading in ("predicted ψ*", f"RMS error, m{result.unit}", "less than the baseline"):
+    for heading in ("predicted ψ*", f"RMS error, m{result.unit}", "less error"):
         table.add_column(heading, justify="right")
     for place, source in enumerate(result.sources):
         table.add_row(

@@ -23,7 +23,7 @@ NUFLEET = [sys.executable, "-m", "shared.command_line"]
 
 def nufleet(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [*NUFLEET, *arguments], cwd=cwd, capture_output=True, text=True, timeout=60, check=False
+        [*NUFLEET, *arguments], cwd=cwd, capture_output=True, text=True, timeout=180, check=False
     )
 
 
@@ -129,6 +129,18 @@ def test_the_demo_ranks_as_rank_does_however_robots_share_processes(tmp_path: Pa
     assert alone.returncode == 0, alone.stderr
     first, second = json.loads(alone.stdout), json.loads(together.stdout)
     assert first["ranking"]["ranking"] == second["ranking"]
+    assert list(first) == ["schema", "ranking", "flights", "run"]
+    flights = first["flights"]
+    closest, furthest = flights["sources"]
+    assert [closest["robot"], furthest["robot"]] == ["source-2", "source-3"]
+    baseline = flights["baseline"]["rms_m"]
+    assert closest["rms_m"] < furthest["rms_m"] < baseline
+    assert closest["reduction_percent"] == pytest.approx(100 * (1 - closest["rms_m"] / baseline))
+    run = tmp_path / first["run"]
+    assert json.loads((run / "demo.json").read_text())["flights"]["sources"] == flights["sources"]
+    assert {"results.json", "flights.parquet", "run.rrd", "experiences"} <= {
+        path.name for path in run.iterdir()
+    }
     assert "closed form" in alone.stderr
     assert "what the transfer did" in alone.stderr
     assert " view " in alone.stderr
