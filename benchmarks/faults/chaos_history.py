@@ -15,6 +15,16 @@ HALT_MAX_S = 1.0
 """A motion that was in progress when a stop was confirmed has been told to rest by then."""
 
 
+MAY_BE_GIVEN_UP = (
+    "stopped by",
+    "the agent process",  # ... ended during it, three times
+    "did not return",  # within its patience: a machine that is too busy to start an agent
+    "not finite at sample",
+    "got no sample",
+)
+"""Why a study may go on without a robot, in the words of the reasons for it."""
+
+
 @dataclass(frozen=True)
 class Stop:
     """A stop that a robot confirmed, and when its release was begun; None if it was not."""
@@ -52,6 +62,7 @@ class History:
         return [
             *self._trials_end(),
             *self._rankings(),
+            *self._losses(),
             *self._errors(),
             *(found for robot in self.lab.robots for found in self._of_robot(robot)),
         ]
@@ -66,6 +77,18 @@ class History:
         for study in self.whole:
             if study.result is not None and study.result["ranking"] != self.undisturbed:
                 yield f"{study.study_id} came to {study.result['ranking']}"
+
+    def _losses(self) -> Iterator[str]:
+        """A robot may be given up for what was done to it, and for nothing that the network did."""
+        for study in self.complete:
+            dropped = {} if study.result is None else dict(study.result["dropped"])  # type: ignore[arg-type]
+            for robot, reason in dropped.items():
+                if not any(words in str(reason) for words in MAY_BE_GIVEN_UP):
+                    yield f"{study.study_id} gave {robot} up: {reason}"
+        for study in self.studies:
+            excused = any(words in study.reason for words in MAY_BE_GIVEN_UP)
+            if study.status is StudyStatus.FAILED and not excused:
+                yield f"{study.study_id} could not go on: {study.reason}"
 
     def _errors(self) -> Iterator[str]:
         for program in self.programs:

@@ -150,7 +150,13 @@ class Lab:
         return self._stack.enter_context(study)
 
     def owner(
-        self, robot: str, name: str, epoch: int, *, connect: str, namespace: Namespace
+        self,
+        robot: str,
+        name: str,
+        epoch: int,
+        *,
+        connect: str,
+        namespace: Namespace | None = None,
     ) -> Program:
         """Start an orchestrator that moves a robot for as long as it may."""
         arguments = ["--fleet", FLEET, "--robot", robot, "--name", name, "--epoch", str(epoch)]

@@ -74,3 +74,21 @@ def test_a_stop_that_does_not_arrive_is_shouted(lab: Lab, agent: Program) -> Non
     assert motion.ended_s is not None
     fleet.wait_for(ROBOTS, timeout_s=PATIENCE_S)
     assert stop_robots(fleet, ROBOTS, "smoke") == {}
+
+
+def test_a_stop_reaches_robots_whose_orchestrator_was_killed(lab: Lab, agent: Program) -> None:
+    fleet = lab.orchestrator(*ROBOTS, name="watcher")
+    owner = lab.owner("a", "first", 1, connect=lab.endpoint)
+    lab.wait_for_state(fleet, "a", lambda state: state.progress > 0)
+    owner.kill()
+    stop = lab.command("stop", "--all", "--connect", lab.endpoint, "--fleet-name", "lab")
+    assert stop.wait() == 0, stop.said
+    for robot in ROBOTS:
+        assert f"{robot} is stopped" in stop.said
+        lab.wait_for_state(fleet, robot, lambda state: state.status is RobotStatus.STOPPED)
+    state = lab.wait_for_state(fleet, "a", lambda state: state.last_goal_id == "first.1")
+    assert state.goal_id is None
+    assert fleet.result("a", "first.1").outcome is Outcome.ABORTED
+    assert agent.running
+    (motion,) = lab.motions("a")
+    assert motion.ended_s is not None
