@@ -19,6 +19,10 @@ RETURN_PATIENCE_S = 10.0
 
 _ASK_AGAIN_S = 0.05
 
+_PASSING = frozenset({"owner-not-alive", "overloaded", "shutting-down"})
+"""Refusals that say nothing about the goal: after a restart of the router a robot may hear of it
+before its owner; one whose agent is being restarted takes it a little later."""
+
 _log = logging.getLogger(__name__)
 
 
@@ -157,8 +161,7 @@ class GoalRunner:
                     raise
                 _log.info("%s: asking again", error)
             except RefusedError as error:
-                # After a restart of the router the robot may hear of the goal before its owner.
-                if error.code != "owner-not-alive" or time.monotonic() > give_up_s:
+                if error.code not in _PASSING or time.monotonic() > give_up_s:
                     raise
                 _log.info("%s: asking again", error)
             time.sleep(_ASK_AGAIN_S)

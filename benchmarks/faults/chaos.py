@@ -150,7 +150,7 @@ class Chaos:
             studies,
             trials,
             self._stops,
-            dict(self.faults),
+            dict(+self.faults),
         )
 
     # Studies.

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from benchmarks.faults.lab import Lab
+from benchmarks.faults.lab import KEYS, Lab
 from benchmarks.faults.program import PATIENCE_S, Program, wait_until
+from orchestrator import goal_runner
 from orchestrator.fleet import Fleet
 from orchestrator.goal_runner import GoalRunner
+from robot_agent.endpoint import SHUTTING_DOWN
+from shared.codec import encode
 from shared.errors import NoReplyError, RobotLostError
 from shared.excitation import Excitation, Tone
 from shared.messages import GoalRequest, Outcome, RobotStatus
+from shared.transport import Request, open_client
 
 SHORT = Excitation(axis="x", tones=(Tone(omega_rad_s=20.0),), settle_s=0.5)
 LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=60.0)
@@ -34,7 +39,10 @@ def agent(lab: Lab) -> Program:
     return lab.agent("a", realtime=1.0)
 
 
-def test_a_killed_agent_is_noticed_at_once_with_robot_and_goal(lab: Lab, agent: Program) -> None:
+def test_a_killed_agent_is_noticed_at_once_with_robot_and_goal(
+    lab: Lab, agent: Program, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(goal_runner, "RETURN_PATIENCE_S", 0.5)
     fleet = lab.orchestrator("a")
     with ThreadPoolExecutor(1) as pool:
         running = pool.submit(GoalRunner(fleet).run, "a", "g", LONG)
@@ -114,3 +122,24 @@ def test_an_agent_that_was_frozen_while_its_owner_died_rests_when_it_wakes(
     assert state.status is RobotStatus.IDLE
     watcher.wait_for(("a",), timeout_s=PATIENCE_S)
     assert watcher.result("a", "g").outcome is Outcome.ABORTED
+
+
+def test_an_agent_that_is_being_restarted_takes_a_goal_when_it_is_back(lab: Lab) -> None:
+    lab.describe_section_v({"a": 0.9})
+    lab.router()
+    asked = threading.Event()
+
+    def ending(request: Request) -> None:
+        request.answer(encode(SHUTTING_DOWN))
+        asked.set()
+
+    with open_client(lab.endpoint, timeout_s=PATIENCE_S) as session, ThreadPoolExecutor(1) as pool:
+        session.serve(KEYS.robot("a", "goal"), ending)
+        session.declare_alive(KEYS.robot("a", "alive"))
+        fleet = lab.orchestrator("a")
+        running = pool.submit(GoalRunner(fleet).run, "a", "g", SHORT)
+        assert asked.wait(PATIENCE_S)
+        session.close()
+        lab.agent("a")
+        assert running.result(PATIENCE_S).outcome is Outcome.COMPLETED
+    assert len(lab.motions("a")) == 1
