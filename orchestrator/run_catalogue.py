@@ -18,7 +18,7 @@ from orchestrator.evaluation_run import EVALUATION
 from orchestrator.pairs import PAIRS, PairsResult
 from orchestrator.results import RankResult, RunRecord
 from orchestrator.run_documents import TRACKING, TRAINING, TrackResult, TrainResult
-from orchestrator.run_folder import CONFIGURATION, RESULTS, list_runs
+from orchestrator.run_folder import CONFIGURATION, RESULTS, list_runs, read_record
 from shared.codec import describe_validation
 from shared.errors import InvalidInputError
 from shared.strict import Strict
@@ -109,6 +109,22 @@ def read_runs(root: Path) -> list[Run | Damaged]:
         except InvalidInputError as error:
             found.append(Damaged(folder, str(error)))
     return found
+
+
+def latest_ranking(root: Path, fleet: str, target: str) -> tuple[Path, RunRecord] | None:
+    """Return the newest completed ranking of a target of a fleet, and its folder.
+
+    None if there is none. Robots of another fleet may have the same names.
+
+    Raises:
+        InvalidInputError: a newer run cannot be read, which may be that ranking.
+    """
+    for folder in reversed(list_runs(root)):
+        if (folder / RESULTS).exists() and _configuration(folder).get("fleet") == fleet:
+            record = read_record(folder)
+            if record.result.target == target:
+                return folder, record
+    return None
 
 
 def _configuration(folder: Path) -> dict[str, Any]:

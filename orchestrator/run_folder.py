@@ -155,16 +155,6 @@ def list_runs(root: Path) -> list[Path]:
     return sorted(path.parent for path in root.glob(f"*/{CONFIGURATION}"))
 
 
-def latest_ranking(root: Path, target: str) -> tuple[Path, RunRecord] | None:
-    """Return the newest completed ranking of a target, and its folder; None if there is none."""
-    for folder in reversed(list_runs(root)):
-        if (folder / RESULTS).exists():
-            record = read_record(folder)
-            if record.result.target == target:
-                return folder, record
-    return None
-
-
 def find_run(root: Path, run: str) -> Path:
     """Return the folder of a run: given as a path, as a name in the root, or as `latest`."""
     runs = list_runs(root)

@@ -17,7 +17,9 @@ from orchestrator.preflight import check_names, check_robots
 from orchestrator.prior_transfer import Transferred, read_experience, transfer_file
 from orchestrator.prior_transfer import transfer as transfer_experience
 from orchestrator.robot_leases import lease_robots
-from orchestrator.run_folder import latest_ranking, make_runs_root
+from orchestrator.run_catalogue import latest_ranking
+from orchestrator.run_folder import make_runs_root
+from orchestrator.verdict import Verdict
 from shared.errors import InvalidInputError
 from shared.inverse_layout import Architecture
 
@@ -57,7 +59,7 @@ def transfer_and_print(command: TransferCommand) -> None:
             if payload is not None:
                 given = transfer_file(fleet, payload, command.target)
             else:
-                source = _source(command, console)
+                source = _source(command, name, console)
                 check_names(command.target, (source,), there)
                 given = transfer_experience(fleet, source, command.target, command.architecture)
             _print(console, given)
@@ -66,14 +68,14 @@ def transfer_and_print(command: TransferCommand) -> None:
         click.echo(json.dumps(document))
 
 
-def _source(command: TransferCommand, console: Console) -> str:
+def _source(command: TransferCommand, fleet: str, console: Console) -> str:
     if command.source is not None and command.source != "best":
         return command.source
-    found = latest_ranking(command.runs_root, command.target)
+    found = latest_ranking(command.runs_root, fleet, command.target)
     if found is None:
         raise InvalidInputError(
-            f"no ranking of {command.target} in {command.runs_root}: rank its sources first with "
-            f"`nufleet rank --target {command.target}`, or name a source"
+            f"no ranking of {command.target} of fleet {fleet} in {command.runs_root}: rank its "
+            f"sources first with `nufleet rank --target {command.target}`, or name a source"
         )
     folder, record = found
     leader = record.result.ranking[0]
@@ -81,6 +83,9 @@ def _source(command: TransferCommand, console: Console) -> str:
         f"best source of {command.target}: [bold]{leader.robot}[/], "
         f"ψ* = {leader.psi:.4f} ± {leader.psi_std:.4f}, from {folder.name}"
     )
+    verdict = record.result.verdicts.get(leader.robot)
+    if verdict is not None and verdict.verdict is not Verdict.TRANSFER:
+        console.print(f"[yellow]the tests say: {verdict.verdict}: {verdict.reason}[/]")
     return record.result.selected
 
 

@@ -19,7 +19,14 @@ from orchestrator.demonstration import DEMONSTRATION, DemoResult
 from orchestrator.evaluation_results import EvaluationRecord, StudyEstimates
 from orchestrator.evaluation_run import EVALUATION
 from orchestrator.pairs import PAIRS, compare_pairs
-from orchestrator.run_catalogue import KINDS, Damaged, Run, read_run, read_runs
+from orchestrator.run_catalogue import (
+    KINDS,
+    Damaged,
+    Run,
+    latest_ranking,
+    read_run,
+    read_runs,
+)
 from orchestrator.run_documents import (
     TRACKING,
     TRAINING,
@@ -180,3 +187,37 @@ def test_a_copied_folder_of_another_name_has_no_time(tmp_path: Path) -> None:
     run = read_run(folder)
     assert run.began is None
     assert run.result is not None
+
+
+def ranked(root: Path, fleet: str, hour: int, *, ended: bool = True) -> Path:
+    """Leave a ranking of the robot `target` of a fleet."""
+    with RunFolder(root, fleet, now=NOON.replace(hour=hour)) as folder:
+        folder.write_configuration({"fleet": fleet})
+        if ended:
+            folder.write_record(a_record(folder.path))
+    return folder.path
+
+
+def test_the_latest_ranking_is_the_newest_that_ended_of_that_fleet(tmp_path: Path) -> None:
+    ranked(tmp_path, "lab", 9)
+    newest = ranked(tmp_path, "lab", 10)
+    ranked(tmp_path, "lab", 11, ended=False)
+    ranked(tmp_path, "attic", 12)
+    found = latest_ranking(tmp_path, "lab", "target")
+    assert found is not None
+    folder, record = found
+    assert (folder, record.result.selected) == (newest, "source-1")
+
+
+def test_robots_of_the_same_name_in_another_fleet_have_no_ranking(tmp_path: Path) -> None:
+    ranked(tmp_path, "lab", 9)
+    assert latest_ranking(tmp_path, "attic", "target") is None
+    assert latest_ranking(tmp_path, "lab", "source-1") is None
+
+
+def test_a_damaged_ranking_is_not_passed_over_for_an_older_one(tmp_path: Path) -> None:
+    ranked(tmp_path, "lab", 9)
+    newest = ranked(tmp_path, "lab", 10)
+    (newest / RESULTS).write_text("{}")
+    with pytest.raises(InvalidInputError, match=newest.name):
+        latest_ranking(tmp_path, "lab", "target")
