@@ -19,7 +19,7 @@ WINDOW_POINTS = 50
 START = Hyperparameters(signal_variance=0.1, lengthscale=0.5, noise_variance=0.002)
 """Where the search for the hyperparameters starts (paper, Section VI-C)."""
 
-BOUNDS = Bounds(signal_variance=(1e-4, 1.0), lengthscale=(0.5, 100.0), noise_variance=(5e-4, 1.0))
+BOUNDS = Bounds(signal_variance=(1e-4, 1.0), lengthscale=(0.5, 100.0), noise_variance=(2e-4, 1.0))
 """Where it may end. The inputs lie along one piece of path, so the likelihood says little of what
 is across it; with much less noise or shorter lengthscales the process invents steep feedback there
 and teaches itself its own oscillation."""
