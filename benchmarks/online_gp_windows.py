@@ -126,7 +126,9 @@ def quadrotor() -> Robot:
 def fly(kind: str, drawing: Path) -> tuple[Windows, TrackingRecord]:
     """Track one drawing with the paper's architecture and a zero prior.
 
-    The windows are those of the flight's samples from number `WINDOW_POINTS` on.
+    The process learns a pair at every sample, as the paper's does, so that each step has a window
+    of its own to be fitted; the product's own flights leave more time between pairs. The windows
+    are those of the flight's samples from number `WINDOW_POINTS` on.
 
     Raises:
         RuntimeError: the flight failed.
@@ -141,7 +143,8 @@ def fly(kind: str, drawing: Path) -> tuple[Windows, TrackingRecord]:
     )
     path = travel(read_drawing(drawing), SPEED_M_S, ACCELERATION_M_S2, sample_time_s)
     process = RecordingGp(layout, path.shape[1])
-    flight = track(robot, path, tracking_limits(robot), Learner(layout, process))
+    learner = Learner(layout, process, pair_spacing_s=0.0)
+    flight = track(robot, path, tracking_limits(robot), learner)
     if flight.failure is not None:
         raise RuntimeError(f"the flight along {drawing.stem} failed: {flight.failure}")
     return process.windows(), flight
