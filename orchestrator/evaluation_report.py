@@ -33,8 +33,8 @@ def evaluation_table(result: EvaluationResult) -> Table:
     for heading in (
         "ψ̂*",
         "± σ",
-        f"expected, {unit}",
-        f"RMS, {unit}",
+        f"expected {unit}",
+        f"RMS {unit}",
         "less error",
         "worst / baseline",
         "taken back",

@@ -21,7 +21,7 @@ from shared.errors import EndpointInUseError, NufleetError
 from shared.fleet_file import FleetFile
 from shared.transport import open_client
 
-GRACE_S = 5.0
+GRACE_S = 10.0
 """How long a process may take to leave its robots at rest before it is killed."""
 
 
