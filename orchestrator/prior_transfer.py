@@ -9,7 +9,7 @@ from orchestrator.fleet import Fleet
 from orchestrator.prior_custody import install
 from shared.errors import InvalidInputError, MalformedMessageError
 from shared.experience import EXPERIENCE_BYTES_MAX, decode_experience
-from shared.experience_manifest import ExperienceManifest, misfit
+from shared.experience_manifest import ExperienceManifest, Needs, misfit, unmet
 from shared.inverse_layout import Architecture
 from shared.messages import Description
 
@@ -104,4 +104,26 @@ def check_fit(manifest: ExperienceManifest, target: Description) -> None:
             raise InvalidInputError(
                 f"the experience of {manifest.robot} does not fit {target.robot}: {reason}; choose "
                 "a source of its kind"
+            )
+
+
+def check_would_fit(source: Description, target: Description, architecture: Architecture) -> None:
+    """Raise InvalidInputError unless what a source would learn fits a target.
+
+    So that nobody learns for minutes what nobody can use.
+    """
+    states = source.state_names if architecture == "state" else source.state_names[:1]
+    needs = Needs(
+        robot_kind=source.spec.kind,
+        axes=tuple(axis.name for axis in source.spec.axes),
+        unit=source.spec.axes[0].unit,
+        sample_time_s=source.spec.sample_time_s,
+        states=states,
+    )
+    for axis in needs.axes:
+        reason = unmet(needs, target.spec, target.state_names, axis)
+        if reason is not None:
+            raise InvalidInputError(
+                f"an experience of {source.robot} would not fit {target.robot}: {reason}; leave "
+                f"{source.robot} out of the sources"
             )

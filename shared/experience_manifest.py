@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated, Literal
 
@@ -70,6 +71,29 @@ class ExperienceManifest(Strict):
         return shapes
 
 
+@dataclass(frozen=True)
+class Needs:
+    """What an experience needs of a robot: its kind, axes and their unit, sample time, states."""
+
+    robot_kind: str
+    axes: tuple[str, ...]
+    unit: str
+    sample_time_s: float
+    states: tuple[str, ...]
+
+
+def needs_of(manifest: ExperienceManifest) -> Needs:
+    """Return what a robot has to have to fly with an experience."""
+    layout = manifest.layout
+    return Needs(
+        robot_kind=manifest.robot_kind,
+        axes=manifest.axes,
+        unit=manifest.unit,
+        sample_time_s=layout.sample_time_s,
+        states=layout.states if layout.architecture == "state" else layout.states[:1],
+    )
+
+
 def misfit(
     manifest: ExperienceManifest, spec: RobotSpec, state_names: tuple[str, ...], axis: str
 ) -> str | None:
@@ -81,24 +105,25 @@ def misfit(
         state_names: what that robot's `observe` measures.
         axis: the axis to be driven.
     """
-    layout = manifest.layout
+    return unmet(needs_of(manifest), spec, state_names, axis)
+
+
+def unmet(needs: Needs, spec: RobotSpec, state_names: tuple[str, ...], axis: str) -> str | None:
+    """Return which need an axis of a robot does not meet; None when it meets all."""
     mine = next((a for a in spec.axes if a.name == axis), None)
-    needed = layout.states if layout.architecture == "state" else layout.states[:1]
     if mine is None:
         return f"the robot has no axis {axis!r}"
-    if manifest.robot_kind != spec.kind:
-        return f"it was learned on a {manifest.robot_kind}, this robot is a {spec.kind}"
-    if axis not in manifest.axes:
-        return f"it was learned on {', '.join(manifest.axes)}, not on axis {axis!r}"
-    if mine.unit != manifest.unit:
-        return f"it is in {manifest.unit}, axis {axis!r} is in {mine.unit}"
-    if abs(layout.sample_time_s - spec.sample_time_s) > 1e-9 * spec.sample_time_s:
+    if needs.robot_kind != spec.kind:
+        return f"it was learned on a {needs.robot_kind}, this robot is a {spec.kind}"
+    if axis not in needs.axes:
+        return f"it was learned on {', '.join(needs.axes)}, not on axis {axis!r}"
+    if mine.unit != needs.unit:
+        return f"it is in {needs.unit}, axis {axis!r} is in {mine.unit}"
+    if abs(needs.sample_time_s - spec.sample_time_s) > 1e-9 * spec.sample_time_s:
+        return f"its sample time is {needs.sample_time_s:g} s, the robot's {spec.sample_time_s:g} s"
+    if state_names[: len(needs.states)] != needs.states:
         return (
-            f"its sample time is {layout.sample_time_s:g} s, the robot's {spec.sample_time_s:g} s"
-        )
-    if state_names[: len(needed)] != needed:
-        return (
-            f"it needs the states {', '.join(needed)}, the robot measures "
+            f"it needs the states {', '.join(needs.states)}, the robot measures "
             f"{', '.join(state_names) or 'none'}"
         )
     return None

@@ -57,7 +57,10 @@ from orchestrator.cli.options import (
 @click.option(
     "--studies",
     type=click.IntRange(min=1),
-    help="How many times Algorithm 1 ranks the sources, each with its own seed.  [default: 10]",
+    help=(
+        "How many times Algorithm 1 ranks the sources, each with its own seed.  [default: 10; with "
+        "--quick 2; with --all-pairs 1]"
+    ),
 )
 @click.option(
     "--iterations",

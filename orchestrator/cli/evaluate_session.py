@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import click
@@ -22,8 +23,8 @@ from orchestrator.evaluation_results import EvaluationRecord
 from orchestrator.evaluation_run import EvaluationPlan, run_evaluation
 from orchestrator.experience_learning import FLIGHT_S
 from orchestrator.pairs import PAIRS, PairsResult, compare_pairs
-from orchestrator.paths import Leg, legs_of, read_drawings
-from orchestrator.preflight import check_robots
+from orchestrator.paths import legs_of, read_drawings
+from orchestrator.prior_transfer import check_would_fit
 from orchestrator.rank_run import RankRequest, prepare
 from orchestrator.reach import Reach
 from orchestrator.train_run import check_torch, train_robots
@@ -31,7 +32,6 @@ from shared.arrays import FloatArray
 from shared.drawings import drawing_names
 from shared.errors import InvalidInputError
 from shared.inverse_layout import Architecture
-from shared.messages import Description
 
 Drawings = dict[str, FloatArray]
 """Points, (n, 2), by the drawing's name."""
@@ -99,13 +99,18 @@ class EvaluateCommand:
     @property
     def seeds(self) -> range:
         """Of the studies."""
-        count = self.studies or (QUICK_STUDIES if self.quick else STUDIES)
+        default = 1 if self.all_pairs else QUICK_STUDIES if self.quick else STUDIES
+        count = self.studies or default
         return range(self.seed, self.seed + count)
 
 
 def evaluate_and_print(command: EvaluateCommand) -> None:
     """Evaluate, with progress on stderr and, when asked for, the document on stdout."""
     check_torch()
+    if command.all_pairs and (command.target is not None or command.sources is not None):
+        raise InvalidInputError(
+            "--all-pairs takes every robot as target and source: leave --target and --sources out"
+        )
     console = stderr_console()
     began_s = time.monotonic()
     kind = "pairs" if command.all_pairs else "evaluate"
@@ -118,6 +123,9 @@ def evaluate_and_print(command: EvaluateCommand) -> None:
         return (_target(command), *command.sources)
 
     with flying(command.reach, kind, storage, console, live=command.live, robots=robots) as session:
+        targets = session.connection.robots if command.all_pairs else (_target(command),)
+        # Nobody learns for minutes before it is known that all can fly what is asked for.
+        plans = [_plan(command, session, drawings, target) for target in targets]
         configuration = {
             **asdict(command),
             "fleet_file": str(command.fleet_file),
@@ -127,10 +135,10 @@ def evaluate_and_print(command: EvaluateCommand) -> None:
             {"kind": kind, "fleet": session.connection.name, **configuration}
         )
         if command.all_pairs:
-            pairs = _all_pairs(command, session, drawings)
+            pairs = _all_pairs(command, session, plans)
             document = pairs.document()
         else:
-            record = _evaluated(command, session, drawings, _target(command))
+            record = _evaluated(session, plans[0])
             session.table.close()
             write_figures(session.folder.path, record, session.table.path)
             console.print(evaluation_table(record.result))
@@ -144,18 +152,15 @@ def evaluate_and_print(command: EvaluateCommand) -> None:
         click.echo(document)
 
 
-def _all_pairs(command: EvaluateCommand, session: Session, drawings: Drawings) -> PairsResult:
+def _all_pairs(
+    command: EvaluateCommand, session: Session, plans: Sequence[EvaluationPlan]
+) -> PairsResult:
     fleet, _, there = session.connection
-    check_robots(command.sources or there, there)
-    robots = [fleet.describe(robot) for robot in there]
-    for robot in robots:
-        # Nobody learns for minutes before it is known that all can fly what is asked for.
-        _legs(command, drawings, robot)
     session.console.print(f"{len(there)} robots learn what they would pass on")
     train_robots(
         fleet,
         session.pilot,
-        robots,
+        [fleet.describe(robot) for robot in there],
         (command.architecture,),
         session.folder.path / "experiences",
         seed=command.seed,
@@ -163,44 +168,53 @@ def _all_pairs(command: EvaluateCommand, session: Session, drawings: Drawings) -
         say=lambda robot, what: None,
         on_trained=lambda done: session.console.print(f"  {done.lesson.robot} has learned"),
     )
-    single = replace(command, studies=command.studies or 1, sources=None)
-    results = [_evaluated(single, session, drawings, target).result for target in there]
+    results = [_evaluated(session, plan).result for plan in plans]
     pairs = compare_pairs(results, str(session.folder.path))
     session.folder.write_document(PAIRS, pairs)
     write_scatter(session.folder.path, pairs)
     return pairs
 
 
-def _evaluated(
+def _plan(
     command: EvaluateCommand, session: Session, drawings: Drawings, target: str
-) -> EvaluationRecord:
+) -> EvaluationPlan:
+    """Check what is asked of one target, and return it; raises InvalidInputError."""
     fleet, _, there = session.connection
     file = command.reach.file
-    band = None if file is None or file.study is None else file.study.band_rad_s
     request = RankRequest(
         target=target,
         sources=command.sources,
-        band_rad_s=band,
+        band_rad_s=None if file is None or file.study is None else file.study.band_rad_s,
         iterations=command.iterations,
         seed=command.seed,
         axis=None,
     )
     ready = prepare(fleet, request, there)
-    legs = _legs(command, drawings, ready.descriptions[target])
-    plan = EvaluationPlan(
+    for source in ready.plan.sources:
+        check_would_fit(
+            ready.descriptions[source], ready.descriptions[target], command.architecture
+        )
+    return EvaluationPlan(
         ready=ready,
-        legs=legs,
+        legs=legs_of(
+            drawings, command.chosen_speeds, ready.descriptions[target], scale=command.scale
+        ),
         architecture=command.architecture,
         seeds=command.seeds,
         seed=command.seed,
         guarded=command.guarded,
         flight_s=command.flight_s,
     )
+
+
+def _evaluated(session: Session, plan: EvaluationPlan) -> EvaluationRecord:
+    study = plan.ready.plan
     session.console.print(
-        f"[bold]target {target}[/]: {len(legs)} paths with {len(ready.plan.sources) + 2} inverses"
+        f"[bold]target {study.target}[/]: {len(plan.legs)} paths with "
+        f"{len(study.sources) + 2} inverses"
     )
     return run_evaluation(
-        fleet,
+        session.connection.fleet,
         session.pilot,
         plan,
         session.folder,
@@ -208,10 +222,6 @@ def _evaluated(
         say=session.console.print,
         observers=[KeptFlights(session)],
     )
-
-
-def _legs(command: EvaluateCommand, drawings: Drawings, target: Description) -> tuple[Leg, ...]:
-    return legs_of(drawings, command.chosen_speeds, target, scale=command.scale)
 
 
 def _target(command: EvaluateCommand) -> str:

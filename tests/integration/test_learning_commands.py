@@ -352,6 +352,33 @@ def test_what_is_no_drawing_is_refused_before_a_fleet_is_reached(
     refused_at_once(typed, tmp_path, "track", "--trajectory", str(file), words=(name, words))
 
 
+AMONG_ALIKE = ("evaluate", "--target", "target", "--sources", "source-1,source-2")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((*AMONG_ALIKE, "--speeds", "0.3,5"), ("robot target", "at most 1 m/s")),
+        (("evaluate", "--all-pairs"), ("source-1 would not fit slower", "leave source-1 out")),
+        ((*AMONG_ALIKE, "--speeds", "0.3,0.3"), ("named twice",)),
+        (("evaluate", "--all-pairs", "--target", "target"), ("leave --target and --sources out",)),
+        (("evaluate", "--target", "target", "--drawings", "cl0ver"), ("no such drawing", "clover")),
+        (("evaluate", "--target", "target", "--sources", "nobody"), ("no robot 'nobody'",)),
+        (("train", "--robot", "nobody"), ("no robot 'nobody'", "source-1")),
+        (("train", "--duration", "nan"), ("--duration", "finite")),
+        (("train", "--duration", "1"), ("--duration", "between 60 and 600")),
+        (("transfer", "--target", "target", "--source", "nobody"), ("no robot 'nobody'",)),
+        (("transfer", "--target", "target", "--source", "target"), ("among the sources",)),
+        (("transfer", "--target", "target"), ("either --source or --file",)),
+    ],
+    ids=lambda value: "-".join(value[:1] + value[-2:]) if "--" in "".join(value) else "",
+)
+def test_what_nobody_can_learn_or_pass_on_is_refused(
+    typed: Typed, lab: Workplace, arguments: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    refused(typed, lab, *arguments, words=words)
+
+
 def test_without_a_prior_there_is_none_to_fly_with(typed: Typed, lab: Workplace) -> None:
     arguments = ("--target", "source-1", "--trajectory", "clover", "--inverse", "prior")
     words = ("source-1 has no prior", "nufleet transfer --target source-1")
