@@ -6,6 +6,7 @@ with how that ended.
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -91,15 +92,13 @@ def ranking_of(conclusion: Conclusion) -> list[list[object]]:
 @contextmanager
 def dying(killed_at: int | None, *, before_commit: bool) -> Iterator[None]:
     """Have this process killed when it commits for the nth time, just before or just after."""
-    write, commits = Database.write, 0
+    write, commits = Database.write, itertools.count(1)
 
     @contextmanager
     def counted(database: Database) -> Iterator[Connection]:
-        nonlocal commits
-        commits += 1
-        last = commits == killed_at
         with write(database) as connection:
             yield connection
+            last = next(commits) == killed_at  # in one step, since there are several threads
             if last and before_commit:
                 os.kill(os.getpid(), signal.SIGKILL)
         if last:

@@ -96,8 +96,8 @@ def test_a_kill_at_any_commit_changes_nothing_of_what_a_study_comes_to(scene: Sc
 def test_many_kills_in_one_study_change_nothing_of_what_it_comes_to(scene: Scene) -> None:
     expected, rng, kills, motions = undisturbed(scene), np.random.default_rng(1), 0, scene.motions
     while scene.orchestrator(
-        "killed-often", killed_at=int(rng.integers(1, 4)), before_commit=bool(rng.integers(2))
+        "killed-often", killed_at=int(rng.integers(2, 8)), before_commit=bool(rng.integers(2))
     ):
         kills += 1
-    assert kills >= 10
+    assert kills >= 5, kills
     scene.check("killed-often", expected, scene.motions - motions)
