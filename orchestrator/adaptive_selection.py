@@ -143,7 +143,7 @@ class AdaptiveStudy:
         belief = SelectionBelief.of(
             self._grid, target, {n: draws[n] for n in sources}, self._spectrum
         )
-        leader, confidence = belief.leader(self._settings.epsilon)
+        leader, confidence = belief.leader(self._settings.epsilon, self._settings.delta)
         hopeless = belief.hopeless(leader, self._settings.delta)
         stopped = self._stop(belief, leader, confidence)
         self._next = {} if stopped else self._choose(belief, draws, leader, hopeless)
@@ -294,7 +294,5 @@ class AdaptiveStudy:
                 omega_rad_s=float(self._grid[top]),
                 tests=self._robots[source].tests,
             )
-            # A mean of distances, as shown; errors have no upper bound, so their median.
-            loss = estimate.psi if belief.errors is None else float(np.median(belief.loss[n]))
-            estimates.append((source != leader, loss, estimate))
+            estimates.append((source != leader, float(belief.typical_loss[n]), estimate))
         return tuple(estimate for _, _, estimate in sorted(estimates, key=lambda e: e[:2]))

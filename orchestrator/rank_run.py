@@ -36,7 +36,7 @@ from shared.errors import InvalidInputError
 from shared.messages import Description
 from shared.robot_spec import RobotSpec
 
-Algorithm = Literal["paper", "adaptive"]
+Algorithm = Literal["adaptive", "paper"]
 
 
 @dataclass(frozen=True)
@@ -235,9 +235,10 @@ def _result(
     plan: StudyPlan, conclusion: Conclusion, judgement: Judgement, folder: RunFolder
 ) -> RankResult:
     ranking = conclusion.ranking
-    if plan.motion is not None and conclusion.confidence is None:
-        # The paper's algorithm knows of no trajectory.
-        ranking = by_predicted_error(ranking, judgement.verdicts)
+    if plan.motion is not None:
+        # The paper's algorithm knows of no trajectory; the other one has selected for it.
+        selected = None if conclusion.confidence is None else conclusion.selected
+        ranking = by_predicted_error(ranking, judgement.verdicts, first=selected)
     return RankResult(
         target=plan.target,
         band_rad_s=plan.band_rad_s,

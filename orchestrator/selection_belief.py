@@ -88,11 +88,21 @@ class SelectionBelief:
         )
         return float(np.median(omega[np.argmax(parts, axis=1)]))
 
-    def leader(self, epsilon: float) -> tuple[str, float]:
-        """Return the source most probably within ε of the best, and that probability."""
+    @cached_property
+    def typical_loss(self) -> FloatArray:
+        """Each source's mean distance or, since errors have no upper bound, its median error."""
+        if self.errors is None:
+            return np.asarray(self.loss.mean(axis=1))
+        return np.asarray(np.median(self.loss, axis=1))
+
+    def leader(self, epsilon: float, delta: float) -> tuple[str, float]:
+        """Return the source to select, and the probability that it is within ε of the best.
+
+        Of the sources that are so with probability 1 − δ it is the one with the smallest loss; as
+        long as there is none, the most probable one.
+        """
         within = np.mean(self.loss <= self.loss.min(axis=0) + epsilon, axis=1)
-        # Among equals the one that is the best on average.
-        order = np.lexsort((self.loss.mean(axis=1), -within))
+        order = np.lexsort((self.typical_loss, -np.minimum(within, 1 - delta)))
         return self.sources[order[0]], float(within[order[0]])
 
     def probability_best(self) -> FloatArray:

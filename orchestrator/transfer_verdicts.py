@@ -106,7 +106,18 @@ def _gaps(source: RobotKnowledge, target: RobotKnowledge) -> Iterator[str]:
 
 
 def by_predicted_error(
-    ranking: tuple[SourceEstimate, ...], verdicts: Mapping[str, TransferVerdict]
+    ranking: tuple[SourceEstimate, ...],
+    verdicts: Mapping[str, TransferVerdict],
+    *,
+    first: str | None = None,
 ) -> tuple[SourceEstimate, ...]:
-    """Return a ranking with the smallest predicted error first."""
-    return tuple(sorted(ranking, key=lambda e: verdicts[e.robot].error_with.median))
+    """Return a ranking with the smallest predicted error first.
+
+    With `first` that source leads: the one that is most surely good need not have the smallest
+    median.
+    """
+
+    def place(estimate: SourceEstimate) -> tuple[bool, float]:
+        return estimate.robot != first, verdicts[estimate.robot].error_with.median
+
+    return tuple(sorted(ranking, key=place))

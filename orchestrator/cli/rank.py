@@ -52,19 +52,19 @@ from orchestrator.cli.options import (
     type=click.IntRange(min=1),
     default=7,
     show_default=True,
-    help="Tests per robot.",
+    help="Tests per robot; with the adaptive algorithm the most rounds there may be.",
 )
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Draws the first test."
 )
 @click.option(
     "--algorithm",
-    type=click.Choice(["paper", "adaptive"]),
-    default="paper",
+    type=click.Choice(["adaptive", "paper"]),
+    default="adaptive",
     show_default=True,
     help=(
-        "The paper's Algorithm 1, or multi-tone tests that end when the choice is sure (then "
-        "--iterations is the most rounds there may be)."
+        "Tests of many tones that end when the choice is sure, or the paper's Algorithm 1: one "
+        "tone per test, as many tests as --iterations says."
     ),
 )
 @click.option(
@@ -75,7 +75,7 @@ from orchestrator.cli.options import (
     flag_value=30.0,
     metavar="[DAYS]",
     help=(
-        "With --algorithm adaptive: sources with stored responses that are no older than this "
+        "Sources with stored responses that are no older than this "
         "(30 days without a number) do not fly, and need not be there; the result names them."
     ),
 )
@@ -134,11 +134,12 @@ def rank(
 ) -> None:
     """Rank source robots by their worst-case chordal distance to a target.
 
-    All robots are tested at one frequency at a time, chosen by Bayesian optimisation (Algorithm 1
-    of Sorocky, Zhou, Schoellig, ICRA 2020); the closest source's experience is expected to help the
-    target most, and for each source the result says whether it will help at all. With --trajectory
-    the best source is the one whose inverse leaves the smallest error on that. Ctrl-C brings all
-    robots to rest.
+    All robots play many tones at once, and only those that may still win play again, until the
+    choice is right with probability 0.95; with --algorithm paper all play one tone at a time,
+    chosen by Bayesian optimisation (Algorithm 1 of Sorocky, Zhou, Schoellig, ICRA 2020). The
+    closest source's experience is expected to help the target most, and for each source the result
+    says whether it will help at all. With --trajectory the best source is the one whose inverse
+    leaves the smallest error on that. Ctrl-C brings all robots to rest.
 
     \b
     nufleet rank --fleet paper_linear

@@ -44,7 +44,7 @@ class RankCommand:
     axis: str | None = None
     iterations: int = 7
     seed: int = 0
-    algorithm: Algorithm = "paper"
+    algorithm: Algorithm = "adaptive"
     realtime: float | None = None
     wait_s: float = 0.0
     live: bool = False
@@ -70,7 +70,7 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
         check_band(command.band_rad_s)
     drawing = _drawing(command)
     if command.reuse_days is not None and command.algorithm != "adaptive":
-        raise InvalidInputError("--reuse is that of --algorithm adaptive; name it")
+        raise InvalidInputError("--reuse is that of --algorithm adaptive, not of paper")
     make_runs_root(command.runs_root)
     storage = Storage(command.runs_root, command.repository)
     with ExitStack() as stack:

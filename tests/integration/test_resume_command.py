@@ -18,7 +18,10 @@ from test_rank_command import FLEET, NUFLEET, nufleet
 from orchestrator.repository.records import StudyStatus, TrialStatus
 from orchestrator.repository.repository import open_repository
 
-RANK = ("rank", "--fleet", str(FLEET), "--band", "2", "10", "--iterations", "3", "--seed", "5")
+RANK = (
+    *("rank", "--fleet", str(FLEET), "--algorithm", "paper"),
+    *("--band", "2", "10", "--iterations", "3", "--seed", "5"),
+)
 
 
 @contextmanager

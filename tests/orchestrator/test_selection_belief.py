@@ -27,17 +27,26 @@ def test_distances_are_those_of_responses_drawn_together() -> None:
 
 def test_an_error_that_sources_share_does_not_make_their_order_uncertain() -> None:
     shared = np.random.default_rng(0).normal(0.3, 0.1, 500)
-    leader, confidence = belief(near=shared, far=shared + 0.05).leader(0.01)
+    leader, confidence = belief(near=shared, far=shared + 0.05).leader(0.01, 0.05)
     assert (leader, confidence) == ("near", 1.0)
 
 
 def test_confidence_is_the_chance_of_being_within_epsilon() -> None:
     rng = np.random.default_rng(0)
     first, second = rng.normal(0.300, 0.01, 20_000), rng.normal(0.305, 0.01, 20_000)
-    leader, confidence = belief(first=first, second=second).leader(0.01)
+    leader, confidence = belief(first=first, second=second).leader(0.01, 0.05)
     assert leader == "first"
     # P(N(−0.005, √2 · 0.01) < 0.01) = Φ(0.015 / 0.01414)
     assert confidence == pytest.approx(0.8556, abs=0.01)
+
+
+def test_of_sources_that_are_all_good_enough_the_best_on_average_is_selected() -> None:
+    rng = np.random.default_rng(0)
+    steady, better = np.full(2000, 0.105), rng.normal(0.1, 0.001, 2000)
+    better[:20] = 0.2  # with a probability of 0.01 it is much worse
+    sources = belief(steady=steady, better=better)
+    assert sources.leader(0.01, 0.05)[0] == "better"
+    assert sources.leader(0.01, 0.001)[0] == "steady"
 
 
 def test_a_source_is_out_only_when_it_is_surely_behind() -> None:
@@ -62,9 +71,9 @@ def test_on_a_trajectory_the_best_leaves_the_smallest_error_even_where_another_i
     omega = np.array([1.0, 2.0, 3.0])
     slow = Spectrum(np.array([0.2]), np.array([4.0]))
     both = {"near": near, "far": far}
-    assert SelectionBelief.of(omega, target, both).leader(0.01) == ("near", 1.0)
+    assert SelectionBelief.of(omega, target, both).leader(0.01, 0.05) == ("near", 1.0)
     found = SelectionBelief.of(omega, target, both, slow)
-    assert found.leader(0.01) == ("far", 1.0)
+    assert found.leader(0.01, 0.05) == ("far", 1.0)
     np.testing.assert_allclose(found.loss[:, 0], [0.2 / 1.2, 0.01 / 1.01])
     assert "its predicted error is 0.157" in found.hopeless("far", 0.05)["near"]
     assert found.decisive_omega_rad_s("near") == 0.2

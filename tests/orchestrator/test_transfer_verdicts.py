@@ -112,6 +112,8 @@ def test_a_ranking_for_a_trajectory_has_the_smallest_error_first() -> None:
     verdicts = judged("paper").verdicts
     found = by_predicted_error(ranked("worse", "near"), verdicts)
     assert [e.robot for e in found] == ["near", "worse"]
+    found = by_predicted_error(ranked("near", "worse"), verdicts, first="worse")
+    assert [e.robot for e in found] == ["worse", "near"]
 
 
 def test_a_response_comes_back_from_its_record() -> None:
