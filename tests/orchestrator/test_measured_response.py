@@ -77,7 +77,10 @@ def test_a_model_with_a_pole_in_the_band_is_infinitely_large_there() -> None:
 @pytest.mark.parametrize(
     ("band", "message"),
     [
-        (None, r"known from 1 to 2 rad/s and from 3 to 4 rad/s; these do not overlap"),
+        (
+            None,
+            r"known from 1 to 2 rad/s and from 3 to 4 rad/s; these do not overlap: measure both",
+        ),
         ((5.0, 6.0), r"and the band 5 to 6; these do not overlap"),
         ((2.0, 1.0), "a band needs"),
         ((math.nan, 1.0), "a band needs"),
