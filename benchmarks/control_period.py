@@ -126,7 +126,14 @@ def prepared(
     )
     noise_variance = sum(model.residual_std**2 for model in models)
     limits = tracking_limits(robot)
-    guard = Guard(errors, noise_variance, spec.sample_time_s, limits.acceleration_max, needed)
+    guard = Guard(
+        errors,
+        noise_variance,
+        spec.sample_time_s,
+        limits.acceleration_max,
+        needed,
+        correction_speed_max=limits.correction_speed_max,
+    )
     return Learner(layout, OnlineGp(layout, (prior, prior))), guard
 
 

@@ -203,4 +203,11 @@ def guard_for(desired: FloatArray, robot: Robot, memory: Memory) -> Guard:
     limits = robot.spec.tracking
     if limits is None:
         raise RobotError("the robot does not track")
-    return Guard(error, noise_variance, robot.spec.sample_time_s, limits.acceleration_max, needed)
+    return Guard(
+        error,
+        noise_variance,
+        robot.spec.sample_time_s,
+        limits.acceleration_max,
+        needed,
+        correction_speed_max=limits.correction_speed_max,
+    )

@@ -17,9 +17,10 @@ from shared.strict import Positive, Strict
 class GuardSettings(Strict):
     """How much worse is allowed, and how fast the prior is taken back.
 
-    The squared error may exceed the baseline's by `budget` of the baseline's whole; the rest of the
-    tolerated 10 % (21 % of the square) is left for the hand-over. A squared error averaged over
-    `window_s` that is `peak_ratio`² times the baseline's worst ends it at once. So does a
+    The squared error may exceed the baseline's by `budget` of the baseline's whole, and together
+    with what the way back from a mistaken correction would cost by `return_budget`; the rest of the
+    tolerated 10 % (21 % of the square) is left for the lag of the loop. A squared error averaged
+    over `window_s` that is `peak_ratio`² times the baseline's worst ends it at once. So does a
     correction that accelerates, over `restless_window_s`, harder than a path may and
     `restless_ratio` times as hard as the one that would take the baseline's error away: that is no
     correction but an oscillation, which throws a robot over long before it is far off its path.
@@ -30,6 +31,7 @@ class GuardSettings(Strict):
     window_s: Positive = 0.2
     restless_window_s: Positive = 0.3
     restless_ratio: Positive = 2.0
+    return_budget: Positive = 0.05
     hand_over_s: Positive = 0.4
 
 
@@ -44,6 +46,8 @@ class Guard:
         acceleration_max: float,
         needed: FloatArray,
         settings: GuardSettings | None = None,
+        *,
+        correction_speed_max: float,
     ) -> None:
         """Prepare for one trajectory.
 
@@ -54,6 +58,7 @@ class Guard:
             acceleration_max: of a path, in unit/s².
             needed: the correction that would take the baseline's error away, shape (samples, axes).
             settings: the defaults if left out.
+            correction_speed_max: how fast a correction may change, in unit/s.
         """
         chosen = settings or GuardSettings()
         square = (baseline_error**2).sum(axis=1)
@@ -73,6 +78,9 @@ class Guard:
         self._sample_time_s = sample_time_s
         self._corrections = np.zeros((3, baseline_error.shape[1]))
         self._hand_over = max(1, round(chosen.hand_over_s / sample_time_s))
+        self._needed = needed
+        self._step_max = correction_speed_max * sample_time_s
+        self._return_budget = chosen.return_budget * float(self._allowed[-1])
         self._spent = 0.0
         self.event: TakenBack | None = None
 
@@ -89,7 +97,7 @@ class Guard:
             self._spent += square
             self._recent[sample % len(self._recent)] = square
             self._accelerations[sample % len(self._accelerations)] = self._pull(correction)
-            self.event = self._verdict(sample, square)
+            self.event = self._verdict(sample, square, correction)
         if self.event is None:
             return 1.0
         progress = (sample - self.event.sample + 1) / self._hand_over
@@ -104,7 +112,18 @@ class Guard:
         second = np.diff(self._corrections, 2, axis=0)[0] / self._sample_time_s**2
         return min(float(second @ second), (2 * self._acceleration_max) ** 2)
 
-    def _verdict(self, sample: int, square: float) -> TakenBack | None:
+    def _return_cost(self, sample: int, correction: FloatArray) -> float:
+        """Return by how much the way back from a correction would exceed the baseline's square.
+
+        On the way it shrinks at its largest speed v; where the baseline needs n, a correction s
+        leaves |s − n|² instead of |n|². The sum of |s|² − 2 s·n over the way is
+        (|c|³/3 − |c| c·n)/v: nothing for a correction of up to three times what is needed.
+        """
+        size = float(np.linalg.norm(correction))
+        along = float(correction @ self._needed[sample])
+        return max(0.0, size**3 / 3 - size * along) / self._step_max
+
+    def _verdict(self, sample: int, square: float, correction: FloatArray) -> TakenBack | None:
         if not math.isfinite(square):
             return TakenBack(sample=sample, reason="the tracking error is not finite")
         if float(self._recent.mean()) > self._peak:
@@ -125,5 +144,12 @@ class Guard:
             ratio = math.sqrt(self._spent / float(self._allowed[sample]))
             return TakenBack(
                 sample=sample, reason=f"so far {ratio:.2f} times the error of the baseline"
+            )
+        if excess + self._return_cost(sample, correction) > self._return_budget:
+            size, needed = np.linalg.norm(correction), np.linalg.norm(self._needed[sample])
+            return TakenBack(
+                sample=sample,
+                reason=f"a correction of {size:.3g}, where the baseline needs {needed:.3g}: later "
+                "it could not be taken back in time",
             )
         return None

@@ -198,6 +198,7 @@ class _Flight:
         self._variance, self._actual = np.zeros((samples, axes)), np.zeros((samples, axes))
         self._share, self._step_time_s = np.ones(samples), np.zeros(samples)
         self._limited = np.zeros(samples, dtype=bool)
+        self._fading: FloatArray | None = None
         self._done = 0
 
     def fly(self, stopped: Callable[[], bool]) -> str | None:
@@ -256,7 +257,10 @@ class _Flight:
         before = previous - self._desired[max(0, k - 1)]
         step = limits.correction_speed_max * self._robot.spec.sample_time_s
         near = np.clip(wished - wanted, -limits.correction_max, limits.correction_max)
-        shared = self._share[k] * near
+        if self._share[k] < 1.0 and self._fading is None:
+            self._fading = before
+        # Once taken back, what acted then fades, whatever the model goes on to wish.
+        shared = self._share[k] * (near if self._fading is None else self._fading)
         held = np.clip(shared, before - step, before + step)
         self._limited[k] = bool((near != wished - wanted).any() or (held != shared).any())
         return np.asarray(wanted + held)

@@ -14,6 +14,7 @@ from shared.arrays import FloatArray
 
 STEP_S = 0.02
 PULL_MAX = 2.0
+SPEED_MAX = 0.6
 STILL = np.zeros(2)
 SAMPLES = 500
 NEEDED = np.zeros((SAMPLES, 2))
@@ -25,7 +26,9 @@ def baseline() -> FloatArray:
 
 
 def judged(errors: FloatArray, noise_variance: float = 0.0) -> tuple[list[float], Guard]:
-    guard = Guard(baseline(), noise_variance, STEP_S, PULL_MAX, NEEDED)
+    guard = Guard(
+        baseline(), noise_variance, STEP_S, PULL_MAX, NEEDED, correction_speed_max=SPEED_MAX
+    )
     return [guard.judge(k, error, STILL) for k, error in enumerate(errors)], guard
 
 
@@ -64,7 +67,7 @@ def test_the_hand_over_is_smooth_and_takes_its_time() -> None:
 
 def oscillating(amplitude: float, omega_rad_s: float) -> Guard:
     """Corrections that swing while the robot stays on its path."""
-    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX, NEEDED)
+    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX, NEEDED, correction_speed_max=SPEED_MAX)
     for k in range(SAMPLES):
         swing = amplitude * (1 - np.cos(omega_rad_s * k * STEP_S))
         guard.judge(k, np.zeros(2), np.array([0.0, swing]))
@@ -86,14 +89,14 @@ def test_slow_corrections_as_large_are_left_alone() -> None:
 def test_corrections_that_are_as_fast_as_the_baseline_needs_are_left_alone() -> None:
     time_s = np.arange(SAMPLES) * STEP_S
     needed = 0.04 * np.stack([np.cos(10.0 * time_s), np.zeros(SAMPLES)], axis=1)
-    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX, needed)
+    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX, needed, correction_speed_max=SPEED_MAX)
     for k in range(SAMPLES):
         guard.judge(k, np.zeros(2), needed[k])
     assert guard.event is None
 
 
 def test_a_single_kink_is_no_oscillation() -> None:
-    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX, NEEDED)
+    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX, NEEDED, correction_speed_max=math.inf)
     for k in range(SAMPLES):
         kinked = max(0.0, 0.6 * (k - 200) * STEP_S)
         guard.judge(k, np.zeros(2), np.array([kinked, 0.0]))
@@ -110,7 +113,13 @@ def test_once_taken_back_it_stays_so() -> None:
 def test_measurement_noise_is_not_held_against_the_model() -> None:
     noise = 0.01 * np.random.default_rng(0).standard_normal((SAMPLES, 2))
     guard = Guard(
-        np.zeros((SAMPLES, 2)), 2 * 0.01**2, STEP_S, PULL_MAX, NEEDED, GuardSettings(budget=0.2)
+        np.zeros((SAMPLES, 2)),
+        2 * 0.01**2,
+        STEP_S,
+        PULL_MAX,
+        NEEDED,
+        GuardSettings(budget=0.2),
+        correction_speed_max=SPEED_MAX,
     )
     for k, error in enumerate(noise):
         guard.judge(k, error, STILL)
@@ -133,10 +142,50 @@ def test_a_model_that_obeys_its_share_never_costs_a_tenth_more_than_the_baseline
     """The error that is left is baseline + share × (what the model adds), a slow walk."""
     rng = np.random.default_rng(seed)
     harm = scale * 0.05 * np.cumsum(rng.standard_normal((SAMPLES, 2)), axis=0) / math.sqrt(SAMPLES)
-    own, guard = baseline(), Guard(baseline(), 0.0, STEP_S, PULL_MAX, NEEDED)
+    own, guard = (
+        baseline(),
+        Guard(baseline(), 0.0, STEP_S, PULL_MAX, NEEDED, correction_speed_max=SPEED_MAX),
+    )
     share, spent = 1.0, 0.0
     for k in range(SAMPLES):
         error = own[k] + share * harm[k]
         spent += float(error @ error)
         share = guard.judge(k, error, STILL)
     assert math.sqrt(spent / float((own**2).sum())) <= 1.1
+
+
+def taken_back_at(correction: FloatArray, needed: FloatArray) -> int | None:
+    """When a correction that grows as fast as it may is taken back, before any error shows."""
+    guard = Guard(
+        baseline(),
+        0.0,
+        STEP_S,
+        PULL_MAX,
+        np.tile(needed, (SAMPLES, 1)),
+        correction_speed_max=SPEED_MAX,
+    )
+    size = float(np.linalg.norm(correction))
+    for k, error in enumerate(baseline()):
+        grown = min(1.0, SPEED_MAX * STEP_S * k / size)
+        guard.judge(k, error, grown * correction)
+    return None if guard.event is None else guard.event.sample
+
+
+def test_a_correction_is_taken_back_while_its_way_back_is_still_short() -> None:
+    """Half a metre takes 0.8 s to grow and as long to go back; the loop's lag hides it at first."""
+    wrong, needed = np.array([0.5, 0.0]), np.array([0.02, 0.0])
+    sample = taken_back_at(wrong, needed)
+    assert sample is not None
+    # The sum over the way back, against the budget: c³/3 − c² n = 0.05 v T Σ|e|².
+    whole = float((baseline() ** 2).sum())
+    size = SPEED_MAX * STEP_S * np.arange(SAMPLES)
+    cost = (size**3 / 3 - size**2 * 0.02) / (SPEED_MAX * STEP_S)
+    assert sample == pytest.approx(int(np.argmax(cost > 0.05 * whole)), abs=1)
+
+
+def test_a_correction_that_the_baseline_needs_may_be_as_large() -> None:
+    large = np.array([0.5, 0.0])
+    assert taken_back_at(large, large) is None
+    assert taken_back_at(large, 0.4 * large) is None
+    assert taken_back_at(-large, large) is not None
+    assert taken_back_at(np.array([0.0, 0.5]), large) is not None
