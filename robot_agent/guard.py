@@ -30,7 +30,7 @@ class GuardSettings(Strict):
     peak_ratio: Positive = 1.3
     window_s: Positive = 0.2
     restless_window_s: Positive = 0.3
-    restless_ratio: Positive = 2.0
+    restless_ratio: Positive = 2.3
     return_budget: Positive = 0.05
     hand_over_s: Positive = 0.4
 
