@@ -8,37 +8,73 @@ import sqlite3
 import subprocess
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
 import pytest
+from command_processes import PATIENCE_S, Typed, begun, fleet_that_is_up, nufleet
 from polling import wait_until
-from test_rank_command import FLEET, NUFLEET, nufleet
 
 from orchestrator.repository.records import StudyStatus, TrialStatus
 from orchestrator.repository.repository import open_repository
 
-RANK = (
-    *("rank", "--fleet", str(FLEET), "--algorithm", "paper"),
-    *("--band", "2", "10", "--iterations", "3", "--seed", "5"),
+FLEET = """
+schema = 1
+name = "lab"
+
+[robots.target]
+driver = "double_integrator"
+settings = { alpha = 0.85, beta = 0.003 }
+
+[robots.near]
+driver = "double_integrator"
+settings = { alpha = 0.97, beta = 0.003 }
+
+[robots.far]
+driver = "double_integrator"
+settings = { alpha = 1.2, beta = 0.003 }
+"""
+STUDY = (
+    *("--target", "target", "--band", "2", "10"),
+    *("--algorithm", "paper", "--iterations", "2", "--seed", "5"),
 )
+ROBOTS = 3
+OWN = ("rank", "--fleet", "paper_linear")
 
 
-@contextmanager
-def ranking(cwd: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """A ranking that runs; whatever is left of it afterwards is killed."""
-    with subprocess.Popen(
-        [*NUFLEET, *arguments],
-        cwd=cwd,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    ) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
+@dataclass(frozen=True)
+class Workplace:
+    """A fleet that is up, its file, and what an undisturbed ranking of it printed."""
+
+    endpoint: str
+    file: Path
+    undisturbed: dict[str, object]
+
+    def check(self, document: dict[str, object]) -> None:
+        """A ranking that was disturbed is the same, up to where robots came to rest in between."""
+        expected, found = self.undisturbed["ranking"], document["ranking"]
+        assert isinstance(expected, list)
+        assert isinstance(found, list)
+        for row, mine in zip(expected, found, strict=True):
+            assert (mine["robot"], mine["tests"]) == (row["robot"], row["tests"])
+            assert mine["psi"] == pytest.approx(row["psi"], abs=1e-5)
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workplace]:
+    folder = tmp_path_factory.mktemp("lab")
+    file, endpoint = folder / "lab.toml", f"unixsock-stream/{folder}/r.sock"
+    file.write_text(FLEET)
+    with fleet_that_is_up(file, endpoint, folder, "--realtime", "10"):
+        done = nufleet("rank", "--connect", endpoint, *STUDY, "--json", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        yield Workplace(endpoint, file, json.loads(done.stdout))
+
+
+@pytest.fixture
+def typed(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Typed:
+    return Typed(monkeypatch, capfd)
 
 
 def trials(database: Path) -> list[str]:
@@ -55,92 +91,109 @@ def trials(database: Path) -> list[str]:
 def under_way(database: Path) -> bool:
     """Whether some tests have been measured and others are in progress."""
     found = trials(database)
-    return "measured" in found and "accepted" in found[4:]
+    return "measured" in found and "accepted" in found[ROBOTS:]
 
 
-def resume(cwd: Path, run: str = "latest", *arguments: str) -> subprocess.CompletedProcess[str]:
-    return nufleet("rank", "--resume", run, *arguments, cwd=cwd)
+@contextmanager
+def under_way_when(database: Path, *arguments: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
+    """A ranking of which some tests are done; whatever is left of it afterwards is killed."""
+    with begun(*arguments, cwd=cwd) as process:
+        try:
+            wait_until(
+                lambda: under_way(database) or process.poll() is not None, timeout_s=PATIENCE_S
+            )
+            assert process.poll() is None
+            yield process
+        finally:
+            process.kill()
 
 
-def test_a_killed_ranking_of_a_fleet_of_its_own_goes_on_with_one_that_is_started_again(
-    tmp_path: Path,
+def the_run(root: Path) -> Path:
+    (run,) = [path for path in root.iterdir() if path.is_dir()]
+    return run
+
+
+def test_a_killed_ranking_goes_on_with_the_robots_that_it_left(
+    lab: Workplace, tmp_path: Path, typed: Typed
 ) -> None:
-    undisturbed = json.loads(nufleet(*RANK, "--runs", "undisturbed", "--json", cwd=tmp_path).stdout)
-    with ranking(tmp_path, *RANK, "--realtime", "10") as killed:
-        wait_until(lambda: under_way(tmp_path / "runs" / "nufleet.sqlite"))
-        children = psutil.Process(killed.pid).children(recursive=True)
+    database = tmp_path / "runs" / "nufleet.sqlite"
+    join = ("rank", "--connect", lab.endpoint)
+    with under_way_when(database, *join, *STUDY, cwd=tmp_path) as killed:
         killed.kill()
         killed.communicate()
-        psutil.wait_procs(children, timeout=20)
-    (run,) = [path for path in (tmp_path / "runs").iterdir() if path.is_dir()]
+    run = the_run(tmp_path / "runs")
     assert not (run / "results.json").exists()
-    done = resume(tmp_path, "latest", "--json")
+    done = typed("rank", "--resume", "latest", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
     assert Path(document["run"]).name == run.name
-    # The robots' own states differ by less than their tolerance at rest.
-    for row, expected in zip(document["ranking"], undisturbed["ranking"], strict=True):
-        assert row["robot"] == expected["robot"]
-        assert row["psi"] == pytest.approx(expected["psi"], abs=1e-5)
-        assert row["tests"] == expected["tests"]
+    lab.check(document)
     assert {path.name for path in run.iterdir()} == {
         *("config.json", "results.json", "telemetry.parquet", "run.rrd", "plots", "report.md")
     }
-    with open_repository(str(tmp_path / "runs" / "nufleet.sqlite")) as repository:
+    with open_repository(str(database)) as repository:
         study = repository.studies.study(run.name.lower())
         kept = repository.studies.trials(study.study_id)
     assert study.status is StudyStatus.COMPLETE
     assert study.result == document
-    assert len([t for t in kept if t.status is TrialStatus.MEASURED]) == 3 * 4
+    assert len([t for t in kept if t.status is TrialStatus.MEASURED]) == 2 * ROBOTS
     assert all(t.interrupted for t in kept if t.status is not TrialStatus.MEASURED)
-    again = resume(tmp_path, run.name)
+    again = typed("rank", "--resume", run.name, cwd=tmp_path)
     assert again.returncode == 2
     assert "is complete" in again.stderr
 
 
-def test_ctrl_c_says_how_to_go_on_and_rank_does_it_too(tmp_path: Path) -> None:
-    with ranking(tmp_path, *RANK, "--realtime", "10", "--runs", "here") as interrupted:
-        wait_until(lambda: under_way(tmp_path / "here" / "nufleet.sqlite"))
+def test_ctrl_c_says_how_to_go_on_and_a_fleet_of_its_own_is_started_again(
+    lab: Workplace, tmp_path: Path, typed: Typed
+) -> None:
+    own = ("rank", "--fleet", str(lab.file), *STUDY, "--realtime", "10", "--runs", "here")
+    database = tmp_path / "here" / "nufleet.sqlite"
+    with under_way_when(database, *own, cwd=tmp_path) as interrupted:
+        children = psutil.Process(interrupted.pid).children(recursive=True)
         interrupted.send_signal(signal.SIGINT)
-        _, said = interrupted.communicate(timeout=60)
+        _, said = interrupted.communicate(timeout=PATIENCE_S)
+        psutil.wait_procs(children, timeout=20)
     assert interrupted.returncode == 130
-    (run,) = [path for path in (tmp_path / "here").iterdir() if path.is_dir()]
+    run = the_run(tmp_path / "here")
     assert f"runs resume {run.name} --runs here" in said
     # Nobody has to wait: it gave its robots back.
-    with open_repository(str(tmp_path / "here" / "nufleet.sqlite")) as repository:
-        assert not repository.leases.held(f"paper-linear/{run.name.lower()}")
-    clash = nufleet("rank", "--resume", run.name, "--runs", "here", "--seed", "1", cwd=tmp_path)
+    with open_repository(str(database)) as repository:
+        assert not repository.leases.held(f"lab/{run.name.lower()}")
+    go_on = ("rank", "--resume", run.name, "--runs", "here")
+    clash = typed(*go_on, "--seed", "1", cwd=tmp_path)
     assert clash.returncode == 2
     assert "--seed is that of the run" in clash.stderr
-    done = nufleet("rank", "--resume", run.name, "--runs", "here", "--json", cwd=tmp_path)
+    done = typed(*go_on, "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["selected"] == "source-2"
+    lab.check(json.loads(done.stdout))
 
 
-def test_nothing_to_resume_is_an_error_that_says_what_there_is(tmp_path: Path) -> None:
+def test_nothing_to_resume_is_an_error_that_says_what_there_is(
+    tmp_path: Path, typed: Typed
+) -> None:
     (tmp_path / "runs").mkdir()
     for command in (["runs", "resume"], ["rank", "--resume", "latest"]):
-        done = nufleet(*command, cwd=tmp_path)
+        done = typed(*command, cwd=tmp_path)
         assert done.returncode == 2
         assert "no run in runs was interrupted" in done.stderr
 
 
 def test_a_repository_that_cannot_be_used_is_refused_before_anything_starts(
-    tmp_path: Path,
+    tmp_path: Path, typed: Typed
 ) -> None:
     for address, words in (
         ("mysql://host/db", "expected a file"),
         (str(tmp_path / "missing" / "there.sqlite"), "check the address"),
     ):
-        done = nufleet(*RANK, "--repository", address, cwd=tmp_path)
+        done = typed(*OWN, "--repository", address, cwd=tmp_path)
         assert done.returncode in (1, 2)
         assert words in done.stderr
         assert "starting a router" not in done.stderr
 
 
-def test_a_password_is_kept_nowhere(tmp_path: Path) -> None:
+def test_a_password_is_kept_nowhere(tmp_path: Path, typed: Typed) -> None:
     address = "postgresql://me:secret@127.0.0.1:1/none"
-    done = nufleet(*RANK, "--repository", address, cwd=tmp_path)
+    done = typed(*OWN, "--repository", address, cwd=tmp_path)
     assert done.returncode == 1
     assert "secret" not in done.stderr
     assert "check the address" in done.stderr
