@@ -51,6 +51,7 @@ class Life:
     endpoint: str
     database: str
     owner: str
+    algorithm: str = "paper"
     killed_at: int | None = None
     before_commit: bool = False
 
@@ -132,7 +133,7 @@ def live(life: Life) -> None:
         fleet.wait_for(ROBOTS, timeout_s=10.0)
         with lease_robots(repository.leases, fleet, "lab", ROBOTS, patient=True) as leases:
             archive = Archive(repository, "lab", leases)
-            study = _study(archive, fleet, life.study_id)
+            study = _study(archive, fleet, life)
             if study.status is not StudyStatus.OPEN:
                 return
             log = archive.log(study.study_id)
@@ -144,11 +145,12 @@ def live(life: Life) -> None:
             studies.end(study.study_id, StudyStatus.COMPLETE, "done", result)
 
 
-def _study(archive: Archive, fleet: Fleet, study_id: str) -> StudyRecord:
+def _study(archive: Archive, fleet: Fleet, life: Life) -> StudyRecord:
     try:
-        return archive.repository.studies.study(study_id)
+        return archive.repository.studies.study(life.study_id)
     except UnknownRecordError:
-        return archive.begin(study_id, "paper", PLAN, SEED, fleet.describe_all(ROBOTS))
+        robots = fleet.describe_all(ROBOTS)
+        return archive.begin(life.study_id, life.algorithm, PLAN, SEED, robots)
 
 
 def warm_up() -> None:

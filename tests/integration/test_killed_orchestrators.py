@@ -39,18 +39,18 @@ class Scene:
     path: Path
     orchestrators: int = 0
 
-    def orchestrator(self, study_id: str, **death: object) -> bool:
+    def orchestrator(self, study_id: str, **more: object) -> bool:
         """Have one more orchestrator work on a study; return whether it was killed."""
         self.orchestrators += 1
         owner = f"orchestrator-{self.orchestrators}"
-        life = Life(study_id, self.endpoint, str(self.path), owner, **death)  # type: ignore[arg-type]
+        life = Life(study_id, self.endpoint, str(self.path), owner, **more)  # type: ignore[arg-type]
         return self.lives.live(life)
 
     @property
     def motions(self) -> int:
         return sum(robot.motions for robot in self.robots.values())
 
-    def check(self, study_id: str, undisturbed: object, motions: int) -> None:
+    def check(self, study_id: str, undisturbed: object, motions: int, tests: int = TESTS) -> None:
         """What holds of every study that is complete, whatever happened on the way."""
         study = self.repository.studies.study(study_id)
         trials = self.repository.studies.trials(study_id)
@@ -58,7 +58,7 @@ class Scene:
         assert study.result == undisturbed
         assert all(trial.status.ended for trial in trials)
         measured = [trial for trial in trials if trial.status is TrialStatus.MEASURED]
-        assert len(measured) == TESTS
+        assert len(measured) == tests
         assert all(trial.interrupted for trial in trials if trial not in measured)
         # Each goal is one motion, however often it was sent.
         assert motions == len(trials)
@@ -93,11 +93,19 @@ def test_a_kill_at_any_commit_changes_nothing_of_what_a_study_comes_to(scene: Sc
             scene.check(study_id, expected, scene.motions - before)
 
 
-def test_many_kills_in_one_study_change_nothing_of_what_it_comes_to(scene: Scene) -> None:
-    expected, rng, kills, motions = undisturbed(scene), np.random.default_rng(1), 0, scene.motions
+@pytest.mark.parametrize("algorithm", ["paper", "adaptive"])
+def test_many_kills_in_one_study_change_nothing_of_what_it_comes_to(
+    scene: Scene, algorithm: str
+) -> None:
+    assert not scene.orchestrator("undisturbed", algorithm=algorithm)
+    expected = scene.repository.studies.study("undisturbed").result
+    motions, kills, rng = scene.motions, 0, np.random.default_rng(1)
     while scene.orchestrator(
-        "killed-often", killed_at=int(rng.integers(2, 8)), before_commit=bool(rng.integers(2))
+        "killed-often",
+        algorithm=algorithm,
+        killed_at=int(rng.integers(2, 8)),
+        before_commit=bool(rng.integers(2)),
     ):
         kills += 1
-    assert kills >= 5, kills
-    scene.check("killed-often", expected, scene.motions - motions)
+    assert kills >= 5
+    scene.check("killed-often", expected, scene.motions - motions, tests=motions)
