@@ -12,9 +12,11 @@ from rich.table import Table
 from orchestrator.cli.storage import Storage
 from orchestrator.console import stderr_console
 from orchestrator.reach import can_reach_again
+from orchestrator.repository.database import FILE_NAME
+from orchestrator.repository.records import StudyStatus
 from orchestrator.run_catalogue import KINDS, Damaged, Run, read_run, read_runs
 from orchestrator.run_export import export_responses, run_responses
-from orchestrator.run_folder import RECORDING, find_run
+from orchestrator.run_folder import RECORDING, find_run, study_id_of
 from orchestrator.run_tables import run_tables
 from shared.command_line import invocation
 
@@ -35,11 +37,13 @@ def list_and_print(runs_root: Path, *, as_json: bool) -> None:
     for heading in ("run", "kind", "fleet"):
         table.add_column(heading, no_wrap=True)
     table.add_column("what it came to")
+    open_runs = [run for run in runs if isinstance(run, Run) and run.result is None]
+    unfinished = _unfinished(runs_root, open_runs)
     for run in runs:
         if isinstance(run, Damaged):
             table.add_row(run.folder.name, "", "", f"[red]{run.reason}[/]")
         else:
-            said = f"[yellow]{INTERRUPTED}[/]" if run.result is None else run.headline
+            said = run.headline or f"[yellow]{unfinished[run.folder]}[/]"
             table.add_row(run.folder.name, run.kind, run.fleet, said)
     stderr_console().print(table)
 
@@ -56,8 +60,9 @@ def show_and_print(runs_root: Path, name: str, *, as_json: bool) -> None:
     for part in run_tables(run):
         console.print(part)
     if run.result is None:
-        console.print(f"[yellow]{INTERRUPTED}[/]")
-        if can_reach_again(run.folder):
+        why = _unfinished(runs_root, [run])[run.folder]
+        console.print(f"[yellow]{why}[/]")
+        if can_reach_again(run.folder) and why == INTERRUPTED:
             command = Storage(runs_root).resume_command(run.folder.name)
             console.print(f"it can go on where it was:  {command}")
     console.print(f"files: {', '.join(sorted(p.name for p in run.folder.iterdir()))}")
@@ -84,6 +89,17 @@ def export_and_print(
         return
     for robot, path in written.items():
         stderr_console().print(f"{robot}: {path}")
+
+
+def _unfinished(runs_root: Path, runs: list[Run]) -> dict[Path, str]:
+    """Return why runs have no result, as far as the repository beside them knows."""
+    found = {run.folder: INTERRUPTED for run in runs}
+    if runs and (runs_root / FILE_NAME).exists():
+        with Storage(runs_root).open() as repository:
+            failed = repository.studies.studies(StudyStatus.FAILED)
+        reasons = {study.study_id: f"failed: {study.reason}" for study in failed}
+        found |= {f: reasons[study_id_of(f)] for f in found if study_id_of(f) in reasons}
+    return found
 
 
 def _document(run: Run | Damaged) -> dict[str, Any]:

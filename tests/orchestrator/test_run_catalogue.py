@@ -19,6 +19,8 @@ from orchestrator.demonstration import DEMONSTRATION, DemoResult
 from orchestrator.evaluation_results import EvaluationRecord, StudyEstimates
 from orchestrator.evaluation_run import EVALUATION
 from orchestrator.pairs import PAIRS, compare_pairs
+from orchestrator.repository.records import StudyRecord, StudyStatus
+from orchestrator.repository.repository import open_repository
 from orchestrator.run_catalogue import (
     KINDS,
     Damaged,
@@ -35,8 +37,9 @@ from orchestrator.run_documents import (
     TrainedExperience,
     TrainResult,
 )
-from orchestrator.run_folder import RESULTS, RunFolder
+from orchestrator.run_folder import RESULTS, RunFolder, study_id_of
 from orchestrator.run_tables import run_tables
+from orchestrator.study import StudyPlan
 from shared.errors import InvalidInputError
 from shared.experience import decode_experience, digest
 from shared.strict import Strict
@@ -136,6 +139,23 @@ def test_a_run_that_did_not_end_is_shown_as_interrupted(
     assert "interrupted" in capsys.readouterr().err
     show_and_print(tmp_path, folder.name, as_json=True)
     assert json.loads(capsys.readouterr().out)["result"] is None
+
+
+def test_a_ranking_that_could_not_go_on_is_told_with_the_reason(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    failed, interrupted = (leave(tmp_path, "rank", ended=False) for _ in range(2))
+    with open_repository(f"{tmp_path}/nufleet.sqlite") as repository:
+        for run in (failed, interrupted):
+            plan = StudyPlan("target", ("near",), (0.1, 30.0), 1, "x")
+            repository.studies.begin(StudyRecord(study_id_of(run), "lab", "paper", plan, 0))
+        repository.studies.end(study_id_of(failed), StudyStatus.FAILED, "the target is gone")
+    show_and_print(tmp_path, failed.name, as_json=False)
+    assert "failed: the target is gone" in capsys.readouterr().err
+    show_and_print(tmp_path, interrupted.name, as_json=False)
+    assert "interrupted" in capsys.readouterr().err
+    list_and_print(tmp_path, as_json=False)
+    assert "the target" in capsys.readouterr().err
 
 
 def test_a_list_holds_all_kinds_and_what_is_wrong_with_the_damaged(
