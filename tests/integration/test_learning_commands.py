@@ -224,18 +224,28 @@ def slow(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workplace]:
         yield Workplace(folder, endpoint, "slow")
 
 
-def test_ctrl_c_during_a_track_leaves_the_robot_at_rest_and_its_samples_complete(
-    slow: Workplace,
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("track", "--target", "target", "--trajectory", "clover", "--speed", "0.3"),
+        ("train", "--robot", "target", "--duration", "60"),
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_ctrl_c_in_flight_leaves_the_robot_at_rest_and_nobody_in_command(
+    slow: Workplace, arguments: tuple[str, ...]
 ) -> None:
     with open_client(slow.endpoint, timeout_s=PATIENCE_S) as session:
         fleet = Fleet(session, FleetKeys("slow"), "tester")
         watch = fleet.watch("target")
-        arguments = ("--target", "target", "--trajectory", "clover", "--speed", "0.3")
-        command = begun("track", "--connect", slow.endpoint, *arguments, cwd=slow.folder)
-        moving = watch.wait_until(
-            lambda w: w.state is not None and w.state.progress > 0.05, timeout_s=PATIENCE_S
-        )
-        assert moving, watch.state
+        command = begun(arguments[0], "--connect", slow.endpoint, *arguments[1:], cwd=slow.folder)
+        assert watch.wait_until(
+            lambda w: w.state is not None and bool(w.state.goal_id) and w.state.progress > 0.02,
+            timeout_s=PATIENCE_S,
+        ), watch.state
+        assert watch.state is not None
+        flying = watch.state.goal_id
+        assert flying is not None
         command.send_signal(signal.SIGINT)
         out, said = command.communicate(timeout=PATIENCE_S)
         assert (command.returncode, out) == (130, ""), said
@@ -245,13 +255,9 @@ def test_ctrl_c_during_a_track_leaves_the_robot_at_rest_and_its_samples_complete
             timeout_s=PATIENCE_S,
         )
         assert at_rest, watch.state
-        state = watch.state
-        assert state is not None
-        assert state.goal_id is None
-        assert state.last_goal_id is not None
-        result = fleet.result("target", state.last_goal_id)
-        assert result.outcome == "cancelled"
-        assert result.details is None or len(result.response) > 0
+        assert watch.state.last_goal_id == flying
+        assert fleet.result("target", flying).outcome == "cancelled"
+        assert fleet.describe("target").prior is None
     wait_until(lambda: not psutil.pid_exists(command.pid))
 
 
