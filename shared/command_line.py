@@ -131,7 +131,9 @@ _HELP = """Find out which robot's experience will help a new robot, before you t
 Try it:       nufleet demo
 Your robots:  nufleet router             on one machine
               nufleet agent FLEET.toml   beside each robot
-              nufleet rank --target ...  from anywhere
+              nufleet rank --target ...  from anywhere: who is closest
+Experience:   nufleet train              robots learn what they can pass on
+              nufleet transfer, track    one flies with what another learned
 """
 
 

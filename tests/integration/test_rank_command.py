@@ -277,7 +277,8 @@ def test_a_runs_folder_that_cannot_be_written_is_refused_before_anything_starts(
 def test_help_is_there_for_every_command(tmp_path: Path) -> None:
     top = nufleet("--help", cwd=tmp_path)
     assert top.returncode == 0
-    for command in ("demo", "rank", "router", "agent", "view", "runs", "fleet", "stop", "doctor"):
+    commands = ("demo", "rank", "train", "transfer", "track", "evaluate", "router", "agent", "view")
+    for command in (*commands, "runs", "fleet", "stop", "doctor"):
         assert command in top.stdout
         shown = nufleet(command, "--help", cwd=tmp_path)
         assert shown.returncode == 0
