@@ -2,6 +2,8 @@
 # make test   sets everything up, lints, type-checks and passes the tests
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PIP_INSTALL = .venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+# Many tests wait for processes; two at a time take little more than half as long as one by one.
+TEST_PROCESSES ?= 2
 # What the tests use that pip does not bring: a software renderer for pictures of recordings, a real
 # PostgreSQL server, networks that can be cut in two, and clocks that are wrong.
 SYSTEM_PACKAGES = mesa-vulkan-drivers postgresql iproute2 libfaketime
@@ -13,7 +15,7 @@ demo: .venv/installed-demo
 
 test: .venv/installed-test system-packages lint
 	@echo "== tests"
-	.venv/bin/pytest
+	.venv/bin/pytest -n $(TEST_PROCESSES) --dist loadfile
 
 lint: .venv/installed-test
 	@echo "== lint, format and types"

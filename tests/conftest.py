@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import signal
 import tempfile
+from collections.abc import Generator
 
+import pytest
 from hypothesis import settings
 
 # The simulated quadrotors need SciPy's array interface, which SciPy reads when it is first
@@ -29,3 +31,13 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # changes; at a desk every run tries new ones.
 settings.register_profile("nufleet", deadline=None, print_blob=True, derandomize="CI" in os.environ)
 settings.load_profile("nufleet")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Let reports of drivers that raise text which is no UTF-8 pass between processes."""
+    report = yield
+    report.sections = [
+        (name, text.encode(errors="replace").decode()) for name, text in report.sections
+    ]
+    return report
