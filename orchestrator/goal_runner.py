@@ -79,7 +79,7 @@ class GoalRunner:
             motion=motion,
             acknowledges=self._unacknowledged.get(robot, ()),
         )
-        watch = self._wait_until_there(robot)
+        watch = self._wait_until_there(robot, goal_id)
         if self._interrupted.is_set():
             raise Interrupted
         with self._lock:
@@ -114,7 +114,7 @@ class GoalRunner:
 
     def result(self, robot: str, goal_id: str) -> GoalResult:
         """Return how a goal of earlier ended; raises RefusedError when its robot does not know."""
-        result = self._fleet.result(robot, goal_id)
+        result = self._fetch(self._wait_until_there(robot, goal_id), goal_id, None)
         self._unacknowledged[robot] = (goal_id,)
         return result
 
@@ -144,10 +144,14 @@ class GoalRunner:
             # Its agent rests by itself when this orchestrator's token disappears.
             _log.warning("cancelling on %s: %s", robot, error)
 
-    def _wait_until_there(self, robot: str) -> RobotWatch:
+    def _wait_until_there(self, robot: str, goal_id: str | None = None) -> RobotWatch:
         watch = self._fleet.watch(robot)
         if not watch.wait_until(lambda w: w.alive, timeout_s=RETURN_PATIENCE_S):
-            raise RobotLostError(f"robot {robot} is gone and did not return")
+            during = "" if goal_id is None else f" for goal {goal_id}"
+            raise RobotLostError(
+                f"robot {robot} is gone and did not return{during} within {RETURN_PATIENCE_S:g} s; "
+                "is its agent running?"
+            )
         return watch
 
     def _submit(self, robot: str, request: GoalRequest) -> GoalAccepted:
@@ -165,7 +169,7 @@ class GoalRunner:
                     raise
                 _log.info("%s: asking again", error)
             time.sleep(_ASK_AGAIN_S)
-            self._wait_until_there(robot)
+            self._wait_until_there(robot, request.goal_id)
 
     def _wait_for_end(self, watch: RobotWatch, accepted: GoalAccepted) -> str | None:
         """Return when the goal has ended, or how its robot was lost; raise when it is overdue."""

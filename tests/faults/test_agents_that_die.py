@@ -50,7 +50,7 @@ def test_a_killed_agent_is_noticed_at_once_with_robot_and_goal(
         agent.kill()
         assert fleet.watch("a").wait_until(lambda w: not w.alive, timeout_s=1.0)
         # The latter when it had not answered yet.
-        words = "robot a (disappeared during g|is not there, or went away .* goal g)"
+        words = r"robot a .* (during g|goal g)\b"
         with pytest.raises((RobotLostError, NoReplyError), match=words):
             running.result(PATIENCE_S)
 
@@ -124,7 +124,11 @@ def test_an_agent_that_was_frozen_while_its_owner_died_rests_when_it_wakes(
     assert watcher.result("a", "g").outcome is Outcome.ABORTED
 
 
-def test_an_agent_that_is_being_restarted_takes_a_goal_when_it_is_back(lab: Lab) -> None:
+def test_an_agent_that_is_being_restarted_takes_a_goal_when_it_is_back(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A busy machine may take long to start a process.
+    monkeypatch.setattr(goal_runner, "RETURN_PATIENCE_S", PATIENCE_S)
     lab.describe_section_v({"a": 0.9})
     lab.router()
     asked = threading.Event()
@@ -141,5 +145,5 @@ def test_an_agent_that_is_being_restarted_takes_a_goal_when_it_is_back(lab: Lab)
         assert asked.wait(PATIENCE_S)
         session.close()
         lab.agent("a")
-        assert running.result(PATIENCE_S).outcome is Outcome.COMPLETED
+        assert running.result(2 * PATIENCE_S).outcome is Outcome.COMPLETED
     assert len(lab.motions("a")) == 1
