@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.faults.figure import Figure
-from benchmarks.faults.fleet import running_processes
 from benchmarks.faults.fuzz_agent import assert_serves, fuzz_agent
 from benchmarks.faults.fuzz_targets import decoding_targets, file_targets
 from benchmarks.faults.fuzzing import Tally, Target, fuzz, resident_bytes
+from benchmarks.faults.lab import KEYS, opened_lab
+from benchmarks.faults.program import PATIENCE_S
+from shared.transport import open_client
 
 GROWTH_MAX_MIB = 32.0
 MIB = 2**20
@@ -44,14 +46,17 @@ def _in_process(payloads: int) -> list[Figure]:
 
 def _over_the_network(requests: int) -> list[Figure]:
     rng = np.random.default_rng(12)
-    with running_processes(robots=1) as (fleet, session, keys, started):
-        robot = "robot-0"
-        fuzz_agent(session, keys, robot, requests // 10, rng)
-        agent = next(pid for what, pid in started.pids().items() if robot in what)
-        before = resident_bytes(agent)
-        tallies = fuzz_agent(session, keys, robot, requests, rng)
-        growth = (resident_bytes(agent) - before) / MIB
-        assert_serves(fleet, robot)
+    with tempfile.TemporaryDirectory() as folder, opened_lab(Path(folder)) as lab:
+        lab.describe_section_v({"a": 0.9})
+        lab.router()
+        agent = lab.agent("a")
+        fleet = lab.orchestrator("a")
+        with open_client(lab.endpoint, timeout_s=PATIENCE_S) as session:
+            fuzz_agent(session, KEYS, "a", requests // 10, rng)
+            before = resident_bytes(agent.pid)
+            tallies = fuzz_agent(session, KEYS, "a", requests, rng)
+            growth = (resident_bytes(agent.pid) - before) / MIB
+        assert_serves(fleet, "a")
     return _summary("to a live agent", tallies, growth)
 
 
