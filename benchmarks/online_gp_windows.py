@@ -22,7 +22,7 @@ import sims
 from benchmarks.planar_robot import planar_double_integrator, tracking_limits
 from robot_agent.online_gp import WINDOW_POINTS, Correction, OnlineGp
 from robot_agent.robot import Robot
-from robot_agent.tracking import Learner, TrackingRecord, track
+from robot_agent.tracking import PAIR_SPACING_S, Learner, TrackingRecord, track
 from shared.arrays import FloatArray
 from shared.drawing_files import read_drawing
 from shared.fleet_file import read_fleet_file, validated_settings
@@ -91,8 +91,9 @@ class RecordingGp(OnlineGp):
         super().learn(axis, inputs, gamma)
 
     def correct(self, inputs: FloatArray) -> Correction:
-        """Answer as ever."""
-        self._asked.append(self._gp_inputs(inputs))
+        """Answer as ever; what counts is the first query of each window."""
+        if len(self._pairs[0]) == len(self._asked):
+            self._asked.append(self._gp_inputs(inputs))
         return super().correct(inputs)
 
     def windows(self) -> Windows:
@@ -123,12 +124,12 @@ def quadrotor() -> Robot:
     return robot
 
 
-def fly(kind: str, drawing: Path) -> tuple[Windows, TrackingRecord]:
+def fly(
+    kind: str, drawing: Path, pair_spacing_s: float = PAIR_SPACING_S
+) -> tuple[Windows, TrackingRecord]:
     """Track one drawing with the paper's architecture and a zero prior.
 
-    The process learns a pair at every sample, as the paper's does, so that each step has a window
-    of its own to be fitted; the product's own flights leave more time between pairs. The windows
-    are those of the flight's samples from number `WINDOW_POINTS` on.
+    There is one window for each pair that the process learned, from number `WINDOW_POINTS` on.
 
     Raises:
         RuntimeError: the flight failed.
@@ -143,7 +144,7 @@ def fly(kind: str, drawing: Path) -> tuple[Windows, TrackingRecord]:
     )
     path = travel(read_drawing(drawing), SPEED_M_S, ACCELERATION_M_S2, sample_time_s)
     process = RecordingGp(layout, path.shape[1])
-    learner = Learner(layout, process, pair_spacing_s=0.0)
+    learner = Learner(layout, process, pair_spacing_s)
     flight = track(robot, path, tracking_limits(robot), learner)
     if flight.failure is not None:
         raise RuntimeError(f"the flight along {drawing.stem} failed: {flight.failure}")

@@ -32,7 +32,7 @@ POINTS = 50
 
 @lru_cache
 def flown() -> tuple[Windows, TrackingRecord]:
-    return fly("double-integrator", drawings.RIBBON)
+    return fly("double-integrator", drawings.RIBBON, pair_spacing_s=0.0)
 
 
 @lru_cache
@@ -47,6 +47,13 @@ def test_windows_slide_by_one_pair_and_end_with_the_flight() -> None:
     np.testing.assert_array_equal(windows.inputs[1:, :, :-1], windows.inputs[:-1, :, 1:])
     np.testing.assert_array_equal(windows.targets[1:, :, :-1], windows.targets[:-1, :, 1:])
     assert windows.new.tolist() == [POINTS] + [1] * (len(windows) - 1)
+
+
+def test_pairs_that_are_apart_give_a_window_each() -> None:
+    windows, flight = fly("double-integrator", drawings.RIBBON)
+    pairs = (len(flight.actual) - 1) // 8
+    assert len(windows) == pairs - POINTS + 1
+    np.testing.assert_array_equal(windows.inputs[1:, :, :-1], windows.inputs[:-1, :, 1:])
 
 
 def test_the_product_answers_to_recorded_windows_as_it_did_in_flight() -> None:
