@@ -1,4 +1,4 @@
-"""A stop reaches a robot that is busy, whose owner is dead or whose router is gone; it lasts."""
+"""A stop reaches robots that are busy or whose owner is dead, and lasts; a failed one is told."""
 
 from __future__ import annotations
 
