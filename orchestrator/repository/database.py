@@ -22,6 +22,7 @@ from orchestrator.repository.errors import (
     RepositoryUrlError,
     UnknownRecordError,
 )
+from orchestrator.repository.group_commit import GroupCommit, Work
 
 FILE_NAME = "nufleet.sqlite"
 BUSY_S = 10.0
@@ -105,6 +106,7 @@ class Database:
         self.name = url.render_as_string(hide_password=True)
         self.is_sqlite = url.get_backend_name() == "sqlite"
         self._engine = _sqlite(url) if self.is_sqlite else _postgresql(url)
+        self._group = GroupCommit(self)
 
     def close(self) -> None:
         """Close every connection."""
@@ -122,6 +124,13 @@ class Database:
         writing = self._engine.execution_options(**{_WRITES: True})
         with self._named_errors(), writing.begin() as connection:
             yield connection
+
+    def write_together(self, work: Work) -> None:
+        """Write with what other threads write meanwhile; returns when it is on disk.
+
+        `work` is undone alone when it raises, which this raises then.
+        """
+        self._group.run(work)
 
     def now_s(self, connection: Connection) -> float:
         """Return the database's own time in seconds: one clock for all who use it."""
@@ -151,6 +160,12 @@ class Database:
         except DBAPIError as error:
             return _named(error.orig, self.name)
         return None
+
+    @contextmanager
+    def savepoint(self, connection: Connection) -> Iterator[None]:
+        """A part of a transaction: undone alone when it is left by an error."""
+        with connection.begin_nested(), self._named_errors():
+            yield
 
     @contextmanager
     def _named_errors(self) -> Iterator[None]:

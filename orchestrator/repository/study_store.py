@@ -101,7 +101,8 @@ class StudyStore:
 
     def accepted(self, accepted: GoalAccepted, *, epoch: int) -> None:
         """Store that a robot took a goal; raises TrialEndedError, StaleEpochError."""
-        with self._database.write() as connection:
+
+        def work(connection: Connection) -> None:
             known = _known(connection, accepted.goal_id, epoch)
             if is_new_acceptance(known, accepted.boot_id):
                 _update(
@@ -112,13 +113,18 @@ class StudyStore:
                     plan=accepted.plan.model_dump_json(),
                 )
 
+        self._database.write_together(work)
+
     def measured(self, result: GoalResult, response: FrequencyResponse, *, epoch: int) -> None:
         """Store a usable response with its samples; raises TrialEndedError, StaleEpochError."""
-        with self._database.write() as connection:
+
+        def work(connection: Connection) -> None:
             known = _known(connection, result.goal_id, epoch)
             if is_new_end(known, TrialStatus.MEASURED):
                 _end(connection, known, TrialStatus.MEASURED, **_played(result))
                 _keep(connection, known, result, response)
+
+        self._database.write_together(work)
 
     def failed(
         self,
@@ -146,7 +152,8 @@ class StudyStore:
             TrialEndedError: it has ended in another way.
             StaleEpochError: a later owner has taken the trial over.
         """
-        with self._database.write() as connection:
+
+        def work(connection: Connection) -> None:
             known = _known(connection, goal_id, epoch)
             if is_new_end(known, TrialStatus.FAILED):
                 played: dict[str, Any] = {} if result is None else _played(result)
@@ -154,6 +161,8 @@ class StudyStore:
                 _end(connection, known, TrialStatus.FAILED, reason, retry, **played)
                 if result is not None:
                     _keep(connection, known, result, response)
+
+        self._database.write_together(work)
 
     def lost(
         self,
@@ -165,10 +174,13 @@ class StudyStore:
         interrupted: bool = False,
     ) -> None:
         """Store that nobody will ever know what came of a trial; see `failed`."""
-        with self._database.write() as connection:
+
+        def work(connection: Connection) -> None:
             known = _known(connection, goal_id, epoch)
             if is_new_end(known, TrialStatus.LOST):
                 _end(connection, known, TrialStatus.LOST, reason, retry, interrupted=interrupted)
+
+        self._database.write_together(work)
 
     def trials(self, study_id: str) -> tuple[TrialRecord, ...]:
         """Return the trials of a study by iteration, robot and attempt, with their responses."""

@@ -93,7 +93,7 @@ def ranking_of(conclusion: Conclusion) -> list[list[object]]:
 @contextmanager
 def dying(killed_at: int | None, *, before_commit: bool) -> Iterator[None]:
     """Have this process killed when it commits for the nth time, just before or just after."""
-    write, commits = Database.write, itertools.count(1)
+    write, commits = Database.write, itertools.count(1)  # what several threads write is one
 
     @contextmanager
     def counted(database: Database) -> Iterator[Connection]:

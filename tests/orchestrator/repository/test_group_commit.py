@@ -1,0 +1,118 @@
+"""Threads that write at the same time: one wait for the disk, and each its own outcome."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+
+import pytest
+from polling import wait_until
+from repository_records import accepted, intent, response, result
+from sqlalchemy import Connection
+
+from orchestrator.repository.database import Database
+from orchestrator.repository.errors import RepositoryFullError, StaleEpochError
+from orchestrator.repository.group_commit import GroupCommit, _Job
+from orchestrator.repository.records import TrialStatus
+from orchestrator.repository.repository import Repository
+
+THREADS = 24
+
+
+class Gate:
+    """Holds the first commit until all threads have brought their work; `batches` are the sizes."""
+
+    def __init__(self, repository: Repository, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.batches: list[int] = []
+        self.opened = threading.Event()
+        self.group: GroupCommit = repository.studies._database._group
+        self._commit = self.group._commit
+        monkeypatch.setattr(self.group, "_commit", self._held)
+
+    def _held(self, jobs: list[_Job]) -> None:
+        self.batches.append(len(jobs))
+        assert self.opened.wait(20.0)
+        self._commit(jobs)
+
+
+def store_all(begun: Repository, gate: Gate, stale: int | None = None) -> list[Future[None]]:
+    """Have threads store acceptances of one trial each; the first waits until all are there."""
+    with ThreadPoolExecutor(THREADS) as pool:
+        futures = [
+            pool.submit(
+                begun.studies.accepted,
+                accepted(intent(attempt=number)),
+                epoch=0 if number == stale else 1,
+            )
+            for number in range(1, THREADS + 1)
+        ]
+        # Whoever came first took its own work, and all that was there by then.
+        wait_until(lambda: sum(gate.batches) + len(gate.group._jobs) == THREADS)
+        gate.opened.set()
+    return futures
+
+
+@pytest.fixture
+def intended(begun: Repository) -> Repository:
+    begun.studies.intend(*(intent(attempt=number) for number in range(1, THREADS + 1)))
+    return begun
+
+
+def statuses(begun: Repository) -> list[TrialStatus]:
+    return [trial.status for trial in begun.studies.trials("run-1")]
+
+
+def test_what_gathers_during_a_commit_is_the_next_one(
+    intended: Repository, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate = Gate(intended, monkeypatch)
+    for future in store_all(intended, gate):
+        future.result()
+    assert statuses(intended) == [TrialStatus.ACCEPTED] * THREADS
+    assert len(gate.batches) == 2
+    assert sum(gate.batches) == THREADS
+
+
+def test_who_may_not_write_is_told_so_and_the_others_are_stored(
+    intended: Repository, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    futures = store_all(intended, Gate(intended, monkeypatch), stale=7)
+    errors = [future.exception() for future in futures]
+    assert isinstance(errors.pop(6), StaleEpochError)
+    assert errors == [None] * (THREADS - 1)
+    found = statuses(intended)
+    assert found.pop(6) is TrialStatus.INTENDED
+    assert found == [TrialStatus.ACCEPTED] * (THREADS - 1)
+
+
+def test_a_commit_that_fails_is_everybodys_error_and_nothing_of_it_is_stored(
+    intended: Repository, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate, write = Gate(intended, monkeypatch), Database.write
+
+    @contextmanager
+    def full(database: Database) -> Iterator[Connection]:
+        with write(database) as connection:
+            yield connection
+            if len(gate.batches) > 1:
+                raise RepositoryFullError("no room is left")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Database, "write", full)
+        errors = [future.exception() for future in store_all(intended, gate)]
+    failed = [error for error in errors if error is not None]
+    assert len(failed) == gate.batches[1]
+    assert all(isinstance(error, RepositoryFullError) for error in failed)
+    found = statuses(intended)
+    assert found == [
+        TrialStatus.ACCEPTED if error is None else TrialStatus.INTENDED for error in errors
+    ]
+
+
+def test_a_writer_after_an_error_is_not_held_up_by_it(intended: Repository) -> None:
+    with pytest.raises(StaleEpochError):
+        intended.studies.accepted(accepted(intent()), epoch=0)
+    intended.studies.measured(result(intent()), response(), epoch=1)
+    assert statuses(intended)[0] is TrialStatus.MEASURED
