@@ -6,6 +6,7 @@ import sqlite3
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -198,6 +199,10 @@ def _sqlite(url: URL) -> Engine:
 
 
 def _postgresql(url: URL) -> Engine:
+    if find_spec("psycopg") is None:
+        raise RepositoryUrlError(
+            "a repository on PostgreSQL needs psycopg: pip install 'nufleet[repository]'"
+        )
     limits = f"-c lock_timeout={int(BUSY_S * 1000)}"
     return create_engine(
         url,

@@ -15,6 +15,7 @@ from postgresql_server import PostgresqlServer
 from repository_records import FLEET, SPEC, STUDY
 from sqlalchemy import create_engine
 
+from orchestrator.repository import database
 from orchestrator.repository.database import default_url, parse_url
 from orchestrator.repository.errors import (
     DamagedRecordError,
@@ -207,3 +208,11 @@ def test_a_full_disk_stores_no_intent_and_keeps_what_was_stored(tmp_path: Path) 
 def test_a_file_system_that_cannot_be_written_is_an_error_on_opening(tmp_path: Path) -> None:
     said = in_a_small_filesystem(tmp_path, "read-only")
     assert said.startswith(("RepositoryReadOnlyError", "RepositoryUnreachableError"))
+
+
+def test_a_server_without_its_driver_is_refused_with_what_to_install(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(database, "find_spec", lambda name: None)
+    with pytest.raises(RepositoryUrlError, match=r"nufleet\[repository\]"):
+        open_repository("postgresql://me@127.0.0.1/none")
