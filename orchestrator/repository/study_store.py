@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pydantic import JsonValue
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, bindparam, select
 
 from orchestrator.repository.array_blob import pack_array
 from orchestrator.repository.database import Database
@@ -252,8 +252,7 @@ def _intend(connection: Connection, intent: TrialIntent) -> TrialRecord:
 
 def _locked(connection: Connection, goal_id: str) -> TrialRecord | None:
     """Return a trial without its response; nobody else can change it in this transaction."""
-    query = select(TRIALS).where(TRIALS.c.goal_id == goal_id).with_for_update()
-    row = connection.execute(query).mappings().one_or_none()
+    row = connection.execute(_LOCKED, {"id": goal_id}).mappings().one_or_none()
     return None if row is None else trial_record(row, None)
 
 
@@ -266,7 +265,7 @@ def _known(connection: Connection, goal_id: str, epoch: int) -> TrialRecord:
 
 
 def _update(connection: Connection, goal_id: str, **values: Any) -> None:
-    connection.execute(TRIALS.update().where(TRIALS.c.goal_id == goal_id).values(**values))
+    connection.execute(_UPDATE, {"id": goal_id, **values})
 
 
 def _end(
@@ -306,31 +305,38 @@ def _keep(
 ) -> None:
     """Store the samples of a trial, and the response that was estimated from them."""
     goal_id, study_id = result.goal_id, known.intent.study_id
-    connection.execute(
-        SAMPLES.insert().values(
-            goal_id=goal_id,
-            samples=len(result.reference),
-            reference=pack_array(result.reference),
-            response=pack_array(result.response),
-        )
-    )
+    samples = {
+        "goal_id": goal_id,
+        "samples": len(result.reference),
+        "reference": pack_array(result.reference),
+        "response": pack_array(result.response),
+    }
+    connection.execute(_KEEP_SAMPLES, samples)
     if response is None:
         return
-    fleet = connection.execute(
-        select(STUDIES.c.fleet).where(STUDIES.c.study_id == study_id)
-    ).scalar_one()
-    described = select(ROBOTS).where(ROBOTS.c.fleet == fleet, ROBOTS.c.robot == known.intent.robot)
-    robot = connection.execute(described).mappings().one_or_none()
+    who = {"study": study_id, "name": known.intent.robot}
+    robot = connection.execute(_DESCRIBED, who).mappings().one_or_none()
     if robot is None:
-        raise UnknownRecordError(f"robot {known.intent.robot} of fleet {fleet} was never described")
-    connection.execute(
-        RESPONSES.insert().values(
-            goal_id=goal_id,
-            fleet=fleet,
-            robot=known.intent.robot,
-            axis=result.test_plan.axis,
-            measured_at=utc_now(),
-            kind=robot_record(robot).spec.kind,
-            **response_row(response),
-        )
-    )
+        raise UnknownRecordError(f"robot {known.intent.robot} of study {study_id} is not described")
+    measured = {
+        "goal_id": goal_id,
+        "fleet": robot["fleet"],
+        "robot": known.intent.robot,
+        "axis": result.test_plan.axis,
+        "measured_at": utc_now(),
+        "kind": robot_record(robot).spec.kind,
+        **response_row(response),
+    }
+    connection.execute(_KEEP_RESPONSE, measured)
+
+
+# What every test of every robot executes: built once, since that takes longer than executing it.
+_LOCKED = select(TRIALS).where(TRIALS.c.goal_id == bindparam("id")).with_for_update()
+_UPDATE = TRIALS.update().where(TRIALS.c.goal_id == bindparam("id"))
+_KEEP_SAMPLES = SAMPLES.insert()
+_KEEP_RESPONSE = RESPONSES.insert()
+_DESCRIBED = (
+    select(ROBOTS)
+    .join(STUDIES, STUDIES.c.fleet == ROBOTS.c.fleet)
+    .where(STUDIES.c.study_id == bindparam("study"), ROBOTS.c.robot == bindparam("name"))
+)
