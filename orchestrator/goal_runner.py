@@ -214,7 +214,9 @@ class GoalRunner:
         """
         robot = watch.robot
         give_up_s = time.monotonic() + RETURN_PATIENCE_S
+        asked = 0
         while True:
+            asked += 1
             left_s = max(0.0, give_up_s - time.monotonic())
             # One that was silent and has its token still has to be heard first.
             if not watch.wait_until(_is_heard, timeout_s=left_s):
@@ -222,7 +224,8 @@ class GoalRunner:
             try:
                 return self._fleet.result(robot, goal_id)
             except NoReplyError as error:
-                if time.monotonic() > give_up_s:
+                # A question that is lost takes longer than the patience; one is not enough.
+                if asked > 1 and time.monotonic() > give_up_s:
                     raise
                 _log.info("%s: asking again", error)
             except RefusedError as error:
