@@ -34,17 +34,18 @@ def list_and_print(runs_root: Path, *, as_json: bool) -> None:
         click.echo(f"no runs in {runs_root}", err=True)
         return
     table = Table()
-    for heading in ("run", "kind", "fleet"):
-        table.add_column(heading, no_wrap=True)
-    table.add_column("what it came to")
+    # A run's name says its fleet. The name is what other commands take, so it is shown whole.
+    table.add_column("run", no_wrap=True, min_width=42)
+    table.add_column("kind", no_wrap=True)
+    table.add_column("what it came to", min_width=20)
     open_runs = [run for run in runs if isinstance(run, Run) and run.result is None]
     unfinished = _unfinished(runs_root, open_runs)
     for run in runs:
         if isinstance(run, Damaged):
-            table.add_row(run.folder.name, "", "", f"[red]{run.reason}[/]")
+            table.add_row(run.folder.name, "", f"[red]{run.reason}[/]")
         else:
             said = run.headline or f"[yellow]{unfinished[run.folder]}[/]"
-            table.add_row(run.folder.name, run.kind, run.fleet, said)
+            table.add_row(run.folder.name, run.kind, said)
     stderr_console().print(table)
 
 
