@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from orchestrator.dispatcher import Measured
+from orchestrator.outcomes import Measured
 from orchestrator.results import RunRecord
 from shared.codec import describe_validation
 from shared.errors import InvalidInputError

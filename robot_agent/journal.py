@@ -68,7 +68,7 @@ class JournalInUseError(JournalError):
 class Remembrance:
     """What an agent process finds when it begins.
 
-    `lost` are the goals that were in progress when the one before ended; they are known as aborted.
+    `lost` are the goals that were in progress when the one before ended; they are known as lost.
     `damage` says what was altered in the journal, in which case the robot is stopped.
     """
 
@@ -168,6 +168,10 @@ class Journal:
             )
         )
         return sha256 is not None
+
+    def forgone(self, goal_id: str) -> None:
+        """Store that a goal was cancelled before it came: before that is confirmed."""
+        self._append(Ended(goal_id=goal_id, outcome=Outcome.CANCELLED, sha256=None, size_bytes=0))
 
     def acknowledged(self, goal_ids: Iterable[str]) -> None:
         """Let results go that have arrived; ids that are not known do no harm."""
@@ -298,7 +302,7 @@ def _lost_result(known: LedgerGoal) -> GoalResult:
     return GoalResult(
         goal_id=known.goal.goal_id,
         boot_id=known.boot_id,
-        outcome=Outcome.ABORTED,
+        outcome=Outcome.LOST,
         reason=f"lost: the agent process {known.boot_id} ended during it; send a new attempt",
         plan=known.plan,
         reference=nothing,

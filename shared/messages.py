@@ -33,12 +33,13 @@ class RobotStatus(StrEnum):
 
 
 class Outcome(StrEnum):
-    """How a goal ended."""
+    """How a goal ended; one that is `LOST` ended with the agent process that played it."""
 
     COMPLETED = "completed"
     CANCELLED = "cancelled"
     ABORTED = "aborted"
     FAILED = "failed"
+    LOST = "lost"
 
 
 class Refusal(Message):

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from orchestrator.dispatcher import Measured
+from orchestrator.outcomes import Measured
 from orchestrator.results import ClosedForm, IterationRecord, RankResult, RunRecord
 from orchestrator.run_folder import (
     RunFolder,
