@@ -12,10 +12,9 @@ from rich.console import Console
 
 from orchestrator.connection import Connection, running_fleet, started_fleet
 from orchestrator.run_folder import CONFIGURATION
-from shared.codec import describe_validation
 from shared.errors import InvalidInputError
 from shared.fleet_file import FleetFile, read_fleet_file
-from shared.strict import Name, Positive, Strict
+from shared.strict import Name, Positive, Strict, describe_validation
 
 REACH = "reach"
 """Its key in a run's configuration."""

@@ -18,9 +18,8 @@ from pydantic import ValidationError
 
 from orchestrator.outcomes import Measured
 from orchestrator.results import RunRecord
-from shared.codec import describe_validation
 from shared.errors import InvalidInputError
-from shared.strict import Strict
+from shared.strict import Strict, describe_validation
 
 if TYPE_CHECKING:
     import pyarrow.parquet

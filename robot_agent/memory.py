@@ -16,12 +16,11 @@ from pydantic import TypeAdapter, ValidationError
 
 from robot_agent.baseline_model import BaselineModel
 from robot_agent.inverse_model import NetworkInverse
-from shared.codec import describe_validation
 from shared.errors import MalformedMessageError, NufleetError
 from shared.experience import EXPERIENCE_BYTES_MAX, Experience, decode_experience, digest
 from shared.experience_manifest import ExperienceManifest
 from shared.inverse_layout import Architecture
-from shared.strict import Name
+from shared.strict import Name, describe_validation
 
 PRIOR = "prior"
 _BASELINE = "baseline"

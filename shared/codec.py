@@ -26,7 +26,7 @@ from pydantic import (
 
 from shared.arrays import FloatArray
 from shared.errors import MalformedMessageError, ProtocolVersionError
-from shared.strict import Strict
+from shared.strict import Strict, describe_validation
 
 PROTOCOL_VERSION = 1
 MAX_MESSAGE_BYTES = 64 * 2**20
@@ -41,8 +41,6 @@ _PREFIX_BYTES = len(_MAGIC) + _LENGTHS.size
 _MAX_HEADER_BYTES = 4096
 _ITEM_BYTES = {"<f8": 8, "|u1": 1}
 _MAX_DIMENSIONS = 3
-_SHOWN_PROBLEMS = 4
-_SHOWN_CHARACTERS = 200
 
 
 class Message(Strict):
@@ -210,25 +208,6 @@ def decode(payload: bytes, *expected: type[M], max_bytes: int = MAX_MESSAGE_BYTE
     if arrays.unclaimed:
         raise MalformedMessageError(f"{header.type}: the frame holds an array of no field")
     return message
-
-
-def describe_validation(error: ValidationError) -> str:
-    """Say in one line which fields were wrong and what was expected.
-
-    The line stays short whatever was sent: it goes into refusals and logs.
-    """
-    found = error.errors(include_url=False, include_context=False, include_input=False)
-    problems = [
-        f"{_shortened('.'.join(str(part) for part in item['loc']) or 'message')}: "
-        f"{_shortened(item['msg'])}"
-        for item in found[:_SHOWN_PROBLEMS]
-    ]
-    more = f" (and {len(found) - len(problems)} more)" if len(found) > len(problems) else ""
-    return "; ".join(problems) + more
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= _SHOWN_CHARACTERS else f"{text[: _SHOWN_CHARACTERS - 1]}…"
 
 
 def _parse_header(raw: bytes) -> _Header:

@@ -1,10 +1,13 @@
-"""The strict pydantic base of everything that comes from outside, and the names inside it."""
+"""Strict pydantic types for everything that comes from outside, and their errors in one line."""
 
 from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+
+_SHOWN_PROBLEMS = 4
+_SHOWN_CHARACTERS = 200
 
 
 class Strict(BaseModel):
@@ -41,3 +44,22 @@ Digest = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
+
+
+def describe_validation(error: ValidationError) -> str:
+    """Say in one line which fields were wrong and what was expected.
+
+    The line stays short whatever was sent: it goes into refusals and logs.
+    """
+    found = error.errors(include_url=False, include_context=False, include_input=False)
+    problems = [
+        f"{_shortened('.'.join(str(part) for part in item['loc']) or 'message')}: "
+        f"{_shortened(item['msg'])}"
+        for item in found[:_SHOWN_PROBLEMS]
+    ]
+    more = f" (and {len(found) - len(problems)} more)" if len(found) > len(problems) else ""
+    return "; ".join(problems) + more
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _SHOWN_CHARACTERS else f"{text[: _SHOWN_CHARACTERS - 1]}…"
