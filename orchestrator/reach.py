@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 from rich.console import Console
 
 from orchestrator.connection import Connection, running_fleet, started_fleet
-from orchestrator.run_folder import CONFIGURATION
-from shared.errors import InvalidInputError
 from shared.fleet_file import FleetFile, read_fleet_file
-from shared.strict import Name, Positive, Strict, describe_validation
+from shared.strict import Name, Positive, Strict
 
 REACH = "reach"
 """Its key in a run's configuration."""
@@ -56,26 +53,3 @@ class Reach(Strict):
         A fleet that was started for a run is another one than all others of that name.
         """
         return fleet if self.fleet_file is None else f"{fleet}/{run_id}"
-
-
-def can_reach_again(folder: Path) -> bool:
-    """Return whether a run's folder says how it reached its fleet, as those of rankings do."""
-    try:
-        reach_of(folder)
-    except InvalidInputError:
-        return False
-    return True
-
-
-def reach_of(folder: Path) -> Reach:
-    """Return how a run reached its fleet; raises InvalidInputError."""
-    path = folder / CONFIGURATION
-    try:
-        document = json.loads(path.read_bytes())
-        return Reach.model_validate_json(json.dumps(document[REACH]))
-    except ValidationError as error:
-        raise InvalidInputError(f"{path}: {REACH}: {describe_validation(error)}") from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InvalidInputError(
-            f"{path} does not say how the run reached its fleet: {error!r}; it cannot be resumed"
-        ) from error
