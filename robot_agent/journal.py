@@ -185,6 +185,23 @@ class Journal:
         """Store who commands the robot now: before anything is done under that epoch."""
         self._append(Owned(owner=owner, epoch=epoch))
 
+    def forget_owner(self) -> Owned | None:
+        """Remember no owner and no epoch any more; return what was known. Raises JournalError.
+
+        That is for a person to decide: an owner of the past is obeyed again afterwards.
+        """
+        with self._mutex:
+            forgotten, self._ledger.owner = self._ledger.owner, None
+            if forgotten is not None:
+                try:
+                    self._replace_log()
+                except OSError as error:
+                    self._ledger.owner = forgotten
+                    raise JournalError(
+                        f"{self._folder}: {error.strerror}; see to the disk"
+                    ) from error
+        return forgotten
+
     def result(self, goal_id: str) -> GoalResult | None:
         """Return a result that is kept; None when it was let go, or its file is damaged."""
         with self._mutex:
@@ -269,15 +286,21 @@ class Journal:
 
     def _compact(self) -> None:
         """Replace the log by a shorter one with the same content."""
+        try:
+            self._replace_log()
+        except OSError as error:
+            _log.warning("%s could not be shortened: %s", self._folder, error.strerror)
+        self._compact_above_bytes = max(COMPACT_ABOVE_BYTES, 2 * self._log_file.size_bytes)
+
+    def _replace_log(self) -> None:
+        """Put a log of what is known now into the place of the one that is open; raises OSError."""
         old = self._log_file
         try:
             self._log_file = self._new_log()
-        except OSError as error:
-            _log.warning("%s could not be shortened: %s", self._folder, error.strerror)
+        except OSError:
             old.check_in_place()
-        else:
-            old.close()
-        self._compact_above_bytes = max(COMPACT_ABOVE_BYTES, 2 * self._log_file.size_bytes)
+            raise
+        old.close()
 
     def _new_log(self) -> LogFile:
         payloads = map(encode_record, self._ledger.records())

@@ -59,6 +59,10 @@ class StaleEpochError(RepositoryError):
     """A robot's owner of the past wrote about a trial that a later owner has taken over."""
 
 
+class EpochOutOfRangeError(RepositoryError):
+    """There is no epoch for a robot that it would obey and that is above all before it."""
+
+
 class LeaseHeldError(RepositoryError):
     """Another orchestrator owns a robot; `owner` is who, `remaining_s` for how long at least.
 

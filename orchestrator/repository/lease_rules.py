@@ -19,8 +19,16 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from orchestrator.repository.errors import LeaseHeldError, LeaseLostError
+from orchestrator.repository.errors import (
+    EpochOutOfRangeError,
+    LeaseHeldError,
+    LeaseLostError,
+)
 from orchestrator.repository.records import Lease, Renewal
+from shared.messages import EPOCH_MAX
+
+EPOCH_BELIEVED_MAX = EPOCH_MAX // 2
+"""A robot that saw a higher one was told nonsense; believed, it would leave no room above it."""
 
 RELEASED_S = 0.0
 """The time at which a lease that was given back ran out."""
@@ -73,7 +81,7 @@ def acquired(
     now_s: float,
     silent: Collection[Renewal] = (),
 ) -> Lease:
-    """Return the lease that an owner gets; raises LeaseHeldError while another holds it.
+    """Return the lease that an owner gets.
 
     Args:
         stored: what is known of the robot.
@@ -82,9 +90,25 @@ def acquired(
         above_epoch: the latest epoch that the robot has seen, perhaps from another repository.
         now_s: the database's time.
         silent: renewals that the owner who asks saw unchanged for a whole term of its own clock.
+
+    Raises:
+        LeaseHeldError: another holds it.
+        EpochOutOfRangeError: the robot was told an epoch that no repository gives out, or this one
+            has none left.
     """
     held = stored.renewal(now_s)
+    if above_epoch > EPOCH_BELIEVED_MAX:
+        raise EpochOutOfRangeError(
+            f"robot {stored.robot} was commanded under epoch {above_epoch}, which no repository "
+            "gives out; find out who sent it, end the robot's agent, and make the robot forget its "
+            f"owner: nufleet agent FLEET --robot {stored.robot} --forget-owner"
+        )
     epoch = max(stored.epoch, above_epoch) + 1
+    if epoch > EPOCH_MAX:
+        raise EpochOutOfRangeError(
+            f"this repository gave robot {stored.robot} out under epoch {stored.epoch}, and none "
+            "above it is obeyed; begin another with --repository"
+        )
     if held is not None and held not in silent:
         if held.owner != owner:
             raise LeaseHeldError([held], stored.remaining_s(now_s))

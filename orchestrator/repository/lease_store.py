@@ -42,6 +42,7 @@ class LeaseStore:
 
         Raises:
             LeaseHeldError: one of them belongs to another owner.
+            EpochOutOfRangeError: one of them was told an epoch that no repository gives out.
         """
         names = sorted(set(robots))
         seen = above_epochs or {}

@@ -20,7 +20,7 @@ from journal_facts import DIGEST, PLAN, content, goal, result, write
 from robot_agent.goal_machine import Accepted, recognise
 from robot_agent.journal import DAMAGED_LOG, LOG, Journal, JournalInUseError
 from robot_agent.journal_frames import scan
-from robot_agent.journal_ledger import JournalError, Ledger, decode_record
+from robot_agent.journal_ledger import JournalError, Ledger, Owned, decode_record
 from robot_agent.supervisor import StopOrder
 from shared.messages import Outcome, Refusal
 from shared.motions import FlightPlan
@@ -369,3 +369,32 @@ def test_a_flight_in_progress_is_lost_as_a_test_is(tmp_path: Path) -> None:
         lost = journal.result("g1")
         assert lost is not None
         assert (lost.outcome, lost.plan, lost.response.size) == (Outcome.ABORTED, plan, 0)
+
+
+def test_an_owner_that_is_forgotten_is_unknown_to_the_next_agent_and_all_else_is_kept(
+    tmp_path: Path,
+) -> None:
+    with Journal(tmp_path) as journal:
+        journal.owned("o-1", 2**63 - 1)
+        journal.stopped(StopOrder("a", "b"))
+    with Journal(tmp_path) as journal:
+        assert journal.forget_owner() == Owned(owner="o-1", epoch=2**63 - 1)
+        assert journal.forget_owner() is None
+        journal.accepted(goal("g1"), PLAN, "boot-1")
+    with Journal(tmp_path) as journal:
+        assert journal.remembrance.owner is None
+        assert journal.remembrance.stop == StopOrder("a", "b")
+        assert journal.remembrance.lost == ("g1",)
+
+
+def test_an_owner_that_the_disk_does_not_let_go_is_said_and_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Journal(tmp_path) as journal:
+        journal.owned("o-1", 3)
+        with monkeypatch.context() as broken:
+            broken.setattr("os.fsync", failing)
+            with pytest.raises(JournalError, match="see to the disk"):
+                journal.forget_owner()
+    with Journal(tmp_path) as journal:
+        assert journal.remembrance.owner == Owned(owner="o-1", epoch=3)

@@ -12,9 +12,11 @@ import pytest
 from repository_records import FLEET
 
 from orchestrator.repository.database import Database
-from orchestrator.repository.errors import LeaseHeldError, LeaseLostError
+from orchestrator.repository.errors import EpochOutOfRangeError, LeaseHeldError, LeaseLostError
+from orchestrator.repository.lease_rules import EPOCH_BELIEVED_MAX, StoredLease, acquired
 from orchestrator.repository.records import LastLease, Lease
 from orchestrator.repository.repository import Repository
+from shared.messages import EPOCH_MAX
 
 LONG_S = 60.0
 RACERS = 3
@@ -83,6 +85,33 @@ def test_the_epoch_is_above_what_the_robot_has_seen_elsewhere(repository: Reposi
         FLEET, ["r1", "r2"], owner="a", term_s=LONG_S, above_epochs={"r1": 50}
     )
     assert lease.epoch == 51
+
+
+@pytest.mark.parametrize("epoch", [EPOCH_BELIEVED_MAX + 1, 2**63 - 1, 2**64])
+def test_an_epoch_that_no_repository_gives_out_is_an_error_that_says_what_to_do(
+    repository: Repository, epoch: int
+) -> None:
+    with pytest.raises(EpochOutOfRangeError, match=f"r1 .* epoch {epoch}, .* r1 --forget-owner"):
+        repository.leases.acquire(
+            FLEET, ["r1", "r2"], owner="a", term_s=LONG_S, above_epochs={"r1": epoch}
+        )
+    # Once the robot has forgotten it, nothing is left of it here either.
+    leases = repository.leases.acquire(FLEET, ["r1", "r2"], owner="a", term_s=LONG_S)
+    assert [lease.epoch for lease in leases] == [1, 1]
+
+
+def test_the_highest_epoch_that_is_believed_leaves_room_above_it(repository: Repository) -> None:
+    (lease,) = repository.leases.acquire(
+        FLEET, ["r1"], owner="a", term_s=LONG_S, above_epochs={"r1": EPOCH_BELIEVED_MAX}
+    )
+    assert lease.epoch == EPOCH_BELIEVED_MAX + 1 < EPOCH_MAX
+    repository.leases.release([lease])
+
+
+def test_a_repository_whose_epochs_are_used_up_says_so() -> None:
+    stored = StoredLease(FLEET, "r1", "a", EPOCH_MAX, 8.0, 0.0)
+    with pytest.raises(EpochOutOfRangeError, match="begin another with --repository"):
+        acquired(stored, owner="b", term_s=8.0, above_epoch=0, now_s=1.0)
 
 
 def test_fleets_do_not_meet(repository: Repository) -> None:
