@@ -15,6 +15,7 @@ import contextlib
 import fcntl
 import hashlib
 import logging
+import os
 import threading
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -43,7 +44,6 @@ from robot_agent.journal_log import (
     continue_log,
     read_log,
     replace_log,
-    write_durably,
 )
 from robot_agent.supervisor import StopOrder
 from shared.codec import decode, encode
@@ -51,6 +51,7 @@ from shared.errors import MalformedMessageError
 from shared.excitation import ExcitationPlan
 from shared.messages import GoalResult, Outcome
 from shared.motions import MotionPlan
+from shared.private_files import make_private_folder, replace_privately
 
 LOG = "log"
 DAMAGED_LOG = "log.damaged"
@@ -101,8 +102,8 @@ class Journal:
         self._compact_above_bytes = COMPACT_ABOVE_BYTES
         with contextlib.ExitStack() as opened:
             try:
-                self._results.mkdir(parents=True, exist_ok=True)
-                self._incoming.mkdir(exist_ok=True)
+                for made in (folder, self._results, self._incoming):
+                    make_private_folder(made)
                 self._take_lock(opened)
                 self._log_file, damage = self._read()
                 opened.callback(self._close_log)
@@ -221,7 +222,9 @@ class Journal:
     # Opening.
 
     def _take_lock(self, opened: contextlib.ExitStack) -> None:
-        lock = opened.enter_context((self._folder / "lock").open("w"))
+        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+        lock = os.open(self._folder / "lock", flags, 0o600)
+        opened.callback(os.close, lock)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
@@ -244,7 +247,8 @@ class Journal:
         _log.error("%s; the robot is stopped, and the file is kept as %s", damage, DAMAGED_LOG)
         reason = f"{damage[:1500]}; see to the robot, then release it"
         self._ledger.apply(Stopped(sender="journal", reason=reason))
-        write_durably(self._folder / DAMAGED_LOG, data, self._incoming / "log.damaged")
+        damaged, part = self._folder / DAMAGED_LOG, self._incoming / "log.damaged"
+        os.close(replace_privately(damaged, data, part))
         return self._new_log(), damage
 
     def _end_what_ran(self) -> tuple[str, ...]:
@@ -308,8 +312,8 @@ class Journal:
 
     def _store_result(self, result: GoalResult) -> tuple[str, int]:
         data = encode(result)
-        temporary = self._incoming / f"{result.goal_id}.result"
-        write_durably(self._results / result.goal_id, data, temporary)
+        part = self._incoming / f"{result.goal_id}.result"
+        os.close(replace_privately(self._results / result.goal_id, data, part))
         return hashlib.sha256(data).hexdigest(), len(data)
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import random
 import shutil
+import stat
 import subprocess
 import sys
 import threading
@@ -398,3 +400,36 @@ def test_an_owner_that_the_disk_does_not_let_go_is_said_and_stays(
                 journal.forget_owner()
     with Journal(tmp_path) as journal:
         assert journal.remembrance.owner == Owned(owner="o-1", epoch=3)
+
+
+def test_a_journal_is_its_users_alone_also_one_that_was_open_to_others(tmp_path: Path) -> None:
+    folder = tmp_path / "lab" / "a" / "journal"
+    for open_to_others in (False, True):
+        if open_to_others:
+            folder.chmod(0o755)
+        with Journal(folder) as journal:
+            journal.accepted(goal("g1"), PLAN, "boot-1")
+            for path in (folder.parents[1], folder.parent, folder, *folder.rglob("*")):
+                private = 0o700 if path.is_dir() else 0o600
+                assert stat.S_IMODE(path.stat().st_mode) == private, path
+
+
+@pytest.mark.parametrize("name", ["lock", "log", "incoming/log.new", "incoming/log.damaged"])
+def test_a_journal_writes_through_no_link(tmp_path: Path, name: str) -> None:
+    folder, victim = tmp_path / "journal", tmp_path / "victim"
+    with Journal(folder) as journal:
+        journal.stopped(StopOrder("a", "b"))
+    if name == "log":
+        (folder / LOG).rename(victim)  # what lies there is a log, but not this folder's
+    else:
+        victim.write_bytes(b"somebody's")
+        log = bytearray((folder / LOG).read_bytes())
+        log[-1] ^= 1  # so that it is written anew, and what was found is kept
+        (folder / LOG).write_bytes(log)
+        (folder / name).unlink(missing_ok=True)
+    before = victim.read_bytes()
+    (folder / name).symlink_to(victim)
+    with contextlib.suppress(JournalError), Journal(folder) as journal:
+        journal.stopped(StopOrder("c", "d"))
+        journal.released("c")
+    assert victim.read_bytes() == before
