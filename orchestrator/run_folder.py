@@ -1,4 +1,7 @@
-"""The folder that a run leaves: configuration, results, samples, recording, plots and report."""
+"""The folder that a run leaves: configuration, results, samples, recording, plots and report.
+
+Nobody but its user may look into it.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +22,7 @@ from pydantic import ValidationError
 from orchestrator.outcomes import Measured
 from orchestrator.results import RunRecord
 from shared.errors import InvalidInputError
+from shared.private_files import write_privately
 from shared.strict import Strict, describe_validation
 
 if TYPE_CHECKING:
@@ -126,9 +130,7 @@ class RunFolder:
 
     def _write(self, name: str, text: str) -> None:
         """Write a file as a whole: who reads it finds all of it, or none."""
-        part = self.path / f"{name}.part"
-        part.write_text(text + "\n", encoding="utf-8")
-        part.replace(self.path / name)
+        write_privately(self.path / name, (text + "\n").encode())
 
 
 def study_id_of(folder: Path) -> str:
@@ -169,9 +171,13 @@ def find_run(root: Path, run: str) -> Path:
 
 
 def make_runs_root(root: Path) -> None:
-    """Make sure that runs can be stored there; raises InvalidInputError."""
+    """Make sure that runs can be stored there; raises InvalidInputError.
+
+    A root that is made here is its user's alone, as each run's folder is; one that is there stays
+    as open as it was made.
+    """
     try:
-        root.mkdir(parents=True, exist_ok=True)
+        root.mkdir(mode=0o700, parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=root):
             pass
     except OSError as error:
@@ -193,7 +199,7 @@ def _create(root: Path, name: str) -> Path:
         for attempt in range(1, 1000):
             path = root / (name if attempt == 1 else f"{name}-{attempt}")
             try:
-                path.mkdir()
+                path.mkdir(mode=0o700)
             except FileExistsError:
                 continue
             return path

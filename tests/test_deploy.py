@@ -50,6 +50,14 @@ def test_a_service_runs_a_command_that_exists_with_options_that_it_takes(unit: P
     command.make_context(name, list(arguments))
 
 
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.name)
+def test_what_a_service_writes_is_nobody_elses_to_read(unit: Path) -> None:
+    lines = unit.read_text().splitlines()
+    assert "UMask=0077" in lines
+    if "StateDirectory=nufleet" in lines:
+        assert "StateDirectoryMode=0700" in lines
+
+
 def test_an_agents_service_and_its_container_keep_its_state() -> None:
     unit = (DEPLOY / "systemd" / "nufleet-agent@.service").read_text()
     assert "StateDirectory=nufleet\n" in unit

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -142,15 +143,26 @@ class Database:
         return float(connection.execute(text(query)).scalar_one())
 
     def prepare(self) -> None:
-        """Make an SQLite file keep a write-ahead log, so that readers and writers do not wait."""
+        """Make sure that an SQLite file is there and keeps a write-ahead log.
+
+        With that, readers and writers do not wait for each other.
+        """
         if not self.is_sqlite:
             return
+        self._create_privately()
         deadline_s = time.monotonic() + BUSY_S
         while (problem := self._use_write_ahead_log()) is not None:
             # SQLite does not wait by itself for the lock that this change needs.
             if not isinstance(problem, RepositoryBusyError) or time.monotonic() > deadline_s:
                 raise problem
             time.sleep(0.01)
+
+    def _create_privately(self) -> None:
+        """Create an SQLite file that only its user may read; its logs are as private as it is."""
+        file = self._engine.url.database or ""
+        if not file.startswith("file:"):  # a URI of SQLite's own, which knows more than a path
+            with suppress(OSError):  # SQLite itself says better why it cannot be opened
+                os.close(os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
 
     def _use_write_ahead_log(self) -> RepositoryError | None:
         try:

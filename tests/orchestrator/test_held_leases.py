@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -13,6 +13,7 @@ from polling import wait_until
 from orchestrator import held_leases
 from orchestrator.goal_runner import Interrupted
 from orchestrator.held_leases import HeldLeases, hold_leases
+from orchestrator.repository.database import Database
 from orchestrator.repository.errors import (
     LeaseHeldError,
     LeaseLostError,
@@ -76,6 +77,59 @@ def test_the_robots_of_an_owner_that_died_are_had_once_its_lease_has_run_out(
     with hold(repository, "b", patient=True) as leases:
         assert leases.epochs == {"r1": 2, "r2": 2}
         assert time.monotonic() - died_s >= 0.9
+
+
+@pytest.fixture
+def set_clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """Sets the repository's clock by so many seconds."""
+    right, off_s = Database.now_s, [0.0]
+
+    def set_by(seconds: float) -> None:
+        off_s[0] += seconds
+
+    monkeypatch.setattr(Database, "now_s", lambda *asked: right(*asked) + off_s[0])
+    return set_by
+
+
+def test_a_clock_that_is_set_takes_no_robot_from_a_living_owner(
+    repository: Repository,
+    quick: None,
+    set_clock: Callable[[float], None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    renewed, interrupted, renew = threading.Semaphore(0), threading.Event(), repository.leases.renew
+
+    def counted(leases: object) -> None:
+        renew(leases)  # type: ignore[arg-type]
+        renewed.release()
+
+    monkeypatch.setattr(repository.leases, "renew", counted)
+    with hold(repository, "a") as leases, leases.guarding(interrupted.set):
+        for jump_s in (-1.0, -3.0, -3600.0, 3600.0, -2.5):
+            assert renewed.acquire(timeout=10.0)
+            set_clock(jump_s)
+            if jump_s < 0.0:
+                # Who wants it waits, although it is not patient, to see whether it is renewed.
+                with pytest.raises(LeaseHeldError, match="owned by a"):
+                    hold(repository, "b")
+            for _ in range(2):
+                assert renewed.acquire(timeout=10.0)
+            assert {owner for owner, _, _ in repository.leases.held("lab").values()} == {"a"}
+        assert not interrupted.is_set()
+
+
+@pytest.mark.parametrize("patient", [True, False])
+def test_the_robots_of_a_dead_owner_are_had_within_a_term_after_the_clock_was_set_back(
+    repository: Repository, quick: None, set_clock: Callable[[float], None], patient: bool
+) -> None:
+    hold(repository, "a")  # never entered: nobody renews it
+    set_clock(-3600.0)
+    told: list[LeaseHeldError] = []
+    asked_s = time.monotonic()
+    with hold(repository, "b", patient=patient, on_wait=told.append) as leases:
+        assert leases.epochs == {"r1": 2, "r2": 2}
+        assert 1.0 <= time.monotonic() - asked_s < 5.0
+    assert [held.owner for held in told] == ["a"]
 
 
 def taken_over(repository: Repository) -> bool:

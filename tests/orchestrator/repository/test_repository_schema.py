@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -216,3 +217,15 @@ def test_a_server_without_its_driver_is_refused_with_what_to_install(
     monkeypatch.setattr(database, "find_spec", lambda name: None)
     with pytest.raises(RepositoryUrlError, match=r"nufleet\[repository\]"):
         open_repository("postgresql://me@127.0.0.1/none")
+
+
+def test_a_database_of_measurements_is_its_users_alone(tmp_path: Path) -> None:
+    with open_repository(f"{tmp_path}/nufleet.sqlite") as repository:
+        repository.studies.studies()
+        files = sorted(tmp_path.iterdir())
+        assert [path.name for path in files] == [
+            "nufleet.sqlite",
+            "nufleet.sqlite-shm",
+            "nufleet.sqlite-wal",
+        ]
+        assert {stat.S_IMODE(path.stat().st_mode) for path in files} == {0o600}
