@@ -26,6 +26,9 @@ ATTEMPTS = 3
 ATTEMPTS_IN_ALL = 50
 """And attempts that ended for whatever reason, also one that is nobody's failure."""
 
+CANCELLED = "cancelled"
+"""The refusal of a goal that was cancelled before it came."""
+
 _LENGTHEN = 2.0
 """How much longer a test is repeated whose response was not usable."""
 
@@ -117,12 +120,15 @@ class Attempts:
             return Settled()
         if ended.result is not None:
             settled = self._settle_result(test, ended.result, interrupted)
-        elif isinstance(ended.error, RefusedError):
+        elif isinstance(ended.error, RefusedError) and ended.error.code != CANCELLED:
             reason = str(ended.error)
             self._log.failed(test, reason, retry=None)
             settled = Settled(outcome=self._failed(test, reason))
         else:
-            settled = self._settle_loss(test, str(ended.error))
+            # An earlier orchestrator's goal may have gone with it: cancelled before it came, or
+            # with the whole fleet that was its own.
+            excuse = isinstance(ended.error, RefusedError) or test.accepted_by is not None
+            settled = self._settle_loss(test, str(ended.error), excuse)
         if interrupted and not isinstance(settled.outcome, Measured):
             return Settled()
         return settled
@@ -147,9 +153,7 @@ class Attempts:
         )
         return self._followed(test, reason, retry, excuse)
 
-    def _settle_loss(self, test: OpenTest, reason: str) -> Settled:
-        # With an orchestrator that was killed its own fleet may have gone, too.
-        excuse = test.accepted_by is not None
+    def _settle_loss(self, test: OpenTest, reason: str, excuse: bool) -> Settled:
         retry = _retry(test, test.excitation, excuse)
         self._log.lost(test, reason, retry=retry, interrupted=excuse)
         return self._followed(test, reason, retry, excuse)

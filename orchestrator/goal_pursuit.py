@@ -45,10 +45,10 @@ from shared.messages import GoalAccepted, RobotState
 RETURN_PATIENCE_S = 10.0
 """A robot that is not heard for this long is given up."""
 
-ANSWER_PATIENCE_S = 60.0
+ANSWER_PATIENCE_S = 300.0
 """A robot that is heard, and answers none of the questions asked in this time, is given up."""
 
-ANSWER_TRIES = 3
+ANSWER_TRIES = 10
 """But not before this many questions in a row stayed without an answer."""
 
 REFUSAL_PATIENCE_S = 10.0
@@ -110,6 +110,7 @@ class Pursuit:
         self._unsure = False
         self._taken = taken_before
         self._fetch = taken_before
+        self._over = False
         self._overdue = Overdue(0.0, now_s)
         self._interrupted = False
         self._given_up: NufleetError | None = None
@@ -123,7 +124,7 @@ class Pursuit:
         times = [self._give_up_s, *self._not_before_s.values()]
         if self._taken and not self._fetch:
             times.append(self._heard_s + HEARTBEAT_LOST_S)
-        if self._taken and self._given_up is None:
+        if self._may_be_overdue:
             times.append(self._overdue.deadline_s)
         if self._cancelled_s is not None:
             times.append(self._cancelled_s + REST_PATIENCE_S)
@@ -200,6 +201,7 @@ class Pursuit:
             # The goal has ended, or this state is from before it: the robot's answer decides.
             self._fetch = True
             if state.last_goal_id == self.goal_id:
+                self._over = True
                 self._not_before_s.pop(Question.RESULT, None)
 
     def _note_cancelled(self, now_s: float) -> None:
@@ -262,7 +264,7 @@ class Pursuit:
                 f"{REST_PATIENCE_S:g} s; stop it, and see whether its driver hangs"
             )
             self._give_up(RobotLostError(reason))
-        elif self._taken and self._given_up is None and overdue.is_late(self._progress, now_s):
+        elif self._may_be_overdue and overdue.is_late(self._progress, now_s):
             # It is heard, so it can be brought to rest before it is given up.
             self._given_up = RobotLostError(
                 f"robot {self.robot} is overdue with {self.goal_id}: for {overdue.grace_s:.0f} s "
@@ -309,6 +311,10 @@ class Pursuit:
         )
 
     # What is to be asked.
+
+    @property
+    def _may_be_overdue(self) -> bool:
+        return self._taken and not self._over and self._given_up is None
 
     @property
     def _cancelling(self) -> bool:

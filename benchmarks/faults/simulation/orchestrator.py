@@ -11,7 +11,7 @@ from benchmarks.faults.simulation.history import History, Violation
 from benchmarks.faults.simulation.network import Network, NoAnswer, Node, OnAnswer
 from benchmarks.faults.simulation.repository import SimulatedLog, SimulatedRepository
 from benchmarks.faults.simulation.robot import BAD_SENSOR, SimulatedRobot
-from benchmarks.faults.simulation.study import RankingStudy, usable, useless
+from benchmarks.faults.simulation.study import RankingStudy, response_of, useless
 from benchmarks.faults.simulation.world import World
 from orchestrator import robot_leases
 from orchestrator.attempts import ATTEMPTS, ATTEMPTS_IN_ALL, Attempts, Settled
@@ -33,11 +33,11 @@ from orchestrator.goal_events import (
     TokenLost,
     Unanswered,
 )
-from orchestrator.goal_pursuit import ANSWER_PATIENCE_S, RETURN_PATIENCE_S, Pursuit
+from orchestrator.goal_pursuit import RETURN_PATIENCE_S, Pursuit
 from orchestrator.held_leases import RENEW_EVERY_S
 from orchestrator.outcomes import Failed, Measured, TestOutcome
 from orchestrator.repository.errors import LeaseHeldError, LeaseLostError, RepositoryError
-from orchestrator.repository.records import Lease, Renewal
+from orchestrator.repository.records import Lease, Renewal, TrialStatus
 from orchestrator.resume import OpenRound, OpenTest, resume, round_of
 from robot_agent.ownership import Commander
 from shared.errors import NoReplyError, RefusedError, RobotOwnedError, StudyError
@@ -324,7 +324,11 @@ class SimulatedOrchestrator:
         self._log = SimulatedLog(self._repository, self._study_id, epochs)
         self._study = RankingStudy(tuple(self._robots))
         trials = tuple(self._repository.trials.values())
-        at = resume(self._study_id, self._study, trials)
+        try:
+            at = resume(self._study_id, self._study, trials)
+        except StudyError as error:
+            self._end(f"failed: {error}")
+            return
         self._go_on(at.open)
 
     def _go_on(self, at: OpenRound | None) -> None:
@@ -456,14 +460,16 @@ class SimulatedOrchestrator:
             self._check_failed(run, outcome, ended)
         if len(self._outcomes) < len(self._round.tests):
             return
-        answers = dict(self._round.answers)
-        trials = self._repository.trials
-        responses = {r: t.response for r, t in answers.items() if t.response is not None and usable(t.response)}
-        failed = {r: t.reason for r, t in answers.items() if r not in responses}
+        responses: dict[str, FrequencyResponse] = {}
+        failed: dict[str, str] = {}
+        for robot, trial in self._round.answers.items():
+            if trial.status is TrialStatus.MEASURED and trial.response is not None:
+                responses[robot] = trial.response
+            else:
+                failed[robot] = trial.reason
         for robot, known in self._outcomes.items():
             if isinstance(known, Measured):
                 responses[robot] = known.response
-                assert trials[known.result.goal_id].response is known.response
             else:
                 failed[robot] = known.reason
         try:
@@ -525,14 +531,4 @@ def _event(robot: str, ask: Ask, answer: Any) -> Event:
 
 def _estimate(result: GoalResult) -> FrequencyResponse:
     robot = result.goal_id.rsplit(".", 2)[1]
-    return useless(robot) if result.reason == BAD_SENSOR else usable_response(robot)
-
-
-def usable_response(robot: str) -> FrequencyResponse:
-    """Return what a good test of a robot gives."""
-    from benchmarks.faults.simulation.study import response_of
-
-    return response_of(robot)
-
-
-__all__ = ["ANSWER_PATIENCE_S", "SimulatedOrchestrator"]
+    return useless(robot) if result.reason == BAD_SENSOR else response_of(robot)

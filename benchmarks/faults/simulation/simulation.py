@@ -73,7 +73,9 @@ class Simulation:
         if self.finished is None:
             states = {n: o.over for n, o in enumerate(self.orchestrators)}
             raise Violation(f"the study did not end by {self.world.now_s:.0f} s: {states}")
-        # Whatever is still on its way arrives.
+        # Whatever is still on its way arrives, and robots without an owner come to rest.
+        for orchestrator in self.orchestrators:
+            orchestrator.kill()
         self.world.run(self.world.now_s + 30.0, lambda: False)
         self._check_end(self.finished)
 
@@ -144,6 +146,8 @@ class Simulation:
     # Faults.
 
     def _cause(self, fault: Fault) -> None:
+        if self.finished is not None:
+            return
         self.history.tell(self.world.now_s, f"fault: {fault.kind} {fault.size:.2f}")
         robot = self.robots[f"r{fault.robot}"]
         agent, now_s = robot.agent, self.world.now_s

@@ -26,13 +26,8 @@ def response_of(robot: str) -> FrequencyResponse:
 @cache
 def useless(robot: str) -> FrequencyResponse:
     """Return what a test gives whose sensor failed."""
-    finding = Finding.model_construct(code="frozen", reason="the sensor reads 0", values={})
+    finding = Finding.model_construct(code="frozen", text="the sensor reads 0")
     return _response(robot, Quality.model_construct(reasons=(finding,), warnings=()))
-
-
-def usable(response: FrequencyResponse) -> bool:
-    """Return whether a response is a measurement."""
-    return response.quality.usable
 
 
 def _response(robot: str, quality: Quality) -> FrequencyResponse:
