@@ -18,6 +18,7 @@ from shared.drivers import check_settings
 from shared.errors import InvalidInputError, NufleetError, RobotLostError
 from shared.fleet_file import FleetFile, read_fleet_file
 from shared.keys import FleetKeys
+from shared.redaction import without_secrets
 from shared.transport import open_client
 
 CONNECT_TIMEOUT_S = 5.0
@@ -70,8 +71,9 @@ def running_fleet(
             elif found or time.monotonic() >= deadline_s:
                 there = f"there are {', '.join(sorted(found))}" if found else "no robot is there"
                 raise InvalidInputError(
-                    f"which fleet at {endpoint}? {there}; name one with --fleet-name, or start "
-                    "robots with `nufleet fleet up FLEET` or `nufleet agent FLEET`"
+                    f"which fleet at {without_secrets(endpoint)}? {there}; name one with "
+                    "--fleet-name, or start robots with `nufleet fleet up FLEET` or `nufleet agent "
+                    "FLEET`"
                 )
             else:
                 time.sleep(0.2)

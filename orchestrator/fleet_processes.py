@@ -67,7 +67,7 @@ class FleetProcesses:
 
     def start_router(self, endpoint: str, *, timeout_s: float = 20.0) -> None:
         """Start a router and wait until it answers; raises EndpointInUseError when it cannot."""
-        child = self._start(ROUTER, ["router", "--listen", endpoint])
+        child = self._start(ROUTER, ["router"], {"NUFLEET_LISTEN": endpoint})
         deadline = time.monotonic() + timeout_s
         while "router listening on" not in child.last_words():
             if child.process.poll() is not None:
@@ -92,13 +92,14 @@ class FleetProcesses:
         What they have to remember lies in `state_folder`, or where agents keep it by themselves.
         """
         for group in groups:
-            arguments = ["agent", str(path), "--connect", endpoint]
+            arguments = ["agent", str(path)]
             arguments += [part for robot in group for part in ("--robot", robot)]
             if realtime is not None:
                 arguments += ["--realtime", str(realtime)]
             if state_folder is not None:
                 arguments += ["--state", str(state_folder)]
-            self._start(f"agent of {', '.join(group)}", arguments)
+            reached = {"NUFLEET_ROUTER": endpoint}
+            self._start(f"agent of {', '.join(group)}", arguments, reached)
 
     def dead(self) -> list[str]:
         """Say of each process that ended on its own what it was and what it said."""
@@ -126,13 +127,15 @@ class FleetProcesses:
                 child.log.close()
             self._children.clear()
 
-    def _start(self, what: str, arguments: list[str]) -> _Child:
+    def _start(self, what: str, arguments: list[str], environment: dict[str, str]) -> _Child:
+        """Start a process; what other users may not see is in its environment."""
         log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
         process = subprocess.Popen(
             [sys.executable, "-m", "shared.command_line", *arguments, "--until-stdin-closes"],
             stdin=subprocess.PIPE,
             stdout=log,
             stderr=subprocess.STDOUT,
+            env={**os.environ, **environment},
             start_new_session=True,  # a Ctrl-C is for the parent, which ends the children in order
         )
         child = _Child(what, process, log)

@@ -16,6 +16,7 @@ from shared.drivers import check_settings
 from shared.errors import NufleetError
 from shared.fleet_file import read_fleet_file
 from shared.keys import FleetKeys
+from shared.redaction import without_secrets
 from shared.transport import open_client
 
 AGENT_PROCESSES = 2
@@ -41,9 +42,10 @@ def fleet_up(path: Path, *, listen: str, processes: bool, realtime: float | None
         with open_client(listen, timeout_s=CONNECT_TIMEOUT_S) as session:
             fleet = Fleet(session, FleetKeys(file.name), new_orchestrator_id())
             wait_for_robots(fleet, started, file)
+            shown = without_secrets(listen)
             console.print(
-                f"{len(robots)} robots of fleet {file.name} are up at {listen}; "
-                f"rank them with: nufleet rank --connect {listen}   (Ctrl-C ends them)"
+                f"{len(robots)} robots of fleet {file.name} are up at {shown}; "
+                f"rank them with: nufleet rank --connect {shown}   (Ctrl-C ends them)"
             )
             watches = [fleet.watch(robot) for robot in robots]
             with Live(console=console, auto_refresh=False, transient=True) as live:

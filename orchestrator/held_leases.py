@@ -127,7 +127,8 @@ def hold_leases(
         owner: this orchestrator's id.
         above_epochs: per robot, the latest epoch that it has seen.
         patient: whether to wait for an owner that renews nothing any more; one that does is alive.
-            After the clock was set back it is always waited for, since nothing else tells.
+            After the clock was set back there is always a wait, since nothing else tells them
+            apart.
         on_wait: is told once for whom.
 
     Raises:

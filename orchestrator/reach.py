@@ -6,11 +6,13 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, field_serializer
 from rich.console import Console
 
 from orchestrator.connection import Connection, running_fleet, started_fleet
+from shared.errors import InvalidInputError
 from shared.fleet_file import FleetFile, read_fleet_file
+from shared.redaction import HIDDEN, without_secrets
 from shared.strict import Name, Positive, Strict
 
 REACH = "reach"
@@ -20,6 +22,7 @@ REACH = "reach"
 class Reach(Strict):
     """A running fleet at a router's endpoint, or that of a file, started for one run alone.
 
+    It is stored without what may be secret in the endpoint, and then needs it again to be reached.
     `processes` says to how many processes the robots of a file are dealt, None gives each its own;
     `realtime` at which multiple of real time they play, None as fast as they can.
     """
@@ -29,6 +32,10 @@ class Reach(Strict):
     fleet_file: str | None = None
     realtime: Positive | None = None
     processes: Annotated[int, Field(ge=1)] | None = 2
+
+    @field_serializer("connect")
+    def _without_secrets(self, connect: str) -> str:
+        return without_secrets(connect)
 
     @property
     def file(self) -> FleetFile | None:
@@ -41,6 +48,11 @@ class Reach(Strict):
         """Start the fleet, or join it and wait so long for these robots; enter what is returned."""
         file = self.file
         if self.fleet_file is None or file is None:
+            if self.connect.endswith(f"#{HIDDEN}"):
+                raise InvalidInputError(
+                    f"the run reached its fleet at {self.connect}, and what may be secret there "
+                    "was not stored; name the whole endpoint with --connect"
+                )
             return running_fleet(self.connect, self.fleet_name, robots=robots, wait_s=wait_s)
         console.print(f"starting a router and {len(file.robots)} robots of {self.fleet_file}")
         return started_fleet(

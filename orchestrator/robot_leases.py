@@ -31,7 +31,7 @@ def lease_robots(
     A robot remembers who commanded it and under which epoch. Epochs of two repositories cannot be
     compared, so an owner to whom this one did not give exactly that lease keeps another; and the
     clock by which a lease ran out may have been set. In both cases the network is asked whether the
-    owner is alive, and to one that is the robot is left.
+    owner is alive, and a living owner keeps its robot.
 
     Args:
         store: the repository's leases.

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import platform
-import re
 import shutil
 import sys
 import tempfile
@@ -23,6 +22,7 @@ from orchestrator.outcomes import Measured
 from orchestrator.results import RunRecord
 from shared.errors import InvalidInputError
 from shared.private_files import write_privately
+from shared.redaction import without_secrets
 from shared.strict import Strict, describe_validation
 
 if TYPE_CHECKING:
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 RECORDING = "run.rrd"
 RESULTS = "results.json"
 CONFIGURATION = "config.json"
-_PASSWORD = re.compile(r"(://[^:/@]*:)[^/]*@")
 _PACKAGES = ("nufleet", "eclipse-zenoh", "numpy", "scipy", "numba", "pydantic", "rerun-sdk")
 
 
@@ -91,7 +90,7 @@ class RunFolder:
                 "python": platform.python_version(),
                 **{package: version(package) for package in _PACKAGES},
             },
-            "command": [_PASSWORD.sub(r"\1***@", word) for word in sys.argv[1:]],
+            "command": [without_secrets(word) for word in sys.argv[1:]],
         }
         self._write(CONFIGURATION, json.dumps(document, indent=2, default=str))
 

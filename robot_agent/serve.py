@@ -13,6 +13,7 @@ from robot_agent.fleet_robots import build_robots
 from shared.fleet_file import read_fleet_file
 from shared.keys import FleetKeys
 from shared.lifeline import when_stdin_closes
+from shared.redaction import without_secrets
 from shared.transport import open_client
 
 
@@ -44,5 +45,6 @@ def serve(
             stack.enter_context(
                 Agent(session, keys, name, robot, realtime=realtime, state_folder=own)
             )
-        click.echo(f"serving {', '.join(chosen)} of fleet {fleet.name} at {connect}", err=True)
+        at = without_secrets(connect)
+        click.echo(f"serving {', '.join(chosen)} of fleet {fleet.name} at {at}", err=True)
         ended.wait()

@@ -6,12 +6,12 @@ clock is a wall clock, which may be set at any moment:
 
 - An owner keeps its lease as long as nobody else has taken it, whatever the clock says: it renews
   what is still stored under its name and epoch, and thereby brings it to the clock as it is now.
-- Another may take what its owner released, or did not renew for a whole term by the clock. After
-  the clock was set forward that holds for a moment of leases whose owners are alive, so whoever
-  takes one asks the network for its owner first (`orchestrator.robot_leases`).
-- What would hold for longer than a term is from before the clock was set back, and nobody knows how
-  old it is. It holds for another term, by the clock of those who wait for it: `Renewal`s that they
-  saw unchanged for so long are of an owner that is silent.
+- Another may take a lease that its owner released, or did not renew for a whole term by the clock.
+  When the clock is set forward, leases of living owners look like that until their next renewal;
+  before one is taken, the network is asked whether its owner lives (`orchestrator.robot_leases`).
+- A lease that would hold for longer than a term was renewed before the clock was set back, and
+  nobody knows when. It holds for another term, measured by those who wait for it: an owner whose
+  `Renewal` they saw unchanged for that long is silent.
 """
 
 from __future__ import annotations
