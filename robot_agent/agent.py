@@ -198,7 +198,9 @@ class Agent:
 
     def _on_orchestrator(self, key: str, alive: bool) -> None:
         owner = self._keys.orchestrator_of(key)
-        if alive:
+        if owner is None:
+            _log.warning("%s: ignoring %r, which names no orchestrator", self._name, key)
+        elif alive:
             self._decisions.owner_appeared(owner)
         else:
             self._decisions.owner_lost(owner)
