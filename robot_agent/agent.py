@@ -117,6 +117,15 @@ class Agent:
     ) -> None:
         self.close()
 
+    @property
+    def name(self) -> str:
+        """The robot's."""
+        return self._name
+
+    def halt(self) -> None:
+        """End the motion in progress and take no other; returns at once."""
+        self._decisions.shut_down()
+
     def close(self) -> None:
         """End the motion in progress, leave the robot at rest, and stop serving.
 

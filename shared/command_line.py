@@ -97,7 +97,9 @@ def command_line() -> click.Group:
 
 def main() -> NoReturn:
     """Run the command line and exit with its code."""
-    signal.signal(signal.SIGTERM, _interrupt)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _interrupt)
     # Small matrices, many of them: with threads, BLAS takes ten times as long on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
@@ -156,7 +158,7 @@ def _print_version(ctx: click.Context, _option: click.Parameter, wanted: bool) -
 
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:
-    """Make SIGTERM as orderly as Ctrl-C: robots at rest, recordings closed."""
+    """Make every end as orderly as Ctrl-C: robots at rest, recordings closed."""
     raise KeyboardInterrupt
 
 
