@@ -103,7 +103,7 @@ class Agent:
         with ExitStack() as opened:
             # First: two agents of one robot must be noticed before both reach for it.
             self._remember(opened)
-            opened.callback(self._robot.disconnect)
+            opened.callback(self._robot.let_go)
             self._robot.connect()
             self._join(opened)
             self._open = opened.pop_all()
