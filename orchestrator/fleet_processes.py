@@ -19,13 +19,16 @@ from typing import IO
 from shared.drivers import load_driver
 from shared.errors import EndpointInUseError, NufleetError
 from shared.fleet_file import FleetFile
+from shared.interrupts import Interrupts
 from shared.transport import open_client
 
-GRACE_S = 10.0
-"""How long a process may take to leave its robots at rest before it is killed."""
+GRACE_S = 90.0
+"""How long a process may take to leave its robots at rest before it is killed.
 
+Longer than an agent takes to find that a driver hangs, so that it can say so itself."""
 
 ROUTER = "router"
+LANDING = "landing: the robots of this fleet are coming to rest, and then it ends by itself"
 
 _log = logging.getLogger(__name__)
 
@@ -114,7 +117,14 @@ class FleetProcesses:
         return {child.what: child.process.pid for child in self._children}
 
     def stop(self) -> None:
-        """End all processes: agents first, so that robots rest while the router still is there."""
+        """End all processes: agents first, so that robots rest while the router still is there.
+
+        Whoever interrupts this is told that the robots are landing; it goes on all the same.
+        """
+        with Interrupts(LANDING, held=True):
+            self._stop()
+
+    def _stop(self) -> None:
         agents = [child for child in self._children if child.what != ROUTER]
         routers = [child for child in self._children if child.what == ROUTER]
         try:

@@ -7,11 +7,12 @@ from pathlib import Path
 
 from rich.live import Live
 
-from orchestrator.connection import CONNECT_TIMEOUT_S, new_orchestrator_id, wait_for_robots
+from orchestrator.connection import CONNECT_TIMEOUT_S, wait_for_robots
 from orchestrator.console import stderr_console
 from orchestrator.fleet import Fleet
 from orchestrator.fleet_processes import FleetProcesses, grouped
 from orchestrator.fleet_table import fleet_table
+from orchestrator.orchestrator_id import new_orchestrator_id
 from shared.drivers import check_settings
 from shared.errors import NufleetError
 from shared.fleet_file import read_fleet_file

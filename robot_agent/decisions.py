@@ -31,7 +31,6 @@ from shared.messages import (
     RobotStatus,
 )
 from shared.motions import Motion, MotionPlan
-from shared.strict import as_reason
 
 _log = logging.getLogger(__name__)
 
@@ -280,7 +279,7 @@ class Decisions:
                 status=status,
                 goal_id=self._goals.running,
                 progress=self._progress,
-                reason=as_reason(reason),
+                reason=reason,
                 last_goal_id=self._last_goal,
                 robot_time_s=self._robot_time_s,
             )
@@ -315,7 +314,7 @@ class Decisions:
         except JournalError as error:
             if motion is not None:
                 self._take_back(motion)
-            return Refusal(code="journal", reason=as_reason(error)), None
+            return Refusal(code="journal", reason=str(error)), None
         accepted = GoalAccepted(
             goal_id=request.goal_id,
             boot_id=self._boot_id,

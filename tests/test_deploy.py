@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from polling import wait_until
 
+from orchestrator.fleet_processes import GRACE_S
+from robot_agent.watched_robot import SLOW_CALL_MAX_S
 from shared.command_line import command_line
 from shared.fleet_file import read_fleet_file
 from shared.transport import open_client, open_configured_router
@@ -70,6 +72,18 @@ def test_an_agents_service_and_its_container_keep_its_state() -> None:
     compose = (DEPLOY / "containers" / "compose.yaml").read_text()
     agent = compose.split("x-agent:")[1].split("services:")[0]
     assert f'volumes: ["state:{kept}"]' in agent
+
+
+def test_whoever_ends_an_agent_gives_its_robots_the_time_to_land() -> None:
+    """Or to find that they do not: only then may it be killed."""
+    unit = (DEPLOY / "systemd" / "nufleet-agent@.service").read_text()
+    compose = (DEPLOY / "containers" / "compose.yaml").read_text()
+    for patience_s in (
+        GRACE_S,
+        float(unit.split("TimeoutStopSec=")[1].split()[0]),
+        float(compose.split("stop_grace_period: ")[1].split("s")[0]),
+    ):
+        assert patience_s >= SLOW_CALL_MAX_S + 20.0
 
 
 def test_the_compose_file_names_robots_that_its_fleet_file_has() -> None:
