@@ -54,6 +54,10 @@ class HeldLeases:
     ) -> None:
         self._released.set()
         self._thread.join()
+        self.give_back()
+
+    def give_back(self) -> None:
+        """Release the leases; done by the exit of the context, where it was entered."""
         try:
             self._store.release(self._leases)
         except RepositoryError as problem:

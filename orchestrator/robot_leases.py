@@ -10,7 +10,7 @@ from orchestrator.fleet import Fleet
 from orchestrator.held_leases import HeldLeases, hold_leases
 from orchestrator.repository.errors import LeaseHeldError
 from orchestrator.repository.records import LastLease
-from shared.errors import RobotOwnedError
+from shared.errors import NufleetError, RobotOwnedError
 from shared.messages import Description
 
 if TYPE_CHECKING:
@@ -48,7 +48,14 @@ def lease_robots(
         NoReplyError: a robot does not answer.
     """
     descriptions = fleet.describe_all(tuple(robots))
-    _check_others(fleet, descriptions, store.last(scope))
+    check_others(fleet, descriptions, store.last(scope))
+    waited = False
+
+    def noted(held: LeaseHeldError) -> None:
+        nonlocal waited
+        waited = True
+        on_wait(held)
+
     leases = hold_leases(
         store,
         scope,
@@ -56,15 +63,32 @@ def lease_robots(
         owner=fleet.orchestrator_id,
         above_epochs={robot: found.epoch for robot, found in descriptions.items()},
         patient=patient,
-        on_wait=on_wait,
+        on_wait=noted,
     )
+    if waited:
+        # Who keeps another repository knew nothing of the wait, and may have taken one meanwhile.
+        try:
+            check_others(fleet, fleet.describe_all(tuple(descriptions)), store.last(scope))
+        except NufleetError:
+            leases.give_back()
+            raise
     fleet.hold(leases.epochs)
     return leases
 
 
-def _check_others(
+def check_others(
     fleet: Fleet, descriptions: Mapping[str, Description], given: Mapping[str, LastLease]
 ) -> None:
+    """Check that no robot has a living owner that this repository's leases say nothing of.
+
+    Args:
+        fleet: asked who is alive.
+        descriptions: what each robot says of itself, its last owner and epoch among it.
+        given: the lease that this repository gave out last, by robot.
+
+    Raises:
+        RobotOwnedError: one has; it says who.
+    """
     is_alive = functools.cache(fleet.is_alive)
     for robot, found in descriptions.items():
         ours = given.get(robot)

@@ -259,7 +259,7 @@ class Journal:
         """End the goals that were in progress when the process before ended."""
         lost = self._ledger.running
         for known in lost:
-            self.ended(_lost_result(known))
+            self.ended(lost_result(known))
         return tuple(known.goal.goal_id for known in lost)
 
     def _sweep(self) -> None:
@@ -321,7 +321,7 @@ class Journal:
         return hashlib.sha256(data).hexdigest(), len(data)
 
 
-def _lost_result(known: LedgerGoal) -> GoalResult:
+def lost_result(known: LedgerGoal) -> GoalResult:
     """Return what is to be said of a goal whose process died: no samples, and never again."""
     if known.plan is None:
         raise ValueError(f"goal {known.goal.goal_id} does not run")

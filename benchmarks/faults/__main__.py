@@ -2,6 +2,8 @@
 
 python -m benchmarks.faults                        # all
 python -m benchmarks.faults fuzz --payloads 5000
+python -m benchmarks.faults simulate --seeds 100000     # the whole protocol, under a virtual clock
+python -m benchmarks.faults simulate --seeds 1 --first 7 --without 6-late-states
 """
 
 from __future__ import annotations
@@ -13,8 +15,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.faults import chaos, detection, fuzz, memory, restarts, stop_time
+from benchmarks.faults import chaos, detection, fuzz, memory, restarts, simulate, stop_time
 from benchmarks.faults.figure import Figure
+from benchmarks.faults.simulation.without import WITHOUT
 
 FIGURES: dict[str, Callable[[argparse.Namespace], list[Figure]]] = {
     "detection": lambda own: detection.figures(own.kills, own.silences),
@@ -23,6 +26,9 @@ FIGURES: dict[str, Callable[[argparse.Namespace], list[Figure]]] = {
     "chaos": lambda own: chaos.figures(own.robots or 10, own.minutes, own.seed),
     "memory": lambda own: memory.figures(own.tests),
     "fuzz": lambda own: fuzz.figures(own.payloads, own.requests),
+    "simulate": lambda own: simulate.figures(
+        own.seeds, first=own.first, processes=own.processes, without=own.without
+    ),
 }
 
 
@@ -48,6 +54,14 @@ def main() -> None:
         "--payloads", type=int, default=5000, help="fuzz: to each decoder and reader"
     )
     parser.add_argument("--requests", type=int, default=20_000, help="fuzz: to a live agent")
+    parser.add_argument("--seeds", type=int, default=10_000, help="simulate: how many schedules")
+    parser.add_argument("--first", type=int, default=0, help="simulate: the first seed")
+    parser.add_argument(
+        "--processes", type=int, default=os.cpu_count(), help="simulate: how many at once"
+    )
+    parser.add_argument(
+        "--without", choices=tuple(WITHOUT), help="simulate: with a fix taken out again"
+    )
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     arguments = parser.parse_args()
     for name in arguments.what:

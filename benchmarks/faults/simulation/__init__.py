@@ -1,4 +1,4 @@
-"""The whole protocol in one thread: the pure machines of both sides, a virtual clock, a bad network.
+"""The whole protocol in one thread: both sides' pure machines, a virtual clock, a bad network.
 
 What decides in a simulation is the product's own code: `Pursuit`, `Attempts`, `resume`, the lease
 rules, `Decisions` and the goal machine, supervisor and ownership in it. What is simulated is what

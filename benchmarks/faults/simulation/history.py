@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 
-class Violation(AssertionError):
+class Violation(AssertionError):  # noqa: N818 - it names what it is
     """An invariant does not hold; the message says which, when and for whom."""
 
 
@@ -30,6 +30,7 @@ class History:
     motions: list[Motion] = field(default_factory=list)
     moved: Counter[tuple[str, str]] = field(default_factory=Counter)
     silent_after: dict[tuple[str, str], float] = field(default_factory=dict)
+    interrupted: dict[str, float] = field(default_factory=dict)
     stopped_since: dict[str, float] = field(default_factory=dict)
     story: list[str] = field(default_factory=list)
     told: bool = False
@@ -44,7 +45,7 @@ class History:
 
         Raises:
             Violation: it moved for this goal before, is stopped, or was to move no more for this
-                owner, whose interrupt had returned.
+                owner, which was interrupted.
         """
         self.tell(now_s, f"{robot} begins {goal_id} for {owner}")
         self.moved[robot, goal_id] += 1
@@ -54,6 +55,12 @@ class History:
             raise Violation(
                 f"{now_s:.3f}: {robot} begins {goal_id}, and was stopped at "
                 f"{self.stopped_since[robot]:.3f}"
+            )
+        interrupted_s = self.interrupted.get(owner)
+        if interrupted_s is not None and now_s > interrupted_s:
+            raise Violation(
+                f"{now_s:.3f}: {robot} begins {goal_id} for {owner}, which was interrupted so long "
+                f"ago that nothing can be on its way since {interrupted_s:.3f}"
             )
         silent_s = self.silent_after.get((robot, owner))
         if silent_s is not None and now_s > silent_s:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,6 +39,7 @@ from orchestrator.outcomes import Failed, Measured, TestOutcome
 from orchestrator.repository.errors import LeaseHeldError, LeaseLostError, RepositoryError
 from orchestrator.repository.records import Lease, Renewal, TrialStatus
 from orchestrator.resume import OpenRound, OpenTest, resume, round_of
+from robot_agent.freezes import FROZEN_S
 from robot_agent.ownership import Commander
 from shared.errors import NoReplyError, RefusedError, RobotOwnedError, StudyError
 from shared.frequency_response import FrequencyResponse
@@ -53,6 +54,9 @@ from shared.messages import (
 
 INNOCENT = frozenset({"stopped", "stale-epoch", "fault", "journal"})
 """Refusals after which a robot may be left out: somebody's will, or its own state."""
+
+ON_ITS_WAY_S = 0.1 + FROZEN_S
+"""A goal may begin this long after it was sent: the network, and a process frozen for a moment."""
 
 REST_WITHIN_S = 0.5
 """A robot that is reached begins to rest this soon after an interrupt."""
@@ -92,6 +96,7 @@ class SimulatedOrchestrator:
         repository: SimulatedRepository,
         study_id: str,
         clock: Callable[[], float],
+        everyone: Sequence[SimulatedOrchestrator],
     ) -> None:
         self.name = name
         self.world, self.network, self.history = world, network, history
@@ -100,8 +105,10 @@ class SimulatedOrchestrator:
         self.dropped: dict[str, str] = {}
         self.leases: tuple[Lease, ...] = ()
         self.interrupted = False
+        self.commands = False
         self._robots, self._repository, self._study_id = robots, repository, study_id
         self._clock = clock
+        self._everyone = everyone
         self._sights = {robot: Sight() for robot in robots}
         self._runs: dict[str, Run] = {}
         self._abandoned: dict[str, tuple[str, ...]] = {}
@@ -109,7 +116,7 @@ class SimulatedOrchestrator:
         self._watched: dict[tuple[str, str, int], tuple[Renewal, float]] = {}
         self._tokens: set[str] = set()
         self._failure: Exception | None = None
-        self._renewed_s = 0.0
+        self._renewed_s = self._described_s = 0.0
         self._round: OpenRound | None = None
         self._outcomes: dict[str, TestOutcome] = {}
         self._study: RankingStudy
@@ -136,14 +143,19 @@ class SimulatedOrchestrator:
         self.interrupted = True
         now_s = self.world.now_s
         self.history.tell(now_s, f"{self.name} is interrupted")
-        for run in tuple(self._runs.values()):
-            self._take(run, InterruptAsked())
+        on_its_way_s = self.network.weather.late_s + ON_ITS_WAY_S
+        self.history.interrupted[self.name] = now_s + on_its_way_s
+        self._interrupt_all()
         weather = self.network.weather
         if not (weather.lost or weather.late):
             for motion in self.history.motions:
                 if motion.owner == self.name and motion.resting_s is None:
                     self._must_rest(motion)
         self._end_if_idle()
+
+    def _interrupt_all(self) -> None:
+        for run in tuple(self._runs.values()):
+            self._take(run, InterruptAsked())
 
     def _must_rest(self, motion: Any) -> None:
         """Expect a robot that is reached all the while to begin to rest soon."""
@@ -180,6 +192,7 @@ class SimulatedOrchestrator:
         if how != "killed":
             self._repository.release(self.leases)
         self.leases = ()
+        self.commands = False
         self.network.end(self.node)
         for robot in self._robots.values():
             robot.listeners.remove(self)
@@ -191,9 +204,7 @@ class SimulatedOrchestrator:
             for robot in self._robots:
                 unsure = robot in self._abandoned
                 # One that confirmed nothing may have been told too late; it loses its owner.
-                self.history.interrupt_returned(
-                    robot, self.name, now_s + (4.0 if unsure else 0.0)
-                )
+                self.history.interrupt_returned(robot, self.name, now_s + (4.0 if unsure else 0.0))
             # A notebook would live on: its token stays for a while after the interrupt.
             lingers_s = 0.0 if self._abandoned else self.world.between(0.0, 15.0)
             self.world.after(lingers_s, lambda: self._end(how))
@@ -248,6 +259,9 @@ class SimulatedOrchestrator:
         )
 
     def _describe_all(self) -> None:
+        self._descriptions = {}
+        self._described_s = self.world.now_s
+
         def told(robot: str, answer: Any) -> None:
             if self.over is not None:
                 return
@@ -255,7 +269,11 @@ class SimulatedOrchestrator:
                 self._end(f"{robot} does not describe itself")
                 return
             self._descriptions[robot] = answer
-            if len(self._descriptions) == len(self._robots):
+            if len(self._descriptions) < len(self._robots):
+                return
+            if self.leases:
+                self._confirm()
+            else:
                 self._lease()
 
         for robot in self._robots:
@@ -268,7 +286,7 @@ class SimulatedOrchestrator:
         silent = [r for r, since_s in self._watched.values() if now_s - since_s > r.term_s]
         fleet: Any = self
         try:
-            robot_leases._check_others(fleet, self._descriptions, self._repository.last(clock_s))
+            robot_leases.check_others(fleet, self._descriptions, self._repository.last(clock_s))
             self.leases = self._repository.acquire(
                 self._robots,
                 owner=self.name,
@@ -287,7 +305,33 @@ class SimulatedOrchestrator:
         except (RobotOwnedError, RepositoryError) as error:
             self._end(str(error))
             return
+        if self._watched:
+            self._describe_all()  # somebody else may have come while this one waited
+        else:
+            self._take_over()
+
+    def _confirm(self) -> None:
+        fleet: Any = self
+        try:
+            robot_leases.check_others(
+                fleet, self._descriptions, self._repository.last(self._clock())
+            )
+        except RobotOwnedError as error:
+            self._end(str(error))
+            return
+        self._take_over()
+
+    def _take_over(self) -> None:
+        now_s = self.world.now_s
         self.history.tell(now_s, f"{self.name} takes all robots, {self.leases[0].epoch}")
+        self.commands = True
+        # Between two repositories nothing but what the robots know can tell.
+        known = {m.owner for m in self.history.motions if m.began_s < self._described_s}
+        for other in self._everyone:
+            if other is self or other.name not in known:
+                continue
+            if other.commands and other.name in self._tokens:
+                raise Violation(f"{now_s:.3f}: {self.name} takes the robots of {other.name}")
         self._renewed_s = now_s
         self.world.after(RENEW_EVERY_S, lambda: self.node.do(self._renew))
         self._begin_study()
@@ -453,16 +497,19 @@ class SimulatedOrchestrator:
         self._conclude(run, settled, ended)
 
     def _conclude(self, run: Run, settled: Settled, ended: Ended) -> None:
-        assert settled.outcome is not None
-        assert self._round is not None
-        outcome = self._outcomes[run.test.robot] = settled.outcome
+        outcome, at = settled.outcome, self._round
+        if outcome is None or at is None:
+            raise Violation(f"nothing follows from {run.test.goal_id}: {ended}")
+        self._outcomes[run.test.robot] = outcome
         if isinstance(outcome, Failed):
             self._check_failed(run, outcome, ended)
-        if len(self._outcomes) < len(self._round.tests):
-            return
+        if len(self._outcomes) == len(at.tests):
+            self._tell(at)
+
+    def _tell(self, at: OpenRound) -> None:
         responses: dict[str, FrequencyResponse] = {}
         failed: dict[str, str] = {}
-        for robot, trial in self._round.answers.items():
+        for robot, trial in at.answers.items():
             if trial.status is TrialStatus.MEASURED and trial.response is not None:
                 responses[robot] = trial.response
             else:

@@ -1,4 +1,4 @@
-"""A repository in memory under the product's rules of trials and leases, on a disk that may fill."""
+"""A repository in memory, under the product's rules, on a disk that may fill."""
 
 from __future__ import annotations
 

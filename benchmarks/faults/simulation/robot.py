@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -16,7 +17,7 @@ from robot_agent.decisions import Assignment, Decisions
 from robot_agent.freezes import Freezes
 from robot_agent.goal_machine import Goal, Goals
 from robot_agent.heartbeat import HEARTBEAT_S
-from robot_agent.journal import Remembrance
+from robot_agent.journal import Remembrance, lost_result
 from robot_agent.journal_ledger import (
     Accepted,
     Acknowledged,
@@ -34,14 +35,13 @@ from robot_agent.pace import GAP_MAX_S
 from robot_agent.planner import Planner
 from robot_agent.supervisor import StopOrder
 from shared.errors import RefusedError
-from shared.excitation import Excitation, ExcitationPlan
 from shared.messages import Description, Done, GoalRequest, GoalResult, Outcome, Refusal
 from shared.motions import Motion as AskedMotion
 from shared.motions import MotionPlan
 from shared.robot_spec import RobotSpec
 
 BAD_SENSOR = "its sensor reads 0"
-_PLANS: dict[tuple[str, float, AskedMotion], MotionPlan] = {}
+_PLANS: dict[tuple[float, AskedMotion], MotionPlan] = {}
 _NO_SAMPLES = np.empty(0)
 
 
@@ -61,8 +61,7 @@ class DiskJournal:
         self._disk = disk
         lost = tuple(known.goal.goal_id for known in disk.ledger.running)
         for known in disk.ledger.running:
-            assert known.plan is not None
-            result = _result(known.goal.goal_id, known.boot_id, Outcome.LOST, "", known.plan, 0)
+            result = lost_result(known)
             disk.results[known.goal.goal_id] = result
             disk.ledger.apply(_ended(result))
         goals = {goal_id: known.goal for goal_id, known in disk.ledger.goals.items()}
@@ -146,8 +145,7 @@ class CachedPlanner(Planner):
     """The product's planner; what is planned once is not planned again."""
 
     def plan(self, motion: AskedMotion) -> MotionPlan:
-        assert isinstance(motion, Excitation)
-        key = (self.spec.kind, self.spec.duration_max_s, motion)
+        key = (self.spec.duration_max_s, motion)
         if key not in _PLANS:
             _PLANS[key] = super().plan(motion)
         return _PLANS[key]
@@ -295,9 +293,7 @@ class SimulatedAgent:
         if assignment.switch.order is not None:
             self._ended(assignment, 0, *assignment.switch.order)
             return
-        record = self._history.began(
-            self._world.now_s, self._robot.name, goal.goal_id, goal.owner
-        )
+        record = self._history.began(self._world.now_s, self._robot.name, goal.goal_id, goal.owner)
         playing = self._playing = Playing(
             assignment, record, self._world.now_s + assignment.plan.duration_s
         )
@@ -311,9 +307,9 @@ class SimulatedAgent:
     def _look(self) -> None:
         """Bring the robot to rest if its motion was told to end."""
         playing = self._playing
-        if playing is not None and not playing.resting:
-            if playing.assignment.switch.order is not None:
-                self._rest(playing)
+        if playing is None or playing.resting or playing.assignment.switch.order is None:
+            return
+        self._rest(playing)
 
     def _rest(self, playing: Playing) -> None:
         playing.resting = True
@@ -380,11 +376,5 @@ class SimulatedAgent:
         until_s, late_s = self._robot.states_late
         extra_s = self._world.between(0.0, late_s) if self._world.now_s < until_s else 0.0
         for listener in self._robot.listeners:
-            if listener.node.running:
-                name = self._robot.name
-                self._robot.network.send(
-                    self.node,
-                    listener.node,
-                    lambda heard=listener.heard: heard(name, state),
-                    extra_s,
-                )
+            arrive = partial(listener.heard, self._robot.name, state)
+            self._robot.network.send(self.node, listener.node, arrive, extra_s)

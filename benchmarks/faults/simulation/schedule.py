@@ -1,4 +1,4 @@
-"""What goes wrong in one simulation, drawn from its seed: a list of faults that can be shortened."""
+"""What goes wrong in one simulation: a list of faults drawn from a seed, which can be shortened."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Schedule:
 
 def drawn(seed: int) -> Schedule:
     """Return the schedule of a seed."""
-    rng = random.Random(seed)
+    rng = random.Random(seed)  # noqa: S311 - a schedule is no secret
     robots = rng.choice((2, 2, 3, 4))
     weather = Weather()
     if rng.random() < 0.4:

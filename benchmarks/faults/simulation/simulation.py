@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
+from benchmarks.faults.simulation.causes import CAUSES, Case
 from benchmarks.faults.simulation.history import History, Violation
-from benchmarks.faults.simulation.network import Network, NoAnswer
+from benchmarks.faults.simulation.network import Network
 from benchmarks.faults.simulation.orchestrator import SimulatedOrchestrator
 from benchmarks.faults.simulation.repository import SimulatedRepository
 from benchmarks.faults.simulation.robot import SimulatedRobot
@@ -14,12 +16,14 @@ from benchmarks.faults.simulation.schedule import Fault, Schedule
 from benchmarks.faults.simulation.study import RankingStudy
 from benchmarks.faults.simulation.world import World
 from orchestrator.repository.records import TrialStatus
-from shared.messages import Done
 from shared.robot_spec import AxisSpec, RobotSpec
 
 STUDY = "study"
 ENDS_WITHIN_S = 900.0
 """How long after the last fault a study may take: it is resumed until it is complete."""
+
+WALL_S = 1e6
+"""What the wall clock shows when a simulation begins."""
 
 _PEOPLE_RESUME_S = (0.2, 4.0)
 
@@ -62,7 +66,7 @@ class Simulation:
         self.stopped: set[str] = set()
         self.finished: SimulatedOrchestrator | None = None
         for fault in schedule.faults:
-            self.world.at(fault.time_s, lambda fault=fault: self._cause(fault))
+            self.world.at(fault.time_s, partial(self.cause, fault))
 
     def run(self) -> None:
         """Run to the end of the study; raises Violation."""
@@ -84,7 +88,7 @@ class Simulation:
     def _begin(self) -> None:
         """Start an orchestrator, and another one whenever it ended before the study did."""
         name = f"orchestrator-{len(self.orchestrators) + 1}"
-        orchestrator = self._orchestrate(name, self.repository)
+        orchestrator = self.orchestrate(name, self.repository)
 
         def look() -> None:
             if orchestrator.over is None:
@@ -96,7 +100,8 @@ class Simulation:
 
         self.world.after(0.5, look)
 
-    def _orchestrate(self, name: str, repository: SimulatedRepository) -> SimulatedOrchestrator:
+    def orchestrate(self, name: str, repository: SimulatedRepository) -> SimulatedOrchestrator:
+        """Start an orchestrator, whose study goes on from what its repository holds."""
         orchestrator = SimulatedOrchestrator(
             name,
             self.world,
@@ -105,94 +110,22 @@ class Simulation:
             self.robots,
             repository,
             STUDY if repository is self.repository else "rival",
-            lambda: 1000.0 + self.world.now_s + self.clock_set_s,
+            lambda: WALL_S + self.world.now_s + self.clock_set_s,
+            self.orchestrators,
         )
         self.orchestrators.append(orchestrator)
         return orchestrator
 
-    def _stop(self, robot: SimulatedRobot, release_after_s: float) -> None:
-        """Somebody stops a robot, and releases it later, until it says that it is."""
-        self.stopped.add(robot.name)
-        person = self.network.join("orchestrator", f"person-{self.world.events}", _Person())
+    def cause(self, fault: Fault) -> None:
+        """Have something go wrong, unless the study is over."""
+        if self.finished is None:
+            self.history.tell(self.world.now_s, f"fault: {fault.kind} {fault.size:.2f}")
+            CAUSES[fault.kind](Case(self, self.robots[f"r{fault.robot}"], fault.size))
 
-        def stopped(answer: object) -> None:
-            if isinstance(answer, Done):
-                self.history.stop_confirmed(self.world.now_s, robot.name)
-
-        def release() -> None:
-            self.history.release_asked(self.world.now_s, robot.name)
-            ask("release", released)
-
-        def released(answer: object) -> None:
-            if not isinstance(answer, Done):
-                self.world.after(1.0, release)
-            elif person.running:
-                self.network.end(person)
-
-        def ask(question: str, then: Callable[[object], None]) -> None:
-            self.network.ask(
-                person,
-                "robot",
-                robot.name,
-                question,
-                person.name,
-                timeout_s=3.0,
-                on_answer=then,
-            )
-
-        self.world.after(0.1, lambda: ask("stop", stopped))
-        self.world.after(release_after_s + 4.0, release)
-
-    # Faults.
-
-    def _cause(self, fault: Fault) -> None:
-        if self.finished is not None:
-            return
-        self.history.tell(self.world.now_s, f"fault: {fault.kind} {fault.size:.2f}")
-        robot = self.robots[f"r{fault.robot}"]
-        agent, now_s = robot.agent, self.world.now_s
-        ours = [o for o in self.orchestrators if o.over is None]
-        match fault.kind:
-            case "kill agent":
-                robot.kill(fault.size)
-            case "freeze agent" if agent is not None:
-                self.network.freeze(agent.node, fault.size)
-            case "cut agent" if agent is not None:
-                self.network.cut(agent.node, fault.size)
-            case "lose states":
-                robot.states_lost_until_s = now_s + min(fault.size, 8.0)
-            case "late states":
-                robot.states_late = (now_s + fault.size, min(fault.size, 5.0))
-            case "bad sensor":
-                robot.bad_sensor = 1 + (fault.size > 5.0)
-            case "fill disk":
-                robot.disk.full = True
-                self.world.after(fault.size, lambda: setattr(robot.disk, "full", False))
-            case "restart router":
-                self.network.restart_router(min(fault.size, 3.0))
-            case "set clock":
-                self.clock_set_s += (fault.size if fault.robot % 2 else -fault.size) ** 3
-            case "fill repository":
-                self.repository.full = True
-                self.world.after(fault.size, lambda: setattr(self.repository, "full", False))
-            case "stop":
-                self._stop(robot, fault.size)
-            case "other repository":
-                self._orchestrate(f"rival-{self.world.events}", self.rival_repository)
-            case "second orchestrator":
-                self._orchestrate(f"second-{self.world.events}", self.repository)
-            case "kill orchestrator":
-                for orchestrator in ours:
-                    orchestrator.kill()
-            case "freeze orchestrator":
-                for orchestrator in ours:
-                    self.network.freeze(orchestrator.node, fault.size)
-            case "cut orchestrator":
-                for orchestrator in ours:
-                    self.network.cut(orchestrator.node, fault.size)
-            case "interrupt":
-                for orchestrator in ours:
-                    orchestrator.interrupt()
+    @property
+    def running(self) -> list[SimulatedOrchestrator]:
+        """The orchestrators that run now."""
+        return [known for known in self.orchestrators if known.over is None]
 
     # What must hold in the end.
 
@@ -222,17 +155,6 @@ class Simulation:
         gone = ("did not return", "went silent", "is gone")
         if not innocent and not disks_filled and not any(word in reason for word in gone):
             raise Violation(f"what {robot} measured for {goal_id} is lost: {reason}")
-
-
-class _Person:
-    """Somebody at a terminal, who only asks."""
-
-    def told(self, kind: str, name: str, alive: bool) -> None:
-        """Nobody looks."""
-
-    def asked(self, question: str, body: object, answer: Callable[[object], None]) -> None:
-        """Nobody asks a person."""
-        answer(NoAnswer())
 
 
 def violation(schedule: Schedule) -> str | None:

@@ -1,0 +1,177 @@
+"""The fixes of defects that were reproduced once, each taken out again: a simulation must find it.
+
+A simulation that finds nothing shows little until it is known what it would find.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+from unittest.mock import patch
+
+from benchmarks.faults.simulation import orchestrator as simulated
+from benchmarks.faults.simulation import repository as kept
+from benchmarks.faults.simulation.orchestrator import SimulatedOrchestrator
+from orchestrator import attempts, robot_leases
+from orchestrator.goal_events import (
+    Ask,
+    CancelTaken,
+    Ended,
+    Event,
+    InterruptAsked,
+    Question,
+    Refused,
+    Unanswered,
+)
+from orchestrator.goal_pursuit import Pursuit
+from orchestrator.repository import lease_rules
+from orchestrator.repository.errors import LeaseLostError
+from orchestrator.repository.lease_rules import StoredLease
+from orchestrator.repository.records import Lease
+from robot_agent import goal_machine
+from robot_agent.freezes import Freezes
+from shared.excitation import Excitation
+from shared.messages import Description, GoalResult
+from shared.robot_spec import RobotSpec
+
+Patches = Iterator[Any]
+
+
+def _interrupt_once() -> Patches:
+    """Ctrl-C cancels what runs once; a goal that is asked for is asked for on (defect 1)."""
+    take, told = Pursuit.take, weakref.WeakSet[Pursuit]()
+
+    def took(self: Pursuit, event: Event, now_s: float) -> tuple[Ask, ...]:
+        if isinstance(event, InterruptAsked) and self._sent:
+            told.add(self)
+            return (Ask(Question.CANCEL, self.goal_id),)
+        answer = isinstance(event, CancelTaken | Refused | Unanswered)
+        if self in told and answer and _question(event) is Question.CANCEL:
+            return ()
+        return take(self, event, now_s)
+
+    yield patch.object(Pursuit, "take", took)
+    yield patch.object(goal_machine, "forgo", lambda goals, goal_id, owner: goals)
+
+
+def _question(event: Any) -> Question:
+    question: Question = event.question
+    return question
+
+
+def _believe_old_states() -> Patches:
+    """A state from before the goal, or none for a while, ends its robot's part (defect 6)."""
+    refused = Pursuit._note_refusal  # noqa: SLF001 - what is taken out lies inside
+
+    def noted(self: Pursuit, question: Question, error: Any, now_s: float) -> None:
+        if question is Question.RESULT and error.code == "not-finished" and not self._cancelling:
+            self.ended = Ended(error=error)
+        else:
+            refused(self, question, error, now_s)
+
+    yield patch.object(Pursuit, "_note_refusal", noted)
+
+
+def _compare_epochs() -> Patches:
+    """An owner whose epoch this repository has passed is taken for gone (defect 10)."""
+
+    def check(
+        fleet: Any, descriptions: Mapping[str, Description], given: Mapping[str, Any]
+    ) -> None:
+        others = {
+            robot: found
+            for robot, found in descriptions.items()
+            if robot not in given or found.epoch > given[robot].epoch
+        }
+        checked(fleet, others, {})
+
+    checked = robot_leases.check_others
+    yield patch.object(robot_leases, "check_others", check)
+
+
+def _lengthen_without_limit() -> Patches:
+    """A test is repeated with twice the time, whatever its robot accepts (defect 11)."""
+
+    def longer(excitation: Excitation, result: GoalResult, spec: RobotSpec) -> Excitation:
+        del spec
+        plan = result.test_plan
+        settle = max(plan.settle_samples, plan.ramp_samples) * plan.sample_time_s
+        segment = plan.segment_samples * plan.sample_time_s
+        update = {"settle_s": 2 * settle, "segment_min_s": 2 * segment}
+        return excitation.model_copy(update=update)
+
+    yield patch.object(attempts, "lengthened", longer)
+
+
+def _time_leases() -> Patches:
+    """A lease is lost when the clock says so, though nobody took it (defect 12)."""
+
+    def check(stored: StoredLease, lease: Lease) -> None:
+        check_held(stored, lease)
+        left_s = stored.expires_s - clock[0]()
+        if not 0.0 < left_s <= stored.term_s:
+            raise LeaseLostError(lease.robot, lease.owner, lease.epoch, "it was not renewed")
+
+    def renewed(self: SimulatedOrchestrator) -> None:
+        clock[0] = self._clock
+        renew(self)
+
+    clock: list[Callable[[], float]] = []
+    clock.append(lambda: 0.0)
+    check_held = lease_rules.check_held
+    renew = SimulatedOrchestrator._renew  # noqa: SLF001 - as above
+    yield patch.object(kept, "check_held", check)
+    yield patch.object(SimulatedOrchestrator, "_renew", renewed)
+
+
+def _interrupt_in_turn() -> Patches:
+    """Ctrl-C reaches one robot after another, each when the one before has answered (defect 16)."""
+
+    def interrupted(self: SimulatedOrchestrator) -> None:
+        for place, run in enumerate(tuple(self._runs.values())):
+            self.world.after(
+                simulated.REST_WITHIN_S * place,
+                partial(self.node.do, partial(self._take, run, InterruptAsked())),
+            )
+
+    yield patch.object(SimulatedOrchestrator, "_interrupt_all", interrupted)
+
+
+def _forget_forgone() -> Patches:
+    """A goal that is cancelled before it comes is not remembered, and moves its robot."""
+    yield patch.object(goal_machine, "forgo", lambda goals, goal_id, owner: goals)
+
+
+def _wake_at_once() -> Patches:
+    """An agent that was frozen takes the goals that waited for it, whoever is gone since."""
+    yield patch.object(Freezes, "refusal", lambda self, now_s: None)
+
+
+WITHOUT: Mapping[str, Callable[[], Patches]] = {
+    "1-interrupt": _interrupt_once,
+    "6-late-states": _believe_old_states,
+    "10-repositories": _compare_epochs,
+    "11-longer": _lengthen_without_limit,
+    "12-clock": _time_leases,
+    "16-in-turn": _interrupt_in_turn,
+    "forgone": _forget_forgone,
+    "frozen": _wake_at_once,
+}
+
+
+@contextmanager
+def without(name: str | None) -> Iterator[None]:
+    """Take a fix out for a while; None leaves all in."""
+    patches = () if name is None else tuple(WITHOUT[name]())
+    begun = []
+    try:
+        for fix in patches:
+            fix.start()
+            begun.append(fix)
+        yield
+    finally:
+        for fix in reversed(begun):
+            fix.stop()

@@ -1,0 +1,54 @@
+"""The protocol under a virtual clock: thousands of schedules of faults, and what must hold in all.
+
+`python -m benchmarks.faults simulate` runs as many as one likes, and shows the shortest story that
+breaks an invariant.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+
+import pytest
+
+from benchmarks.faults.simulation.schedule import Fault, Schedule, drawn
+from benchmarks.faults.simulation.simulation import shortened, story, violation
+from benchmarks.faults.simulation.without import WITHOUT, without
+
+SEEDS_AT_ONCE = 300
+FOUND_WITHIN = 3000
+
+
+@pytest.fixture(autouse=True)
+def quietly() -> Iterator[None]:
+    """What goes wrong is meant to, thousands of times."""
+    logging.disable(logging.CRITICAL)
+    yield
+    logging.disable(logging.NOTSET)
+
+
+@pytest.mark.parametrize("first", range(0, 3000, SEEDS_AT_ONCE))
+def test_no_schedule_of_faults_breaks_an_invariant(first: int) -> None:
+    for seed in range(first, first + SEEDS_AT_ONCE):
+        assert violation(drawn(seed)) is None, f"seed {seed}"
+
+
+@pytest.mark.parametrize("fix", sorted(WITHOUT))
+def test_every_fix_is_missed_when_it_is_taken_out(fix: str) -> None:
+    with without(fix):
+        assert any(violation(drawn(seed)) is not None for seed in range(FOUND_WITHIN))
+
+
+def test_a_seed_gives_the_same_story_every_time() -> None:
+    schedule = drawn(141)
+    assert story(schedule) == story(schedule)
+
+
+def test_a_schedule_that_breaks_an_invariant_is_shortened_to_the_faults_that_matter() -> None:
+    late = Fault(0.3, "late states", 2, 4.0)
+    others = (Fault(2.0, "cut agent", 1, 0.2), Fault(9.0, "freeze orchestrator", 1, 0.2))
+    schedule = Schedule(1, 2, 60.0, drawn(0).weather, (late, *others))
+    with without("6-late-states"):
+        assert violation(schedule) is not None
+        assert set(shortened(schedule).faults) <= {late}
+    assert violation(schedule) is None
