@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from benchmarks.faults.simulation.schedule import Fault, Schedule, drawn
+from benchmarks.faults.simulation.schedule import drawn
 from benchmarks.faults.simulation.simulation import shortened, story, violation
 from benchmarks.faults.simulation.without import WITHOUT, without
 
@@ -45,10 +45,11 @@ def test_a_seed_gives_the_same_story_every_time() -> None:
 
 
 def test_a_schedule_that_breaks_an_invariant_is_shortened_to_the_faults_that_matter() -> None:
-    late = Fault(0.3, "late states", 2, 4.0)
-    others = (Fault(2.0, "cut agent", 1, 0.2), Fault(9.0, "freeze orchestrator", 1, 0.2))
-    schedule = Schedule(1, 2, 60.0, drawn(0).weather, (late, *others))
-    with without("6-late-states"):
-        assert violation(schedule) is not None
-        assert set(shortened(schedule).faults) <= {late}
-    assert violation(schedule) is None
+    with without("11-longer"):
+        found = (schedule for seed in range(FOUND_WITHIN) if violation(schedule := drawn(seed)))
+        broken = next(schedule for schedule in found if len(schedule.faults) > 2)
+        short = shortened(broken)
+        assert {fault.kind for fault in short.faults} == {"bad sensor"}
+        assert set(short.faults) < set(broken.faults)
+        assert "VIOLATION" in story(short)[-1]
+    assert violation(short) is None

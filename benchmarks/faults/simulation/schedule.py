@@ -101,6 +101,9 @@ def _fault(rng: random.Random, robots: int) -> Fault:
     kinds, weights = zip(*KINDS, strict=True)
     (kind,) = rng.choices(kinds, weights)
     size = rng.choice((0.2, 1.0, 2.0, 3.0, 5.0, 15.0)) * (0.5 + rng.random())
-    # Most interesting is what happens around the moment a goal is sent.
-    time_s = rng.random() * (1.5 if rng.random() < 0.3 else LAST_FAULT_S)
+    # Most interesting is what happens around the moment the first goals are sent.
+    begins_s, lasts_s = rng.choice(
+        ((0.2, 0.06), (0.0, 1.5), (0.0, LAST_FAULT_S), (0.0, LAST_FAULT_S))
+    )
+    time_s = begins_s + rng.random() * lasts_s
     return Fault(time_s, kind, rng.randrange(robots) + 1, size)
