@@ -22,4 +22,4 @@ class Overdue:
         if progress > self.progress:
             self.progress = progress
             self.deadline_s = max(self.deadline_s, now_s + self.grace_s)
-        return now_s > self.deadline_s
+        return now_s >= self.deadline_s
