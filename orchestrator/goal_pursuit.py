@@ -126,7 +126,7 @@ class Pursuit:
         times = [self._give_up_s, *self._not_before_s.values()]
         if self._taken and not self._fetch:
             times.append(self._heard_s + HEARTBEAT_LOST_S)
-        if self._taken and self._given_up is None:
+        if self._taken and not self._cancelling:
             times.append(self._overdue.deadline_s)
         if self._cancelled_s is not None:
             times.append(self._cancelled_s + REST_PATIENCE_S)
@@ -274,7 +274,7 @@ class Pursuit:
                 f"{REST_PATIENCE_S:g} s; stop it, and see whether its driver hangs"
             )
             self._give_up(RobotLostError(reason))
-        elif self._taken and self._given_up is None and overdue.is_late(self._progress, now_s):
+        elif self._taken and not self._cancelling and overdue.is_late(self._progress, now_s):
             # It is heard, so it can be brought to rest before it is given up.
             self._given_up = RobotLostError(
                 f"robot {self.robot} is overdue with {self.goal_id}: for {overdue.grace_s:.0f} s "
