@@ -44,10 +44,15 @@ class Ear:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, robot: str) -> None:
         self.deaf = False
-        self._robot = robot
         self._missed: list[tuple[RobotWatch, RobotState]] = []
         self._hear = RobotWatch.set_state
-        hear = lambda watch, state: self._heard(watch, state)  # bound to each watch
+
+        def hear(watch: RobotWatch, state: RobotState) -> None:
+            if self.deaf and watch.robot == robot:
+                self._missed.append((watch, state))
+            else:
+                self._hear(watch, state)
+
         monkeypatch.setattr(RobotWatch, "set_state", hear)
 
     @property
@@ -58,12 +63,6 @@ class Ear:
         """Let arrive what was held back, late."""
         missed, self._missed = self._missed, []
         for watch, state in missed:
-            self._hear(watch, state)
-
-    def _heard(self, watch: RobotWatch, state: RobotState) -> None:
-        if self.deaf and watch.robot == self._robot:
-            self._missed.append((watch, state))
-        else:
             self._hear(watch, state)
 
 
