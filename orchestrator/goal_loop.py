@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from types import TracebackType
 
 from orchestrator.fleet import Fleet
@@ -111,7 +112,9 @@ class GoalLoop:
         """
         while not done.wait(_LOOK_S):
             if self._crash is not None and not self._running:
-                raise self._crash
+                break
+        if self._crash is not None:
+            raise self._crash
 
     # The loop's thread.
 
@@ -140,9 +143,7 @@ class GoalLoop:
 
     def _tick(self) -> None:
         now_s = time.monotonic()
-        for run in tuple(self._running.values()):
-            if run.pursuit.wake_s <= now_s:
-                run.take(Passed())
+        self._have_taken(Passed(), (r for r in self._running.values() if r.pursuit.wake_s <= now_s))
 
     def _begin(self, errand: Errand) -> None:
         run = self._running[errand] = _Run(self, self._fleet, errand, self._askers)
@@ -152,13 +153,19 @@ class GoalLoop:
 
     def _interrupt(self) -> None:
         self._interrupted = True
-        for run in tuple(self._running.values()):
-            run.take(InterruptAsked())
+        self._have_taken(InterruptAsked(), self._running.values())
+
+    def _have_taken(self, event: Event, runs: Iterable[_Run]) -> None:
+        # Each in a job of its own: an error about one robot must not keep it from the others.
+        for run in runs:
+            self.post(partial(run.take, event))
 
     def ended(self, errand: Errand, ended: Ended) -> None:
-        """Let an errand go that has ended, and say so."""
-        del self._running[errand]
-        errand.on_ended(ended)
+        """Say how an errand ended, and let it go."""
+        try:
+            errand.on_ended(ended)
+        finally:
+            del self._running[errand]
 
 
 class _Run:
@@ -200,12 +207,12 @@ class _Run:
         """Take in an event, and ask what follows from it."""
         if self.pursuit.ended is not None:
             return
-        asks = self.pursuit.take(event, time.monotonic())
+        # Asked first: an error in what is told must not lose a question.
+        for ask in self.pursuit.take(event, time.monotonic()):
+            self._askers.submit(self._ask, ask)
         if self.pursuit.accepted is not None and not self._accepted:
             self._accepted = True
             self._errand.on_accepted(self.pursuit.accepted)
-        for ask in asks:
-            self._askers.submit(self._ask, ask)
         if self.pursuit.ended is not None:
             self.leave()
             self._loop.ended(self._errand, self.pursuit.ended)

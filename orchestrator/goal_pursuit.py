@@ -65,6 +65,9 @@ PASSING = frozenset({"owner-not-alive", "overloaded", "shutting-down", "two-agen
 """Refusals that say nothing about the goal. After a restart of the router a robot may hear of it
 before its owner; an agent that restarts or was frozen takes it a little later."""
 
+NEVER_BEGINS = frozenset({"goal-ended", "stale-epoch"})
+"""Refusals to cancel a goal that say as much as a yes: it moves its robot no more."""
+
 
 class Pursuit:
     """Pursues one goal until it has ended; see the module for its rules."""
@@ -105,7 +108,7 @@ class Pursuit:
         self._open: set[Question] = set()
         self._not_before_s: dict[Question, float] = {}
         self._unanswered: tuple[int, float] | None = None
-        self._refused_since_s: float | None = None
+        self._refused_since_s: dict[Question, float] = {}
         self._sent = False
         self._unsure = False
         self._taken = taken_before
@@ -134,7 +137,8 @@ class Pursuit:
         """Take in what happened; return what is to be asked now.
 
         Args:
-            event: what happened. An answer belongs to the open question of its kind.
+            event: what happened. An answer belongs to the open question of its kind; one too many
+                says nothing.
             now_s: the time; it never goes back.
         """
         if self.ended is None:
@@ -174,6 +178,8 @@ class Pursuit:
     def _note_answer(
         self, answer: Accepted | Fetched | CancelTaken | Refused, now_s: float
     ) -> None:
+        if answer.question not in self._open:
+            return
         self._heard_s = now_s
         self._unanswered = None
         self._open.discard(answer.question)
@@ -205,6 +211,7 @@ class Pursuit:
                 self._not_before_s.pop(Question.RESULT, None)
 
     def _note_cancelled(self, now_s: float) -> None:
+        self._refused_since_s.pop(Question.CANCEL, None)
         if self._abandoned:
             self._abandoned.pop(0)
             if self._interrupted:
@@ -215,9 +222,10 @@ class Pursuit:
 
     def _note_refusal(self, question: Question, error: RefusedError, now_s: float) -> None:
         match question:
-            case Question.CANCEL if error.code not in PASSING:
-                # It has ended, or belongs to an epoch that is over: it begins no more.
+            case Question.CANCEL if error.code in NEVER_BEGINS:
                 self._note_cancelled(now_s)
+            case Question.CANCEL if self._outlasts(question, REFUSAL_PATIENCE_S, now_s):
+                self._give_up(error)
             case Question.RESULT if error.code == "not-finished":
                 self._fetch = self._cancelled_s is not None
                 self._not_before_s[question] = now_s + LOOK_AGAIN_S
@@ -229,17 +237,21 @@ class Pursuit:
                 self._not_before_s[question] = now_s + ASK_AGAIN_S
 
     def _note_goal_refused(self, error: RefusedError, now_s: float) -> None:
-        if self._refused_since_s is None:
-            self._refused_since_s = now_s
         patience_s = {"busy": self._rest_patience_s}.get(
             error.code, REFUSAL_PATIENCE_S if error.code in PASSING else 0.0
         )
-        if now_s - self._refused_since_s < patience_s:
-            self._not_before_s[Question.GOAL] = now_s + ASK_AGAIN_S
-        else:
+        if self._outlasts(Question.GOAL, patience_s, now_s):
             self.ended = Ended(error=error, abandoned=(self.goal_id,) if self._unsure else ())
+        else:
+            self._not_before_s[Question.GOAL] = now_s + ASK_AGAIN_S
+
+    def _outlasts(self, question: Question, patience_s: float, now_s: float) -> bool:
+        """Return whether a question has been refused for that long."""
+        return now_s >= self._refused_since_s.setdefault(question, now_s) + patience_s
 
     def _note_silence(self, question: Question, error: NufleetError, now_s: float) -> None:
+        if question not in self._open:
+            return
         self._open.discard(question)
         self._unsure |= question is Question.GOAL
         self._not_before_s[question] = now_s + ASK_AGAIN_S
@@ -314,7 +326,7 @@ class Pursuit:
 
     @property
     def _may_be_overdue(self) -> bool:
-        return self._taken and not self._over and self._given_up is None
+        return self._taken and not self._over and not self._cancelling
 
     @property
     def _cancelling(self) -> bool:

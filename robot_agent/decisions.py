@@ -162,20 +162,21 @@ class Decisions:
         A goal that has not come yet is refused when it comes, so that whoever hears a yes knows
         that it moves nothing any more. Raises JournalError when that would not outlast the process.
         """
-        with self._lock:
-            # Whoever began it may end it, whatever has become of its lease meanwhile.
-            refusal = None
-            if self._supervision.motion_owner != sender.owner:
-                refusal = self._refusal_to_command(sender)
-            refusal = refusal or goal_machine.cancel(self._goals, goal_id)
-            if refusal is not None:
-                return refusal
-            if self._motion is not None and self._motion.goal.goal_id == goal_id:
-                self._motion.switch.halt(Outcome.CANCELLED, "cancelled")
-                self._changed.set()
-                return None
-            self._goals = goal_machine.forgo(self._goals, goal_id, sender.owner)
-        self._journal.forgone(goal_id)
+        with self._taking:
+            with self._lock:
+                # Whoever began it may end it, whatever has become of its lease meanwhile.
+                refusal = None
+                if self._supervision.motion_owner != sender.owner:
+                    refusal = self._refusal_to_command(sender)
+                refusal = refusal or goal_machine.cancel(self._goals, goal_id)
+                if refusal is not None:
+                    return refusal
+                if self._motion is not None and self._motion.goal.goal_id == goal_id:
+                    self._motion.switch.halt(Outcome.CANCELLED, "cancelled")
+                    self._changed.set()
+                    return None
+                self._goals = goal_machine.forgo(self._goals, goal_id, sender.owner)
+            self._journal.forgone(goal_id)
         return None
 
     def result(self, goal_id: str) -> GoalResult | Refusal:

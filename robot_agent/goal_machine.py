@@ -71,7 +71,7 @@ def recognise(goals: Goals, *, goal_id: str, digest: str) -> Accepted | Refusal 
     known = goals.known.get(goal_id)
     if known is None:
         return None
-    if not known.digest and known.outcome is Outcome.CANCELLED:
+    if _is_forgone(known):
         return Refusal(code="cancelled", reason=f"goal {goal_id} was cancelled before it came")
     if known.digest != digest:
         return Refusal(
@@ -82,10 +82,10 @@ def recognise(goals: Goals, *, goal_id: str, digest: str) -> Accepted | Refusal 
 
 def cancel(goals: Goals, goal_id: str) -> Refusal | None:
     """Return why a goal cannot be cancelled; None when it is to end, or never to begin."""
-    if goal_id in goals.known and goals.running != goal_id:
-        ended = goals.known[goal_id].outcome
-        return Refusal(code="goal-ended", reason=f"goal {goal_id} has ended already: {ended}")
-    return None
+    known = goals.known.get(goal_id)
+    if known is None or known.outcome is None or _is_forgone(known):
+        return None
+    return Refusal(code="goal-ended", reason=f"goal {goal_id} has ended already: {known.outcome}")
 
 
 def end(goals: Goals, goal_id: str, outcome: Outcome) -> Goals:
@@ -98,12 +98,9 @@ def end(goals: Goals, goal_id: str, outcome: Outcome) -> Goals:
 
 def forgo(goals: Goals, goal_id: str, owner: str) -> Goals:
     """Remember a goal that was cancelled before it came, so that it moves nothing when it does."""
-    return replace(goals, known=_remember(goals.known, forgone(goal_id, owner)))
-
-
-def forgone(goal_id: str, owner: str) -> Goal:
-    """Return a goal that was cancelled before it came: nobody knows its content."""
-    return Goal(goal_id, owner, "", Outcome.CANCELLED)
+    # Nobody knows its content.
+    forgone = Goal(goal_id, owner, "", Outcome.CANCELLED)
+    return replace(goals, known=_remember(goals.known, forgone))
 
 
 def take_back(goals: Goals, goal_id: str) -> Goals:
@@ -114,8 +111,14 @@ def take_back(goals: Goals, goal_id: str) -> Goals:
     return Goals(MappingProxyType(others), running=None)
 
 
+def _is_forgone(goal: Goal) -> bool:
+    return goal.outcome is Outcome.CANCELLED and not goal.digest
+
+
 def _remember(known: Mapping[str, Goal], goal: Goal) -> Mapping[str, Goal]:
     kept = {**known, goal.goal_id: goal}
-    for oldest in list(kept)[: max(0, len(kept) - REMEMBERED_GOALS)]:
+    # Not the one that runs, though many may be cancelled meanwhile that never came.
+    ended = [goal_id for goal_id, one in kept.items() if one.outcome is not None]
+    for oldest in ended[: max(0, len(kept) - REMEMBERED_GOALS)]:
         del kept[oldest]
     return MappingProxyType(kept)

@@ -128,7 +128,7 @@ class Ledger:
     """All that is known, within bounds: the oldest results and goals are let go."""
 
     def __init__(self) -> None:
-        # In the order in which they ended, and then those that run.
+        # Those that have ended in the order in which they did; the one that runs is among them.
         self.goals: OrderedDict[str, LedgerGoal] = OrderedDict()
         self.stop: StopOrder | None = None
         self.owner: Owned | None = None
@@ -147,6 +147,9 @@ class Ledger:
     def says_already(self, record: Record) -> bool:
         """Return whether a record would change nothing, as a second stop does."""
         match record:
+            case Ended():
+                known = self.goals.get(record.goal_id)
+                return known is not None and known.goal.outcome is not None
             case Acknowledged():
                 return not any(goal_id in self._kept for goal_id in record.goal_ids)
             case Stopped():
@@ -228,7 +231,8 @@ class Ledger:
                 break
             results, size_bytes = results - 1, size_bytes - result_bytes
             yield goal_id
-        for goal_id in list(islice(self.goals, max(0, len(self.goals) - REMEMBERED_GOALS))):
+        ended = (key for key, known in self.goals.items() if known.goal.outcome is not None)
+        for goal_id in list(islice(ended, max(0, len(self.goals) - REMEMBERED_GOALS))):
             yield goal_id
             del self.goals[goal_id]
 

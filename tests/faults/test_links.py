@@ -68,7 +68,7 @@ def test_a_result_that_is_lost_on_its_way_is_kept_and_asked_for_again(
             with pytest.raises(NoReplyError, match=r"robot near .* goal g"):
                 answer.result(PATIENCE_S)
             cable.let_through()
-            again = GoalRunner(fleet).result("near", "g")
+            again = GoalRunner(fleet).run("near", "g", SHORT)
             assert again.response.tobytes() == expected.response.tobytes()
     assert len(lab.motions("near")) == 1
 

@@ -167,7 +167,18 @@ def test_a_cancel_ends_a_motion_in_real_time_at_once_and_at_rest(lab: Lab) -> No
         assert len(result.response) < result.plan.samples
     assert min(took_s) < 0.1
     assert refusal(lambda: orchestrator.fleet.cancel("a", "g0")) == "goal-ended"
-    assert refusal(lambda: orchestrator.fleet.cancel("a", "nothing")) == "unknown-goal"
+
+
+def test_a_goal_that_was_cancelled_before_it_came_moves_nothing_when_it_does(lab: Lab) -> None:
+    robot = PuppetRobot()
+    lab.agent("a", robot)
+    orchestrator = lab.orchestrator()
+    for _ in range(2):
+        orchestrator.fleet.cancel("a", "g1")
+    assert refusal(lambda: orchestrator.submit("a", "g1")) == "cancelled"
+    assert refusal(lambda: orchestrator.fleet.result("a", "g1")) == "result-gone"
+    assert orchestrator.run("a", "g2").outcome is Outcome.COMPLETED
+    assert robot.motions == 1
 
 
 def test_a_stop_is_latched_until_a_release(lab: Lab) -> None:
@@ -257,7 +268,7 @@ def test_a_stop_is_answered_while_other_requests_wait_and_the_rest_are_turned_aw
 
     senders = [send(lambda: orchestrator.submit("a", "g"))]
     assert begun.wait(PATIENCE_S)
-    senders += [send(lambda: orchestrator.fleet.cancel("a", "g")) for _ in range(70)]
+    senders += [send(lambda: orchestrator.fleet.result("a", "g")) for _ in range(70)]
     wait_until(lambda: codes.count("overloaded") == 6)
     orchestrator.fleet.stop("a", "smoke")
     orchestrator.state("a", lambda s: s.status is RobotStatus.STOPPED)

@@ -104,7 +104,7 @@ def test_many_kills_in_one_study_change_nothing_of_what_it_comes_to(
     while scene.orchestrator(
         "killed-often",
         algorithm=algorithm,
-        killed_at=int(rng.integers(2, 8)),
+        killed_at=int(rng.integers(2, 6)),
         before_commit=bool(rng.integers(2)),
     ):
         kills += 1

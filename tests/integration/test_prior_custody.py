@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
+
 import numpy as np
 import pytest
 from fleet_lab import Lab, double_integrator
@@ -64,25 +68,23 @@ def test_ctrl_c_in_flight_brings_the_robot_to_rest_before_its_prior_is_put_back(
     fleet = orchestrator.fleet
     install(fleet, "slow", "prior", OWN)
     pilot = Pilot(fleet, "run")
-    # The interrupt of the thread that waits for the flight, as Ctrl-C causes it. The way to the
-    # start takes the first third.
     watch = fleet.watch("slow")
-    wait = watch.wait_until
 
-    def wait_and_interrupt(condition: object, *, timeout_s: float) -> bool:
-        if watch.state is not None and watch.state.progress > 0.4:
-            watch.wait_until = wait  # type: ignore[method-assign]
-            raise KeyboardInterrupt
-        return wait(condition, timeout_s=0.05)  # type: ignore[arg-type]
+    def press_ctrl_c() -> None:
+        # The way to the start takes the first third.
+        orchestrator.state("slow", lambda state: state.progress > 0.4)
+        os.kill(os.getpid(), signal.SIGINT)
 
     def fly() -> None:
         with prior_put_back(fleet, pilot, fleet.describe("slow")):
             install(fleet, "slow", "prior", OTHER)
-            watch.wait_until = wait_and_interrupt  # type: ignore[method-assign]
+            pressing.start()
             pilot.with_prior("slow", PATH, "prior", digest(OTHER), guarded=False)
 
+    pressing = threading.Thread(target=press_ctrl_c)
     with pytest.raises(KeyboardInterrupt):
         fly()
+    pressing.join()
     assert prior_of(fleet, "slow") == digest(OWN)
     state = watch.state
     assert state is not None

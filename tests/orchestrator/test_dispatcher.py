@@ -6,109 +6,27 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pytest
-from kept_study import kept_study
 from polling import wait_until
 from puppet_robot import PuppetRobot
+from round_lab import ROBOTS, STUDY, TEST, Lab, agent_of, start_lab
 
 from orchestrator.attempts import ATTEMPTS, Attempts
 from orchestrator.dispatcher import Dispatcher
-from orchestrator.fleet import Fleet
 from orchestrator.goal_events import Ended
 from orchestrator.goal_runner import GoalRunner, Interrupted
-from orchestrator.outcomes import Failed, Measured, TestOutcome
+from orchestrator.outcomes import Failed, Measured
 from orchestrator.repository.errors import RepositoryError, StaleEpochError
-from orchestrator.repository.records import TrialRecord, TrialStatus
-from orchestrator.repository.study_store import StudyStore
-from orchestrator.resume import OpenTest, round_of
-from orchestrator.study import Question
+from orchestrator.repository.records import TrialStatus
+from orchestrator.resume import OpenTest
 from orchestrator.trial_log import TrialLog
-from robot_agent.agent import Agent
 from shared.arrays import FloatArray
 from shared.errors import RobotError
 from shared.excitation import Excitation, Tone
-from shared.keys import FleetKeys
 from shared.messages import GoalRequest
-from shared.robot_spec import RobotSpec
-from shared.transport import Session, open_client, open_router
-
-KEYS = FleetKeys("lab")
-ROBOTS = ("r1", "r2", "r3")
-STUDY = "run-1"
-TEST = Excitation(axis="x", tones=(Tone(omega_rad_s=20.0),))
-
-
-@dataclass
-class Lab:
-    """A router, three agents and a client, all in this process."""
-
-    endpoint: str
-    robots: dict[str, PuppetRobot]
-    client: Session
-    fleet: Fleet
-    stack: ExitStack
-    studies: StudyStore
-    epoch: int = 1
-    attempts: list[tuple[str, int, str]] = field(default_factory=list)
-
-    @property
-    def epochs(self) -> dict[str, int]:
-        return dict.fromkeys((*ROBOTS, "r9"), self.epoch)
-
-    @property
-    def specs(self) -> dict[str, RobotSpec]:
-        return {name: robot.spec for name, robot in self.robots.items()}
-
-    def log(self) -> TrialLog:
-        return TrialLog(self.studies, STUDY, self.epochs)
-
-    def dispatcher(self) -> Dispatcher:
-        return Dispatcher(
-            self.fleet, self.log(), self.specs, on_attempt_failed=lambda *a: self.attempts.append(a)
-        )
-
-    def run(self, **tests: Excitation) -> dict[str, TestOutcome]:
-        """Have robots play a round, as an orchestrator that was just started does."""
-        return self.dispatcher().run(self.open_tests(**tests))
-
-    def open_tests(self, **tests: Excitation) -> tuple[OpenTest, ...]:
-        """The tests of the only round, as what is stored leaves them."""
-        stored: dict[tuple[int, str], list[TrialRecord]] = {}
-        for trial in self.studies.trials(STUDY):
-            stored.setdefault((1, trial.intent.robot), []).append(trial)
-        return round_of(STUDY, Question(1, tests), stored).tests
-
-    def trials(self) -> list[tuple[str, TrialStatus]]:
-        return [(t.intent.goal_id, t.status) for t in self.studies.trials(STUDY)]
-
-    def next_orchestrator(self, name: str = "orchestrator-next") -> None:
-        """Let another orchestrator take over; the one before is gone, and its token with it."""
-        self.client.close()
-        self.epoch += 1
-        self.client = self.stack.enter_context(open_client(self.endpoint, timeout_s=5.0))
-        self.fleet = Fleet(self.client, KEYS, name)
-        self.fleet.wait_for(ROBOTS, timeout_s=10.0)
-        self.fleet.hold(self.epochs)
-
-
-def start_lab(stack: ExitStack, tmp_path: Path, realtime: float | None) -> Lab:
-    endpoint = f"unixsock-stream/{tmp_path}/r.sock"
-    stack.enter_context(open_router([endpoint]))
-    robots = {name: PuppetRobot() for name in ROBOTS}
-    for name, robot in robots.items():
-        session = stack.enter_context(open_client(endpoint, timeout_s=5.0))
-        stack.enter_context(Agent(session, KEYS, name, robot, realtime=realtime))
-    client = stack.enter_context(open_client(endpoint, timeout_s=5.0))
-    fleet = Fleet(client, KEYS, "orchestrator-test")
-    fleet.wait_for(ROBOTS, timeout_s=10.0)
-    repository = stack.enter_context(kept_study(tmp_path, STUDY, (*ROBOTS, "r9")))
-    lab = Lab(endpoint, robots, client, fleet, stack, repository.studies)
-    fleet.hold(lab.epochs)
-    return lab
 
 
 @pytest.fixture
@@ -228,14 +146,12 @@ def test_an_interrupted_round_leaves_every_robot_at_rest(slow_lab: Lab) -> None:
 
 
 def test_a_robot_that_comes_back_after_its_agent_died_is_tested_again(lab: Lab) -> None:
-    endpoint = lab.endpoint
     began = threading.Event()
     agents: list[ExitStack] = []
 
     def start(robot: PuppetRobot) -> None:
         stack = ExitStack()
-        session = stack.enter_context(open_client(endpoint, timeout_s=5.0))
-        stack.enter_context(Agent(session, KEYS, "r9", robot, realtime=1.0))
+        stack.enter_context(agent_of(lab.endpoint, "r9", robot, realtime=1.0))
         agents.append(stack)
 
     first, second = PuppetRobot(), PuppetRobot()

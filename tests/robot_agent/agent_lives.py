@@ -97,7 +97,8 @@ class Lives:
     """A robot whose agent dies and begins anew; checks at every step what was promised before.
 
     In the model None says that a process died before it was known: either may be so. `known` says
-    of each goal how it ended; one that is there without an end runs.
+    of each goal how it ended; one that is there without an end runs. `forgone` are those that were
+    cancelled before they came.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -108,6 +109,8 @@ class Lives:
         self.known: dict[str, Outcome | None] = {}
         self.perhaps: dict[str, set[Outcome | None]] = {}
         self.acknowledged: set[str] = set()
+        self.forgone: set[str] = set()
+        self.perhaps_forgone: set[str] = set()
         self.lives = 0
         self._begin()
 
@@ -123,7 +126,7 @@ class Lives:
     def restart(self) -> None:
         self.journal.close()  # which writes nothing
         if self.motion is not None:
-            self.perhaps.setdefault(self.motion.goal.goal_id, {Outcome.ABORTED})
+            self.perhaps.setdefault(self.motion.goal.goal_id, {Outcome.LOST})
         self.motion = None
         self._begin()
         assert self.journal.remembrance.damage is None
@@ -140,6 +143,9 @@ class Lives:
             else:
                 self.known[goal_id] = outcome
         self.perhaps.clear()
+        # A cancel that nobody was told of may be on disk.
+        self.forgone |= {g for g in self.perhaps_forgone if self._refusal(g) == "result-gone"}
+        self.perhaps_forgone.clear()
         self.check()
 
     def check(self) -> None:
@@ -150,6 +156,9 @@ class Lives:
                 assert self._refusal(goal_id) in (None, "result-gone")
             elif outcome is not None:
                 assert self._outcome(goal_id) is outcome
+        for goal_id in self.forgone:
+            assert self._refusal(goal_id) == "result-gone"
+            assert self.motions[goal_id] == 0
         state = self.decisions.state()
         assert state.goal_id == (None if self.motion is None else self.motion.goal.goal_id)
         if self.motion is None:
@@ -158,12 +167,17 @@ class Lives:
     # Steps.
 
     def submit(self, goal_id: str) -> None:
-        new = goal_id not in self.known
+        forgone = goal_id in self.forgone
+        new = goal_id not in self.known and not forgone
         if new:
-            self.perhaps[goal_id] = {None, Outcome.ABORTED}
+            self.perhaps[goal_id] = {None, Outcome.LOST}
         request = GoalRequest(goal_id=goal_id, owner="o", motion=EXCITATION)
         answer, motion = self.decisions.take(request)
         self.perhaps.pop(goal_id, None)
+        if forgone:
+            assert isinstance(answer, Refusal)
+            assert (answer.code, motion) == ("cancelled", None)
+            return
         if new and (self.stopped or self.motion is not None):
             assert isinstance(answer, Refusal)
             assert answer.code == ("stopped" if self.stopped else "busy")
@@ -175,6 +189,23 @@ class Lives:
             self.motion = motion
             self.motions[goal_id] += 1
             self.known[goal_id] = None
+
+    def cancel(self, goal_id: str) -> None:
+        new = goal_id not in self.known
+        if new:
+            self.perhaps_forgone.add(goal_id)
+        refusal = self.decisions.cancel(goal_id, Commander("o"))
+        if new:
+            assert refusal is None
+            self.forgone.add(goal_id)
+            self.perhaps_forgone.discard(goal_id)
+        elif self.known[goal_id] is None:
+            assert refusal is None
+            assert self.motion is not None
+            assert self.motion.switch.order is not None
+        else:
+            assert refusal is not None
+            assert refusal.code == "goal-ended"
 
     def stop(self) -> None:
         if not self.stopped:
@@ -199,7 +230,7 @@ class Lives:
         if self.motion is None:
             return
         motion, result = self.motion, result_of(self.motion)
-        self.perhaps[motion.goal.goal_id] = {Outcome.ABORTED, result.outcome}
+        self.perhaps[motion.goal.goal_id] = {Outcome.LOST, result.outcome}
         self.decisions.ended(result, None)
         self.perhaps.clear()
         self.known[motion.goal.goal_id] = result.outcome

@@ -52,6 +52,8 @@ def write(journal: Journal, fact: tuple[Any, ...]) -> None:
             journal.accepted(goal(goal_id), PLAN, "boot-1")
         case ("end", goal_id, outcome):
             journal.ended(result(goal_id, outcome=outcome))
+        case ("forgo", goal_id):
+            journal.forgone(goal_id)
         case ("acknowledge", *goal_ids):
             journal.acknowledged(goal_ids)
         case ("stop", sender):

@@ -89,6 +89,7 @@ class History(RuleBasedStateMachine):
         self.contents: dict[str, int] = {}
         self.ended: dict[str, Outcome] = {}
         self.kept: set[str] = set()
+        self.forgone: set[str] = set()
         self.motions: Counter[str] = Counter()
 
     @rule(owner=st.sampled_from(OWNERS))
@@ -136,6 +137,7 @@ class History(RuleBasedStateMachine):
             assert isinstance(answer, Refusal)
             assert answer.code == expected
         if expected is None and goal_id not in self.contents:
+            assert goal_id not in self.forgone
             assert motion is not None
             assert motion.switch.order is None
             self.motion = motion
@@ -147,6 +149,8 @@ class History(RuleBasedStateMachine):
     def expected_answer(self, goal_id: str, owner: str, content: int) -> str | None:
         if goal_id in self.contents:
             return None if self.contents[goal_id] == content else "goal-id-reused"
+        if goal_id in self.forgone:
+            return "cancelled"
         if self.shutting_down:
             return "shutting-down"
         if self.fault is not None:
@@ -160,9 +164,14 @@ class History(RuleBasedStateMachine):
     @rule(goal_id=st.sampled_from(["a", "b", "c", "d"]))
     def cancel(self, goal_id: str) -> None:
         refusal = self.decisions.cancel(goal_id, Commander("o-1"))
-        running = self.motion is not None and self.motion.goal.goal_id == goal_id
-        assert (refusal is None) == running
-        if self.motion is not None and running:
+        if goal_id in self.ended:
+            assert refusal is not None
+            assert refusal.code == "goal-ended"
+        else:
+            assert refusal is None
+        if goal_id not in self.contents:
+            self.forgone.add(goal_id)
+        elif self.motion is not None and self.motion.goal.goal_id == goal_id:
             assert self.motion.switch.order is not None
 
     @precondition(lambda self: self.motion is not None)
@@ -228,7 +237,7 @@ class History(RuleBasedStateMachine):
             else:
                 assert isinstance(answer, Refusal)
                 running = goal_id in self.contents and goal_id not in self.ended
-                unknown = goal_id not in self.contents
+                unknown = goal_id not in self.contents and goal_id not in self.forgone
                 assert answer.code == (
                     "unknown-goal" if unknown else "not-finished" if running else "result-gone"
                 )

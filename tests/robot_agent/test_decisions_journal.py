@@ -108,7 +108,7 @@ def test_the_robot_is_free_again_though_the_end_of_its_goal_could_not_be_stored(
         for goal_id in ("a", "b"):
             lost = decisions.result(goal_id)
             assert isinstance(lost, GoalResult)
-            assert lost.outcome is Outcome.ABORTED
+            assert lost.outcome is Outcome.LOST
 
 
 def test_a_stop_halts_at_once_while_the_disk_is_stuck_with_a_goal(
@@ -202,8 +202,61 @@ def test_a_goal_that_was_lost_is_said_to_be_at_once(tmp_path: Path) -> None:
         assert state.reason == "the agent before this one ended during a"
         result = decisions.result("a")
         assert isinstance(result, GoalResult)
-        assert (result.outcome, result.plan) == (Outcome.ABORTED, plan)
+        assert (result.outcome, result.plan) == (Outcome.LOST, plan)
         assert result.reason.startswith("lost: the agent process boot ended during it")
+
+
+def test_a_goal_that_was_cancelled_before_it_came_is_refused_over_restarts(tmp_path: Path) -> None:
+    with agent_on(tmp_path) as decisions:
+        assert decisions.cancel("a", Commander("o")) is None
+        assert decisions.state().last_goal_id is None
+    for _ in range(2):
+        with agent_on(tmp_path) as decisions:
+            assert refused(decisions, "a") == "cancelled"
+            assert decisions.cancel("a", Commander("o")) is None
+            result = decisions.result("a")
+            assert isinstance(result, Refusal)
+            assert result.code == "result-gone"
+            assert decisions.state().status is RobotStatus.IDLE
+    with agent_on(tmp_path) as decisions:
+        begun(decisions, "b")
+
+
+def test_a_cancel_that_cannot_be_stored_is_confirmed_by_none_that_follows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with agent_on(tmp_path) as decisions:
+        with monkeypatch.context() as disk:
+            disk.setattr(journal_log, "_write_all", full)
+            for _ in range(2):
+                with pytest.raises(JournalError, match="No space left"):
+                    decisions.cancel("a", Commander("o"))
+            assert refused(decisions, "a") == "cancelled"  # of this process nobody has to fear it
+        assert decisions.cancel("a", Commander("o")) is None
+    with agent_on(tmp_path) as decisions:
+        assert refused(decisions, "a") == "cancelled"
+
+
+def test_a_cancel_that_comes_while_its_goal_is_stored_waits_for_what_becomes_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with agent_on(tmp_path) as decisions:
+        answers: list[Refusal | None] = []
+        cancelling = threading.Thread(
+            target=lambda: answers.append(decisions.cancel("a", Commander("o")))
+        )
+
+        def full_while_it_is_cancelled() -> None:
+            cancelling.start()
+            cancelling.join(0.05)
+            full()
+
+        with monkeypatch.context() as disk:
+            before_each_write(disk, full_while_it_is_cancelled)
+            assert refused(decisions, "a") == "journal"
+        cancelling.join(5.0)
+        assert answers == [None]
+        assert refused(decisions, "a") == "cancelled"
 
 
 def test_a_goal_that_is_known_keeps_its_plan_whatever_the_robot_learns(

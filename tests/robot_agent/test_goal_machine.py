@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_agent import goal_machine
-from robot_agent.goal_machine import Accepted, Goals, cancel, end, recognise, submit
+from robot_agent.goal_machine import Accepted, Goals, cancel, end, forgo, recognise, submit
 from shared.messages import Outcome, Refusal
 
 
@@ -49,6 +49,7 @@ class Run:
     motions: tuple[str, ...] = ()
     digests: tuple[tuple[str, str], ...] = ()
     ended: frozenset[str] = frozenset()
+    forgone: frozenset[str] = frozenset()
 
 
 def after(run: Run, step: Step) -> Run:
@@ -58,15 +59,16 @@ def after(run: Run, step: Step) -> Run:
             return _submitted(run, goal_id, digest, owner)
         case Cancel(goal_id):
             refusal = cancel(run.goals, goal_id)
-            if goal_id not in dict(run.digests):
-                assert refusal is not None
-                assert refusal.code == "unknown-goal"
-            elif goal_id in run.ended:
+            if goal_id in run.ended:
                 assert refusal is not None
                 assert refusal.code == "goal-ended"
-            else:
-                assert refusal is None
-            return run
+                return run
+            assert refusal is None
+            if goal_id in dict(run.digests):
+                return run
+            goals = forgo(run.goals, goal_id, "o")
+            assert goals.running == run.goals.running
+            return replace(run, goals=goals, forgone=run.forgone | {goal_id})
         case End(outcome):
             running = run.goals.running
             if running is None:
@@ -76,15 +78,19 @@ def after(run: Run, step: Step) -> Run:
             goals = end(run.goals, running, outcome)
             assert goals.running is None
             assert goals.known[running].outcome is outcome
-            return Run(goals, run.motions, run.digests, run.ended | {running})
+            return replace(run, goals=goals, ended=run.ended | {running})
 
 
 def _submitted(run: Run, goal_id: str, digest: str, owner: str) -> Run:
     goals, answer = submit(run.goals, goal_id=goal_id, owner=owner, digest=digest)
     known = dict(run.digests).get(goal_id)
-    if known is not None:
+    if known is not None or goal_id in run.forgone:
         assert goals == run.goals  # heard of before: whatever the answer, nothing changes
         assert recognise(run.goals, goal_id=goal_id, digest=digest) == answer
+    if goal_id in run.forgone:
+        assert isinstance(answer, Refusal)
+        assert answer.code == "cancelled"
+        return run
     if known == digest:
         assert isinstance(answer, Accepted)
         assert not answer.new
@@ -103,7 +109,12 @@ def _submitted(run: Run, goal_id: str, digest: str, owner: str) -> Run:
     assert isinstance(answer, Accepted)
     assert answer.new
     assert goals.running == goal_id
-    return Run(goals, (*run.motions, goal_id), (*run.digests, (goal_id, digest)), run.ended)
+    return replace(
+        run,
+        goals=goals,
+        motions=(*run.motions, goal_id),
+        digests=(*run.digests, (goal_id, digest)),
+    )
 
 
 def runs(depth: int, run: Run) -> Iterator[Run]:
@@ -118,6 +129,7 @@ def test_every_sequence_of_five_steps_moves_each_goal_at_most_once_and_one_at_a_
     for run in runs(5, Run()):
         sequences += 1
         assert len(set(run.motions)) == len(run.motions)
+        assert run.forgone.isdisjoint(run.motions)
         unfinished = [goal_id for goal_id in run.motions if goal_id not in run.ended]
         assert unfinished == ([] if run.goals.running is None else [run.goals.running])
     assert sequences == sum(len(STEPS) ** length for length in range(6))
@@ -140,6 +152,7 @@ def test_long_sequences_keep_the_same_promises(steps: list[Step]) -> None:
     for step in steps:
         run = after(run, step)
     assert max(Counter(run.motions).values(), default=0) <= 1
+    assert run.forgone.isdisjoint(run.motions)
 
 
 def test_a_request_sent_a_hundred_times_moves_once() -> None:
@@ -167,3 +180,17 @@ def test_memory_is_bounded_and_the_oldest_goals_are_forgotten_first(
         goals = end(goals, f"g{k}", Outcome.COMPLETED)
     # What ended is no younger for having ended later than another began.
     assert list(goals.known) == ["g7", "g8", "g9"]
+
+
+def test_cancelling_goals_that_never_come_neither_fills_the_memory_nor_ends_the_one_that_runs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(goal_machine, "REMEMBERED_GOALS", 3)
+    goals, _ = submit(Goals(), goal_id="g", owner="o", digest="d")
+    for k in range(10):
+        goals = forgo(goals, f"f{k}", "o")
+        again = recognise(goals, goal_id="g", digest="d")
+        assert isinstance(again, Accepted)
+        assert cancel(goals, "g") is None
+    assert list(goals.known) == ["g", "f8", "f9"]
+    assert end(goals, "g", Outcome.COMPLETED).known["g"].outcome is Outcome.COMPLETED

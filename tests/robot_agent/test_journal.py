@@ -38,6 +38,7 @@ HISTORY: tuple[tuple[Any, ...], ...] = (
     ("acknowledge", "g1"),
     ("release", "bob"),
     ("own", "orchestrator-2", 4),
+    ("forgo", "g4"),
     ("accept", "g3"),
 )
 
@@ -77,7 +78,8 @@ def test_a_new_process_knows_what_the_one_before_was_told(tmp_path: Path) -> Non
         assert outcomes == {
             "g1": Outcome.COMPLETED,
             "g2": Outcome.ABORTED,
-            "g3": Outcome.ABORTED,
+            "g4": Outcome.CANCELLED,
+            "g3": Outcome.LOST,
         }
         kept, sent = journal.result("g2"), result("g2", outcome=Outcome.ABORTED)
         assert kept is not None
@@ -101,11 +103,36 @@ def test_a_goal_in_progress_is_lost_and_never_moves_again_under_its_id(tmp_path:
             lost = journal.result("g1")
             assert lost is not None
             assert (lost.outcome, lost.boot_id, len(lost.response)) == (
-                Outcome.ABORTED,
+                Outcome.LOST,
                 "boot-1",
                 0,
             )
             assert "boot-1" in lost.reason
+
+
+def test_a_goal_that_was_cancelled_before_it_came_moves_nothing_in_any_later_life(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Journal(tmp_path) as journal:
+        journal.forgone("g1")
+    monkeypatch.setattr("robot_agent.journal.COMPACT_ABOVE_BYTES", 100)
+    for _ in range(3):
+        with Journal(tmp_path) as journal:
+            refusal = recognise(journal.remembrance.goals, goal_id="g1", digest=DIGEST)
+            assert isinstance(refusal, Refusal)
+            assert refusal.code == "cancelled"
+            assert (journal.remembrance.lost, journal.result("g1")) == ((), None)
+            journal.owned("orchestrator-1", 3)  # and the log is written anew
+            journal.owned("orchestrator-1", 4)
+
+
+def test_one_that_is_cancelled_again_is_stored_once(tmp_path: Path) -> None:
+    with Journal(tmp_path) as journal:
+        journal.forgone("g1")
+        size_bytes = (tmp_path / LOG).stat().st_size
+        for _ in range(100):
+            journal.forgone("g1")
+        assert (tmp_path / LOG).stat().st_size == size_bytes
 
 
 def test_cut_at_any_byte_the_next_process_knows_exactly_what_was_written_before(
@@ -158,7 +185,7 @@ def test_an_altered_journal_leaves_the_robot_stopped_with_what_can_be_saved(
         assert found.damage is not None
         assert found.stop is not None
         assert (tmp_path / DAMAGED_LOG).read_bytes() == data
-        assert set(found.goals.known) <= {"g1", "g2", "g3"}
+        assert set(found.goals.known) <= {"g1", "g2", "g3", "g4"}
     with Journal(tmp_path) as journal:
         assert journal.remembrance.damage is None
         assert journal.remembrance.stop is not None, "only a release ends it"
@@ -370,7 +397,7 @@ def test_a_flight_in_progress_is_lost_as_a_test_is(tmp_path: Path) -> None:
     with Journal(tmp_path) as journal:
         lost = journal.result("g1")
         assert lost is not None
-        assert (lost.outcome, lost.plan, lost.response.size) == (Outcome.ABORTED, plan, 0)
+        assert (lost.outcome, lost.plan, lost.response.size) == (Outcome.LOST, plan, 0)
 
 
 def test_an_owner_that_is_forgotten_is_unknown_to_the_next_agent_and_all_else_is_kept(

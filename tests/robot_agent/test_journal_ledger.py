@@ -142,6 +142,20 @@ def test_the_oldest_results_are_let_go_beyond_the_bounds() -> None:
     assert ledger.kept == ("big",)
 
 
+def test_a_goal_that_runs_is_not_forgotten_for_those_cancelled_meanwhile(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(journal_ledger, "REMEMBERED_GOALS", 3)
+    ledger = ledger_of([accepted("g1")])
+    for n in range(5):
+        forgone = Ended(goal_id=f"f{n}", outcome=Outcome.CANCELLED, sha256=None, size_bytes=0)
+        ledger.apply(forgone)
+        assert ledger.says_already(forgone)
+        assert [known.goal.goal_id for known in ledger.running] == ["g1"]
+        assert content(ledger_of(ledger.records())) == content(ledger)
+    assert list(ledger.goals) == ["g1", "f3", "f4"]
+
+
 def test_the_oldest_goals_are_forgotten_beyond_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(journal_ledger, "REMEMBERED_GOALS", 3)
     ledger = Ledger()
