@@ -227,7 +227,7 @@ def test_a_cancel_that_cannot_be_stored_is_confirmed_by_none_that_follows(
 ) -> None:
     with agent_on(tmp_path) as decisions:
         with monkeypatch.context() as disk:
-            disk.setattr(journal_log, "_write_all", full)
+            disk.setattr(private_files, "write_all", full)
             for _ in range(2):
                 with pytest.raises(JournalError, match="No space left"):
                     decisions.cancel("a", Commander("o"))
