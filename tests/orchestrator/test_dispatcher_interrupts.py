@@ -22,11 +22,10 @@ from orchestrator.outcomes import Measured
 from orchestrator.repository.records import TrialStatus
 from orchestrator.resume import OpenTest
 from orchestrator.robot_watch import RobotWatch
-from robot_agent.ownership import Commander
 from shared.arrays import FloatArray
 from shared.errors import RefusedError, RobotError
 from shared.excitation import Excitation, Tone
-from shared.messages import GoalRequest, GoalResult, Outcome, Refusal, RobotState
+from shared.messages import GoalRequest, GoalResult, Outcome, RobotState
 from shared.transport import open_client
 
 LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=0.5),))
@@ -55,15 +54,14 @@ class Ear:
 
         monkeypatch.setattr(RobotWatch, "set_state", hear)
 
-    @property
-    def missed(self) -> list[RobotState]:
-        return [state for _, state in self._missed]
+    def has_missed(self, goal_id: str | None) -> bool:
+        return any(state.goal_id == goal_id for _, state in self._missed)
 
-    def catch_up(self) -> None:
-        """Let arrive what was held back, late."""
-        missed, self._missed = self._missed, []
-        for watch, state in missed:
-            self._hear(watch, state)
+    def hear_late(self, goal_id: str | None) -> None:
+        """Let arrive what it said of a goal, or of none, while it was not heard."""
+        for watch, state in self._missed:
+            if state.goal_id == goal_id:
+                self._hear(watch, state)
 
 
 def asked_about(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> threading.Event:
@@ -124,15 +122,15 @@ def test_all_robots_are_cancelled_at_once_though_one_does_not_answer(
     resting = {name: threading.Event() for name in ROBOTS}
     for name, robot in lab.robots.items():
         robot.on_rest = resting[name].set
-    others_rest: list[bool] = []
-    decisions = lab.agents["r1"]._decisions
-    cancel = decisions.cancel
+    all_asked, cancel = threading.Barrier(3), lab.fleet.cancel
 
-    def cancel_late(goal_id: str, sender: Commander) -> Refusal | None:
-        others_rest.append(all(resting[name].wait(PATIENCE_S) for name in ("r2", "r3")))
-        return cancel(goal_id, sender)
+    def cancel_late(robot: str, goal_id: str) -> None:
+        all_asked.wait(PATIENCE_S)  # before any has an answer
+        if robot == "r1":
+            assert all(resting[name].wait(PATIENCE_S) for name in ("r2", "r3"))
+        cancel(robot, goal_id)
 
-    monkeypatch.setattr(decisions, "cancel", cancel_late)
+    monkeypatch.setattr(lab.fleet, "cancel", cancel_late)
     dispatcher = lab.dispatcher()
     with ThreadPoolExecutor(1) as pool:
         running = pool.submit(dispatcher.run, lab.open_tests(r1=LONG, r2=LONG, r3=LONG))
@@ -140,7 +138,7 @@ def test_all_robots_are_cancelled_at_once_though_one_does_not_answer(
         dispatcher.interrupt()
         with pytest.raises(Interrupted):
             running.result(PATIENCE_S)
-    assert others_rest[0]
+    assert not all_asked.broken
     assert all(robot.at_rest for robot in lab.robots.values())
 
 
@@ -211,14 +209,13 @@ def test_a_state_from_before_its_goal_and_silence_after_it_lose_no_robot(
     ear, log = Ear(monkeypatch, "r1"), lab.log()
     asked = asked_about(lab, monkeypatch)
     ear.deaf = True
-    wait_until(lambda: len(ear.missed) >= 1)
+    wait_until(lambda: ear.has_missed(None))
     robot = lab.robots["r1"]
     robot.on_sample = lambda k: setattr(ear, "deaf", k < 160)
     accepted = log.accepted
 
     def stale(test: OpenTest, *rest: Any) -> None:
-        assert all(state.goal_id is None for state in ear.missed[:1])
-        ear.catch_up()
+        ear.hear_late(None)
         accepted(test, *rest)
 
     monkeypatch.setattr(log, "accepted", stale)
