@@ -8,18 +8,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
+from orchestrator.discovery import robots_at
 from orchestrator.fleet import Fleet
 from orchestrator.fleet_processes import FleetProcesses, grouped, private_folder
 from orchestrator.orchestrator_id import new_orchestrator_id
 from shared.drivers import check_settings
 from shared.errors import InvalidInputError, NufleetError, RobotLostError
 from shared.fleet_file import FleetFile, read_fleet_file
-from shared.keys import EVERY_FLEETS_ROBOTS_ALIVE, FleetKeys, fleet_of
+from shared.keys import FleetKeys
 from shared.redaction import without_secrets
-from shared.transport import Session, open_client
+from shared.transport import open_client
 
 CONNECT_TIMEOUT_S = 5.0
-DISCOVERY_TIMEOUT_S = 3.0
 START_TIMEOUT_S = 60.0
 
 
@@ -55,7 +55,7 @@ def running_fleet(
     deadline_s = time.monotonic() + wait_s
     with open_client(endpoint, timeout_s=max(CONNECT_TIMEOUT_S, wait_s)) as session:
         while fleet_name is None:
-            found = fleets_at(session)
+            found = sorted({fleet for fleet, _ in robots_at(session)})
             if len(found) == 1:
                 fleet_name = found[0]
             elif found or time.monotonic() >= deadline_s:
@@ -71,12 +71,6 @@ def running_fleet(
         if wait_s > 0:
             fleet.wait_for(robots, timeout_s=max(0.0, deadline_s - time.monotonic()))
         yield Connection(fleet, fleet_name, fleet.robots())
-
-
-def fleets_at(session: Session) -> tuple[str, ...]:
-    """Return the names of the fleets that have a robot at a router, sorted."""
-    found = session.alive(EVERY_FLEETS_ROBOTS_ALIVE, timeout_s=DISCOVERY_TIMEOUT_S)
-    return tuple(sorted({fleet for key in found if (fleet := fleet_of(key)) is not None}))
 
 
 @contextmanager

@@ -48,6 +48,8 @@ from shared.transport import Session
 
 QUERY_TIMEOUT_S = 3.0
 RESULT_TIMEOUT_S = 20.0
+TELEMETRY_MAX_BYTES = 4 * 2**20
+"""Of one batch: what a simulated robot without a pace plays in a tenth of a second."""
 
 _log = logging.getLogger(__name__)
 R = TypeVar("R", bound=Message)
@@ -120,7 +122,9 @@ class Fleet:
         if not self._telemetry_observers:
             key = self._keys.every_robot("telemetry/motion")
             self._session.subscribe(
-                key, partial(self._on_telemetry, Telemetry, self._telemetry_observers)
+                key,
+                partial(self._on_telemetry, Telemetry, self._telemetry_observers),
+                max_bytes=TELEMETRY_MAX_BYTES,
             )
         self._telemetry_observers.append(observer)
 
@@ -129,7 +133,9 @@ class Fleet:
         if not self._tracking_observers:
             key = self._keys.every_robot("telemetry/tracking")
             self._session.subscribe(
-                key, partial(self._on_telemetry, TrackingTelemetry, self._tracking_observers)
+                key,
+                partial(self._on_telemetry, TrackingTelemetry, self._tracking_observers),
+                max_bytes=TELEMETRY_MAX_BYTES,
             )
         self._tracking_observers.append(observer)
 

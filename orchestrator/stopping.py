@@ -9,6 +9,7 @@ import logging
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
+from orchestrator.discovery import robots_at
 from orchestrator.orchestrator_id import new_orchestrator_id
 from shared.errors import InvalidInputError, NufleetError, RobotLostError
 from shared.frame import stop_frame
@@ -55,12 +56,17 @@ def stop_at_router(
     sender = new_orchestrator_id()
     order = stop_frame(sender, reason)
     keys = _keys(robots, fleet_name)
-    # On a session of its own: the router may hold up its link for a robot that does not read.
     with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as telling:
         for key in keys:
             telling.put_urgent(key, order)
+        # On another session: the router may hold up the first for a robot that does not read.
         with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as asking:
-            return _all_confirm(asking, sender, robots, reason, fleet_name, on_answer)
+            there = robots_at(asking)
+            for fleet, robot in there:
+                if fleet_name in (None, fleet) and (robots is None or robot in robots):
+                    asking.put_urgent(FleetKeys(fleet).robot(robot, "stop"), order)
+            fleets = tuple(sorted({fleet for fleet, _ in there}))
+            return _all_confirm(asking, fleets, sender, robots, reason, fleet_name, on_answer)
 
 
 def stop_robots(fleet: Fleet, robots: tuple[str, ...], reason: str) -> dict[str, str]:
@@ -98,16 +104,15 @@ class _Target(NamedTuple):
 
 def _all_confirm(
     session: Session,
+    there: tuple[str, ...],
     sender: str,
     robots: tuple[str, ...] | None,
     reason: str,
     fleet_name: str | None,
     on_answer: OnAnswer,
 ) -> bool:
-    from orchestrator.connection import fleets_at
     from orchestrator.fleet import Fleet
 
-    there = fleets_at(session)
     names = there if fleet_name is None else (fleet_name,)
     fleets = {name: Fleet(session, FleetKeys(name), sender) for name in names}
     asked: set[_Target] = set()

@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 
 from robot_agent.decisions import Decisions
-from robot_agent.endpoint import MAX_LARGE_REQUEST_BYTES, Answer, Endpoint
+from robot_agent.endpoint import MAX_LARGE_REQUEST_BYTES, MAX_REQUEST_BYTES, Answer, Endpoint
 from robot_agent.experience_service import ExperienceService
 from robot_agent.freezes import Freezes
 from robot_agent.heartbeat import Heartbeat
@@ -47,7 +47,7 @@ from shared.messages import (
     ResultRequest,
     RobotState,
 )
-from shared.transport import Session
+from shared.transport import MAX_STATE_BYTES, Session
 
 OWNER_PATIENCE_S = 1.0
 """How long a goal waits for news of its owner's liveliness token, which may be on its way."""
@@ -150,13 +150,16 @@ class Agent:
     def _join(self, opened: ExitStack) -> None:
         """Open everything in the order in which it is needed; it is closed in the opposite one."""
         session, keys, name, decisions = self._session, self._keys, self._name, self._decisions
-        opened.callback(session.subscribe(keys.robot(name, "state"), self._rivals.heard).withdraw)
+        heard = self._rivals.heard
+        state_key = keys.robot(name, "state")
+        opened.callback(session.subscribe(state_key, heard, max_bytes=MAX_STATE_BYTES).withdraw)
         states = session.state_publisher(keys.robot(name, "state"))
         opened.callback(Heartbeat(name, states, self._state, self._changed).close)
         stops = StopService(name, decisions)
         opened.callback(stops.close)
         for stop_key in (keys.robot(name, "stop"), keys.stop):
-            opened.callback(session.subscribe(stop_key, stops.heard).withdraw)
+            stop = session.subscribe(stop_key, stops.heard, max_bytes=MAX_REQUEST_BYTES)
+            opened.callback(stop.withdraw)
         everyone = keys.every_orchestrator_alive
         opened.callback(session.watch_alive(everyone, self._on_orchestrator).withdraw)
         samples = session.telemetry_publisher(keys.robot(name, "telemetry/motion"))

@@ -27,6 +27,8 @@ MAX_LARGE_REQUEST_BYTES = 8 * 2**20
 """Of a request that carries a path or an experience."""
 
 MAX_WAITING_REQUESTS = 64
+MAX_WAITING_BYTES = 2 * MAX_LARGE_REQUEST_BYTES
+"""Of all requests that wait, together."""
 
 Answer = Message | Future[Message]
 Handler = Callable[[bytes], Answer]
@@ -67,6 +69,7 @@ class Endpoint:
         self._large = frozenset(large)
         self._lock = threading.Lock()
         self._closed = False
+        self._waiting_bytes = 0
         self._waiting: queue.Queue[Request | None] = queue.Queue(MAX_WAITING_REQUESTS)
         self._worker = threading.Thread(target=self._work, name=f"{robot}-requests", daemon=True)
         self._worker.start()
@@ -108,14 +111,18 @@ class Endpoint:
         with self._lock:
             if self._closed:
                 return SHUTTING_DOWN
-            try:
-                self._waiting.put_nowait(request)
-            except queue.Full:
+            size_bytes = request.size_bytes
+            too_long = self._waiting_bytes + size_bytes > MAX_WAITING_BYTES
+            if too_long or self._waiting.full():
                 return Refusal(code="overloaded", reason="too many requests wait here")
+            self._waiting_bytes += size_bytes
+            self._waiting.put_nowait(request)
         return None
 
     def _work(self) -> None:
         while (request := self._waiting.get()) is not None:
+            with self._lock:
+                self._waiting_bytes -= request.size_bytes
             handler = self._handlers[request.key.removeprefix(self._prefix)]
             _reply(request, partial(handler, request.payload))
 

@@ -26,10 +26,11 @@ from shared.errors import MalformedMessageError, ProtocolVersionError
 from shared.frame import LENGTHS, MAGIC, PREFIX_BYTES, PROTOCOL_VERSION, framed
 from shared.strict import Strict, describe_validation
 
-MAX_MESSAGE_BYTES = 64 * 2**20
-"""Default cap on one frame; a test of ten minutes at 100 Hz on one axis is about 1 MB."""
+MAX_MESSAGE_BYTES = 15 * 2**20
+"""Default cap on one frame, below what sessions and routers let through; a test of ten minutes at
+100 Hz on one axis is about 1 MB."""
 
-MAX_BODY_BYTES = 4 * 2**20
+MAX_BODY_BYTES = 2**20
 """Cap on the JSON of one frame: parsed it takes many times its length. Bulk travels as arrays."""
 
 _MAX_HEADER_BYTES = 4096

@@ -42,11 +42,28 @@ PRESENCE_SETTLED_S = 1.0
 LEASE_MS = 2000
 """A silent session is given up after this long: what a partition costs to be noticed."""
 
+FULL_LINK_WAIT_US = 250_000
+"""How long a router waits for a link that takes nothing before it closes it.
+
+Meanwhile everything else of the same sender waits too, a stop of other robots among it. Zenoh's own
+choice is 5 s, which lets 4 MB through a link of 20 Mbit/s; this one (measured) 1 MB through one of
+10 Mbit/s.
+"""
+
+MAX_MESSAGE_BYTES = 16 * 2**20
+"""What a session takes at most, whatever it is: a board of 1 GB must survive whoever sends more."""
+
+MAX_STATE_BYTES = 64 * 1024
+"""What a subscriber to states takes at most; they are a few kilobytes at their longest."""
+
 PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream")
 """What an endpoint may begin with."""
 
 LONGEST_TRY_S = 3.0
 """How long one attempt to reach a router lasts at most: Zenoh cannot be interrupted meanwhile."""
+
+OnSample = Callable[[str, bytes], None]
+"""Takes the key that something was put on, and what."""
 
 _log = logging.getLogger(__name__)
 _ANSWER = zenoh.Encoding.APPLICATION_OCTET_STREAM
@@ -219,24 +236,31 @@ class Session:
 
         return self._declared(key, declare)
 
-    def subscribe_state(self, key_expr: str, handler: Callable[[str, bytes], None]) -> Declaration:
-        """Receive states, the last one of each publisher first."""
+    def subscribe_state(self, key_expr: str, handler: OnSample) -> Declaration:
+        """Receive states, the last one of each publisher first; as `subscribe` otherwise."""
 
         def declare() -> Declaration:
             history = HistoryConfig(detect_late_publishers=True, max_samples=1)
             return Declaration(
                 declare_advanced_subscriber(
-                    self._session, key_expr, _on_sample(handler), history=history
+                    self._session,
+                    key_expr,
+                    _on_sample(handler, MAX_STATE_BYTES),
+                    history=history,
                 )
             )
 
         return self._declared(key_expr, declare)
 
-    def subscribe(self, key_expr: str, handler: Callable[[str, bytes], None]) -> Declaration:
-        """Receive what is put on a key expression from now on."""
+    def subscribe(self, key_expr: str, handler: OnSample, *, max_bytes: int) -> Declaration:
+        """Receive what is put on a key expression from now on.
+
+        What is longer than `max_bytes` is not copied: the handler gets an empty payload in its
+        place, which is no message either, but says that somebody put something there.
+        """
+        on_sample = _on_sample(handler, max_bytes)
         return self._declared(
-            key_expr,
-            lambda: Declaration(self._session.declare_subscriber(key_expr, _on_sample(handler))),
+            key_expr, lambda: Declaration(self._session.declare_subscriber(key_expr, on_sample))
         )
 
     def declare_alive(self, key: str) -> Declaration:
@@ -307,6 +331,8 @@ def open_router(listen: list[str], *, connect: list[str] | None = None) -> Itera
     _insert_endpoints(config, "listen", listen)
     _insert_endpoints(config, "connect", connect or [])
     config.insert_json5("adminspace/enabled", "true")
+    waits = "transport/link/tx/queue/congestion_control/block/wait_before_close"
+    config.insert_json5(waits, str(FULL_LINK_WAIT_US))
     with _opened_router(config, ", ".join(listen)) as opened:
         yield opened
 
@@ -397,16 +423,28 @@ def _reach(
                 ) from error
 
 
-def _on_sample(handler: Callable[[str, bytes], None]) -> Callable[[zenoh.Sample], None]:
-    return lambda sample: handler(str(sample.key_expr), sample.payload.to_bytes())
+def _on_sample(handler: OnSample, max_bytes: int) -> Callable[[zenoh.Sample], None]:
+    def on_sample(sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        handler(key, _bounded(sample.payload, max_bytes, f"put on {key!r}"))
+
+    return on_sample
+
+
+def _bounded(payload: zenoh.ZBytes, max_bytes: int, what: str) -> bytes:
+    """Return a copy of a payload; nothing, and no copy, of one that is too long."""
+    if len(payload) > max_bytes:
+        _log.warning("%d bytes were %s; at most %d are taken", len(payload), what, max_bytes)
+        return b""
+    return payload.to_bytes()
 
 
 def _said(reply: zenoh.Reply) -> bytes | None:
     """Return what a handler answered; None for Zenoh's own words, such as a timeout's."""
     if reply.ok is not None:
-        return reply.ok.payload.to_bytes()
+        return _bounded(reply.ok.payload, MAX_MESSAGE_BYTES, "answered")
     if reply.err is not None and reply.err.encoding == _ANSWER:
-        return reply.err.payload.to_bytes()
+        return _bounded(reply.err.payload, MAX_MESSAGE_BYTES, "answered")
     return None
 
 
@@ -436,7 +474,7 @@ def _base_config(mode: str) -> zenoh.Config:
         "transport/shared_memory/enabled": "false",
         "transport/link/tx/lease": str(LEASE_MS),
         "transport/link/tx/keep_alive": "4",
-        "transport/link/rx/max_message_size": str(128 * 2**20),
+        "transport/link/rx/max_message_size": str(MAX_MESSAGE_BYTES),
     }.items():
         config.insert_json5(key, value)
     return config

@@ -10,9 +10,15 @@ from polling import wait_until
 
 from orchestrator.fleet_processes import GRACE_S
 from robot_agent.watched_robot import SLOW_CALL_MAX_S
+from shared import codec
 from shared.command_line import command_line
 from shared.fleet_file import read_fleet_file
-from shared.transport import open_client, open_configured_router
+from shared.transport import (
+    FULL_LINK_WAIT_US,
+    MAX_MESSAGE_BYTES,
+    open_client,
+    open_configured_router,
+)
 
 DEPLOY = Path(__file__).parents[1] / "deploy"
 UNITS = sorted(DEPLOY.glob("systemd/*.service"))
@@ -37,6 +43,14 @@ def test_the_router_configuration_opens_a_router_that_clients_reach(tmp_path: Pa
                     == ["nufleet/lab/robot/r1/alive"]
                 )
             )
+
+
+def test_the_shipped_router_waits_for_and_takes_as_much_as_our_own() -> None:
+    shipped = (DEPLOY / "zenoh" / "router.json5").read_text()
+    assert f"block: {{ wait_before_close: {FULL_LINK_WAIT_US} }}" in shipped
+    assert f"max_message_size: {MAX_MESSAGE_BYTES} }}" in shipped
+    # What `encode` refuses is not lost without a word on its way.
+    assert codec.MAX_MESSAGE_BYTES + 2**16 < MAX_MESSAGE_BYTES
 
 
 @pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.name)

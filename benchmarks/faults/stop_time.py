@@ -19,6 +19,8 @@ from shared.excitation import Excitation, Tone
 from shared.messages import GoalRequest
 
 STOP_MAX_S = 0.02
+COMMAND_MAX_S = 0.6
+COMMANDS = 10
 PROCESSES = 4
 LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=600.0)
 
@@ -40,6 +42,10 @@ def figures(robots: int, rounds: int) -> list[Figure]:
             alone += [_stopped_s(lab, fleet, name) for name in names]
             _all_move(lab, fleet, names, f"together-{number}")
             together.append(_all_stopped_s(lab, fleet, names))
+        typed = []
+        for number in range(COMMANDS):
+            _all_move(lab, fleet, names, f"typed-{number}")
+            typed.append(_stopped_by_command_s(lab, names))
     return [
         Figure(
             f"a stop is with its robot after, {robots} moving (p99)",
@@ -59,6 +65,13 @@ def figures(robots: int, rounds: int) -> list[Figure]:
             "s",
             None,
             {"median": f"{1e3 * float(np.median(together)):.2f} ms", "stops": len(together)},
+        ),
+        Figure(
+            f"from Enter behind `nufleet stop --all` to the last of {robots} (median)",
+            float(np.median(typed)),
+            "s",
+            COMMAND_MAX_S,
+            {"worst": f"{max(typed):.2f} s", "commands": len(typed)},
         ),
     ]
 
@@ -85,6 +98,15 @@ def _all_stopped_s(lab: Lab, fleet: Fleet, names: tuple[str, ...]) -> float:
     slowest_s = max(_told_s(lab, name, began_s) for name in names)
     if stop_robots(fleet, names, "measuring"):
         raise AssertionError("a robot did not confirm its stop")
+    return slowest_s
+
+
+def _stopped_by_command_s(lab: Lab, names: tuple[str, ...]) -> float:
+    began_s = time.monotonic()
+    stop = lab.command("stop", "--all", "--connect", lab.endpoint)
+    slowest_s = max(_told_s(lab, name, began_s) for name in names)
+    if stop.wait() != 0:
+        raise AssertionError(f"a robot did not confirm its stop: {stop.said}")
     return slowest_s
 
 

@@ -76,6 +76,25 @@ def test_a_stop_that_does_not_arrive_is_shouted(lab: Lab, agent: Program) -> Non
     assert stop_robots(fleet, ROBOTS, "smoke") == {}
 
 
+def test_a_frozen_agent_delays_neither_the_stop_nor_the_answer_of_another(lab: Lab) -> None:
+    lab.describe_section_v(dict.fromkeys(ROBOTS, 0.9))
+    lab.router()
+    frozen = lab.agent("c", realtime=1.0)
+    lab.agent("a", "b", realtime=1.0)
+    submit_to_all(lab, "g")
+    frozen.freeze()
+    try:
+        stop = lab.command("stop", *ROBOTS, "--connect", lab.endpoint)
+        for robot in ("a", "b"):
+            stop.wait_for(f"{robot} is stopped")
+            assert lab.motions(robot)[0].ended_s is not None
+        assert "c DID NOT CONFIRM" not in stop.said
+        assert stop.wait() == 1
+        assert "c DID NOT CONFIRM ITS STOP" in stop.said
+    finally:
+        frozen.thaw()
+
+
 def test_a_stop_reaches_robots_whose_orchestrator_was_killed(lab: Lab, agent: Program) -> None:
     fleet = lab.orchestrator(*ROBOTS, name="watcher")
     owner = lab.owner("a", "first", 1, connect=lab.endpoint)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+import tracemalloc
 
 import pytest
 from fleet_lab import KEYS, Lab, Orchestrator
@@ -187,6 +188,25 @@ def test_a_garbled_stop_stops(
     key = KEYS.stop if everyone else KEYS.robot("a", "stop")
     orchestrator.session.put_urgent(key, MALFORMED[kind])
     orchestrator.state("a", lambda s: s.status is RobotStatus.STOPPED)
+    assert_well(orchestrator, robot, "g")
+
+
+def test_puts_of_many_megabytes_cost_an_agent_no_memory_and_a_stop_among_them_stops(
+    orchestrator: Orchestrator, robot: PuppetRobot, lab: Lab
+) -> None:
+    stranger = lab.session()
+    long = bytes(8 * 2**20)
+    tracemalloc.start()
+    try:
+        for _ in range(6):
+            stranger.put_urgent(KEYS.robot("a", "state"), long)
+            stranger.put_urgent(KEYS.robot("a", "stop"), long)
+        orchestrator.state("a", lambda s: s.status is RobotStatus.STOPPED)
+        # Whoever reads what follows has read what came before it.
+        asked(orchestrator.session, "describe", encode(DescribeRequest()))
+        assert tracemalloc.get_traced_memory()[1] < 4 * 2**20
+    finally:
+        tracemalloc.stop()
     assert_well(orchestrator, robot, "g")
 
 

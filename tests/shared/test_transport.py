@@ -7,6 +7,7 @@ import queue
 import signal
 import threading
 import time
+import tracemalloc
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -14,6 +15,7 @@ from pathlib import Path
 import pytest
 from polling import PATIENCE_S, wait_until
 
+from shared import transport
 from shared.errors import (
     EndpointInUseError,
     InvalidInputError,
@@ -246,6 +248,40 @@ def test_a_publisher_that_appears_later_is_heard_too(clients: Callable[[], Sessi
     assert heard.get(timeout=PATIENCE_S) == b"hello"
 
 
+def test_what_is_too_long_is_told_of_without_a_copy_of_it(
+    clients: Callable[[], Session], caplog: pytest.LogCaptureFixture
+) -> None:
+    heard: queue.Queue[bytes] = queue.Queue()
+    listener, sender = clients(), clients()
+    listener.subscribe("lab/stop", lambda _key, payload: heard.put(payload), max_bytes=64)
+    listener.subscribe_state("lab/state", lambda _key, payload: heard.put(payload))
+    sender.declare_alive("ready")
+    wait_until(lambda: bool(listener.alive("ready", timeout_s=PATIENCE_S)))
+    long, most = bytes(8 * 2**20), bytes(64)
+    tracemalloc.start()
+    try:
+        for key in ("lab/stop", "lab/state"):
+            for _ in range(6):
+                sender.put_urgent(key, long)
+                assert heard.get(timeout=PATIENCE_S) == b""
+            sender.put_urgent(key, most)
+            assert heard.get(timeout=PATIENCE_S) == most
+        assert tracemalloc.get_traced_memory()[1] < 2**20
+    finally:
+        tracemalloc.stop()
+    assert "8388608 bytes were put on 'lab/stop'; at most 64 are taken" in caplog.text
+
+
+def test_an_answer_that_is_too_long_is_not_copied(
+    clients: Callable[[], Session], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server, asker = clients(), clients()
+    server.serve("long", lambda request: request.answer(bytes(4 * 2**20)))
+    served(asker, "long")
+    monkeypatch.setattr(transport, "MAX_MESSAGE_BYTES", 2**20)
+    assert asker.ask_all("long", b"", timeout_s=PATIENCE_S) == [b""]
+
+
 def test_a_token_is_seen_to_appear_and_to_disappear(clients: Callable[[], Session]) -> None:
     early, other = clients(), clients()
     seen: queue.Queue[tuple[str, bool]] = queue.Queue()
@@ -285,7 +321,7 @@ def test_a_withdrawn_handler_hears_no_more(clients: Callable[[], Session]) -> No
 def test_an_urgent_message_arrives(clients: Callable[[], Session]) -> None:
     listener, sender = clients(), clients()
     heard: queue.Queue[tuple[str, bytes]] = queue.Queue()
-    listener.subscribe("lab/stop", lambda key, payload: heard.put((key, payload)))
+    listener.subscribe("lab/stop", lambda key, payload: heard.put((key, payload)), max_bytes=100)
 
     def sent() -> bool:
         sender.put_urgent("lab/stop", b"now")
@@ -319,7 +355,7 @@ def test_closing_while_a_handler_runs_neither_waits_nor_hangs(
             request.answer(b"late")
         ended.put("query")
 
-    server.subscribe("slow", on_sample)
+    server.subscribe("slow", on_sample, max_bytes=100)
     server.serve("slow", on_query)
 
     def ask() -> None:
@@ -453,7 +489,7 @@ def test_sessions_that_come_and_go_leave_nothing(router: Session, endpoint: str)
     def come_and_go() -> None:
         with open_client(endpoint, timeout_s=PATIENCE_S) as session:
             session.serve("k/**", echo)
-            session.subscribe("k", lambda _key, _payload: None)
+            session.subscribe("k", lambda _key, _payload: None, max_bytes=100)
             session.subscribe_state("s", lambda _key, _payload: None)
             session.watch_alive("a", lambda _key, _alive: None)
             session.state_publisher("p").put(b"")
