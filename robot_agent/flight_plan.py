@@ -29,7 +29,7 @@ def plan_flight(
 
     Raises:
         RefusedError: with code `unknown-axis`, `no-tracking`, `trajectory`, `duration`, `layout`,
-            `no-prior`, `other-prior`, `misfit` or `no-baseline`.
+            `baseline`, `no-prior`, `other-prior`, `misfit` or `no-baseline`.
     """
     match motion:
         case StepTest(axis=axis):
@@ -41,7 +41,10 @@ def plan_flight(
         case RichFlight():
             _tracking_limits(spec, robot)
             nobody = np.random.default_rng(motion.seed)
-            samples = before = len(rich_references(spec, motion.duration_s, nobody))
+            try:
+                samples = before = len(rich_references(spec, motion.duration_s, nobody))
+            except InvalidInputError as error:
+                raise RefusedError("baseline", str(error), robot) from error
         case Tracking():
             limits = _tracking_limits(spec, robot)
             _check_path(motion, spec, limits, robot)

@@ -152,6 +152,13 @@ def test_a_flight_longer_than_the_robot_accepts_is_refused(motion: Flight) -> No
     assert planned(motion, enough).duration_s == needed_s
 
 
+def test_a_rich_flight_whose_baseline_could_not_be_learned_is_refused_before_it_is_flown() -> None:
+    spec = SPEC.model_copy(update={"sample_time_s": 0.001, "settling_time_s": 120.0})
+    code, reason = refused(RichFlight(duration_s=60.0, seed=0), spec)
+    assert code == "baseline"
+    assert "shorter settling time" in reason
+
+
 def test_a_flight_with_a_prior_needs_that_prior() -> None:
     code, reason = refused(with_prior())
     assert (code, "nufleet transfer" in reason) == ("no-prior", True)

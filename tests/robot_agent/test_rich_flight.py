@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from robots_that_learn import LIMITS, LaggedRobot
 
+from robot_agent.baseline_model import samples_needed
 from robot_agent.rich_flight import STEPS_UP, fly_record, rich_references, step_references
 from shared.errors import RobotError
+from shared.trajectories import speeds_and_accelerations
 
 
 @settings(max_examples=20, deadline=None)
@@ -27,6 +29,38 @@ def test_references_keep_to_every_limit_and_reach_one(seed: int) -> None:
     assert max(largest) <= 1.02
     assert max(largest) >= 0.99
     np.testing.assert_allclose(references[[0, -1]], 0.0, atol=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.sampled_from([(0.01, 0.3), (0.001, 0.02), (0.1, 1.0), (0.5, 5.0), (10.0, 30.0)]),
+    st.sampled_from([0.02, 0.1, 1.0]),
+    st.sampled_from([0.0, 0.3, 5.0]),
+    st.integers(0, 1000),
+)
+def test_references_stay_in_the_band_of_a_robot_of_any_speed(
+    band_rad_s: tuple[float, float], sample_time_s: float, settling_time_s: float, seed: int
+) -> None:
+    lowest, highest = band_rad_s
+    assume(highest < np.pi / sample_time_s)
+    spec = LaggedRobot().spec.model_copy(
+        update={
+            "omega_min_rad_s": lowest,
+            "omega_max_rad_s": highest,
+            "sample_time_s": sample_time_s,
+            "settling_time_s": settling_time_s,
+        }
+    )
+    references = rich_references(spec, 60.0, np.random.default_rng(seed))
+    speeds, accelerations = speeds_and_accelerations(references, sample_time_s)
+    assert np.abs(references).max() <= (1 + 1e-9) * LIMITS.position_max
+    assert speeds.max() <= (1 + 1e-9) * LIMITS.speed_max
+    assert accelerations.max() <= (1 + 1e-9) * LIMITS.acceleration_max
+    power = (np.abs(np.fft.rfft(references, axis=0)) ** 2).sum(axis=1)
+    omega_rad_s = 2 * np.pi * np.fft.rfftfreq(len(references), sample_time_s)
+    assert power[omega_rad_s > highest].sum() < 0.05 * power.sum()
+    # The baseline is always learned from it.
+    assert len(references) >= samples_needed(sample_time_s, settling_time_s)
 
 
 def test_the_same_generator_gives_the_same_references() -> None:

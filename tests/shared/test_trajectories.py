@@ -128,6 +128,6 @@ def test_a_trajectory_that_begins_or_ends_in_full_motion_is_refused() -> None:
     from_rest = travel(np.array([[0.0], [1.4]]), 0.95, 2.0, STEP_S)
     fastest = int(np.argmax(np.diff(from_rest[:, 0])))
     for path in (line, line[:2], from_rest[fastest:], from_rest[: fastest + 1]):
-        with pytest.raises(InvalidInputError, match="acceleration is .* begin and end at rest"):
+        with pytest.raises(InvalidInputError, match=r"acceleration is .* begin and end at rest"):
             check_trajectory(path, STEP_S, LIMITS)
     check_trajectory(from_rest, STEP_S, LIMITS)
