@@ -37,6 +37,7 @@ def plan_flight(
             if axis not in columns:
                 reason = f"no axis {axis!r}; there are {', '.join(columns)}"
                 raise RefusedError("unknown-axis", reason, robot)
+            _tracking_limits(spec, robot)
             samples = before = len(step_references(spec, columns.index(axis)))
         case RichFlight():
             _tracking_limits(spec, robot)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_agent.baseline_model import samples_needed
+from robot_agent.excitation import HEADROOM
 from robot_agent.robot import Robot
 from shared.arrays import FloatArray
 from shared.errors import RobotError
@@ -20,7 +21,8 @@ _PIECE_SAMPLES_MIN = 16
 _PIECES_MIN = 4  # one of each band
 _OMEGA_MAX_RAD_S = 6.0  # drawings hold nothing faster
 _TONES = 8
-STEPS_UP = 20
+STEPS_UP_MIN, _STEPS_UP_MAX = 10, 20
+_STEPS_S = 100.0  # more than the fewest steps only as far as they fit into that time
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,13 +120,29 @@ def fly_record(robot: Robot, references: FloatArray) -> FlightRecord:
 
 
 def step_references(spec: RobotSpec, column: int) -> FloatArray:
-    """Return steps up and down on one axis, shape (samples, axes).
+    """Return steps up and down on one axis, shape (samples, axes), from rest to rest.
 
-    Twenty of each, as high as the axis may move in one sample.
+    Ten to twenty of each, half of them followed by one the same way and half by one back: what is
+    left of one step then leaves no trace in the mean of the next. A step accelerates half of the
+    way and brakes the other half, as hard as the axis's limits allow; noise hides the answer to
+    smaller ones. Like every amplitude that a robot chooses itself it leaves a margin to the limits.
     """
-    axis = spec.axes[column]
-    wait = max(4, math.ceil(max(spec.settling_time_s, 0.5) / 2 / spec.sample_time_s))
-    height = min(axis.velocity_max * spec.sample_time_s, axis.amplitude_max)
-    references = np.zeros(((2 * STEPS_UP + 1) * wait, len(spec.axes)))
-    references[:, column] = np.repeat(np.arange(2 * STEPS_UP + 1) % 2 * height, wait)
+    axis, step_s = spec.axes[column], spec.sample_time_s
+    settle_s = max(spec.settling_time_s, 0.5)
+    hold = max(4, math.ceil(settle_s / step_s))
+    amplitude, velocity, acceleration = (
+        HEADROOM * most for most in (axis.amplitude_max, axis.velocity_max, axis.acceleration_max)
+    )
+    longest_s = min(settle_s / 4, velocity / acceleration, math.sqrt(amplitude / acceleration))
+    half = max(1, math.floor(longest_s / step_s))
+    # Even a single sample of the largest acceleration may be beyond the other limits.
+    acceleration = min(acceleration, velocity / (half * step_s), amplitude / (half * step_s) ** 2)
+    velocities = acceleration * step_s * np.cumsum(np.repeat([1.0, -1.0], half))
+    rise = np.pad(np.cumsum(velocities) * step_s, (0, hold), mode="edge")
+    height = rise[-1]
+    fours = int(_STEPS_S / (4 * len(rise) * step_s))
+    fours = min(max(fours, STEPS_UP_MIN // 2), _STEPS_UP_MAX // 2)
+    column_references = np.concatenate([rise, height - rise, -rise, rise - height] * fours)
+    references = np.zeros((hold + len(column_references), len(spec.axes)))
+    references[hold:, column] = column_references
     return references
