@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
-from scipy.signal import lfilter
+from scipy.signal import oaconvolve
 
 from shared.arrays import FloatArray
 from shared.errors import InvalidInputError
 from shared.strict import NonNegative, Strict
 
-_FINE_S = 0.3  # up to this lag every tap is its own, two samples wide; then they widen
+_FINE_S = 0.3  # up to this lag the taps are equally wide; then they widen
+_FINE_TAPS = 40  # at most, and none narrower than two samples
 _WIDENING = 1.25
+_LAGS_MAX = 100_000
+_SAMPLES_PER_TAP = 10
+_BLOCK_SAMPLES = 4096  # of the rows of the least-squares problem that are in memory at a time
 
 
 class BaselineModel(Strict):
@@ -23,13 +29,14 @@ class BaselineModel(Strict):
     record, measurement noise included.
     """
 
-    error_response: Annotated[tuple[float, ...], Field(min_length=1, max_length=100_000)]
+    error_response: Annotated[tuple[float, ...], Field(min_length=1, max_length=_LAGS_MAX)]
     residual_std: NonNegative
 
     def error(self, reference: FloatArray) -> FloatArray:
         """Return u − y for a reference (samples,) that starts from rest."""
         change = np.diff(reference, prepend=reference[0])
-        return np.asarray(lfilter(self.error_response, [1.0], change))
+        response = np.array(self.error_response[: len(change)])
+        return np.asarray(oaconvolve(change, response)[: len(change)])
 
 
 def needed_correction(model: BaselineModel, desired: FloatArray) -> FloatArray:
@@ -55,39 +62,77 @@ def identify_baseline(
         memory_s: how long the robot remembers a step, its settling time.
 
     Raises:
-        InvalidInputError: fewer samples than the fit needs, or numbers that are not finite.
+        InvalidInputError: fewer samples than the fit needs, numbers that are not finite, or a
+            response of more samples than a model holds.
     """
     edges = _edges(sample_time_s, memory_s)
-    matrix = np.concatenate([_columns(reference, edges) for reference, _ in records])
-    error = np.concatenate([reference - output for reference, output in records])
-    if len(error) < 10 * (len(edges) - 1) or not np.isfinite(error).all():
+    taps = len(edges) - 1
+    samples = sum(len(reference) for reference, _ in records)
+    finite = all(np.isfinite(signal).all() for record in records for signal in record)
+    if samples < _SAMPLES_PER_TAP * taps or not finite:
         raise InvalidInputError(
-            f"{len(error)} samples are too few for a model with {len(edges) - 1} taps, "
+            f"{samples} samples are too few for a model with {taps} taps, "
             "or hold a number that is not finite"
         )
-    scale = float(np.sqrt(np.mean(matrix**2)))
-    normal = matrix.T @ matrix + 1e-4 * scale**2 * len(error) * _roughness(len(edges) - 1)
-    taps = np.linalg.lstsq(normal, matrix.T @ error, rcond=None)[0]
-    residual = error - matrix @ taps
+    normal, right = np.zeros((taps, taps)), np.zeros(taps)
+    for columns, error in _blocks(records, edges):
+        normal += columns.T @ columns
+        right += columns.T @ error
+    # The mean square of the columns makes the penalty independent of unit and excitation.
+    penalty = 1e-4 * np.trace(normal) / taps * _roughness(taps)
+    response = np.linalg.lstsq(normal + penalty, right, rcond=None)[0]
+    total = squares = 0.0
+    for columns, error in _blocks(records, edges):
+        residual = error - columns @ response
+        total += float(residual.sum())
+        squares += float(residual @ residual)
     return BaselineModel(
-        error_response=tuple(np.repeat(taps, np.diff(edges)).tolist()),
-        residual_std=float(residual.std()),
+        error_response=tuple(np.repeat(response, np.diff(edges)).tolist()),
+        residual_std=math.sqrt(max(0.0, squares / samples - (total / samples) ** 2)),
     )
 
 
+def samples_needed(sample_time_s: float, memory_s: float) -> int:
+    """Return how many samples a record must have for `identify_baseline` to fit it.
+
+    Raises:
+        InvalidInputError: the response is of more samples than a model holds.
+    """
+    return _SAMPLES_PER_TAP * (len(_edges(sample_time_s, memory_s)) - 1)
+
+
 def _edges(sample_time_s: float, memory_s: float) -> np.ndarray:
-    fine = np.arange(0.0, _FINE_S, 2 * sample_time_s)
+    """Return where the bins of lags begin and end, in samples; at least one bin of one sample."""
+    fine = np.arange(0.0, _FINE_S, max(2 * sample_time_s, _FINE_S / _FINE_TAPS))
     count = int(np.ceil(np.log(max(memory_s / _FINE_S, 1.1)) / np.log(_WIDENING))) + 1
     wide = _FINE_S * _WIDENING ** np.arange(count)
-    return np.unique(np.round(np.concatenate([fine, wide]) / sample_time_s).astype(int))
+    edges = np.unique(np.round(np.concatenate([fine, wide]) / sample_time_s).astype(int))
+    if edges[-1] > _LAGS_MAX:
+        raise InvalidInputError(
+            f"a response of {memory_s:g} s is {edges[-1]} samples of {sample_time_s:g} s; a model "
+            f"of the baseline holds at most {_LAGS_MAX}: give a shorter settling time"
+        )
+    # A robot whose sample is longer than its memory answers to the sample before, and no other.
+    return edges if len(edges) > 1 else np.array([0, 1])
 
 
-def _columns(reference: FloatArray, edges: np.ndarray) -> FloatArray:
-    """Return, per bin, the sum of the reference's changes that lie in it."""
-    lagged = reference[
-        np.clip(np.arange(len(reference))[:, np.newaxis] - edges[np.newaxis, :], 0, None)
-    ]
-    return np.asarray(lagged[:, :-1] - lagged[:, 1:])
+def _blocks(
+    records: list[tuple[FloatArray, FloatArray]], edges: np.ndarray
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield rows of the least-squares problem and the errors they explain, block by block.
+
+    A row holds, per bin, the sum of the reference's changes that lie in it.
+    """
+    last = int(edges[-1])
+    for reference, output in records:
+        # Before the record the robot rested at its first reference.
+        known = np.concatenate([np.full(last, reference[0]), reference])
+        for start in range(0, len(reference), _BLOCK_SAMPLES):
+            stop = min(start + _BLOCK_SAMPLES, len(reference))
+            lagged = np.stack(
+                [known[last - edge + start : last - edge + stop] for edge in edges.tolist()], axis=1
+            )
+            yield lagged[:, :-1] - lagged[:, 1:], reference[start:stop] - output[start:stop]
 
 
 def _roughness(taps: int) -> FloatArray:

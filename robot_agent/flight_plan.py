@@ -29,7 +29,7 @@ def plan_flight(
 
     Raises:
         RefusedError: with code `unknown-axis`, `no-tracking`, `trajectory`, `duration`, `layout`,
-            `no-prior`, `other-prior`, `misfit` or `no-baseline`.
+            `baseline`, `no-prior`, `other-prior`, `misfit` or `no-baseline`.
     """
     match motion:
         case StepTest(axis=axis):
@@ -37,11 +37,15 @@ def plan_flight(
             if axis not in columns:
                 reason = f"no axis {axis!r}; there are {', '.join(columns)}"
                 raise RefusedError("unknown-axis", reason, robot)
+            _tracking_limits(spec, robot)
             samples = before = len(step_references(spec, columns.index(axis)))
         case RichFlight():
             _tracking_limits(spec, robot)
             nobody = np.random.default_rng(motion.seed)
-            samples = before = len(rich_references(spec, motion.duration_s, nobody))
+            try:
+                samples = before = len(rich_references(spec, motion.duration_s, nobody))
+            except InvalidInputError as error:
+                raise RefusedError("baseline", str(error), robot) from error
         case Tracking():
             limits = _tracking_limits(spec, robot)
             _check_path(motion, spec, limits, robot)

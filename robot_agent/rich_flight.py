@@ -7,14 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from robot_agent.baseline_model import samples_needed
+from robot_agent.excitation import HEADROOM
 from robot_agent.robot import Robot
 from shared.arrays import FloatArray
 from shared.errors import RobotError
 from shared.robot_spec import RobotSpec, TrackingLimits
+from shared.trajectories import speeds_and_accelerations
 
-_FADE_S = 2.0
+_PIECE_RAD = 15.0  # of the slowest piece's highest tone; 15 s where that is 1 rad/s
+_FADE_RAD = 2.0
+_PIECE_SAMPLES_MIN = 16
+_PIECES_MIN = 4  # one of each band
+_OMEGA_MAX_RAD_S = 6.0  # drawings hold nothing faster
 _TONES = 8
-STEPS_UP = 20
+STEPS_UP_MIN, _STEPS_UP_MAX = 10, 20
+_STEPS_S = 100.0  # more than the fewest steps only as far as they fit into that time
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,62 +36,70 @@ class FlightRecord:
 def rich_references(spec: RobotSpec, duration_s: float, rng: np.random.Generator) -> FloatArray:
     """Return references on every axis, shape (samples, axes), from rest to rest.
 
-    Pieces of 15 s, each a sum of eight sinusoids with random phases and a band of its own: the
-    slow ones reach the bound on position or speed, the fast ones that on acceleration.
+    Pieces, each a sum of eight sinusoids with random phases and a part of the robot's band: the
+    slow ones reach the bound on position or speed, the fast ones that on acceleration. A piece
+    lasts 15 s, and longer for a robot whose band ends below 2 rad/s.
 
     Args:
-        spec: of the robot; its tracking limits are kept to.
-        duration_s: how long at least.
+        spec: of the robot; its band and its tracking limits are kept to.
+        duration_s: how long at least; the baseline's fit may need longer.
         rng: draws frequencies and phases.
 
     Raises:
         RobotError: the robot does not track.
+        InvalidInputError: the baseline of such a robot cannot be fitted.
     """
     limits = spec.tracking
     if limits is None:
         raise RobotError("a robot without tracking limits makes no rich flight")
-    pieces = max(4, math.ceil(duration_s / 15.0))
-    samples = round(15.0 / spec.sample_time_s)
-    highest = np.geomspace(max(1.0, 3 * spec.omega_min_rad_s), min(spec.omega_max_rad_s, 6.0), 4)
+    top = min(spec.omega_max_rad_s, max(_OMEGA_MAX_RAD_S, 3 * spec.omega_min_rad_s))
+    # A robot that is slower needs as many periods, and softer ends, to stay in its band.
+    slow = min(1.0, top / 2)
+    piece_s = _PIECE_RAD / slow
+    samples = max(_PIECE_SAMPLES_MIN, round(piece_s / spec.sample_time_s))
+    needed = samples_needed(spec.sample_time_s, spec.settling_time_s)
+    pieces = max(_PIECES_MIN, math.ceil(duration_s / piece_s), math.ceil(needed / samples))
+    highest = np.geomspace(min(max(slow, 3 * spec.omega_min_rad_s), top), top, _PIECES_MIN)
     return np.concatenate(
         [
-            _piece(limits, len(spec.axes), float(highest[i % 4]), samples, spec.sample_time_s, rng)
+            _piece(spec, limits, slow, float(highest[i % _PIECES_MIN]), samples, rng)
             for i in range(pieces)
         ]
     )
 
 
 def _piece(
+    spec: RobotSpec,
     limits: TrackingLimits,
-    axes: int,
-    highest: float,
+    slow_rad_s: float,
+    highest_rad_s: float,
     samples: int,
-    sample_time_s: float,
     rng: np.random.Generator,
 ) -> FloatArray:
     """Return a piece of shape (samples, axes) that reaches one of the limits."""
-    waves = np.stack([_wave(highest, samples, sample_time_s, rng) for _ in range(axes)], axis=1)
+    lowest_rad_s = max(spec.omega_min_rad_s, 0.3 * min(slow_rad_s, highest_rad_s))
+    time_s = np.arange(samples) * spec.sample_time_s
+    fade = np.minimum(1.0, np.minimum(time_s, time_s[::-1]) * slow_rad_s / _FADE_RAD)
+    fade = fade**3 * (10 - 15 * fade + 6 * fade**2)
+    columns = [fade * _wave(lowest_rad_s, highest_rad_s, time_s, rng) for _ in spec.axes]
+    waves = np.stack(columns, axis=1)
     waves /= np.abs(np.diff(waves, axis=0)).max(axis=0)  # alike in speed
-    speed = np.linalg.norm(np.diff(waves, axis=0), axis=1).max() / sample_time_s
-    acceleration = np.linalg.norm(np.diff(waves, 2, axis=0), axis=1).max() / sample_time_s**2
+    speeds, accelerations = speeds_and_accelerations(waves, spec.sample_time_s)
     largest = min(
         limits.position_max / np.abs(waves).max(),
-        limits.speed_max / speed,
-        limits.acceleration_max / acceleration,
+        limits.speed_max / speeds.max(),
+        limits.acceleration_max / accelerations.max(),
     )
     return np.asarray(waves * largest)
 
 
 def _wave(
-    highest: float, samples: int, sample_time_s: float, rng: np.random.Generator
+    lowest_rad_s: float, highest_rad_s: float, time_s: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    time_s = np.arange(samples) * sample_time_s
-    omegas = rng.uniform(0.3 * min(1.0, highest), highest, _TONES)
+    omegas = rng.uniform(lowest_rad_s, highest_rad_s, _TONES)
     phases = rng.uniform(0, 2 * np.pi, _TONES)
     weights = rng.uniform(0.5, 1.0, _TONES) / omegas
-    fade = np.minimum(1.0, np.minimum(time_s, time_s[::-1]) / _FADE_S)
-    fade = fade**3 * (10 - 15 * fade + 6 * fade**2)
-    return np.asarray(fade * (weights @ np.sin(np.outer(omegas, time_s) + phases[:, np.newaxis])))
+    return np.asarray(weights @ np.sin(np.outer(omegas, time_s) + phases[:, np.newaxis]))
 
 
 def fly_record(robot: Robot, references: FloatArray) -> FlightRecord:
@@ -104,13 +120,29 @@ def fly_record(robot: Robot, references: FloatArray) -> FlightRecord:
 
 
 def step_references(spec: RobotSpec, column: int) -> FloatArray:
-    """Return steps up and down on one axis, shape (samples, axes).
+    """Return steps up and down on one axis, shape (samples, axes), from rest to rest.
 
-    Twenty of each, as high as the axis may move in one sample.
+    Ten to twenty of each, half of them followed by one the same way and half by one back: what is
+    left of one step then leaves no trace in the mean of the next. A step accelerates half of the
+    way and brakes the other half, as hard as the axis's limits allow; noise hides the answer to
+    smaller ones. Like every amplitude that a robot chooses itself it leaves a margin to the limits.
     """
-    axis = spec.axes[column]
-    wait = max(4, math.ceil(max(spec.settling_time_s, 0.5) / 2 / spec.sample_time_s))
-    height = min(axis.velocity_max * spec.sample_time_s, axis.amplitude_max)
-    references = np.zeros(((2 * STEPS_UP + 1) * wait, len(spec.axes)))
-    references[:, column] = np.repeat(np.arange(2 * STEPS_UP + 1) % 2 * height, wait)
+    axis, step_s = spec.axes[column], spec.sample_time_s
+    settle_s = max(spec.settling_time_s, 0.5)
+    hold = max(4, math.ceil(settle_s / step_s))
+    amplitude, velocity, acceleration = (
+        HEADROOM * most for most in (axis.amplitude_max, axis.velocity_max, axis.acceleration_max)
+    )
+    longest_s = min(settle_s / 4, velocity / acceleration, math.sqrt(amplitude / acceleration))
+    half = max(1, math.floor(longest_s / step_s))
+    # Even a single sample of the largest acceleration may be beyond the other limits.
+    acceleration = min(acceleration, velocity / (half * step_s), amplitude / (half * step_s) ** 2)
+    velocities = acceleration * step_s * np.cumsum(np.repeat([1.0, -1.0], half))
+    rise = np.pad(np.cumsum(velocities) * step_s, (0, hold), mode="edge")
+    height = rise[-1]
+    fours = int(_STEPS_S / (4 * len(rise) * step_s))
+    fours = min(max(fours, STEPS_UP_MIN // 2), _STEPS_UP_MAX // 2)
+    column_references = np.concatenate([rise, height - rise, -rise, rise - height] * fours)
+    references = np.zeros((hold + len(column_references), len(spec.axes)))
+    references[hold:, column] = column_references
     return references

@@ -15,7 +15,7 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class StepTest(Strict):
-    """Asks for small steps on one axis, as high as it may move in one sample, up and down."""
+    """Asks for small steps on one axis, up and down, as quick as the axis's limits allow."""
 
     kind: Literal["step-test"] = "step-test"
     axis: Name

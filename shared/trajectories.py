@@ -36,6 +36,9 @@ def check_path(points: FloatArray, name: str) -> None:
 def check_trajectory(desired: FloatArray, sample_time_s: float, limits: TrackingLimits) -> None:
     """Refuse a trajectory that leaves the workspace or is faster than the robot may go.
 
+    The robot rests at the trajectory's first point before it and at its last point after it, so
+    the way out of rest and back to it counts too.
+
     Args:
         desired: shape (samples, axes).
         sample_time_s: between two samples.
@@ -51,17 +54,37 @@ def check_trajectory(desired: FloatArray, sample_time_s: float, limits: Tracking
             f"the trajectory goes {furthest:.3g} from the origin, outside the workspace of "
             f"±{limits.position_max:g}"
         )
-    speeds = np.linalg.norm(np.diff(desired, axis=0), axis=1) / sample_time_s
-    accelerations = np.linalg.norm(np.diff(desired, 2, axis=0), axis=1) / sample_time_s**2
+    speeds, accelerations = speeds_and_accelerations(desired, sample_time_s)
     for what, values, most in (
         ("speed", speeds, limits.speed_max),
         ("acceleration", accelerations, limits.acceleration_max),
     ):
-        if len(values) and float(values.max()) > 1.02 * most:
+        if float(values.max()) > 1.02 * most:
+            at = int(np.argmax(values))
+            rest = "" if 0 < at < len(values) - 1 else "; it has to begin and end at rest"
             raise InvalidInputError(
-                f"the trajectory's {what} is {values.max():.3g} at "
-                f"{np.argmax(values) * sample_time_s:.2f} s, the limit is {most:g}"
+                f"the trajectory's {what} is {values.max():.3g} at {at * sample_time_s:.2f} s, "
+                f"the limit is {most:g}{rest}"
             )
+
+
+def speeds_and_accelerations(
+    positions: FloatArray, sample_time_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the norms of first and second difference quotients between two rests.
+
+    Args:
+        positions: shape (samples, axes); at rest at the first before, at the last afterwards.
+        sample_time_s: between two samples.
+
+    Returns:
+        Speeds on the way to each sample and from the last one, shape (samples + 1,), and
+        accelerations at each sample, shape (samples,).
+    """
+    padded = np.pad(positions, ((1, 1), (0, 0)), mode="edge")
+    speeds = np.linalg.norm(np.diff(padded, axis=0), axis=1) / sample_time_s
+    accelerations = np.linalg.norm(np.diff(padded, 2, axis=0), axis=1) / sample_time_s**2
+    return speeds, accelerations
 
 
 def travel(

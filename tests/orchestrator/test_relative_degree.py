@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from robots_that_learn import LaggedRobot
+from scipy.signal import lfilter
 
 from orchestrator.relative_degree import relative_degree
 from robot_agent.rich_flight import step_references
@@ -24,6 +25,31 @@ def test_the_relative_degree_of_a_delay_is_the_delay(delay: int, noise_std_m: fl
     robot = LaggedRobot((delay, 2), noise_std_m)
     assert measured(robot, 0) == delay
     assert measured(robot, 1) == 2
+
+
+@pytest.mark.parametrize("sample_time_s", [0.001, 0.005, 0.1])
+def test_steps_that_take_many_samples_or_one_show_the_same_delay(sample_time_s: float) -> None:
+    """Two millimetres of noise, where one sample of acceleration moves 2 µm to 16 mm."""
+    spec = LaggedRobot().spec.model_copy(
+        update={"sample_time_s": sample_time_s, "settling_time_s": 4.0}
+    )
+    reference = step_references(spec, 0)[:, 0]
+    delay = round(0.3 / sample_time_s)
+    noise = 2e-3 * np.random.default_rng(0).standard_normal(len(reference))
+    response = np.concatenate([np.zeros(delay), reference[:-delay]]) + noise
+    measured_s = relative_degree(reference, response) * sample_time_s
+    assert measured_s == pytest.approx(0.3, abs=max(0.02, sample_time_s / 2))
+
+
+def test_what_is_left_of_one_step_is_no_answer_to_the_next() -> None:
+    """After each hold 0.4 % of a step are still to come, eight times the noise."""
+    spec = LaggedRobot().spec.model_copy(update={"settling_time_s": 3.0})
+    reference = step_references(spec, 0)[:, 0]
+    delay, pole = 10, float(np.exp(-spec.sample_time_s / 0.55))
+    late = np.concatenate([np.zeros(delay), reference[:-delay]])
+    response = lfilter([0.0, 1 - pole], [1.0, -pole], late)
+    noise = 1e-4 * np.random.default_rng(0).standard_normal(len(reference))
+    assert relative_degree(reference, response + noise) == pytest.approx(delay + 1, abs=3)
 
 
 def test_the_relative_degree_of_section_v_is_one() -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from robots_that_learn import double_integrator
 
-from robot_agent.baseline_model import identify_baseline, needed_correction
+from robot_agent.baseline_model import identify_baseline, needed_correction, samples_needed
 from robot_agent.rich_flight import rich_references
 from shared.errors import InvalidInputError
 from shared.trajectories import travel
@@ -56,3 +58,38 @@ def test_the_correction_that_is_needed_takes_the_error_away() -> None:
     robot.rest()
     after = path - robot.run(path + needed_correction(model, path[:, 0])[:, np.newaxis])
     assert np.sqrt(np.mean(after**2)) < 0.3 * np.sqrt(np.mean(before**2))
+
+
+def test_five_minutes_at_1_khz_are_fitted_in_a_few_mebibytes() -> None:
+    """Beside the robot, whose computer may be small; all rows at once would take 0.4 GiB."""
+    sample_time_s, samples, delay = 0.001, 300_000, 30
+    rng = np.random.default_rng(0)
+    reference = 1e-3 * np.cumsum(np.convolve(rng.standard_normal(samples), np.ones(200), "same"))
+    noise = 1e-3 * rng.standard_normal(samples)
+    output = np.concatenate([np.zeros(delay), reference[:-delay]]) + noise
+    tracemalloc.start()
+    try:
+        model = identify_baseline([(reference, output)], sample_time_s, 6.0)
+        _, peak_bytes = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak_bytes < 50 * 2**20
+    assert model.residual_std < 0.05 * (reference - output).std()
+    ramp = np.linspace(0.0, 1.0, 1001)
+    assert model.error(ramp)[-1] == pytest.approx(delay * 1e-3, rel=0.02)
+
+
+@pytest.mark.parametrize("settling_time_s", [0.0, 0.3, 2.0, 30.0])
+def test_a_robot_of_one_sample_per_second_is_fitted_too(settling_time_s: float) -> None:
+    needed = samples_needed(1.0, settling_time_s)
+    reference = np.random.default_rng(0).standard_normal(needed).cumsum()
+    output = np.concatenate([[reference[0]], reference[:-1]])
+    model = identify_baseline([(reference, output)], 1.0, settling_time_s)
+    np.testing.assert_allclose(model.error(reference), reference - output, atol=0.05)
+    with pytest.raises(InvalidInputError, match="too few"):
+        identify_baseline([(reference[:-1], output[:-1])], 1.0, settling_time_s)
+
+
+def test_a_response_longer_than_a_model_holds_is_refused_in_words() -> None:
+    with pytest.raises(InvalidInputError, match="a model of the baseline holds at most 100000"):
+        samples_needed(0.001, 120.0)

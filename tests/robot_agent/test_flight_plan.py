@@ -105,14 +105,18 @@ def test_an_unknown_axis_is_refused_with_those_there_are() -> None:
 
 
 @pytest.mark.parametrize(
-    "motion", [RichFlight(duration_s=60.0, seed=0), Tracking(desired=PATH, inverse="baseline")]
+    "motion",
+    [
+        StepTest(axis="x"),
+        RichFlight(duration_s=60.0, seed=0),
+        Tracking(desired=PATH, inverse="baseline"),
+    ],
 )
-def test_a_robot_without_tracking_limits_only_makes_steps(motion: Flight) -> None:
+def test_a_robot_without_tracking_limits_only_takes_frequency_tests(motion: Flight) -> None:
     spec = SPEC.model_copy(update={"tracking": None})
     code, reason = refused(motion, spec)
     assert code == "no-tracking"
     assert "tracking limits" in reason
-    assert planned(StepTest(axis="x"), spec).samples > 0
 
 
 @pytest.mark.parametrize(
@@ -150,6 +154,13 @@ def test_a_flight_longer_than_the_robot_accepts_is_refused(motion: Flight) -> No
     assert f"at most {short.duration_max_s:g} s" in reason
     enough = SPEC.model_copy(update={"duration_max_s": math.nextafter(needed_s, math.inf)})
     assert planned(motion, enough).duration_s == needed_s
+
+
+def test_a_rich_flight_whose_baseline_could_not_be_learned_is_refused_before_it_is_flown() -> None:
+    spec = SPEC.model_copy(update={"sample_time_s": 0.001, "settling_time_s": 120.0})
+    code, reason = refused(RichFlight(duration_s=60.0, seed=0), spec)
+    assert code == "baseline"
+    assert "shorter settling time" in reason
 
 
 def test_a_flight_with_a_prior_needs_that_prior() -> None:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from robots_that_learn import LIMITS, LaggedRobot
 
-from robot_agent.rich_flight import STEPS_UP, fly_record, rich_references, step_references
+from robot_agent.baseline_model import samples_needed
+from robot_agent.excitation import peak_velocity_and_acceleration
+from robot_agent.rich_flight import STEPS_UP_MIN, fly_record, rich_references, step_references
 from shared.errors import RobotError
+from shared.trajectories import speeds_and_accelerations
 
 
 @settings(max_examples=20, deadline=None)
@@ -27,6 +30,38 @@ def test_references_keep_to_every_limit_and_reach_one(seed: int) -> None:
     assert max(largest) <= 1.02
     assert max(largest) >= 0.99
     np.testing.assert_allclose(references[[0, -1]], 0.0, atol=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.sampled_from([(0.01, 0.3), (0.001, 0.02), (0.1, 1.0), (0.5, 5.0), (10.0, 30.0)]),
+    st.sampled_from([0.02, 0.1, 1.0]),
+    st.sampled_from([0.0, 0.3, 5.0]),
+    st.integers(0, 1000),
+)
+def test_references_stay_in_the_band_of_a_robot_of_any_speed(
+    band_rad_s: tuple[float, float], sample_time_s: float, settling_time_s: float, seed: int
+) -> None:
+    lowest, highest = band_rad_s
+    assume(highest < np.pi / sample_time_s)
+    spec = LaggedRobot().spec.model_copy(
+        update={
+            "omega_min_rad_s": lowest,
+            "omega_max_rad_s": highest,
+            "sample_time_s": sample_time_s,
+            "settling_time_s": settling_time_s,
+        }
+    )
+    references = rich_references(spec, 60.0, np.random.default_rng(seed))
+    speeds, accelerations = speeds_and_accelerations(references, sample_time_s)
+    assert np.abs(references).max() <= (1 + 1e-9) * LIMITS.position_max
+    assert speeds.max() <= (1 + 1e-9) * LIMITS.speed_max
+    assert accelerations.max() <= (1 + 1e-9) * LIMITS.acceleration_max
+    power = (np.abs(np.fft.rfft(references, axis=0)) ** 2).sum(axis=1)
+    omega_rad_s = 2 * np.pi * np.fft.rfftfreq(len(references), sample_time_s)
+    assert power[omega_rad_s > highest].sum() < 0.05 * power.sum()
+    # The baseline is always learned from it.
+    assert len(references) >= samples_needed(sample_time_s, settling_time_s)
 
 
 def test_the_same_generator_gives_the_same_references() -> None:
@@ -49,13 +84,56 @@ def test_a_sensor_that_measures_nan_gives_no_record() -> None:
         fly_record(LaggedRobot(blind_at=7), np.zeros((20, 2)))
 
 
-def test_steps_go_up_and_down_on_one_axis_from_rest_to_rest() -> None:
+@settings(max_examples=100, deadline=None)
+@given(
+    sample_time_s=st.sampled_from([0.001, 0.015, 0.02, 0.1, 1.0]),
+    settling_time_s=st.sampled_from([0.0, 0.3, 4.0, 30.0]),
+    amplitude_max=st.floats(1e-3, 10.0),
+    velocity_max=st.floats(1e-3, 10.0),
+    acceleration_max=st.floats(1e-3, 100.0),
+)
+def test_steps_keep_to_the_limits_of_their_axis_from_rest_to_rest(
+    sample_time_s: float,
+    settling_time_s: float,
+    amplitude_max: float,
+    velocity_max: float,
+    acceleration_max: float,
+) -> None:
     spec = LaggedRobot().spec
-    references = step_references(spec, 1)
-    height = spec.axes[1].velocity_max * spec.sample_time_s
-    assert set(np.unique(references[:, 1])) == {0.0, height}
+    limits = {
+        "amplitude_max": amplitude_max,
+        "velocity_max": velocity_max,
+        "acceleration_max": acceleration_max,
+    }
+    axes = (spec.axes[0], spec.axes[1].model_copy(update=limits))
+    timing = {"sample_time_s": sample_time_s, "settling_time_s": settling_time_s}
+    references = step_references(spec.model_copy(update={"axes": axes, **timing}), 1)
     assert not references[:, 0].any()
-    assert (
-        (np.diff(references[:, 1]) > 0).sum() == (np.diff(references[:, 1]) < 0).sum() == STEPS_UP
+    assert not references[[0, -1]].any()
+    shares = np.array(
+        [
+            np.abs(references[:, 1]).max() / amplitude_max,
+            *np.array(peak_velocity_and_acceleration(references[:, 1], sample_time_s))
+            / [velocity_max, acceleration_max],
+        ]
     )
-    assert references[0, 1] == references[-1, 1] == 0.0
+    assert shares.max() <= 1.0
+    moves = np.diff(references[:, 1], prepend=0.0)
+    begins = np.flatnonzero((moves[1:] != 0) & (moves[:-1] == 0)) + 1
+    assert len(begins) >= 2 * STEPS_UP_MIN
+    signs = np.sign(moves[begins])
+    assert signs.sum() == 0
+    # As many follow one the same way as one the other way.
+    assert abs((signs[1:] * signs[:-1]).sum()) <= 1
+
+
+def test_steps_are_as_quick_as_the_limits_allow() -> None:
+    spec = LaggedRobot().spec.model_copy(update={"sample_time_s": 0.002})
+    references = step_references(spec, 0)[:, 0]
+    _, acceleration = peak_velocity_and_acceleration(references, spec.sample_time_s)
+    assert acceleration == pytest.approx(0.8 * spec.axes[0].acceleration_max)
+    # Where acceleration is no limit, speed is.
+    axis = spec.axes[0].model_copy(update={"acceleration_max": 1e6})
+    quick = step_references(spec.model_copy(update={"axes": (axis,)}), 0)[:, 0]
+    velocity, _ = peak_velocity_and_acceleration(quick, spec.sample_time_s)
+    assert velocity == pytest.approx(0.8 * axis.velocity_max)

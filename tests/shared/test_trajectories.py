@@ -120,3 +120,14 @@ def test_a_trajectory_beyond_the_limits_is_refused(
     path = travel(np.array([[0.0], [end]]), speed, acceleration, STEP_S)
     with pytest.raises(InvalidInputError, match=message):
         check_trajectory(path, STEP_S, LIMITS)
+
+
+def test_a_trajectory_that_begins_or_ends_in_full_motion_is_refused() -> None:
+    """The robot rests before and after it, so at 0.95 unit/s the first sample alone asks 47."""
+    line = np.arange(0.0, 1.0, 0.95 * STEP_S)[:, np.newaxis]
+    from_rest = travel(np.array([[0.0], [1.4]]), 0.95, 2.0, STEP_S)
+    fastest = int(np.argmax(np.diff(from_rest[:, 0])))
+    for path in (line, line[:2], from_rest[fastest:], from_rest[: fastest + 1]):
+        with pytest.raises(InvalidInputError, match=r"acceleration is .* begin and end at rest"):
+            check_trajectory(path, STEP_S, LIMITS)
+    check_trajectory(from_rest, STEP_S, LIMITS)
