@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import os
 import signal
-import tempfile
 from collections.abc import Generator
 
 import pytest
 from hypothesis import settings
+from lifeline import Lifeline
 
 # The simulated quadrotors need SciPy's array interface, which SciPy reads when it is first
 # imported; in production their process gets it from its driver's `environment`.
 os.environ["SCIPY_ARRAY_API"] = "1"
 os.environ["JAX_PLATFORMS"] = "cpu"
 
+# Killed outright, a run of the tests leaves no process and no file either.
+_LIFELINE = Lifeline()
+
 # What agents started here remember must neither come from nor go to the user's own fleets.
-_STATE = tempfile.TemporaryDirectory(prefix="nufleet-test-state-")
-os.environ["NUFLEET_STATE"] = _STATE.name
+os.environ["NUFLEET_STATE"] = str(_LIFELINE.folder / "state")
 
 # Small matrices, many of them: with threads, BLAS takes ten times as long on a busy machine.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"

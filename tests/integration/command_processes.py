@@ -15,7 +15,8 @@ import pytest
 from shared import command_line
 
 NUFLEET = [sys.executable, "-m", "shared.command_line"]
-PATIENCE_S = 120.0
+PATIENCE_S = 600.0
+"""Ends a command that hangs; some learn for half a minute where nothing else runs."""
 
 
 def nufleet(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
