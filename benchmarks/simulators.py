@@ -1,6 +1,6 @@
 """How long the simulators that nobody here wrote take for a minute of a robot's time.
 
-    python -m benchmarks.simulators
+python -m benchmarks.simulators
 """
 
 from __future__ import annotations
