@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
-from polling import wait_until
+from polling import PATIENCE_S, wait_until
 
 from orchestrator import held_leases
 from orchestrator.goal_runner import Interrupted
 from orchestrator.held_leases import HeldLeases, hold_leases
+from orchestrator.repository.database import Database
 from orchestrator.repository.errors import (
     LeaseHeldError,
     LeaseLostError,
     RepositoryUnreachableError,
 )
+from orchestrator.repository.records import Lease
 from orchestrator.repository.repository import Repository, open_repository
 
 ROBOTS = ("r1", "r2")
@@ -29,10 +31,31 @@ def repository(tmp_path: Path) -> Iterator[Repository]:
         yield opened
 
 
+class Clock:
+    """The database's time, which a test can put forward."""
+
+    def __init__(self) -> None:
+        self.ahead_s = 0.0
+
+    def now_s(self, *_: object) -> float:
+        return time.time() + self.ahead_s
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock()
+    monkeypatch.setattr(Database, "now_s", clock.now_s)
+    return clock
+
+
+TERM_S = 120.0
+"""Longer than any process has to wait for its turn on a busy machine."""
+
+
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Terms short enough to be waited for."""
-    monkeypatch.setattr(held_leases, "TERM_S", 1.0)
+    """Renewals that can be waited for."""
+    monkeypatch.setattr(held_leases, "TERM_S", TERM_S)
     monkeypatch.setattr(held_leases, "RENEW_EVERY_S", 0.1)
 
 
@@ -41,12 +64,23 @@ def hold(repository: Repository, owner: str, **options: object) -> HeldLeases:
 
 
 def test_robots_are_held_as_long_as_their_owner_lives_and_free_afterwards(
-    repository: Repository, quick: None
+    repository: Repository, quick: None, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    renewals, renew = 0, repository.leases.renew
+
+    def counted(leases: Iterable[Lease]) -> None:
+        nonlocal renewals
+        renew(leases)
+        renewals += 1
+
+    monkeypatch.setattr(repository.leases, "renew", counted)
     with hold(repository, "a") as leases:
         assert leases.epochs == {"r1": 1, "r2": 1}
-        time.sleep(1.3)
-        assert {owner for owner, _, _ in repository.leases.held("lab").values()} == {"a"}
+        for _ in range(4):
+            clock.ahead_s += TERM_S / 2
+            begun = renewals + 1  # one may be under way
+            wait_until(lambda: renewals > begun)  # noqa: B023
+            assert {owner for owner, _, _ in repository.leases.held("lab").values()} == {"a"}
     assert not repository.leases.held("lab")
     with hold(repository, "b") as leases:
         assert leases.epochs == {"r1": 2, "r2": 2}
@@ -69,13 +103,18 @@ def test_waiting_for_an_owner_that_lives_ends_with_who_it_is(
 
 
 def test_the_robots_of_an_owner_that_died_are_had_once_its_lease_has_run_out(
-    repository: Repository, quick: None
+    repository: Repository, clock: Clock
 ) -> None:
-    died_s = time.monotonic()
     hold(repository, "a")  # never entered: nobody renews it
-    with hold(repository, "b", patient=True) as leases:
+    told: list[str] = []
+
+    def has_run_out(held: LeaseHeldError) -> None:
+        told.append(held.owner)
+        clock.ahead_s += held_leases.TERM_S
+
+    with hold(repository, "b", patient=True, on_wait=has_run_out) as leases:
         assert leases.epochs == {"r1": 2, "r2": 2}
-        assert time.monotonic() - died_s >= 0.9
+    assert told == ["a"]
 
 
 def taken_over(repository: Repository) -> bool:
@@ -97,7 +136,7 @@ def test_who_lost_its_robots_is_interrupted_and_told_why(
     def work(leases: HeldLeases) -> None:
         with leases.guarding(interrupted.set):
             wait_until(lambda: taken_over(repository))
-            assert interrupted.wait(10.0)
+            assert interrupted.wait(PATIENCE_S)
             raise Interrupted
 
     with hold(repository, "a") as leases:
@@ -139,8 +178,11 @@ def test_a_database_that_is_away_for_less_than_a_term_loses_nothing(
 
 
 def test_a_database_that_stays_away_ends_the_work(
-    repository: Repository, quick: None, monkeypatch: pytest.MonkeyPatch
+    repository: Repository, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(held_leases, "TERM_S", 0.3)
+    monkeypatch.setattr(held_leases, "RENEW_EVERY_S", 0.1)
+
     def away(leases: object) -> None:
         raise RepositoryUnreachableError("the server is gone")
 
@@ -149,7 +191,7 @@ def test_a_database_that_stays_away_ends_the_work(
 
     def work(leases: HeldLeases) -> None:
         with leases.guarding(interrupted.set):
-            assert interrupted.wait(10.0)
+            assert interrupted.wait(PATIENCE_S)
             raise Interrupted
 
     with hold(repository, "a") as leases, pytest.raises(LeaseLostError, match="server is gone"):
