@@ -38,11 +38,12 @@ class Lifeline:
         os.environ[RUN] = str(self.folder)
 
 
-def _started_by(folder: str) -> list[psutil.Process]:
+def started_with(variable: str, value: str) -> list[psutil.Process]:
+    """Return the processes that live and inherited an environment variable of this value."""
     found = []
     for process in psutil.process_iter():
         with suppress(psutil.Error):  # it has ended, or is somebody else's
-            if process.environ().get(RUN) == folder:
+            if process.environ().get(variable) == value:
                 found.append(process)
     return found
 
@@ -51,11 +52,11 @@ def main() -> None:
     """Wait for the end of a run, and clear up."""
     folder = sys.argv[1]
     sys.stdin.read()
-    for process in (left := _started_by(folder)):
+    for process in (left := started_with(RUN, folder)):
         with suppress(psutil.NoSuchProcess):
             process.terminate()
     psutil.wait_procs(left, timeout=_GRACE_S)
-    while left := _started_by(folder):
+    while left := started_with(RUN, folder):
         for process in left:
             with suppress(psutil.NoSuchProcess):
                 process.kill()

@@ -9,7 +9,6 @@ by then is up to the machine.
 from __future__ import annotations
 
 import heapq
-import socket
 import tempfile
 import threading
 import time
@@ -60,10 +59,9 @@ class Chaos:
                 for k, (name, alpha) in enumerate(zip(self._names, _alphas(robots), strict=True))
             }
         )
-        port = _free_port()
-        self._router = lab.router(f"tcp/127.0.0.1:{port}")
+        self._router = lab.router()
         self._links = {
-            name: stack.enter_context(link.opened(("127.0.0.1", port)))
+            name: stack.enter_context(link.opened(lab.socket))
             for name in (*self._names, "orchestrator")
         }
         self._agents = {
@@ -349,8 +347,3 @@ def _bad_sensor(alpha: float) -> dict[str, object]:
         {"kind": "drop-out", "motion": 4, "from_sample": 90, "samples": 1},
     )
     return {"driver": "faulty", "settings": {**double_integrator(alpha), "faults": faults}}
-
-
-def _free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        return int(free.getsockname()[1])
