@@ -16,7 +16,7 @@ TESTS = Path(__file__).parent
 REACHING_OUT = (
     *("multiprocessing", "psutil", "psycopg", "socket", "subprocess", "urllib.request", "zenoh"),
     *("gymnasium", "jax", "mujoco", "sims.arms", "sims.quadrotors", "torch"),
-    *("benchmarks.faults", "orchestrator.fleet", "orchestrator.viewer", "robot_agent.agent"),
+    *("benchmarks", "orchestrator.fleet", "orchestrator.viewer", "robot_agent.agent"),
     "shared.transport",
 )
 

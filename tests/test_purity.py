@@ -39,9 +39,17 @@ def test_every_package_has_pure_tests() -> None:
     assert {"orchestrator", "robot_agent", "shared", "sims"} <= pure
 
 
-def test_a_lying_name_is_not_mistaken(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "pure"),
+    [
+        ("import socketry\nfrom shared.transporter import open_client", True),
+        ("from shared import transport", False),
+        ("def test():\n    import jax.numpy", False),
+    ],
+)
+def test_names_are_told_apart_wherever_they_are_imported(
+    text: str, pure: bool, tmp_path: Path
+) -> None:
     module = tmp_path / "test_it.py"
-    module.write_text("import socketry\nfrom shared.transporter import x\n")
-    assert is_pure(module)
-    module.write_text("from shared import transport\n")
-    assert not is_pure(module)
+    module.write_text(text)
+    assert is_pure(module) is pure

@@ -59,6 +59,7 @@ def test_the_same_verdicts_follow_from_single_tones_and_from_many(algorithm: str
         assert (found.omega_rad_s[0], found.omega_rad_s[-1]) == BAND
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("algorithm", "studies"), [("paper", 6), ("adaptive", 12)])
 def test_gains_and_errors_lie_within_their_bounds_as_often_as_claimed(
     algorithm: str, studies: int
