@@ -12,8 +12,8 @@ from orchestrator.repository.records import StudyRecord, StudyStatus, TrialRecor
 from robot_agent.journal import Journal
 
 HALT_MAX_S = 1.0
-"""A motion that was in progress when a stop was confirmed has been told to rest by then on a machine
-that is not otherwise busy, and before the stop is released on any."""
+"""By then a motion that was in progress when a stop was confirmed has been told to rest, where the
+machine is not otherwise busy; everywhere, before the stop is released."""
 
 MAY_BE_GIVEN_UP = (
     "stopped by",
