@@ -21,13 +21,14 @@ import psutil
 
 from orchestrator.archive import Archive
 from orchestrator.connection import started_fleet
-from orchestrator.dispatcher import Dispatcher, Measured, TestOutcome
+from orchestrator.dispatcher import Dispatcher
+from orchestrator.outcomes import Measured, TestOutcome
 from orchestrator.rank_run import RankRequest, prepare
 from orchestrator.ranking import conduct
 from orchestrator.repository.repository import open_repository
 from orchestrator.robot_leases import lease_robots
 from orchestrator.study import Question, Report
-from orchestrator.study_recipe import make_study
+from orchestrator.study_recipe import make_study, recipe_of
 
 PROCESSES = 4
 
@@ -95,7 +96,8 @@ def measure(
                 archive = Archive(repository, "scale", leases)
                 begun = archive.begin("scale", "paper", ready.plan, 0, ready.descriptions)
                 log = archive.log(begun.study_id)
-                dispatcher = Dispatcher(fleet, log, on_attempt_failed=timer.attempt_failed)
+                specs = recipe_of(begun).specs
+                dispatcher = Dispatcher(fleet, log, specs, on_attempt_failed=timer.attempt_failed)
                 study = make_study(begun, repository.studies)
                 conclusion = conduct(study, log, dispatcher, timer)
             agents = [

@@ -19,6 +19,7 @@ from orchestrator.viewer.ports import GRPC_PORT, WEB_PORT
 from orchestrator.viewer.rerun_program import rerun_program
 from shared.drivers import ENTRY_POINT_GROUP
 from shared.errors import NufleetError
+from shared.redaction import without_secrets
 from shared.transport import open_router
 
 ROUTER_PORT = 7447
@@ -118,5 +119,5 @@ def _fleet(endpoint: str, fleet_name: str | None) -> Finding:
         with running_fleet(endpoint, fleet_name) as connection:
             found = f"{connection.name}: {', '.join(connection.robots)}"
     except NufleetError as error:
-        return Finding(f"fleet at {endpoint}", "note", str(error))
-    return Finding(f"fleet at {endpoint}", "ok", found)
+        return Finding(f"fleet at {without_secrets(endpoint)}", "note", str(error))
+    return Finding(f"fleet at {without_secrets(endpoint)}", "ok", found)

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import platform
-import re
-import secrets
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,13 +10,16 @@ from typing import NamedTuple
 
 from orchestrator.fleet import Fleet
 from orchestrator.fleet_processes import FleetProcesses, grouped, private_folder
+from orchestrator.orchestrator_id import new_orchestrator_id
 from shared.drivers import check_settings
 from shared.errors import InvalidInputError, NufleetError, RobotLostError
 from shared.fleet_file import FleetFile, read_fleet_file
-from shared.keys import FleetKeys
-from shared.transport import open_client
+from shared.keys import EVERY_FLEETS_ROBOTS_ALIVE, FleetKeys, fleet_of
+from shared.redaction import without_secrets
+from shared.transport import Session, open_client
 
 CONNECT_TIMEOUT_S = 5.0
+DISCOVERY_TIMEOUT_S = 3.0
 START_TIMEOUT_S = 60.0
 
 
@@ -30,12 +29,6 @@ class Connection(NamedTuple):
     fleet: Fleet
     name: str
     robots: tuple[str, ...]
-
-
-def new_orchestrator_id() -> str:
-    """Return an id that no other orchestrator has: with host and process, to find it by."""
-    host = re.sub("[^0-9a-z-]", "-", platform.node().lower())[:32]
-    return f"orchestrator-{host}-{os.getpid()}-{secrets.token_hex(4)}"
 
 
 @contextmanager
@@ -62,16 +55,15 @@ def running_fleet(
     deadline_s = time.monotonic() + wait_s
     with open_client(endpoint, timeout_s=max(CONNECT_TIMEOUT_S, wait_s)) as session:
         while fleet_name is None:
-            found = {
-                key.split("/")[1] for key in session.alive("nufleet/*/robot/*/alive", timeout_s=3)
-            }
+            found = fleets_at(session)
             if len(found) == 1:
-                fleet_name = found.pop()
+                fleet_name = found[0]
             elif found or time.monotonic() >= deadline_s:
-                there = f"there are {', '.join(sorted(found))}" if found else "no robot is there"
+                there = f"there are {', '.join(found)}" if found else "no robot is there"
                 raise InvalidInputError(
-                    f"which fleet at {endpoint}? {there}; name one with --fleet-name, or start "
-                    "robots with `nufleet fleet up FLEET` or `nufleet agent FLEET`"
+                    f"which fleet at {without_secrets(endpoint)}? {there}; name one with "
+                    "--fleet-name, or start robots with `nufleet fleet up FLEET` or `nufleet agent "
+                    "FLEET`"
                 )
             else:
                 time.sleep(0.2)
@@ -79,6 +71,12 @@ def running_fleet(
         if wait_s > 0:
             fleet.wait_for(robots, timeout_s=max(0.0, deadline_s - time.monotonic()))
         yield Connection(fleet, fleet_name, fleet.robots())
+
+
+def fleets_at(session: Session) -> tuple[str, ...]:
+    """Return the names of the fleets that have a robot at a router, sorted."""
+    found = session.alive(EVERY_FLEETS_ROBOTS_ALIVE, timeout_s=DISCOVERY_TIMEOUT_S)
+    return tuple(sorted({fleet for key in found if (fleet := fleet_of(key)) is not None}))
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from rich.console import Console
 from rich.table import Table
 
-from orchestrator.dispatcher import Measured, TestOutcome
+from orchestrator.outcomes import Measured, TestOutcome
 from orchestrator.results import ClosedForm
 from orchestrator.study import Question, Report, SourceEstimate
 

@@ -2,55 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 
+from orchestrator.attempts import Attempts, Settled
 from orchestrator.fleet import Fleet
+from orchestrator.goal_events import Ended
+from orchestrator.goal_loop import GoalLoop
 from orchestrator.goal_runner import GoalRunner, Interrupted
+from orchestrator.outcomes import TestOutcome
 from orchestrator.resume import OpenTest
 from orchestrator.trial_log import TrialLog
-from shared.errors import (
-    MalformedMessageError,
-    NoReplyError,
-    RefusedError,
-    RobotLostError,
-)
-from shared.excitation import Excitation
-from shared.frequency_response import FrequencyResponse, estimate_frequency_response
-from shared.messages import GoalResult, Outcome
+from shared.messages import GoalAccepted
+from shared.robot_spec import RobotSpec
 
-ATTEMPTS = 3
-"""Failed attempts after which a robot is given up in a round."""
-
-ATTEMPTS_IN_ALL = 50
-"""And attempts that ended for whatever reason, also one that is nobody's failure."""
-
-
-@dataclass(frozen=True)
-class Measured:
-    """A test that gave a usable response, and the samples it came from."""
-
-    robot: str
-    response: FrequencyResponse
-    result: GoalResult
-    attempts: int
-    robot_time_s: float
-
-
-@dataclass(frozen=True)
-class Failed:
-    """A test that gave none after all its attempts, and why the last one failed."""
-
-    robot: str
-    reason: str
-    attempts: int
-    robot_time_s: float
-
-
-TestOutcome = Measured | Failed
 OnAttempt = Callable[[str, int, str], None]
+
+STORING_AT_ONCE = 32
+"""How many robots' answers are judged and stored together: they share one commit."""
 
 
 class Dispatcher:
@@ -59,9 +32,25 @@ class Dispatcher:
     What is sent is stored before, what comes of it before anything else is sent to that robot.
     """
 
-    def __init__(self, fleet: Fleet, log: TrialLog, *, on_attempt_failed: OnAttempt) -> None:
+    def __init__(
+        self,
+        fleet: Fleet,
+        log: TrialLog,
+        specs: Mapping[str, RobotSpec],
+        *,
+        on_attempt_failed: OnAttempt,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            fleet: whose robots are tested; it holds their leases.
+            log: where everything that is sent and measured is stored.
+            specs: what each robot says of itself; a longer test than it accepts is not sent.
+            on_attempt_failed: is told robot, attempt and reason, from other threads.
+        """
         self._goals = GoalRunner(fleet)
         self._log = log
+        self._specs = specs
         self._on_attempt_failed = on_attempt_failed
 
     def run(self, tests: Sequence[OpenTest]) -> dict[str, TestOutcome]:
@@ -75,136 +64,145 @@ class Dispatcher:
             What came of each test, by robot.
 
         Raises:
-            Interrupted: `interrupt` was called.
-            RepositoryError: something could not be stored; every robot is at rest.
+            Interrupted: `interrupt` was called; every robot that answers is at rest.
+            RepositoryError: something could not be stored; every robot that answers is at rest.
         """
         self._log.intend(tests)
-        with ThreadPoolExecutor(len(tests), thread_name_prefix="dispatch") as pool:
-            futures = {test.robot: pool.submit(self._test, test) for test in tests}
-            try:
-                return {robot: future.result() for robot, future in futures.items()}
-            except BaseException:
-                # Ctrl-C, or one robot's test raised what nobody foresaw: no other flies on alone.
-                self.interrupt()
-                raise
+        attempts = Attempts(self._log, self._specs)
+        storing_at_once = min(STORING_AT_ONCE, len(tests) + (os.cpu_count() or 1))
+        with (
+            self._goals.pursuing() as loop,
+            ThreadPoolExecutor(storing_at_once, thread_name_prefix="store") as stores,
+        ):
+            tested = _Round(self._goals, loop, stores, self._log, attempts, self._on_attempt_failed)
+            loop.post(lambda: tested.open(tests))
+            self._goals.wait_for(loop, tested.over)
+        if tested.failure is not None:
+            raise tested.failure
+        if self._goals.interrupted:
+            raise Interrupted
+        return {test.robot: tested.outcomes[test.robot] for test in tests}
 
     def interrupt(self) -> None:
-        """End the round: cancel every running goal, so that the robots come to rest."""
+        """End the round: cancel every goal at once, so that the robots come to rest."""
         self._goals.interrupt()
 
     def acknowledge_all(self) -> None:
         """Tell every robot that its last results arrived."""
         self._goals.acknowledge_all()
 
-    def _test(self, test: OpenTest) -> TestOutcome:
-        robot_time_s = 0.0
-        while True:
-            ended: Measured | _Unusable
-            try:
-                result = self._play(test)
-                robot_time_s += len(result.reference) * result.plan.sample_time_s
-                ended = self._judge(test, result, robot_time_s)
-            except RefusedError as error:
-                self._log.failed(test, str(error), retry=None)
-                return Failed(test.robot, str(error), test.attempt, robot_time_s)
-            except (NoReplyError, RobotLostError, MalformedMessageError) as error:
-                ended = self._lose(test, str(error))
-            if self._goals.interrupted:
-                raise Interrupted
-            if isinstance(ended, Measured):
-                return ended
-            self._on_attempt_failed(test.robot, test.attempt, ended.reason)
-            if ended.retry is None:
-                return Failed(test.robot, ended.reason, test.attempt, robot_time_s)
-            test = test.followed_by(self._log.study_id, ended.retry, interrupted=ended.interrupted)
-            self._log.intend([test])
 
-    def _play(self, test: OpenTest) -> GoalResult:
-        """Have a test played, or fetch its result when it was played already."""
-        robot, goal_id = test.robot, test.goal_id
-        if test.accepted_by is None or test.may_be_sent_to(self._goals.boot_id(robot)):
-            return self._goals.run(
-                robot, goal_id, test.excitation, on_accepted=partial(self._log.accepted, test)
+class _Round:
+    """One round. Its methods run on the loop's thread; storing, which takes time, does not."""
+
+    def __init__(
+        self,
+        goals: GoalRunner,
+        loop: GoalLoop,
+        stores: ThreadPoolExecutor,
+        log: TrialLog,
+        attempts: Attempts,
+        on_attempt_failed: OnAttempt,
+    ) -> None:
+        self._goals, self._loop, self._stores = goals, loop, stores
+        self._log, self._attempts = log, attempts
+        self._on_attempt_failed = on_attempt_failed
+        self._open = 0
+        self._storing: dict[str, deque[_Job]] = {}
+        self.outcomes: dict[str, TestOutcome] = {}
+        self.failure: BaseException | None = None
+        self.over = threading.Event()
+
+    def open(self, tests: Sequence[OpenTest]) -> None:
+        """Pursue the first attempts."""
+        self._open = len(tests)
+        for test in tests:
+            self._pursue(test)
+
+    def _pursue(self, test: OpenTest) -> None:
+        self._loop.begin(
+            self._goals.errand(
+                test.robot,
+                test.goal_id,
+                test.excitation,
+                on_accepted=lambda accepted: self._accepted(test, accepted),
+                on_ended=lambda ended: self._ended(test, ended),
+                taken_before=test.accepted_by is not None,
             )
-        try:
-            return self._goals.result(robot, goal_id)
-        except RefusedError as error:
-            raise RobotLostError(
-                f"the agent of {robot} restarted after it took {goal_id}: {error.reason}"
-            ) from error
-
-    def _judge(
-        self, test: OpenTest, result: GoalResult, robot_time_s: float
-    ) -> Measured | _Unusable:
-        """Store what a robot returned; return what was measured, or why nothing was."""
-        if result.outcome is not Outcome.COMPLETED:
-            interrupted = self._was_interrupted(test, result)
-            reason = f"{result.outcome}: {result.reason}"
-            ended = _Unusable(reason, _retry(test, test.excitation, interrupted), interrupted)
-            response = None
-        else:
-            response = estimate_frequency_response(
-                result.reference, result.response, result.test_plan
-            )
-            if response.quality.usable:
-                self._log.measured(test, result, response)
-                return Measured(test.robot, response, result, test.attempt, robot_time_s)
-            reason = "; ".join(str(finding) for finding in response.quality.reasons)
-            ended = _Unusable(reason, _retry(test, _longer(test.excitation, result)))
-        self._log.failed(
-            test,
-            ended.reason,
-            retry=ended.retry,
-            interrupted=ended.interrupted,
-            result=result,
-            response=response,
-        )
-        return ended
-
-    def _was_interrupted(self, test: OpenTest, result: GoalResult) -> bool:
-        """Whether a motion ended for a reason that says nothing against its robot."""
-        if result.outcome not in (Outcome.ABORTED, Outcome.CANCELLED):
-            return False
-        if test.record is not None or self._goals.interrupted:
-            # A robot whose orchestrator went away ends what it plays.
-            return True
-        # So does one that was cut off from its orchestrator, or told to end by somebody else. But
-        # one whose agent died during a test may do so again.
-        return (
-            result.outcome is Outcome.ABORTED and self._goals.boot_id(test.robot) == result.boot_id
         )
 
-    def _lose(self, test: OpenTest, reason: str) -> _Unusable:
-        """Store that nobody will know what came of a test."""
-        # With an orchestrator that was killed its own fleet may have gone, too.
-        interrupted = test.accepted_by is not None
-        ended = _Unusable(reason, _retry(test, test.excitation, interrupted), interrupted)
-        self._log.lost(test, reason, retry=ended.retry, interrupted=interrupted)
-        return ended
+    def _accepted(self, test: OpenTest, accepted: GoalAccepted) -> None:
+        self._store(_Job(test.robot, lambda: self._log.accepted(test, accepted)))
+
+    def _ended(self, test: OpenTest, ended: Ended) -> None:
+        interrupted = self._goals.interrupted
+
+        def settle() -> Callable[[], None]:
+            settled = self._attempts.settle(test, ended, interrupted=interrupted)
+            return lambda: self._settled(test, settled)
+
+        self._store(_Job(test.robot, settle, decides=True))
+
+    def _settled(self, test: OpenTest, settled: Settled) -> None:
+        following = settled.following
+        if self._goals.interrupted:
+            self._close_one()
+            return
+        if settled.failure is not None:
+            self._on_attempt_failed(test.robot, test.attempt, settled.failure)
+        if settled.outcome is not None:
+            self.outcomes[test.robot] = settled.outcome
+        if following is None:
+            self._close_one()
+            return
+
+        def intend() -> Callable[[], None]:
+            self._log.intend([following])
+            return lambda: self._pursue(following)
+
+        self._store(_Job(test.robot, intend, decides=True))
+
+    def _store(self, job: _Job) -> None:
+        """Do a job on a thread that may wait for the disk, after all earlier ones of its robot."""
+        waiting = self._storing.setdefault(job.robot, deque())
+        waiting.append(job)
+        if len(waiting) == 1:
+            self._begin(job)
+
+    def _begin(self, job: _Job) -> None:
+        done = self._stores.submit(job.work)
+        done.add_done_callback(lambda _: self._loop.post(lambda: self._stored(job, done)))
+
+    def _stored(self, job: _Job, done: Future[Callable[[], None] | None]) -> None:
+        waiting = self._storing[job.robot]
+        waiting.popleft()
+        if waiting:
+            self._begin(waiting[0])
+        error = done.exception()
+        if error is not None:
+            # What cannot be stored must not be done.
+            self.failure = self.failure or error
+            self._goals.interrupt()
+            if job.decides:
+                self._close_one()
+            return
+        then = done.result()
+        if then is not None:
+            then()
+
+    def _close_one(self) -> None:
+        self._open -= 1
+        if self._open == 0:
+            self.over.set()
 
 
 @dataclass(frozen=True)
-class _Unusable:
-    """An attempt without a usable response, and what its robot plays next; None gives it up."""
+class _Job:
+    """What waits for the disk; `work` returns what is done on the loop's thread afterwards.
 
-    reason: str
-    retry: Excitation | None
-    interrupted: bool = False
+    One that `decides` says what becomes of its robot in this round, so that its failure ends it.
+    """
 
-
-def _retry(test: OpenTest, excitation: Excitation, interrupted: bool = False) -> Excitation | None:
-    """Return what is played after an attempt failed; None when there were enough of them."""
-    failures = test.failures + (not interrupted)
-    given_up = failures >= ATTEMPTS or test.attempt >= ATTEMPTS_IN_ALL
-    return None if given_up else excitation
-
-
-def _longer(excitation: Excitation, result: GoalResult) -> Excitation:
-    """The same test with twice the settling and measuring time, after an unusable response."""
-    plan = result.test_plan
-    return excitation.model_copy(
-        update={
-            "settle_s": 2 * max(plan.settle_samples, plan.ramp_samples) * plan.sample_time_s,
-            "segment_min_s": 2 * plan.segment_samples * plan.sample_time_s,
-        }
-    )
+    robot: str
+    work: Callable[[], Callable[[], None] | None]
+    decides: bool = False

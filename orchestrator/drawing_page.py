@@ -14,10 +14,9 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from shared.arrays import FloatArray
-from shared.codec import describe_validation
 from shared.drawing_shape import resampled, shape_of
 from shared.errors import EndpointInUseError, InvalidInputError
-from shared.strict import Strict
+from shared.strict import Strict, describe_validation
 from shared.trajectories import POINTS_MAX, smoothed
 
 BODY_BYTES_MAX = 8 * 2**20

@@ -252,10 +252,14 @@ class Fleet:
     # Network threads.
 
     def _on_presence(self, key: str, alive: bool) -> None:
-        self.watch(self._keys.robot_of(key)).set_alive(alive)
+        robot = self._robot_of(key)
+        if robot is not None:
+            self.watch(robot).set_alive(alive)
 
     def _on_state(self, key: str, payload: bytes) -> None:
-        robot = self._keys.robot_of(key)
+        robot = self._robot_of(key)
+        if robot is None:
+            return
         try:
             state = decode(payload, RobotState)
         except MalformedMessageError as error:
@@ -271,13 +275,22 @@ class Fleet:
     def _on_telemetry(
         self, kind: type[R], observers: list[Callable[[str, R], None]], key: str, payload: bytes
     ) -> None:
+        robot = self._robot_of(key)
+        if robot is None:
+            return
         try:
             telemetry = decode(payload, kind)
         except MalformedMessageError as error:
             _log.warning("ignoring malformed telemetry on %s: %s", key, error)
             return
         for observer in observers:
-            _tell(partial(observer, self._keys.robot_of(key), telemetry))
+            _tell(partial(observer, robot, telemetry))
+
+    def _robot_of(self, key: str) -> str | None:
+        robot = self._keys.robot_of(key)
+        if robot is None:
+            _log.warning("ignoring %r, which names no robot", key)
+        return robot
 
 
 def _no_reply(robot: str, leaf: str, request: Message, waited_s: float | None) -> str:

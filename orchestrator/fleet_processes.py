@@ -19,13 +19,16 @@ from typing import IO
 from shared.drivers import load_driver
 from shared.errors import EndpointInUseError, NufleetError
 from shared.fleet_file import FleetFile
+from shared.interrupts import Interrupts
 from shared.transport import open_client
 
-GRACE_S = 10.0
-"""How long a process may take to leave its robots at rest before it is killed."""
+GRACE_S = 90.0
+"""How long a process may take to leave its robots at rest before it is killed.
 
+Longer than an agent takes to find that a driver hangs, so that it can say so itself."""
 
 ROUTER = "router"
+LANDING = "landing: the robots of this fleet are coming to rest, and then it ends by itself"
 
 _log = logging.getLogger(__name__)
 
@@ -67,7 +70,7 @@ class FleetProcesses:
 
     def start_router(self, endpoint: str, *, timeout_s: float = 20.0) -> None:
         """Start a router and wait until it answers; raises EndpointInUseError when it cannot."""
-        child = self._start(ROUTER, ["router", "--listen", endpoint])
+        child = self._start(ROUTER, ["router"], {"NUFLEET_LISTEN": endpoint})
         deadline = time.monotonic() + timeout_s
         while "router listening on" not in child.last_words():
             if child.process.poll() is not None:
@@ -92,13 +95,14 @@ class FleetProcesses:
         What they have to remember lies in `state_folder`, or where agents keep it by themselves.
         """
         for group in groups:
-            arguments = ["agent", str(path), "--connect", endpoint]
+            arguments = ["agent", str(path)]
             arguments += [part for robot in group for part in ("--robot", robot)]
             if realtime is not None:
                 arguments += ["--realtime", str(realtime)]
             if state_folder is not None:
                 arguments += ["--state", str(state_folder)]
-            self._start(f"agent of {', '.join(group)}", arguments)
+            reached = {"NUFLEET_ROUTER": endpoint}
+            self._start(f"agent of {', '.join(group)}", arguments, reached)
 
     def dead(self) -> list[str]:
         """Say of each process that ended on its own what it was and what it said."""
@@ -113,7 +117,14 @@ class FleetProcesses:
         return {child.what: child.process.pid for child in self._children}
 
     def stop(self) -> None:
-        """End all processes: agents first, so that robots rest while the router still is there."""
+        """End all processes: agents first, so that robots rest while the router still is there.
+
+        Whoever interrupts this is told that the robots are landing; it goes on all the same.
+        """
+        with Interrupts(LANDING, held=True):
+            self._stop()
+
+    def _stop(self) -> None:
         agents = [child for child in self._children if child.what != ROUTER]
         routers = [child for child in self._children if child.what == ROUTER]
         try:
@@ -126,13 +137,15 @@ class FleetProcesses:
                 child.log.close()
             self._children.clear()
 
-    def _start(self, what: str, arguments: list[str]) -> _Child:
+    def _start(self, what: str, arguments: list[str], environment: dict[str, str]) -> _Child:
+        """Start a process; what other users may not see is in its environment."""
         log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
         process = subprocess.Popen(
             [sys.executable, "-m", "shared.command_line", *arguments, "--until-stdin-closes"],
             stdin=subprocess.PIPE,
             stdout=log,
             stderr=subprocess.STDOUT,
+            env={**os.environ, **environment},
             start_new_session=True,  # a Ctrl-C is for the parent, which ends the children in order
         )
         child = _Child(what, process, log)

@@ -7,15 +7,17 @@ from pathlib import Path
 
 from rich.live import Live
 
-from orchestrator.connection import CONNECT_TIMEOUT_S, new_orchestrator_id, wait_for_robots
+from orchestrator.connection import CONNECT_TIMEOUT_S, wait_for_robots
 from orchestrator.console import stderr_console
 from orchestrator.fleet import Fleet
 from orchestrator.fleet_processes import FleetProcesses, grouped
 from orchestrator.fleet_table import fleet_table
+from orchestrator.orchestrator_id import new_orchestrator_id
 from shared.drivers import check_settings
 from shared.errors import NufleetError
 from shared.fleet_file import read_fleet_file
 from shared.keys import FleetKeys
+from shared.redaction import without_secrets
 from shared.transport import open_client
 
 AGENT_PROCESSES = 2
@@ -41,9 +43,10 @@ def fleet_up(path: Path, *, listen: str, processes: bool, realtime: float | None
         with open_client(listen, timeout_s=CONNECT_TIMEOUT_S) as session:
             fleet = Fleet(session, FleetKeys(file.name), new_orchestrator_id())
             wait_for_robots(fleet, started, file)
+            shown = without_secrets(listen)
             console.print(
-                f"{len(robots)} robots of fleet {file.name} are up at {listen}; "
-                f"rank them with: nufleet rank --connect {listen}   (Ctrl-C ends them)"
+                f"{len(robots)} robots of fleet {file.name} are up at {shown}; "
+                f"rank them with: nufleet rank --connect {shown}   (Ctrl-C ends them)"
             )
             watches = [fleet.watch(robot) for robot in robots]
             with Live(console=console, auto_refresh=False, transient=True) as live:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from orchestrator.goal_runner import Interrupted
 from orchestrator.repository.errors import LeaseHeldError, LeaseLostError, RepositoryError
-from orchestrator.repository.records import Lease
+from orchestrator.repository.records import Lease, Renewal
 
 if TYPE_CHECKING:
     from orchestrator.repository.lease_store import LeaseStore
@@ -127,28 +127,32 @@ def hold_leases(
         owner: this orchestrator's id.
         above_epochs: per robot, the latest epoch that it has seen.
         patient: whether to wait for an owner that renews nothing any more; one that does is alive.
+            After the clock was set back there is always a wait, since nothing else tells them
+            apart.
         on_wait: is told once for whom.
 
     Raises:
         LeaseHeldError: another orchestrator owns one of them; it says who and for how long.
     """
     names = tuple(robots)
-    waited_for: tuple[str, str, int] | None = None
-    until_s = 0.0
+    # Since when each lease of others has not been renewed, by a clock that nobody sets.
+    watched: dict[tuple[str, str, int], tuple[Renewal, float]] = {}
     while True:
+        now_s = time.monotonic()
+        silent = [found for found, since_s in watched.values() if now_s - since_s > found.term_s]
         try:
             leases = store.acquire(
-                fleet, names, owner=owner, term_s=TERM_S, above_epochs=above_epochs
+                fleet, names, owner=owner, term_s=TERM_S, above_epochs=above_epochs, silent=silent
             )
             return HeldLeases(store, leases)
         except LeaseHeldError as held:
-            now_until_s = time.monotonic() + held.remaining_s
-            if not patient:
+            set_back = any(renewal.before_set_back for renewal in held.renewals)
+            if not (patient or set_back):
                 raise
-            if waited_for != (held.robot, held.owner, held.epoch):
-                waited_for = (held.robot, held.owner, held.epoch)
+            if (held.robot, held.owner, held.epoch) not in watched:
                 on_wait(held)
-            elif now_until_s > until_s + RENEW_EVERY_S / 2:
-                raise  # it was renewed: its owner lives
-            until_s = now_until_s
+            for renewal in held.renewals:
+                key = (renewal.robot, renewal.owner, renewal.epoch)
+                if watched.setdefault(key, (renewal, now_s))[0] != renewal:
+                    raise  # it was renewed: its owner lives
         time.sleep(_LOOK_EVERY_S)

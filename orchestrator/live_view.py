@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 
-from orchestrator.dispatcher import Measured, TestOutcome
 from orchestrator.fleet import Fleet
+from orchestrator.outcomes import Measured, TestOutcome
 from orchestrator.study import Question, Report, Responses, StudyPlan
 from orchestrator.study_clock import StudyClock
 from orchestrator.viewer.events import (

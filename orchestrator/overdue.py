@@ -15,11 +15,11 @@ class Overdue:
         """Begin to judge a motion that takes so long; 0 for as fast as it can."""
         self.grace_s = _GRACE_S if wall_duration_s else _UNPACED_GRACE_S
         self.progress = 0.0
-        self._deadline_s = now_s + _FACTOR * wall_duration_s + self.grace_s
+        self.deadline_s = now_s + _FACTOR * wall_duration_s + self.grace_s
 
     def is_late(self, progress: float, now_s: float) -> bool:
         """Say whether it is overdue, having come as far as `progress`, from 0 to 1."""
         if progress > self.progress:
             self.progress = progress
-            self._deadline_s = max(self._deadline_s, now_s + self.grace_s)
-        return now_s > self._deadline_s
+            self.deadline_s = max(self.deadline_s, now_s + self.grace_s)
+        return now_s >= self.deadline_s

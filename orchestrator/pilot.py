@@ -157,7 +157,7 @@ class Pilot:
         result = self._goals.run(robot, f"{self._run_id}.{robot}.f{flight}", motion)
         if self._goals.interrupted:
             raise Interrupted
-        if result.outcome in (Outcome.ABORTED, Outcome.CANCELLED):
+        if result.outcome in (Outcome.ABORTED, Outcome.CANCELLED, Outcome.LOST):
             raise RobotLostError(f"robot {robot} ended {motion.kind} early: {result.reason}")
         if result.outcome is Outcome.FAILED:
             _log.info("%s of %s failed: %s", motion.kind, robot, result.reason)

@@ -12,8 +12,9 @@ import numpy as np
 
 from orchestrator.archive import Archive
 from orchestrator.desired_motion import Drawing, desired_motion
-from orchestrator.dispatcher import Dispatcher, Measured, TestOutcome
+from orchestrator.dispatcher import Dispatcher
 from orchestrator.fleet import Fleet
+from orchestrator.outcomes import Measured, TestOutcome
 from orchestrator.preflight import check_band, check_names, check_plan, check_robots, chosen_axis
 from orchestrator.ranking import Conclusion, RankingObserver, conduct
 from orchestrator.report import write_plots, write_report
@@ -155,11 +156,11 @@ def run_study(
     recorder = _Recorder(folder)
     everyone = _Together([recorder, *observers])
     log = archive.log(study.study_id)
-    dispatcher = Dispatcher(fleet, log, on_attempt_failed=everyone.attempt_failed)
+    specs = {robot: description.spec for robot, description in ready.descriptions.items()}
+    dispatcher = Dispatcher(fleet, log, specs, on_attempt_failed=everyone.attempt_failed)
     seed, studies = study.seed, archive.repository.studies
     with archive.conducting(study.study_id, dispatcher.interrupt):
         conclusion = conduct(make_study(study, studies), log, dispatcher, everyone)
-    specs = {robot: description.spec for robot, description in ready.descriptions.items()}
     judgement = judge_transfers(
         ready.plan, conclusion.ranking, specs, conclusion.responses, np.random.default_rng(seed)
     )

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from orchestrator.dispatcher import Dispatcher, Failed, Measured, TestOutcome
+from orchestrator.dispatcher import Dispatcher
+from orchestrator.outcomes import Failed, Measured, TestOutcome
 from orchestrator.repository.records import TrialRecord, TrialStatus
 from orchestrator.resume import ToldRound, resume, round_of
 from orchestrator.study import Question, Report, SourceEstimate, Study

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, ValidationError
+from pydantic import Field, field_serializer
 from rich.console import Console
 
 from orchestrator.connection import Connection, running_fleet, started_fleet
-from orchestrator.run_folder import CONFIGURATION
-from shared.codec import describe_validation
 from shared.errors import InvalidInputError
 from shared.fleet_file import FleetFile, read_fleet_file
+from shared.redaction import HIDDEN, without_secrets
 from shared.strict import Name, Positive, Strict
 
 REACH = "reach"
@@ -24,6 +22,7 @@ REACH = "reach"
 class Reach(Strict):
     """A running fleet at a router's endpoint, or that of a file, started for one run alone.
 
+    It is stored without what may be secret in the endpoint, and then needs it again to be reached.
     `processes` says to how many processes the robots of a file are dealt, None gives each its own;
     `realtime` at which multiple of real time they play, None as fast as they can.
     """
@@ -33,6 +32,10 @@ class Reach(Strict):
     fleet_file: str | None = None
     realtime: Positive | None = None
     processes: Annotated[int, Field(ge=1)] | None = 2
+
+    @field_serializer("connect")
+    def _without_secrets(self, connect: str) -> str:
+        return without_secrets(connect)
 
     @property
     def file(self) -> FleetFile | None:
@@ -45,6 +48,11 @@ class Reach(Strict):
         """Start the fleet, or join it and wait so long for these robots; enter what is returned."""
         file = self.file
         if self.fleet_file is None or file is None:
+            if self.connect.endswith(f"#{HIDDEN}"):
+                raise InvalidInputError(
+                    f"the run reached its fleet at {self.connect}, and what may be secret there "
+                    "was not stored; name the whole endpoint with --connect"
+                )
             return running_fleet(self.connect, self.fleet_name, robots=robots, wait_s=wait_s)
         console.print(f"starting a router and {len(file.robots)} robots of {self.fleet_file}")
         return started_fleet(
@@ -57,26 +65,3 @@ class Reach(Strict):
         A fleet that was started for a run is another one than all others of that name.
         """
         return fleet if self.fleet_file is None else f"{fleet}/{run_id}"
-
-
-def can_reach_again(folder: Path) -> bool:
-    """Return whether a run's folder says how it reached its fleet, as those of rankings do."""
-    try:
-        reach_of(folder)
-    except InvalidInputError:
-        return False
-    return True
-
-
-def reach_of(folder: Path) -> Reach:
-    """Return how a run reached its fleet; raises InvalidInputError."""
-    path = folder / CONFIGURATION
-    try:
-        document = json.loads(path.read_bytes())
-        return Reach.model_validate_json(json.dumps(document[REACH]))
-    except ValidationError as error:
-        raise InvalidInputError(f"{path}: {REACH}: {describe_validation(error)}") from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InvalidInputError(
-            f"{path} does not say how the run reached its fleet: {error!r}; it cannot be resumed"
-        ) from error

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from orchestrator.archive import Archive
-from orchestrator.dispatcher import Dispatcher, TestOutcome
+from orchestrator.dispatcher import Dispatcher
 from orchestrator.evaluation import Psi
 from orchestrator.evaluation_results import StudyEstimates
 from orchestrator.fleet import Fleet
+from orchestrator.outcomes import TestOutcome
 from orchestrator.rank_run import ReadyStudy
 from orchestrator.ranking import conduct
 from orchestrator.repository.records import StudyStatus
@@ -44,6 +45,7 @@ def repeat_study(
     Raises:
         StudyError: a study cannot go on, since the target or every source is gone.
     """
+    specs = {robot: description.spec for robot, description in ready.descriptions.items()}
     studies = []
     responses: dict[str, list[FrequencyResponse]] = {}
     for seed in seeds:
@@ -51,7 +53,7 @@ def repeat_study(
         study_id = f"{run_id}.{ready.plan.target}.s{seed}"
         begun = archive.begin(study_id, "paper", ready.plan, seed, ready.descriptions)
         log = archive.log(begun.study_id)
-        dispatcher = Dispatcher(fleet, log, on_attempt_failed=recorder.attempt_failed)
+        dispatcher = Dispatcher(fleet, log, specs, on_attempt_failed=recorder.attempt_failed)
         kept = archive.repository.studies
         with archive.conducting(begun.study_id, dispatcher.interrupt):
             conclusion = conduct(make_study(begun, kept), log, dispatcher, recorder)

@@ -65,17 +65,19 @@ class ResponsePrior:
     def mode_grid(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return ω₀, ζ and log prior weight of the modes looked for, each of shape (modes,).
 
-        For each decay σ = ζω₀ they are σ apart, which is half the width of the resonance.
+        For each decay σ = ζω₀ they are σ apart, which is half the width of the resonance. There
+        are none when the slowest decay is faster than any mode of the band: its modes are gone
+        before they could be seen.
         """
         top = 1.3 * self.omega_max_rad_s
         slowest = max(self.decay_min_1_s, MODE_DAMPING_MIN * 0.5 * top)
-        omegas, dampings, weights = [], [], []
-        for decay in np.geomspace(slowest, max(0.25 * top, 1.5 * slowest), MODE_DECAYS):
-            omega = np.arange(max(decay, 0.05 * top), top, decay)
-            omegas.append(omega)
-            dampings.append(np.minimum(decay / omega, 1.0))
-            weights.append(np.full(len(omega), -np.log(len(omega) * MODE_DECAYS)))
-        return np.concatenate(omegas), np.concatenate(dampings), np.concatenate(weights)
+        decays = np.geomspace(slowest, max(0.25 * top, 1.5 * slowest), MODE_DECAYS)
+        decays = decays[decays < top]
+        omegas = [np.arange(max(decay, 0.05 * top), top, decay) for decay in decays]
+        counts = np.array([len(omega) for omega in omegas], dtype=np.int64)
+        omega = np.concatenate([np.empty(0), *omegas])
+        damping = np.minimum(np.repeat(decays, counts) / omega, 1.0)
+        return omega, damping, -np.log(np.repeat(counts, counts) * len(decays))
 
 
 def response(theta: FloatArray, omega_rad_s: FloatArray) -> ComplexArray:

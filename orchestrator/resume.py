@@ -36,14 +36,6 @@ class OpenTest:
     record: TrialRecord | None
     failures: int = 0
 
-    def may_be_sent_to(self, boot_id: str) -> bool:
-        """Return whether sending it can start no second motion.
-
-        The agent process that accepted it knows it, and one that has seen nothing of it may take
-        it. Any other process only has a result, or the attempt is lost.
-        """
-        return self.accepted_by in (None, boot_id)
-
     @property
     def accepted_by(self) -> str | None:
         """The agent process that is known to have accepted it."""

@@ -6,7 +6,10 @@ import threading
 import time
 from collections.abc import Callable
 
+from orchestrator.goal_events import Heard, Sighting, TokenBack, TokenLost
 from shared.messages import RobotState
+
+OnSign = Callable[[Heard | TokenBack | TokenLost], None]
 
 HEARTBEAT_LOST_S = 2.5
 """A robot that is silent for longer is lost: five heartbeats."""
@@ -21,6 +24,7 @@ class RobotWatch:
         self._alive = False
         self._state: RobotState | None = None
         self._heard_s = 0.0
+        self._followers: list[OnSign] = []
 
     @property
     def alive(self) -> bool:
@@ -42,7 +46,7 @@ class RobotWatch:
         with self._changed:
             self._alive = alive
             self._heard_s = time.monotonic()
-            self._changed.notify_all()
+            self._tell(TokenBack() if alive else TokenLost())
 
     def set_state(self, state: RobotState) -> None:
         """Note a state; one that is older than the last of the same boot is passed over."""
@@ -53,9 +57,30 @@ class RobotWatch:
                 return
             self._state = state
             self._heard_s = time.monotonic()
-            self._changed.notify_all()
+            self._tell(Heard(state))
 
     def wait_until(self, condition: Callable[[RobotWatch], bool], *, timeout_s: float) -> bool:
         """Wait until a condition on this watch holds; return whether it does."""
         with self._changed:
             return self._changed.wait_for(lambda: condition(self), timeout_s)
+
+    def follow(self, follower: OnSign) -> tuple[Sighting, Callable[[], None]]:
+        """Tell a follower, on network threads, what happens from now on.
+
+        Returns:
+            What is known now, and what ends the following.
+        """
+        with self._changed:
+            self._followers.append(follower)
+            sighting = Sighting(self._alive, self._heard_s)
+        return sighting, lambda: self._unfollow(follower)
+
+    def _unfollow(self, follower: OnSign) -> None:
+        with self._changed:
+            if follower in self._followers:
+                self._followers.remove(follower)
+
+    def _tell(self, sign: Heard | TokenBack | TokenLost) -> None:
+        self._changed.notify_all()
+        for follower in self._followers:
+            follower(sign)

@@ -19,9 +19,8 @@ from orchestrator.pairs import PAIRS, PairsResult
 from orchestrator.results import RankResult, RunRecord
 from orchestrator.run_documents import TRACKING, TRAINING, TrackResult, TrainResult
 from orchestrator.run_folder import CONFIGURATION, RESULTS, list_runs, read_record
-from shared.codec import describe_validation
 from shared.errors import InvalidInputError
-from shared.strict import Strict
+from shared.strict import Strict, describe_validation
 
 D = TypeVar("D", bound=Strict)
 

@@ -1,10 +1,12 @@
-"""The folder that a run leaves: configuration, results, samples, recording, plots and report."""
+"""The folder that a run leaves: configuration, results, samples, recording, plots and report.
+
+Nobody but its user may look into it.
+"""
 
 from __future__ import annotations
 
 import json
 import platform
-import re
 import shutil
 import sys
 import tempfile
@@ -16,11 +18,12 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from orchestrator.dispatcher import Measured
+from orchestrator.outcomes import Measured
 from orchestrator.results import RunRecord
-from shared.codec import describe_validation
 from shared.errors import InvalidInputError
-from shared.strict import Strict
+from shared.private_files import write_privately
+from shared.redaction import without_secrets
+from shared.strict import Strict, describe_validation
 
 if TYPE_CHECKING:
     import pyarrow.parquet
@@ -28,7 +31,6 @@ if TYPE_CHECKING:
 RECORDING = "run.rrd"
 RESULTS = "results.json"
 CONFIGURATION = "config.json"
-_PASSWORD = re.compile(r"(://[^:/@]*:)[^/]*@")
 _PACKAGES = ("nufleet", "eclipse-zenoh", "numpy", "scipy", "numba", "pydantic", "rerun-sdk")
 
 
@@ -88,7 +90,7 @@ class RunFolder:
                 "python": platform.python_version(),
                 **{package: version(package) for package in _PACKAGES},
             },
-            "command": [_PASSWORD.sub(r"\1***@", word) for word in sys.argv[1:]],
+            "command": [without_secrets(word) for word in sys.argv[1:]],
         }
         self._write(CONFIGURATION, json.dumps(document, indent=2, default=str))
 
@@ -127,9 +129,7 @@ class RunFolder:
 
     def _write(self, name: str, text: str) -> None:
         """Write a file as a whole: who reads it finds all of it, or none."""
-        part = self.path / f"{name}.part"
-        part.write_text(text + "\n", encoding="utf-8")
-        part.replace(self.path / name)
+        write_privately(self.path / name, (text + "\n").encode())
 
 
 def study_id_of(folder: Path) -> str:
@@ -170,9 +170,13 @@ def find_run(root: Path, run: str) -> Path:
 
 
 def make_runs_root(root: Path) -> None:
-    """Make sure that runs can be stored there; raises InvalidInputError."""
+    """Make sure that runs can be stored there; raises InvalidInputError.
+
+    A root that is made here is its user's alone, as each run's folder is; one that is there stays
+    as open as it was made.
+    """
     try:
-        root.mkdir(parents=True, exist_ok=True)
+        root.mkdir(mode=0o700, parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=root):
             pass
     except OSError as error:
@@ -194,7 +198,7 @@ def _create(root: Path, name: str) -> Path:
         for attempt in range(1, 1000):
             path = root / (name if attempt == 1 else f"{name}-{attempt}")
             try:
-                path.mkdir()
+                path.mkdir(mode=0o700)
             except FileExistsError:
                 continue
             return path

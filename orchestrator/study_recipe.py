@@ -18,9 +18,8 @@ from orchestrator.repository.errors import DamagedRecordError
 from orchestrator.repository.records import StudyRecord
 from orchestrator.resume import ResumeError
 from orchestrator.study import Study
-from shared.codec import describe_validation
 from shared.robot_spec import RobotSpec
-from shared.strict import Identifier, Name, Strict
+from shared.strict import Identifier, Name, Strict, describe_validation
 
 if TYPE_CHECKING:
     from orchestrator.repository.study_store import StudyStore

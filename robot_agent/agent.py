@@ -18,6 +18,7 @@ from types import TracebackType
 from robot_agent.decisions import Decisions
 from robot_agent.endpoint import MAX_LARGE_REQUEST_BYTES, Answer, Endpoint
 from robot_agent.experience_service import ExperienceService
+from robot_agent.freezes import Freezes
 from robot_agent.heartbeat import Heartbeat
 from robot_agent.journal import Journal
 from robot_agent.memory import Memory
@@ -88,6 +89,7 @@ class Agent:
         self._state_folder = state_folder
         self._boot_id = uuid.uuid4().hex
         self._rivals = Rivals(name, self._boot_id, time.monotonic)
+        self._freezes = Freezes(time.monotonic())
         self._changed = threading.Event()
         self._memory = Memory(None if state_folder is None else state_folder / "learned")
         self._looks: list[Callable[[], None]] = []
@@ -103,7 +105,7 @@ class Agent:
         with ExitStack() as opened:
             # First: two agents of one robot must be noticed before both reach for it.
             self._remember(opened)
-            opened.callback(self._robot.disconnect)
+            opened.callback(self._robot.let_go)
             self._robot.connect()
             self._join(opened)
             self._open = opened.pop_all()
@@ -116,6 +118,15 @@ class Agent:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+    @property
+    def name(self) -> str:
+        """The robot's."""
+        return self._name
+
+    def halt(self) -> None:
+        """End the motion in progress and take no other; returns at once."""
+        self._decisions.shut_down()
 
     def close(self) -> None:
         """End the motion in progress, leave the robot at rest, and stop serving.
@@ -190,6 +201,7 @@ class Agent:
 
     def _state(self) -> RobotState:
         """What the heartbeat publishes; it beats regularly, so it looks after the robot too."""
+        self._freezes.beat(time.monotonic())
         for look in self._looks:
             look()
         return self._decisions.state()
@@ -198,7 +210,9 @@ class Agent:
 
     def _on_orchestrator(self, key: str, alive: bool) -> None:
         owner = self._keys.orchestrator_of(key)
-        if alive:
+        if owner is None:
+            _log.warning("%s: ignoring %r, which names no orchestrator", self._name, key)
+        elif alive:
             self._decisions.owner_appeared(owner)
         else:
             self._decisions.owner_lost(owner)
@@ -222,7 +236,7 @@ class Agent:
 
     def _take_goal(self, payload: bytes) -> Answer:
         request = _decoded(payload, GoalRequest)
-        refusal = self._rivals.refusal()
+        refusal = self._freezes.refusal(time.monotonic()) or self._rivals.refusal()
         if refusal is not None:
             return refusal
         self._await_owner(request.owner)

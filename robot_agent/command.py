@@ -42,6 +42,12 @@ import click
     "are stopped, what they learned. One agent at a time.  "
     "[env: NUFLEET_STATE; default: nufleet in XDG_STATE_HOME or ~/.local/state]",
 )
+@click.option(
+    "--forget-owner",
+    is_flag=True,
+    help="Make the robots of --robot forget who commanded them and under which epoch, and end. For "
+    "a robot that was told an epoch that no repository gives out; end its agent first.",
+)
 @click.option("--until-stdin-closes", is_flag=True, hidden=True)
 def agent(
     fleet_file: str,
@@ -49,6 +55,7 @@ def agent(
     connect: str,
     realtime: float | None,
     state_folder: Path | None,
+    forget_owner: bool,
     until_stdin_closes: bool,
 ) -> None:
     """Serve robots of FLEET (a file, or an installed fleet's name) to the fleet.
@@ -60,8 +67,14 @@ def agent(
     """
     from shared.drivers import needed_environment
     from shared.fleet_file import find_fleet_file, read_fleet_file
+    from shared.state_folder import default_state_folder
 
     path = find_fleet_file(fleet_file)
+    state_folder = state_folder or default_state_folder()
+    if forget_owner:
+        from robot_agent.forgotten_owners import forget_owners
+
+        return forget_owners(path, robots, state_folder)
     fleet = read_fleet_file(path)
     needed = needed_environment(fleet, [r for r in robots if r in fleet.robots] or fleet.robots)
     missing = {name: value for name, value in needed.items() if os.environ.get(name) != value}
@@ -70,13 +83,12 @@ def agent(
         os.execve(sys.executable, sys.orig_argv, {**os.environ, **missing})
 
     from robot_agent.serve import serve
-    from shared.state_folder import default_state_folder
 
-    serve(
+    return serve(
         path,
         robots,
         connect=connect,
         realtime=realtime,
         until_stdin_closes=until_stdin_closes,
-        state_folder=state_folder or default_state_folder(),
+        state_folder=state_folder,
     )

@@ -31,7 +31,6 @@ from shared.messages import (
     RobotStatus,
 )
 from shared.motions import Motion, MotionPlan
-from shared.strict import as_reason
 
 _log = logging.getLogger(__name__)
 
@@ -158,17 +157,26 @@ class Decisions:
         return refusal
 
     def cancel(self, goal_id: str, sender: Commander) -> Refusal | None:
-        """End a goal's motion early; return why not."""
+        """End a goal's motion early; return why not.
+
+        A goal that has not come yet is refused when it comes, so that whoever hears a yes knows
+        that it moves nothing any more. Raises JournalError when that would not outlast the process.
+        """
         with self._lock:
             # Whoever began it may end it, whatever has become of its lease meanwhile.
             refusal = None
             if self._supervision.motion_owner != sender.owner:
                 refusal = self._refusal_to_command(sender)
             refusal = refusal or goal_machine.cancel(self._goals, goal_id)
-            if refusal is None and self._motion is not None:
+            if refusal is not None:
+                return refusal
+            if self._motion is not None and self._motion.goal.goal_id == goal_id:
                 self._motion.switch.halt(Outcome.CANCELLED, "cancelled")
-            self._changed.set()
-            return refusal
+                self._changed.set()
+                return None
+            self._goals = goal_machine.forgo(self._goals, goal_id, sender.owner)
+        self._journal.forgone(goal_id)
+        return None
 
     def result(self, goal_id: str) -> GoalResult | Refusal:
         """Return how a goal ended, or why there is nothing to return."""
@@ -271,7 +279,7 @@ class Decisions:
                 status=status,
                 goal_id=self._goals.running,
                 progress=self._progress,
-                reason=as_reason(reason),
+                reason=reason,
                 last_goal_id=self._last_goal,
                 robot_time_s=self._robot_time_s,
             )
@@ -306,7 +314,7 @@ class Decisions:
         except JournalError as error:
             if motion is not None:
                 self._take_back(motion)
-            return Refusal(code="journal", reason=as_reason(error)), None
+            return Refusal(code="journal", reason=str(error)), None
         accepted = GoalAccepted(
             goal_id=request.goal_id,
             boot_id=self._boot_id,

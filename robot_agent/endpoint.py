@@ -20,7 +20,6 @@ from shared.codec import Message, encode
 from shared.errors import MalformedMessageError, RefusedError, TransportError
 from shared.keys import FleetKeys
 from shared.messages import Refusal
-from shared.strict import as_reason
 from shared.transport import Request, Session
 
 MAX_REQUEST_BYTES = 64 * 1024
@@ -134,23 +133,23 @@ def _answered(ask: Callable[[], A]) -> A | Refusal:
     try:
         return ask()
     except RefusedError as error:
-        return Refusal(code=error.code, reason=as_reason(error.reason))
+        return Refusal(code=error.code, reason=error.reason)
     except MalformedMessageError as error:
-        return Refusal(code="malformed", reason=as_reason(error))
+        return Refusal(code="malformed", reason=str(error))
     except JournalError as error:
-        return Refusal(code="journal", reason=as_reason(error))
+        return Refusal(code="journal", reason=str(error))
     except CancelledError:
         return SHUTTING_DOWN
     except Exception as error:  # noqa: BLE001 - one bad request must not end the agent
         _log.exception("answering a request")
-        return Refusal(code="internal-error", reason=as_reason(repr(error)))
+        return Refusal(code="internal-error", reason=repr(error))
 
 
 def _send(request: Request, answer: Message) -> None:
     try:
         payload = encode(answer)
     except MalformedMessageError as error:
-        payload = encode(Refusal(code="too-large", reason=as_reason(error)))
+        payload = encode(Refusal(code="too-large", reason=str(error)))
     try:
         request.answer(payload)
     except TransportError as error:

@@ -71,6 +71,8 @@ def recognise(goals: Goals, *, goal_id: str, digest: str) -> Accepted | Refusal 
     known = goals.known.get(goal_id)
     if known is None:
         return None
+    if not known.digest and known.outcome is Outcome.CANCELLED:
+        return Refusal(code="cancelled", reason=f"goal {goal_id} was cancelled before it came")
     if known.digest != digest:
         return Refusal(
             code="goal-id-reused", reason=f"goal {goal_id} is known with another content"
@@ -79,10 +81,8 @@ def recognise(goals: Goals, *, goal_id: str, digest: str) -> Accepted | Refusal 
 
 
 def cancel(goals: Goals, goal_id: str) -> Refusal | None:
-    """Return why a goal cannot be cancelled; None when its motion is to be brought to rest."""
-    if goal_id not in goals.known:
-        return Refusal(code="unknown-goal", reason=f"goal {goal_id} is not known here")
-    if goals.running != goal_id:
+    """Return why a goal cannot be cancelled; None when it is to end, or never to begin."""
+    if goal_id in goals.known and goals.running != goal_id:
         ended = goals.known[goal_id].outcome
         return Refusal(code="goal-ended", reason=f"goal {goal_id} has ended already: {ended}")
     return None
@@ -94,6 +94,16 @@ def end(goals: Goals, goal_id: str, outcome: Outcome) -> Goals:
         raise ValueError(f"goal {goal_id} does not run; {goals.running} does")
     ended = replace(goals.known[goal_id], outcome=outcome)
     return Goals(_remember(goals.known, ended), running=None)
+
+
+def forgo(goals: Goals, goal_id: str, owner: str) -> Goals:
+    """Remember a goal that was cancelled before it came, so that it moves nothing when it does."""
+    return replace(goals, known=_remember(goals.known, forgone(goal_id, owner)))
+
+
+def forgone(goal_id: str, owner: str) -> Goal:
+    """Return a goal that was cancelled before it came: nobody knows its content."""
+    return Goal(goal_id, owner, "", Outcome.CANCELLED)
 
 
 def take_back(goals: Goals, goal_id: str) -> Goals:

@@ -15,6 +15,7 @@ import contextlib
 import fcntl
 import hashlib
 import logging
+import os
 import threading
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -43,7 +44,6 @@ from robot_agent.journal_log import (
     continue_log,
     read_log,
     replace_log,
-    write_durably,
 )
 from robot_agent.supervisor import StopOrder
 from shared.codec import decode, encode
@@ -51,6 +51,7 @@ from shared.errors import MalformedMessageError
 from shared.excitation import ExcitationPlan
 from shared.messages import GoalResult, Outcome
 from shared.motions import MotionPlan
+from shared.private_files import make_private_folder, replace_privately
 
 LOG = "log"
 DAMAGED_LOG = "log.damaged"
@@ -68,7 +69,7 @@ class JournalInUseError(JournalError):
 class Remembrance:
     """What an agent process finds when it begins.
 
-    `lost` are the goals that were in progress when the one before ended; they are known as aborted.
+    `lost` are the goals that were in progress when the one before ended; they are known as lost.
     `damage` says what was altered in the journal, in which case the robot is stopped.
     """
 
@@ -101,8 +102,8 @@ class Journal:
         self._compact_above_bytes = COMPACT_ABOVE_BYTES
         with contextlib.ExitStack() as opened:
             try:
-                self._results.mkdir(parents=True, exist_ok=True)
-                self._incoming.mkdir(exist_ok=True)
+                for made in (folder, self._results, self._incoming):
+                    make_private_folder(made)
                 self._take_lock(opened)
                 self._log_file, damage = self._read()
                 opened.callback(self._close_log)
@@ -169,6 +170,10 @@ class Journal:
         )
         return sha256 is not None
 
+    def forgone(self, goal_id: str) -> None:
+        """Store that a goal was cancelled before it came: before that is confirmed."""
+        self._append(Ended(goal_id=goal_id, outcome=Outcome.CANCELLED, sha256=None, size_bytes=0))
+
     def acknowledged(self, goal_ids: Iterable[str]) -> None:
         """Let results go that have arrived; ids that are not known do no harm."""
         self._append(Acknowledged(goal_ids=tuple(goal_ids)))
@@ -184,6 +189,23 @@ class Journal:
     def owned(self, owner: str, epoch: int) -> None:
         """Store who commands the robot now: before anything is done under that epoch."""
         self._append(Owned(owner=owner, epoch=epoch))
+
+    def forget_owner(self) -> Owned | None:
+        """Remember no owner and no epoch any more; return what was known. Raises JournalError.
+
+        That is for a person to decide: an owner of the past is obeyed again afterwards.
+        """
+        with self._mutex:
+            forgotten, self._ledger.owner = self._ledger.owner, None
+            if forgotten is not None:
+                try:
+                    self._replace_log()
+                except OSError as error:
+                    self._ledger.owner = forgotten
+                    raise JournalError(
+                        f"{self._folder}: {error.strerror}; see to the disk"
+                    ) from error
+        return forgotten
 
     def result(self, goal_id: str) -> GoalResult | None:
         """Return a result that is kept; None when it was let go, or its file is damaged."""
@@ -204,7 +226,9 @@ class Journal:
     # Opening.
 
     def _take_lock(self, opened: contextlib.ExitStack) -> None:
-        lock = opened.enter_context((self._folder / "lock").open("w"))
+        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+        lock = os.open(self._folder / "lock", flags, 0o600)
+        opened.callback(os.close, lock)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
@@ -227,7 +251,8 @@ class Journal:
         _log.error("%s; the robot is stopped, and the file is kept as %s", damage, DAMAGED_LOG)
         reason = f"{damage[:1500]}; see to the robot, then release it"
         self._ledger.apply(Stopped(sender="journal", reason=reason))
-        write_durably(self._folder / DAMAGED_LOG, data, self._incoming / "log.damaged")
+        damaged, part = self._folder / DAMAGED_LOG, self._incoming / "log.damaged"
+        os.close(replace_privately(damaged, data, part))
         return self._new_log(), damage
 
     def _end_what_ran(self) -> tuple[str, ...]:
@@ -269,15 +294,21 @@ class Journal:
 
     def _compact(self) -> None:
         """Replace the log by a shorter one with the same content."""
+        try:
+            self._replace_log()
+        except OSError as error:
+            _log.warning("%s could not be shortened: %s", self._folder, error.strerror)
+        self._compact_above_bytes = max(COMPACT_ABOVE_BYTES, 2 * self._log_file.size_bytes)
+
+    def _replace_log(self) -> None:
+        """Put a log of what is known now into the place of the one that is open; raises OSError."""
         old = self._log_file
         try:
             self._log_file = self._new_log()
-        except OSError as error:
-            _log.warning("%s could not be shortened: %s", self._folder, error.strerror)
+        except OSError:
             old.check_in_place()
-        else:
-            old.close()
-        self._compact_above_bytes = max(COMPACT_ABOVE_BYTES, 2 * self._log_file.size_bytes)
+            raise
+        old.close()
 
     def _new_log(self) -> LogFile:
         payloads = map(encode_record, self._ledger.records())
@@ -285,8 +316,8 @@ class Journal:
 
     def _store_result(self, result: GoalResult) -> tuple[str, int]:
         data = encode(result)
-        temporary = self._incoming / f"{result.goal_id}.result"
-        write_durably(self._results / result.goal_id, data, temporary)
+        part = self._incoming / f"{result.goal_id}.result"
+        os.close(replace_privately(self._results / result.goal_id, data, part))
         return hashlib.sha256(data).hexdigest(), len(data)
 
 
@@ -298,7 +329,7 @@ def _lost_result(known: LedgerGoal) -> GoalResult:
     return GoalResult(
         goal_id=known.goal.goal_id,
         boot_id=known.boot_id,
-        outcome=Outcome.ABORTED,
+        outcome=Outcome.LOST,
         reason=f"lost: the agent process {known.boot_id} ended during it; send a new attempt",
         plan=known.plan,
         reference=nothing,

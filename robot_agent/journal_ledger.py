@@ -17,11 +17,10 @@ from pydantic import Field, TypeAdapter, ValidationError
 from robot_agent.goal_machine import REMEMBERED_GOALS, Goal
 from robot_agent.results import KEPT_RESULT_BYTES, KEPT_RESULTS
 from robot_agent.supervisor import StopOrder
-from shared.codec import describe_validation
 from shared.errors import NufleetError
 from shared.messages import Outcome
 from shared.motions import MotionPlan
-from shared.strict import Identifier, Reason, Strict
+from shared.strict import Identifier, Reason, Strict, describe_validation
 
 Digest = Annotated[str, Field(max_length=64)]
 Count = Annotated[int, Field(ge=0)]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from robot_agent.journal_frames import SALT_BYTES, Scan, encode_frame, file_head, scan
 from robot_agent.journal_ledger import JournalError
+from shared import private_files
 
 
 class LogFile:
@@ -39,7 +40,7 @@ class LogFile:
             raise JournalError(f"{self._path} takes no more records: {self._in_doubt}")
         frame = encode_frame(self._salt, self._number + 1, payload)
         try:
-            _write_all(self._descriptor, frame)
+            private_files.write_all(self._descriptor, frame)
         except OSError as error:
             self._restore()
             raise JournalError(
@@ -89,7 +90,7 @@ def read_log(path: Path) -> tuple[Scan, bytes]:
 
 def continue_log(path: Path, found: Scan) -> LogFile:
     """Open a log without damage behind its last whole record; what is torn is cut off."""
-    descriptor = os.open(path, os.O_RDWR | os.O_APPEND)
+    descriptor = os.open(path, os.O_RDWR | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
         if found.torn_bytes:
             os.ftruncate(descriptor, found.sound_bytes)
@@ -105,36 +106,5 @@ def replace_log(path: Path, payloads: Iterable[bytes], temporary: Path) -> LogFi
     salt = secrets.token_bytes(SALT_BYTES)
     frames = [encode_frame(salt, n, payload) for n, payload in enumerate(payloads, start=1)]
     data = file_head(salt) + b"".join(frames)
-    descriptor = _replace(path, data, temporary)
+    descriptor = private_files.replace_privately(path, data, temporary)
     return LogFile(path, descriptor, salt, len(frames), len(data))
-
-
-def write_durably(path: Path, data: bytes, temporary: Path) -> None:
-    """Write a file, so that after a crash there is all of it or what was there before."""
-    os.close(_replace(path, data, temporary))
-
-
-def _replace(path: Path, data: bytes, temporary: Path) -> int:
-    """Put a new file into the place of `path`; return its descriptor, which appends."""
-    flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_TRUNC
-    descriptor = os.open(temporary, flags, 0o600)
-    try:
-        _write_all(descriptor, data)
-        os.fsync(descriptor)
-        temporary.replace(path)
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-    except OSError:
-        os.close(descriptor)
-        temporary.unlink(missing_ok=True)
-        raise
-    return descriptor
-
-
-def _write_all(descriptor: int, data: bytes) -> None:
-    rest = memoryview(data)
-    while rest:
-        rest = rest[os.write(descriptor, rest) :]

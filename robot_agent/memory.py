@@ -6,7 +6,6 @@ and begins with the sha256 of what follows, so that no damage goes unnoticed.
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,12 +15,12 @@ from pydantic import TypeAdapter, ValidationError
 
 from robot_agent.baseline_model import BaselineModel
 from robot_agent.inverse_model import NetworkInverse
-from shared.codec import describe_validation
 from shared.errors import MalformedMessageError, NufleetError
 from shared.experience import EXPERIENCE_BYTES_MAX, Experience, decode_experience, digest
 from shared.experience_manifest import ExperienceManifest
 from shared.inverse_layout import Architecture
-from shared.strict import Name
+from shared.private_files import make_private_folder, synchronise_folder, write_privately
+from shared.strict import Name, describe_validation
 
 PRIOR = "prior"
 _BASELINE = "baseline"
@@ -64,7 +63,7 @@ class Memory:
         self._baseline: Mapping[str, BaselineModel] = {}
         if folder is not None:
             try:
-                folder.mkdir(parents=True, exist_ok=True)
+                make_private_folder(folder)
                 self._read(folder)
             except OSError as error:
                 raise MemoryFolderError(f"{folder}: {error.strerror}; see to the disk") from error
@@ -112,7 +111,7 @@ class Memory:
             if self._folder is not None:
                 try:
                     (self._folder / f"{PRIOR}{_SUFFIX}").unlink(missing_ok=True)
-                    _sync_folder(self._folder)
+                    synchronise_folder(self._folder)
                 except OSError as error:
                     raise MemoryFolderError(
                         f"{self._folder}: the prior cannot be removed: {error.strerror}"
@@ -136,14 +135,8 @@ class Memory:
         if self._folder is None:
             return
         whole = self._folder / f"{name}{_SUFFIX}"
-        part = whole.with_suffix(".part")
         try:
-            with part.open("wb") as file:
-                file.write(bytes.fromhex(digest(data)) + data)
-                file.flush()
-                os.fsync(file.fileno())
-            part.replace(whole)
-            _sync_folder(self._folder)
+            write_privately(whole, bytes.fromhex(digest(data)) + data)
         except OSError as error:
             raise MemoryFolderError(f"{whole} cannot be written: {error.strerror}") from error
 
@@ -183,15 +176,6 @@ def _stored(path: Path, bytes_max: int, remedy: str) -> bytes | None:
             f"{path} is damaged: it is not what was stored there; remove it, {remedy}"
         )
     return data
-
-
-def _sync_folder(folder: Path) -> None:
-    """Return when the names in a folder are on the disk."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _checked(payload: bytes, sha256: str) -> Kept:

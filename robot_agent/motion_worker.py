@@ -31,7 +31,6 @@ from shared.messages import (
     Telemetry,
     TrackingTelemetry,
 )
-from shared.strict import as_reason
 from shared.transport import Publisher
 
 CLOSING_LOOK_S = 0.1
@@ -148,7 +147,7 @@ class MotionWorker:
             goal_id=assignment.goal.goal_id,
             boot_id=self._boot_id,
             outcome=played.outcome,
-            reason=as_reason(played.reason),
+            reason=played.reason,
             plan=assignment.plan,
             reference=played.samples.reference,
             response=played.samples.response,
@@ -257,7 +256,7 @@ class MotionWorker:
             _log.exception("a robot could not be connected anew")
             fault = f"could not be connected anew: {error}"
         self._decisions.reconnected(fault)
-        return Done() if fault is None else Refusal(code="fault", reason=as_reason(fault))
+        return Done() if fault is None else Refusal(code="fault", reason=fault)
 
 
 def _nothing(assignment: Assignment, robot: Robot) -> Samples:

@@ -3,13 +3,16 @@
 An orchestrator gets its epochs with its leases of robots, each higher than all before it; 0 says
 that it has no lease. So whoever was thought dead and replaced is known by its epoch when it wakes.
 Watching a robot, stopping it and releasing it need no epoch.
+
+An epoch is remembered for ever, so that a wrong one would lock everybody else out: one that is far
+above the last is refused.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from shared.messages import Refusal
+from shared.messages import EPOCH_JUMP_MAX, EPOCH_MAX, Refusal
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,14 @@ def refusal_to_command(
             return _stale(held, f"epoch {sender.epoch} is over")
         elif sender.epoch == held.epoch and sender.owner != held.owner and held_alive:
             return _stale(held, "take a lease with a higher one")
+    highest = EPOCH_MAX if held is None else min(EPOCH_MAX, held.epoch + EPOCH_JUMP_MAX)
+    if sender.epoch > highest and sender != held:
+        return Refusal(
+            code="epoch-jump",
+            reason=f"{sender.owner} sent epoch {sender.epoch}, and none above {highest} is obeyed "
+            "here; if its repository is right, make the robot forget its owner: "
+            "nufleet agent FLEET --robot NAME --forget-owner",
+        )
     if takes_over(held, sender) and moving_for not in (None, sender.owner):
         return Refusal(
             code="busy", reason=f"it moves for {moving_for}, who is alive; take it over at rest"

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import threading
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import click
 
 from robot_agent.agent import Agent
 from robot_agent.fleet_robots import build_robots
+from shared.errors import NufleetError, RobotError
 from shared.fleet_file import read_fleet_file
+from shared.interrupts import Interrupts
 from shared.keys import FleetKeys
 from shared.lifeline import when_stdin_closes
+from shared.redaction import without_secrets
 from shared.transport import open_client
+
+LANDING = "landing: the robots are coming to rest, and then this ends by itself"
 
 
 def serve(
@@ -28,7 +35,9 @@ def serve(
     """Serve robots until standard input closes (when asked) or the process is interrupted.
 
     Each robot has a session of its own, so that one that is cut off takes no other with it. What it
-    has to remember lies in `state_folder`, under the names of its fleet and its own.
+    has to remember lies in `state_folder`, under the names of its fleet and its own. Once the end
+    has begun it cannot be interrupted again: it lasts until every robot is at rest, or was found
+    not to come to rest.
     """
     fleet = read_fleet_file(fleet_file)
     chosen = names or tuple(fleet.robots)
@@ -37,12 +46,51 @@ def serve(
     if until_stdin_closes:
         when_stdin_closes(ended.set)
     keys = FleetKeys(fleet.name)
-    with ExitStack() as stack:
-        for name, robot in robots.items():
-            session = stack.enter_context(open_client(connect, timeout_s=None, given_up=ended))
-            own = state_folder / fleet.name / name
-            stack.enter_context(
-                Agent(session, keys, name, robot, realtime=realtime, state_folder=own)
-            )
-        click.echo(f"serving {', '.join(chosen)} of fleet {fleet.name} at {connect}", err=True)
-        ended.wait()
+    with (
+        Interrupts(LANDING) as interrupts,
+        ExitStack() as sessions,
+        closed_together() as agents,
+    ):
+        try:
+            for name, robot in robots.items():
+                session = sessions.enter_context(
+                    open_client(connect, timeout_s=None, given_up=ended)
+                )
+                own = state_folder / fleet.name / name
+                agent = Agent(session, keys, name, robot, realtime=realtime, state_folder=own)
+                agents.append(agent.__enter__())
+            at = without_secrets(connect)
+            click.echo(f"serving {', '.join(chosen)} of fleet {fleet.name} at {at}", err=True)
+            ended.wait()
+        finally:
+            interrupts.hold()
+
+
+@contextmanager
+def closed_together() -> Iterator[list[Agent]]:
+    """Yield a list for agents that serve; those in it are closed at the end, all at once.
+
+    Raises:
+        RobotError: robots could not be left at rest; it names each of them.
+    """
+    agents: list[Agent] = []
+    try:
+        yield agents
+    finally:
+        _close_together(agents)
+
+
+def _close_together(agents: Sequence[Agent]) -> None:
+    # First, so that no robot flies on while another one comes to rest.
+    for agent in agents:
+        agent.halt()
+    if not agents:
+        return
+    with ThreadPoolExecutor(len(agents), thread_name_prefix="closing") as pool:
+        closing = {agent.name: pool.submit(agent.close) for agent in agents}
+    errors = {name: error for name, one in closing.items() if (error := one.exception())}
+    for error in errors.values():
+        if not isinstance(error, NufleetError):
+            raise error
+    if errors:
+        raise RobotError("; ".join(f"{name}: {error}" for name, error in errors.items()))

@@ -13,7 +13,6 @@ from robot_agent.supervisor import StopOrder
 from shared.codec import Message, decode
 from shared.errors import MalformedMessageError
 from shared.messages import Done, Refusal, StopRequest
-from shared.strict import as_reason
 
 _log = logging.getLogger(__name__)
 
@@ -49,7 +48,7 @@ class StopService:
             request = decode(payload, StopRequest, max_bytes=MAX_REQUEST_BYTES)
         except MalformedMessageError as error:
             # Somebody wants this robot to stop; that the order is garbled does not make it move on.
-            self._decisions.stop(StopOrder("unknown", as_reason(f"a malformed stop: {error}")))
+            self._decisions.stop(StopOrder("unknown", f"a malformed stop: {error}"))
             self._stored()
             raise
         self._decisions.stop(StopOrder(request.sender, request.reason))
@@ -80,5 +79,5 @@ class StopService:
         except JournalError as error:
             _log.error("%s: a stop is not stored: %s", self._robot, error)
             forgotten = "it was halted, but the stop would not outlast its agent"
-            return Refusal(code="journal", reason=as_reason(f"{forgotten}: {error}"))
+            return Refusal(code="journal", reason=f"{forgotten}: {error}")
         return Done()

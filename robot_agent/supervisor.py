@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from shared.messages import Outcome, Refusal
-from shared.strict import as_reason
 
 
 @dataclass(frozen=True)
@@ -113,12 +112,12 @@ def refusal_to_start(state: Supervision, *, owner: str, owner_alive: bool) -> Re
     if state.fault is not None:
         return Refusal(
             code="fault",
-            reason=as_reason(f"see to the robot, then release it: {state.fault}"),
+            reason=f"see to the robot, then release it: {state.fault}",
         )
     if state.stop is not None:
         return Refusal(
             code="stopped",
-            reason=as_reason(
+            reason=(
                 f"release it first: it was stopped by {state.stop.sender}: {state.stop.reason}"
             ),
         )

@@ -24,6 +24,9 @@ class Unrecorded:
         del result
         return False
 
+    def forgone(self, goal_id: str) -> None:
+        """Forget it."""
+
     def acknowledged(self, goal_ids: Iterable[str]) -> None:
         """Forget it."""
 

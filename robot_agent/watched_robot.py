@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -16,6 +17,9 @@ from shared.robot_spec import RobotSpec
 
 SLOW_CALL_MAX_S = 60.0
 """What connecting, coming to rest and simulating as fast as possible may take at a time."""
+
+LETTING_GO_LOOK_S = 0.1
+"""How often a driver that is to let go of its robot is looked at."""
 
 LOOK_MAX_S = 1.0
 """Two looks further apart count as this: the whole process was frozen, not the driver alone."""
@@ -106,6 +110,29 @@ class WatchedRobot(Robot):
         """Let go of the robot; raises RobotError while another call is in progress."""
         with self._calling("disconnect", SLOW_CALL_MAX_S):
             self._robot.disconnect()
+
+    def let_go(self) -> None:
+        """Disconnect for good, without waiting for a driver that does not return.
+
+        Raises:
+            RobotError: the driver hangs, so that the robot may not be at rest.
+        """
+        done: Future[None] = Future()
+
+        def disconnect() -> None:
+            try:
+                self.disconnect()
+            except BaseException as error:  # noqa: BLE001 - raised where it is waited for
+                done.set_exception(error)
+            else:
+                done.set_result(None)
+
+        threading.Thread(target=disconnect, name="disconnecting", daemon=True).start()
+        while not wait((done,), LETTING_GO_LOOK_S).done:
+            hang = self.look()
+            if hang is not None:
+                raise RobotError(f"{hang}; the robot may not be at rest")
+        done.result()
 
     @contextmanager
     def _calling(self, what: str, allowed_s: float) -> Iterator[None]:

@@ -1,15 +1,12 @@
 """Messages as bytes and back: a strict JSON body with its arrays as raw bytes behind it.
 
-A frame is `NUF1`, the lengths of header and body as two little-endian uint32, the header (protocol
-version, message type, dtype and shape of each array), the body, and the arrays one after another.
-Every length is checked against a cap and against the payload before anything is allocated, and no
-part of a frame can name code to run.
+`shared.frame` says what a frame looks like. Every length is checked against a cap and against the
+payload before anything is allocated, and no part of a frame can name code to run.
 """
 
 from __future__ import annotations
 
 import math
-import struct
 from typing import Annotated, Literal, TypeVar
 
 import numpy as np
@@ -26,23 +23,18 @@ from pydantic import (
 
 from shared.arrays import FloatArray
 from shared.errors import MalformedMessageError, ProtocolVersionError
-from shared.strict import Strict
+from shared.frame import LENGTHS, MAGIC, PREFIX_BYTES, PROTOCOL_VERSION, framed
+from shared.strict import Strict, describe_validation
 
-PROTOCOL_VERSION = 1
 MAX_MESSAGE_BYTES = 64 * 2**20
 """Default cap on one frame; a test of ten minutes at 100 Hz on one axis is about 1 MB."""
 
 MAX_BODY_BYTES = 4 * 2**20
 """Cap on the JSON of one frame: parsed it takes many times its length. Bulk travels as arrays."""
 
-_MAGIC = b"NUF1"
-_LENGTHS = struct.Struct("<II")
-_PREFIX_BYTES = len(_MAGIC) + _LENGTHS.size
 _MAX_HEADER_BYTES = 4096
 _ITEM_BYTES = {"<f8": 8, "|u1": 1}
 _MAX_DIMENSIONS = 3
-_SHOWN_PROBLEMS = 4
-_SHOWN_CHARACTERS = 200
 
 
 class Message(Strict):
@@ -174,9 +166,8 @@ def encode(message: Message) -> bytes:
     head = header.model_dump_json().encode()
     if raw:
         # Spaces behind the JSON, so that the receiver's arrays lie at multiples of 8 bytes.
-        body += b" " * (-(_PREFIX_BYTES + len(head) + len(body)) % 8)
-    lengths = _LENGTHS.pack(len(head), len(body))
-    return b"".join([_MAGIC, lengths, head, body, *(a.tobytes() for a in raw)])
+        body += b" " * (-(PREFIX_BYTES + len(head) + len(body)) % 8)
+    return b"".join([framed(head, body), *(a.tobytes() for a in raw)])
 
 
 def decode(payload: bytes, *expected: type[M], max_bytes: int = MAX_MESSAGE_BYTES) -> M:
@@ -188,16 +179,16 @@ def decode(payload: bytes, *expected: type[M], max_bytes: int = MAX_MESSAGE_BYTE
     """
     if len(payload) > max_bytes:
         raise MalformedMessageError(f"message of {len(payload)} bytes; at most {max_bytes} allowed")
-    if len(payload) < _PREFIX_BYTES or payload[: len(_MAGIC)] != _MAGIC:
+    if len(payload) < PREFIX_BYTES or payload[: len(MAGIC)] != MAGIC:
         raise MalformedMessageError("not a nufleet message")
-    header_bytes, body_bytes = _LENGTHS.unpack_from(payload, len(_MAGIC))
+    header_bytes, body_bytes = LENGTHS.unpack_from(payload, len(MAGIC))
     if header_bytes > _MAX_HEADER_BYTES or body_bytes > MAX_BODY_BYTES + 8:
         raise MalformedMessageError("a length in the frame is larger than allowed")
-    body_start = _PREFIX_BYTES + header_bytes
+    body_start = PREFIX_BYTES + header_bytes
     arrays_start = body_start + body_bytes
     if arrays_start > len(payload):
         raise MalformedMessageError("a length in the frame is larger than the frame")
-    header = _parse_header(payload[_PREFIX_BYTES:body_start])
+    header = _parse_header(payload[PREFIX_BYTES:body_start])
     message_type = next((t for t in expected if t.__name__ == header.type), None)
     if message_type is None:
         wanted = " or ".join(t.__name__ for t in expected)
@@ -210,25 +201,6 @@ def decode(payload: bytes, *expected: type[M], max_bytes: int = MAX_MESSAGE_BYTE
     if arrays.unclaimed:
         raise MalformedMessageError(f"{header.type}: the frame holds an array of no field")
     return message
-
-
-def describe_validation(error: ValidationError) -> str:
-    """Say in one line which fields were wrong and what was expected.
-
-    The line stays short whatever was sent: it goes into refusals and logs.
-    """
-    found = error.errors(include_url=False, include_context=False, include_input=False)
-    problems = [
-        f"{_shortened('.'.join(str(part) for part in item['loc']) or 'message')}: "
-        f"{_shortened(item['msg'])}"
-        for item in found[:_SHOWN_PROBLEMS]
-    ]
-    more = f" (and {len(found) - len(problems)} more)" if len(found) > len(problems) else ""
-    return "; ".join(problems) + more
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= _SHOWN_CHARACTERS else f"{text[: _SHOWN_CHARACTERS - 1]}…"
 
 
 def _parse_header(raw: bytes) -> _Header:

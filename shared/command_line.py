@@ -22,6 +22,7 @@ from typing import NoReturn
 import click
 
 from shared.errors import NufleetError
+from shared.text import printable
 
 ENTRY_POINT_GROUP = "nufleet.commands"
 _DISK_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
@@ -30,6 +31,13 @@ _GROUP_HELP = {
     "fleet": "Launch a fleet of simulated robots, or see who is there.",
     "runs": "Look at what earlier runs left behind, or go on with one that was interrupted.",
 }
+
+
+class _OneLine(logging.Formatter):
+    """Shows what the network or a driver said without letting it command the terminal."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - its name there
+        return printable(super().formatMessage(record))
 
 
 class EntryPointGroup(click.Group):
@@ -63,11 +71,9 @@ def command_line() -> click.Group:
     entries = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
 
     def begin(verbose: bool) -> None:
-        logging.basicConfig(
-            level=logging.INFO if verbose else logging.WARNING,
-            format="%(name)s: %(message)s",
-            stream=sys.stderr,
-        )
+        handler = logging.StreamHandler(sys.stderr)
+        handler.setFormatter(_OneLine("%(name)s: %(message)s"))
+        logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, handlers=[handler])
 
     return EntryPointGroup(
         entries,
@@ -91,7 +97,9 @@ def command_line() -> click.Group:
 
 def main() -> NoReturn:
     """Run the command line and exit with its code."""
-    signal.signal(signal.SIGTERM, _interrupt)
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _interrupt)
     # Small matrices, many of them: with threads, BLAS takes ten times as long on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
@@ -139,7 +147,8 @@ Experience:   nufleet train              robots learn what they can pass on
 
 def _print_error(sentence: str) -> None:
     click.secho("error: ", fg="red", bold=True, nl=False, err=True)
-    click.echo(sentence, err=True)
+    # Of several processes each may have said its own on lines of its own.
+    click.echo("\n".join(printable(line) for line in sentence.splitlines()), err=True)
 
 
 def _print_version(ctx: click.Context, _option: click.Parameter, wanted: bool) -> None:
@@ -149,7 +158,7 @@ def _print_version(ctx: click.Context, _option: click.Parameter, wanted: bool) -
 
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:
-    """Make SIGTERM as orderly as Ctrl-C: robots at rest, recordings closed."""
+    """Make every end as orderly as Ctrl-C: robots at rest, recordings closed."""
     raise KeyboardInterrupt
 
 

@@ -10,9 +10,8 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
-from shared.codec import describe_validation
 from shared.errors import FleetFileError
-from shared.strict import Name, Strict
+from shared.strict import Name, Strict, describe_validation
 
 ENTRY_POINT_GROUP = "nufleet.fleets"
 

@@ -14,7 +14,6 @@ import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from enum import IntEnum
 from importlib import import_module
 from itertools import pairwise
 
@@ -22,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from shared.arrays import FloatArray
-from shared.gaussian_process_problem import Batch, Bounds, Hyperparameters
+from shared.gaussian_process_problem import Batch, Bounds, FitStatus, Hyperparameters
 
 __all__ = [
     "Batch",
@@ -37,19 +36,6 @@ __all__ = [
 ]
 
 _PROBLEMS_WORTH_A_THREAD = 32
-
-
-class FitStatus(IntEnum):
-    """How the search for the hyperparameters of one problem ended."""
-
-    CONVERGED = 0
-    """The projected gradient is within its tolerance."""
-    PRECISION_LIMIT = 1
-    """Rounding, or overflow, hides what is left to gain."""
-    EVALUATION_LIMIT = 2
-    """The likelihood was evaluated as often as allowed; the best point so far is returned."""
-    FAILED = 3
-    """No jitter made the covariance at the start positive definite; the start is returned."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from shared.arrays import FloatArray
-from shared.gaussian_process import FitStatus
+from shared.gaussian_process_problem import FitStatus
 
 IntArray = NDArray[np.int64]
 _Function = TypeVar("_Function", bound=Callable[..., Any])

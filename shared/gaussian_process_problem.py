@@ -1,9 +1,10 @@
-"""What an exact Gaussian process is fitted to: problems, hyperparameters and their bounds."""
+"""What an exact Gaussian process is fitted to, and how a fit ends."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -192,3 +193,16 @@ class Batch:
             np.broadcast_to(known, (problems, n)).reshape(-1),
             np.arange(problems + 1) * n,
         )
+
+
+class FitStatus(IntEnum):
+    """How the search for the hyperparameters of one problem ended."""
+
+    CONVERGED = 0
+    """The projected gradient is within its tolerance."""
+    PRECISION_LIMIT = 1
+    """Rounding, or overflow, hides what is left to gain."""
+    EVALUATION_LIMIT = 2
+    """The likelihood was evaluated as often as allowed; the best point so far is returned."""
+    FAILED = 3
+    """No jitter made the covariance at the start positive definite; the start is returned."""

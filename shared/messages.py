@@ -19,7 +19,16 @@ from shared.strict import Digest, Identifier, Name, NonNegative, Reason
 Count = Annotated[int, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Epoch = Annotated[int, Field(ge=0, lt=2**63)]
-"""Of the lease under which an orchestrator commands a robot; 0 when it has none."""
+"""Of the lease under which an orchestrator commands a robot; 0 when it has none.
+
+Wider than what robots obey, so that one that was told more can say so.
+"""
+
+EPOCH_MAX = 2**53
+"""No robot obeys a higher epoch: there would soon be none above it, and JSON holds no more."""
+
+EPOCH_JUMP_MAX = 2**20
+"""So far above the last epoch a robot obeys the next: as many leases as nobody takes in years."""
 
 
 class RobotStatus(StrEnum):
@@ -33,12 +42,13 @@ class RobotStatus(StrEnum):
 
 
 class Outcome(StrEnum):
-    """How a goal ended."""
+    """How a goal ended; one that is `LOST` ended with the agent process that played it."""
 
     COMPLETED = "completed"
     CANCELLED = "cancelled"
     ABORTED = "aborted"
     FAILED = "failed"
+    LOST = "lost"
 
 
 class Refusal(Message):

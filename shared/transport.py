@@ -32,6 +32,7 @@ from shared.errors import (
     TransportError,
 )
 from shared.presence import OnPresence, Presence
+from shared.redaction import without_secrets
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 PRESENCE_TIMEOUT_S = 3.0
@@ -332,7 +333,7 @@ def _opened_router(config: zenoh.Config, endpoints: str) -> Iterator[Session]:
         session = zenoh.open(config)
     except zenoh.ZError as error:
         raise EndpointInUseError(
-            f"cannot listen on {endpoints}: {_cause(error)}. Is a router running "
+            f"cannot listen on {without_secrets(endpoints)}: {_cause(error)}. Is a router running "
             "there already? Choose another endpoint with --listen"
         ) from error
     with Session(session) as opened:
@@ -366,8 +367,9 @@ def _insert_endpoints(config: zenoh.Config, role: str, endpoints: list[str]) -> 
         protocol, _, address = endpoint.partition("/")
         if protocol not in PROTOCOLS or not address:
             raise InvalidInputError(
-                f"{endpoint!r} is not an endpoint: expected {' or '.join(PROTOCOLS)}, a slash and "
-                "an address, for example tcp/192.168.1.5:7447"
+                f"{without_secrets(endpoint)!r} is not an endpoint: expected "
+                f"{' or '.join(PROTOCOLS)}, a slash and an address, for example "
+                "tcp/192.168.1.5:7447"
             )
     config.insert_json5(f"{role}/endpoints", json.dumps(endpoints))
 
@@ -389,8 +391,9 @@ def _reach(
             over = deadline is not None and time.monotonic() >= deadline
             if over or (given_up is not None and given_up.is_set()):
                 raise NoRouterError(
-                    f"no router answers at {connect}: start one with `nufleet router` or "
-                    "`nufleet fleet up FLEET.toml`, or name another with --connect"
+                    f"no router answers at {without_secrets(connect)}: start one with "
+                    "`nufleet router` or `nufleet fleet up FLEET.toml`, or name another with "
+                    "--connect"
                 ) from error
 
 
@@ -417,7 +420,7 @@ def _transport_errors(doing: str) -> Iterator[None]:
 
 def _cause(error: zenoh.ZError) -> str:
     """Return a Zenoh error without the places in Zenoh's source that it mentions."""
-    return re.sub(r"\s*at \S+\.rs:\d+\.", "", str(error)).rstrip(". ")
+    return without_secrets(re.sub(r"\s*at \S+\.rs:\d+\.", "", str(error)).rstrip(". "))
 
 
 def _base_config(mode: str) -> zenoh.Config:

@@ -14,11 +14,10 @@ from pydantic import Field, ValidationError, model_validator
 
 from robot_agent.robot import Robot
 from shared.arrays import FloatArray
-from shared.codec import describe_validation
 from shared.drivers import load_driver
 from shared.errors import FleetFileError, RobotError
 from shared.robot_spec import RobotSpec
-from shared.strict import Strict
+from shared.strict import Strict, describe_validation
 from sims.faults import Crash, DriverFault, DropOut, Fault, Hang
 from sims.faulty_sensor import FaultySensor
 

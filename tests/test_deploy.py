@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from polling import PATIENCE_S, wait_until
 
+from orchestrator.fleet_processes import GRACE_S
+from robot_agent.watched_robot import SLOW_CALL_MAX_S
 from shared.command_line import command_line
 from shared.fleet_file import read_fleet_file
 from shared.transport import open_client, open_configured_router
@@ -50,6 +52,14 @@ def test_a_service_runs_a_command_that_exists_with_options_that_it_takes(unit: P
     command.make_context(name, list(arguments))
 
 
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.name)
+def test_what_a_service_writes_is_nobody_elses_to_read(unit: Path) -> None:
+    lines = unit.read_text().splitlines()
+    assert "UMask=0077" in lines
+    if "StateDirectory=nufleet" in lines:
+        assert "StateDirectoryMode=0700" in lines
+
+
 def test_an_agents_service_and_its_container_keep_its_state() -> None:
     unit = (DEPLOY / "systemd" / "nufleet-agent@.service").read_text()
     assert "StateDirectory=nufleet\n" in unit
@@ -62,6 +72,18 @@ def test_an_agents_service_and_its_container_keep_its_state() -> None:
     compose = (DEPLOY / "containers" / "compose.yaml").read_text()
     agent = compose.split("x-agent:")[1].split("services:")[0]
     assert f'volumes: ["state:{kept}"]' in agent
+
+
+def test_whoever_ends_an_agent_gives_its_robots_the_time_to_land() -> None:
+    """Or to find that they do not: only then may it be killed."""
+    unit = (DEPLOY / "systemd" / "nufleet-agent@.service").read_text()
+    compose = (DEPLOY / "containers" / "compose.yaml").read_text()
+    for patience_s in (
+        GRACE_S,
+        float(unit.split("TimeoutStopSec=")[1].split()[0]),
+        float(compose.split("stop_grace_period: ")[1].split("s")[0]),
+    ):
+        assert patience_s >= SLOW_CALL_MAX_S + 20.0
 
 
 def test_the_compose_file_names_robots_that_its_fleet_file_has() -> None:

@@ -12,11 +12,13 @@ from benchmarks.faults.figure import Figure
 from benchmarks.faults.fuzzing import resident_bytes
 from benchmarks.faults.lab import Lab, opened_lab
 from orchestrator.archive import Archive
-from orchestrator.dispatcher import Dispatcher, Failed
+from orchestrator.dispatcher import Dispatcher
+from orchestrator.outcomes import Failed
 from orchestrator.repository.repository import Repository, open_repository
 from orchestrator.resume import OpenTest, goal_id_of
 from orchestrator.robot_leases import lease_robots
 from orchestrator.study import StudyPlan
+from orchestrator.study_recipe import recipe_of
 from shared.errors import StudyError
 from shared.excitation import Excitation, Tone
 
@@ -50,8 +52,9 @@ def _measure(lab: Lab, repository: Repository, tests: int) -> list[Figure]:
     with lease_robots(repository.leases, fleet, "lab", ("a", "b")) as leases:
         archive = Archive(repository, "lab", leases)
         plan = StudyPlan("a", ("b",), (5.0, 40.0), 1, "x")
-        archive.begin(STUDY, "paper", plan, 0, fleet.describe_all(("a", "b")))
-        dispatcher = Dispatcher(fleet, archive.log(STUDY), on_attempt_failed=_fail)
+        begun = archive.begin(STUDY, "paper", plan, 0, fleet.describe_all(("a", "b")))
+        specs = recipe_of(begun).specs
+        dispatcher = Dispatcher(fleet, archive.log(STUDY), specs, on_attempt_failed=_fail)
         resources = _resources(agent.pid)
         for number in range(1, tests + 1):
             _test(dispatcher, number)

@@ -7,14 +7,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from orchestrator.archive import Archive
-from orchestrator.dispatcher import Dispatcher, TestOutcome
+from orchestrator.dispatcher import Dispatcher
 from orchestrator.fleet import Fleet
+from orchestrator.outcomes import TestOutcome
 from orchestrator.ranking import Conclusion, conduct
 from orchestrator.repository.records import TrialRecord
 from orchestrator.repository.repository import open_repository
 from orchestrator.robot_leases import lease_robots
 from orchestrator.study import Question, Report, StudyPlan
-from orchestrator.study_recipe import make_study
+from orchestrator.study_recipe import make_study, recipe_of
 
 BAND_RAD_S = (5.0, 40.0)
 
@@ -61,7 +62,9 @@ def run_study(
         archive = Archive(repository, "faults", leases)
         begun = archive.begin(run_id, "paper", plan, seed, fleet.describe_all(robots))
         log = archive.log(run_id)
-        dispatcher = Dispatcher(fleet, log, on_attempt_failed=story.attempt_failed)
+        dispatcher = Dispatcher(
+            fleet, log, recipe_of(begun).specs, on_attempt_failed=story.attempt_failed
+        )
         conclusion = conduct(make_study(begun, repository.studies), log, dispatcher, story)
         story.trials = log.trials()
         return conclusion

@@ -20,7 +20,7 @@ from orchestrator.repository.errors import UnknownRecordError
 from orchestrator.repository.records import StudyRecord, StudyStatus
 from orchestrator.repository.repository import Repository, open_repository
 from orchestrator.robot_leases import lease_robots
-from orchestrator.study_recipe import make_study
+from orchestrator.study_recipe import make_study, recipe_of
 from shared.errors import NufleetError
 from shared.keys import FleetKeys
 from shared.lifeline import when_stdin_closes
@@ -72,7 +72,8 @@ def _run(
         print(f"goes on with {study_id}", flush=True)
         story = Story()
         log = archive.log(study_id)
-        dispatcher = Dispatcher(fleet, log, on_attempt_failed=story.attempt_failed)
+        specs = recipe_of(study).specs
+        dispatcher = Dispatcher(fleet, log, specs, on_attempt_failed=story.attempt_failed)
         with archive.conducting(study_id, dispatcher.interrupt):
             conclusion = conduct(make_study(study, repository.studies), log, dispatcher, story)
         result = {

@@ -9,6 +9,9 @@ from typing import Any, TypeVar
 
 import click
 
+REPOSITORY_VARIABLE = "NUFLEET_REPOSITORY"
+"""The variable of the environment that stands for --repository."""
+
 
 class PositiveNumber(click.ParamType[float]):
     """A finite number above zero, between bounds if there are some; in words where it is not."""
@@ -73,10 +76,11 @@ def repository_option(command: F) -> F:
     return click.option(
         "--repository",
         metavar="URL",
-        envvar="NUFLEET_REPOSITORY",
+        envvar=REPOSITORY_VARIABLE,
         help=(
             "The database that keeps robots, studies and responses: a file, or "
-            "postgresql://USER@HOST/DATABASE.  [default: nufleet.sqlite in the folder of --runs; "
+            "postgresql://USER@HOST/DATABASE, with its password in the file that PGPASSFILE names, "
+            "where no other user sees it.  [default: nufleet.sqlite in the folder of --runs; "
             "env: NUFLEET_REPOSITORY]"
         ),
     )(command)

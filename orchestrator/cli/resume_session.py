@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 import click
+from pydantic import ValidationError
 from rich.console import Console
 
 from orchestrator.archive import Archive
@@ -14,15 +16,16 @@ from orchestrator.cli.storage import Storage
 from orchestrator.cli.study_session import show_study
 from orchestrator.console import stderr_console
 from orchestrator.rank_run import prepare_again
-from orchestrator.reach import can_reach_again, reach_of
+from orchestrator.reach import REACH, Reach
 from orchestrator.repository.errors import LeaseHeldError, UnknownRecordError
 from orchestrator.repository.records import StudyRecord, StudyStatus, TrialRecord, TrialStatus
 from orchestrator.repository.repository import Repository
 from orchestrator.results import RunRecord
 from orchestrator.robot_leases import lease_robots
-from orchestrator.run_folder import RunFolder, find_run, list_runs, study_id_of
+from orchestrator.run_folder import CONFIGURATION, RunFolder, find_run, list_runs, study_id_of
 from orchestrator.study_recipe import recipe_of
 from shared.errors import InvalidInputError
+from shared.strict import describe_validation
 
 LATEST = "latest"
 
@@ -88,6 +91,29 @@ def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
             live=command.live,
             console=console,
         )
+
+
+def can_reach_again(folder: Path) -> bool:
+    """Return whether a run's folder says how it reached its fleet, as those of rankings do."""
+    try:
+        reach_of(folder)
+    except InvalidInputError:
+        return False
+    return True
+
+
+def reach_of(folder: Path) -> Reach:
+    """Return how a run reached its fleet; raises InvalidInputError."""
+    path = folder / CONFIGURATION
+    try:
+        document = json.loads(path.read_bytes())
+        return Reach.model_validate_json(json.dumps(document[REACH]))
+    except ValidationError as error:
+        raise InvalidInputError(f"{path}: {REACH}: {describe_validation(error)}") from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InvalidInputError(
+            f"{path} does not say how the run reached its fleet: {error!r}; it cannot be resumed"
+        ) from error
 
 
 def _interrupted_run(command: ResumeCommand, repository: Repository) -> Path:

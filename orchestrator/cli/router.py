@@ -8,14 +8,22 @@ from pathlib import Path
 import click
 
 
+class _Endpoint(click.types.StringParamType):
+    """An endpoint; several in the environment are apart by commas, since paths hold spaces."""
+
+    envvar_list_splitter = ","
+
+
 @click.command()
 @click.option(
     "--listen",
+    type=_Endpoint(),
     multiple=True,
+    envvar="NUFLEET_LISTEN",
     metavar="ENDPOINT",
     help=(
         "Where to listen, for example tcp/0.0.0.0:7447 for other machines too.  "
-        "[default: tcp/127.0.0.1:7447]"
+        "[env: NUFLEET_LISTEN; default: tcp/127.0.0.1:7447]"
     ),
 )
 @click.option(

@@ -9,9 +9,9 @@ from typing import Any
 import click
 from rich.table import Table
 
+from orchestrator.cli.resume_session import can_reach_again
 from orchestrator.cli.storage import Storage
 from orchestrator.console import stderr_console
-from orchestrator.reach import can_reach_again
 from orchestrator.repository.database import FILE_NAME
 from orchestrator.repository.records import StudyStatus
 from orchestrator.run_catalogue import KINDS, Damaged, Run, read_run, read_runs

@@ -9,7 +9,7 @@ from orchestrator.cli.options import connect_options
 
 @click.command()
 @click.argument("robots", nargs=-1, metavar="[ROBOT]...")
-@click.option("--all", "everyone", is_flag=True, help="Stop every robot of the fleet.")
+@click.option("--all", "everyone", is_flag=True, help="Stop every robot there is.")
 @click.option("--reason", default="stopped by hand", show_default=True, help="Kept and shown.")
 @connect_options
 def stop(
@@ -17,25 +17,23 @@ def stop(
 ) -> None:
     """Stop robots now and for good, until they are released.
 
-    Works while a robot is busy and whoever commands it. Ends with exit code 1, and says so loudly,
-    when a robot does not confirm that it has stopped.
+    Works while a robot is busy and whoever commands it. Without --fleet-name it stops robots of
+    every fleet at the router. Ends with exit code 1, and says so loudly, when a robot does not
+    confirm that it has stopped.
     """
-    from orchestrator.connection import running_fleet
-    from orchestrator.stopping import stop_robots
+    from orchestrator.stopping import stop_at_router
 
     if everyone == bool(robots):
         raise click.UsageError("name the robots to stop, or give --all")
-    with running_fleet(connect, fleet_name) as connection:
-        names = connection.robots if everyone else robots
-        if everyone:
-            connection.fleet.stop_everyone(reason)
-        unconfirmed = stop_robots(connection.fleet, names, reason)
-    for robot in names:
-        if robot not in unconfirmed:
+
+    def say(robot: str, why: str | None) -> None:
+        if why is None:
             click.secho(f"{robot} is stopped", err=True)
-    for robot, why in unconfirmed.items():
-        click.secho(f"{robot} DID NOT CONFIRM ITS STOP: {why}", fg="red", bold=True, err=True)
-    if unconfirmed:
+        else:
+            click.secho(f"{robot} DID NOT CONFIRM ITS STOP: {why}", fg="red", bold=True, err=True)
+
+    named = None if everyone else robots
+    if not stop_at_router(connect, named, reason, fleet_name=fleet_name, on_answer=say):
         click.secho("Stop these robots by hand.", fg="red", bold=True, err=True)
         raise click.exceptions.Exit(1)
 
@@ -44,10 +42,23 @@ def stop(
 @click.argument("robots", nargs=-1, required=True, metavar="ROBOT...")
 @connect_options
 def release(robots: tuple[str, ...], connect: str, fleet_name: str | None) -> None:
-    """Let stopped robots move again."""
-    from orchestrator.connection import running_fleet
+    """Let stopped robots move again.
 
+    Each robot named is asked, whatever becomes of the others. Ends with exit code 1 when one of
+    them stays stopped.
+    """
+    from orchestrator.connection import running_fleet
+    from shared.errors import NufleetError
+
+    stay = False
     with running_fleet(connect, fleet_name) as connection:
         for robot in robots:
-            connection.fleet.release(robot)
-            click.secho(f"{robot} may move again", err=True)
+            try:
+                connection.fleet.release(robot)
+            except NufleetError as error:
+                stay = True
+                click.secho(f"{robot} was not released: {error}", fg="red", bold=True, err=True)
+            else:
+                click.secho(f"{robot} may move again", err=True)
+    if stay:
+        raise click.exceptions.Exit(1)

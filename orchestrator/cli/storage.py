@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from orchestrator.cli.options import REPOSITORY_VARIABLE
 from orchestrator.repository.database import default_url, name_of
 from orchestrator.repository.errors import LeaseLostError
 from orchestrator.repository.repository import Repository, open_repository
@@ -41,8 +43,9 @@ class Storage:
         words = ["runs", "resume", run]
         if self.runs_root != Path("runs"):
             words += ["--runs", str(self.runs_root)]
-        if self.repository is not None:
-            words += ["--repository", name_of(self.repository)]
+        # Without its password it could not be typed again; the environment still has it.
+        if self.repository not in (None, os.environ.get(REPOSITORY_VARIABLE)):
+            words += ["--repository", name_of(self._address)]
         return f"{invocation()} {shlex.join(words)}"
 
     @contextmanager

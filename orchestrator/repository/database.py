@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from orchestrator.repository.errors import (
     UnknownRecordError,
 )
 from orchestrator.repository.group_commit import GroupCommit, Work
+from shared.redaction import without_secrets
 
 FILE_NAME = "nufleet.sqlite"
 BUSY_S = 10.0
@@ -80,9 +82,14 @@ def parse_url(address: str) -> URL:
     expected = "expected a file, sqlite:///FILE or postgresql://USER@HOST/DATABASE"
     try:
         url = make_url(address) if ":" in address else URL.create("sqlite", database=address)
-    except ArgumentError as error:
-        # The address is not shown: there may be a password in it.
-        raise RepositoryUrlError(f"the repository's address is no URL; {expected}") from error
+    except (ArgumentError, ValueError):
+        # Neither the address nor the cause is shown: there may be a password in both.
+        raise RepositoryUrlError(f"the repository's address is no URL; {expected}") from None
+    if "@" in (url.host or ""):
+        raise RepositoryUrlError(
+            f"the repository's address has more than one @; write %40 for one in a password, or "
+            f"leave the password to PGPASSFILE; {expected}"
+        )
     if url.drivername in ("postgresql", "postgresql+psycopg"):
         return url.set(drivername="postgresql+psycopg")
     if url.drivername in ("sqlite", "sqlite+pysqlite") and url.database not in (
@@ -91,12 +98,16 @@ def parse_url(address: str) -> URL:
         ":memory:",
     ):
         return url
-    raise RepositoryUrlError(f"{url.render_as_string(hide_password=True)}: {expected}")
+    raise RepositoryUrlError(f"{_shown(url)}: {expected}")
 
 
 def name_of(address: str) -> str:
     """Return a database's address without a password; raises RepositoryUrlError."""
-    return parse_url(address).render_as_string(hide_password=True)
+    return _shown(parse_url(address))
+
+
+def _shown(url: URL) -> str:
+    return without_secrets(url.render_as_string(hide_password=True))
 
 
 class Database:
@@ -104,7 +115,7 @@ class Database:
 
     def __init__(self, url: URL) -> None:
         """Prepare; nothing is opened yet."""
-        self.name = url.render_as_string(hide_password=True)
+        self.name = _shown(url)
         self.is_sqlite = url.get_backend_name() == "sqlite"
         self._engine = _sqlite(url) if self.is_sqlite else _postgresql(url)
         self._group = GroupCommit(self)
@@ -142,15 +153,26 @@ class Database:
         return float(connection.execute(text(query)).scalar_one())
 
     def prepare(self) -> None:
-        """Make an SQLite file keep a write-ahead log, so that readers and writers do not wait."""
+        """Make sure that an SQLite file is there and keeps a write-ahead log.
+
+        With that, readers and writers do not wait for each other.
+        """
         if not self.is_sqlite:
             return
+        self._create_privately()
         deadline_s = time.monotonic() + BUSY_S
         while (problem := self._use_write_ahead_log()) is not None:
             # SQLite does not wait by itself for the lock that this change needs.
             if not isinstance(problem, RepositoryBusyError) or time.monotonic() > deadline_s:
                 raise problem
             time.sleep(0.01)
+
+    def _create_privately(self) -> None:
+        """Create an SQLite file that only its user may read; its logs are as private as it is."""
+        file = self._engine.url.database or ""
+        if not file.startswith("file:"):  # a URI of SQLite's own, which knows more than a path
+            with suppress(OSError):  # SQLite itself says better why it cannot be opened
+                os.close(os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
 
     def _use_write_ahead_log(self) -> RepositoryError | None:
         try:

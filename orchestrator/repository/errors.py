@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 from shared.errors import InvalidInputError, NufleetError
+
+if TYPE_CHECKING:
+    from orchestrator.repository.records import Renewal
 
 
 class RepositoryUrlError(InvalidInputError):
@@ -53,18 +59,27 @@ class StaleEpochError(RepositoryError):
     """A robot's owner of the past wrote about a trial that a later owner has taken over."""
 
 
-class LeaseHeldError(RepositoryError):
-    """Another orchestrator owns the robot; `owner` is who, `remaining_s` for how long at least."""
+class EpochOutOfRangeError(RepositoryError):
+    """There is no epoch for a robot that it would obey and that is above all before it."""
 
-    def __init__(self, robot: str, owner: str, epoch: int, remaining_s: float) -> None:
+
+class LeaseHeldError(RepositoryError):
+    """Another orchestrator owns a robot; `owner` is who, `remaining_s` for how long at least.
+
+    `renewals` are those of every robot that was asked for and belongs to others, this one first.
+    """
+
+    def __init__(self, renewals: Sequence[Renewal], remaining_s: float) -> None:
+        first = renewals[0]
         super().__init__(
-            f"robot {robot} is owned by {owner} (epoch {epoch}) for another {remaining_s:.1f} s; "
-            "wait until it has ended, or end it"
+            f"robot {first.robot} is owned by {first.owner} (epoch {first.epoch}) for another "
+            f"{remaining_s:.1f} s; wait until it has ended, or end it"
         )
-        self.robot = robot
-        self.owner = owner
-        self.epoch = epoch
+        self.robot = first.robot
+        self.owner = first.owner
+        self.epoch = first.epoch
         self.remaining_s = remaining_s
+        self.renewals = tuple(renewals)
 
 
 class LeaseLostError(RepositoryError):

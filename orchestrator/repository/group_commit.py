@@ -9,10 +9,12 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from sqlalchemy import Connection
+
+from orchestrator.repository.errors import RepositoryError
 
 Work = Callable[[Connection], None]
 
@@ -29,9 +31,15 @@ class Transactions(Protocol):
 
 @dataclass(eq=False)
 class _Job:
+    """Work and what came of it, which is an error until it is known to be on disk."""
+
     work: Work
     done: bool = False
-    error: Exception | None = None
+    error: Exception | None = field(
+        default_factory=lambda: RepositoryError(
+            "the thread that was storing this was interrupted: it may not be stored"
+        )
+    )
 
 
 class GroupCommit:
@@ -57,21 +65,20 @@ class GroupCommit:
             raise job.error
 
     def _commit(self, jobs: list[_Job]) -> None:
+        errors: list[Exception | None]
         try:
             with self._database.write() as connection:
-                for job in jobs:
-                    self._try(job, connection)
+                errors = [self._try(job, connection) for job in jobs]
         except Exception as error:  # noqa: BLE001 - each thread raises it where it wrote
             # Nothing of it is on disk, whatever each part came to.
-            for job in jobs:
-                job.error = error
-        finally:
-            for job in jobs:
-                job.done = True
+            errors = [error] * len(jobs)
+        for job, outcome in zip(jobs, errors, strict=True):
+            job.error, job.done = outcome, True
 
-    def _try(self, job: _Job, connection: Connection) -> None:
+    def _try(self, job: _Job, connection: Connection) -> Exception | None:
         try:
             with self._database.savepoint(connection):
                 job.work(connection)
         except Exception as error:  # noqa: BLE001 - its own thread raises it
-            job.error = error
+            return error
+        return None

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 from sqlalchemy import Connection, select, tuple_
 
 from orchestrator.repository.database import Database
-from orchestrator.repository.lease_rules import StoredLease, acquired, check_held
-from orchestrator.repository.records import Lease
+from orchestrator.repository.errors import LeaseHeldError
+from orchestrator.repository.lease_rules import RELEASED_S, StoredLease, acquired, check_held
+from orchestrator.repository.records import LastLease, Lease, Renewal
 from orchestrator.repository.tables import LEASES
 from orchestrator.repository.upsert import insert_new
 
@@ -27,6 +28,7 @@ class LeaseStore:
         owner: str,
         term_s: float,
         above_epochs: Mapping[str, int] | None = None,
+        silent: Collection[Renewal] = (),
     ) -> tuple[Lease, ...]:
         """Take robots for an owner, all or none.
 
@@ -36,9 +38,11 @@ class LeaseStore:
             owner: an id that no other process has.
             term_s: how long a lease holds without being renewed.
             above_epochs: per robot, the latest epoch that it has seen; the new one is higher.
+            silent: renewals that the owner saw unchanged for a whole term of its own clock.
 
         Raises:
             LeaseHeldError: one of them belongs to another owner.
+            EpochOutOfRangeError: one of them was told an epoch that no repository gives out.
         """
         names = sorted(set(robots))
         seen = above_epochs or {}
@@ -49,19 +53,27 @@ class LeaseStore:
                 connection.execute(insert_new(connection, LEASES, row))
             stored = _locked(connection, [(fleet, name) for name in names])
             now_s = self._database.now_s(connection)
-            leases = tuple(
-                acquired(
-                    stored[fleet, name],
-                    owner=owner,
-                    term_s=term_s,
-                    above_epoch=seen.get(name, 0),
-                    now_s=now_s,
-                )
-                for name in names
-            )
+            leases, refused = [], []
+            for name in names:
+                try:
+                    leases.append(
+                        acquired(
+                            stored[fleet, name],
+                            owner=owner,
+                            term_s=term_s,
+                            above_epoch=seen.get(name, 0),
+                            now_s=now_s,
+                            silent=silent,
+                        )
+                    )
+                except LeaseHeldError as held:
+                    refused.append(held)
+            if refused:
+                renewals = [renewal for held in refused for renewal in held.renewals]
+                raise LeaseHeldError(renewals, refused[0].remaining_s)
             for lease in leases:
-                _store(connection, lease, owner, now_s + term_s)
-        return leases
+                _store(connection, lease, now_s + term_s)
+        return tuple(leases)
 
     def renew(self, leases: Iterable[Lease]) -> None:
         """Begin the term of leases anew.
@@ -80,21 +92,30 @@ class LeaseStore:
 
     def held(self, fleet: str) -> Mapping[str, tuple[str, int, float]]:
         """Return, per robot that is owned now, its owner, the epoch and the seconds left."""
-        query = select(LEASES).where(LEASES.c.fleet == fleet).order_by(LEASES.c.robot)
-        with self._database.read() as connection:
-            rows = [StoredLease(*row) for row in connection.execute(query)]
-            now_s = self._database.now_s(connection)
+        rows, now_s = self._rows(fleet)
         return {
             row.robot: (row.owner, row.epoch, row.remaining_s(now_s))
             for row in rows
             if row.owner is not None and row.remaining_s(now_s) > 0.0
         }
 
-    def epochs(self, fleet: str) -> Mapping[str, int]:
-        """Return the latest epoch that each robot was given out under."""
-        query = select(LEASES.c.robot, LEASES.c.epoch).where(LEASES.c.fleet == fleet)
+    def last(self, fleet: str) -> Mapping[str, LastLease]:
+        """Return, per robot that was ever owned, who was given it last."""
+        rows, now_s = self._rows(fleet)
+        return {
+            row.robot: LastLease(
+                row.owner, row.epoch, not row.released and row.remaining_s(now_s) == 0.0
+            )
+            for row in rows
+            if row.owner is not None
+        }
+
+    def _rows(self, fleet: str) -> tuple[list[StoredLease], float]:
+        """Return what is stored of a fleet's robots, and the database's time."""
+        query = select(LEASES).where(LEASES.c.fleet == fleet).order_by(LEASES.c.robot)
         with self._database.read() as connection:
-            return {row.robot: row.epoch for row in connection.execute(query)}
+            rows = [StoredLease(*row) for row in connection.execute(query)]
+            return rows, self._database.now_s(connection)
 
     def _change(self, leases: tuple[Lease, ...], *, renewing: bool) -> None:
         with self._database.write() as connection:
@@ -103,10 +124,10 @@ class LeaseStore:
             for lease in leases:
                 known = stored[lease.fleet, lease.robot]
                 if renewing:
-                    check_held(known, lease, now_s)
-                    _store(connection, lease, lease.owner, now_s + lease.term_s)
+                    check_held(known, lease)
+                    _store(connection, lease, now_s + lease.term_s)
                 elif (known.owner, known.epoch) == (lease.owner, lease.epoch):
-                    _store(connection, lease, None, 0.0)
+                    _store(connection, lease, RELEASED_S)
 
 
 def _locked(
@@ -126,9 +147,9 @@ def _locked(
     return {(row.fleet, row.robot): row for row in rows}
 
 
-def _store(connection: Connection, lease: Lease, owner: str | None, expires_s: float) -> None:
+def _store(connection: Connection, lease: Lease, expires_s: float) -> None:
     connection.execute(
         LEASES.update()
         .where(LEASES.c.fleet == lease.fleet, LEASES.c.robot == lease.robot)
-        .values(owner=owner, epoch=lease.epoch, term_s=lease.term_s, expires_s=expires_s)
+        .values(owner=lease.owner, epoch=lease.epoch, term_s=lease.term_s, expires_s=expires_s)
     )

@@ -158,3 +158,27 @@ class Lease:
     owner: str
     epoch: int
     term_s: float
+
+
+@dataclass(frozen=True)
+class Renewal:
+    """A lease as it was last renewed; while its owner lives, another one follows within seconds.
+
+    `expires_s` is by the database's clock, and means nothing where that was set back since.
+    """
+
+    robot: str
+    owner: str
+    epoch: int
+    term_s: float
+    expires_s: float
+    before_set_back: bool = field(default=False, compare=False)
+
+
+@dataclass(frozen=True)
+class LastLease:
+    """Who was given a robot last. A `silent` owner did not renew in time and released nothing."""
+
+    owner: str
+    epoch: int
+    silent: bool

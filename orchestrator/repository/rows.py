@@ -25,12 +25,12 @@ from orchestrator.repository.records import (
     TrialStatus,
 )
 from orchestrator.study import StudyPlan
-from shared.codec import describe_validation
 from shared.excitation import Excitation, ExcitationPlan
 from shared.frequency_response import FrequencyResponse
 from shared.messages import GoalResult, Outcome
 from shared.response_quality import Quality
 from shared.robot_spec import RobotSpec
+from shared.strict import describe_validation
 
 _PLAN = TypeAdapter(StudyPlan)
 _OBJECT = TypeAdapter(dict[str, JsonValue])

@@ -45,7 +45,8 @@ class ViewerServer:
         Args:
             source: a recording's path, or the URL of another server, for which only the page is
                 served; None to serve what is written to `live_url`.
-            bind_ip: the network interface to listen on.
+            bind_ip: the network interface to listen on, by the address under which browsers reach
+                the page: no other page may read the data.
             data_port: what viewers connect to; 0 for any free one.
             web_port: of the page; 0 for any free one, None for no page.
         """
@@ -153,15 +154,19 @@ class ViewerServer:
         options = ["--bind", self._bind_ip]
         command = [str(rerun_program()), "--bind", self._bind_ip]
         expected = []
+        if self._web_port is not None:
+            self._web_port = claim_port(self._bind_ip, self._web_port)
         if self._source is None or "://" not in self._source:
             self._data_port = claim_port(self._bind_ip, self._data_port)
             command += ["--port", str(self._data_port), "--server-memory-limit", MEMORY]
-            command += ["--cors-allow-origin", "http://*"]
+            if self._web_port is not None:
+                # Pages from elsewhere, in the same browser, must not read what a fleet does. Those
+                # of this machine, by the names localhost and 127.0.0.1, Rerun always admits.
+                command += ["--cors-allow-origin", self._origin]
             expected += [_SERVING]
         if self._web_port is None:
             command += ["--serve-grpc"]
         else:
-            self._web_port = claim_port(self._bind_ip, self._web_port)
             upstream_port = claim_port(self._bind_ip, 0)
             command += ["--serve-web", "--web-viewer-port", str(upstream_port)]
             expected += [_HOSTING]

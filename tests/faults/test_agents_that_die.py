@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.faults.lab import KEYS, Lab
 from benchmarks.faults.program import PATIENCE_S, Program, wait_until
-from orchestrator import goal_runner
+from orchestrator import goal_pursuit
 from orchestrator.fleet import Fleet
 from orchestrator.goal_runner import GoalRunner
 from robot_agent.endpoint import SHUTTING_DOWN
@@ -42,7 +42,7 @@ def agent(lab: Lab) -> Program:
 def test_a_killed_agent_is_noticed_at_once_with_robot_and_goal(
     lab: Lab, agent: Program, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(goal_runner, "RETURN_PATIENCE_S", 0.5)
+    monkeypatch.setattr(goal_pursuit, "RETURN_PATIENCE_S", 0.5)
     fleet = lab.orchestrator("a")
     with ThreadPoolExecutor(1) as pool:
         running = pool.submit(GoalRunner(fleet).run, "a", "g", LONG)
@@ -125,7 +125,7 @@ def test_an_agent_that_is_being_restarted_takes_a_goal_when_it_is_back(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # A busy machine may take long to start a process.
-    monkeypatch.setattr(goal_runner, "RETURN_PATIENCE_S", PATIENCE_S)
+    monkeypatch.setattr(goal_pursuit, "RETURN_PATIENCE_S", PATIENCE_S)
     lab.describe_section_v({"a": 0.9})
     lab.router()
     asked = threading.Event()

@@ -12,8 +12,9 @@ from benchmarks.faults.fuzz_targets import example_messages
 from benchmarks.faults.lab import KEYS, Lab
 from benchmarks.faults.program import PATIENCE_S
 from orchestrator.fleet import Fleet
-from shared.codec import PROTOCOL_VERSION, decode, encode
+from shared.codec import decode, encode
 from shared.errors import ProtocolVersionError
+from shared.frame import PROTOCOL_VERSION
 from shared.messages import Description, Refusal, RobotStatus
 from shared.transport import open_client
 

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.faults.lab import Lab
 from benchmarks.faults.namespaces import Network, star
 from benchmarks.faults.program import PATIENCE_S, wait_until
-from orchestrator import goal_runner
+from orchestrator import goal_pursuit
 from orchestrator.fleet import Fleet
 from orchestrator.goal_runner import GoalRunner
 from shared.errors import NoReplyError, RefusedError, RobotLostError
@@ -42,7 +42,7 @@ def goal(fleet: Fleet, goal_id: str, motion: Excitation, epoch: int = 0) -> Goal
 def test_both_sides_of_a_partition_notice_it_and_the_robot_rests(
     lab: Lab, network: Network, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(goal_runner, "RETURN_PATIENCE_S", 0.5)
+    monkeypatch.setattr(goal_pursuit, "RETURN_PATIENCE_S", 0.5)
     start_agent(lab, network)
     fleet = lab.orchestrator("a")
     with ThreadPoolExecutor(1) as pool:

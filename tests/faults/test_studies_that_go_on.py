@@ -10,7 +10,7 @@ from benchmarks.faults.lab import SECTION_V, Lab, opened_lab
 from benchmarks.faults.logbook import HALF_WAY, MOVES, TOLD_TO_REST
 from benchmarks.faults.program import PATIENCE_S, Program, wait_until
 from benchmarks.faults.study import Story, plan_of, ranking_of, run_study
-from orchestrator import goal_runner
+from orchestrator import goal_pursuit
 from orchestrator.fleet import Fleet
 from orchestrator.study import Question
 
@@ -61,7 +61,7 @@ class Killer(Story):
 @pytest.fixture(autouse=True)
 def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """A busy machine may take long to start a process; no robot is given up for that here."""
-    monkeypatch.setattr(goal_runner, "RETURN_PATIENCE_S", PATIENCE_S)
+    monkeypatch.setattr(goal_pursuit, "RETURN_PATIENCE_S", PATIENCE_S)
 
 
 def test_kills_at_any_moment_of_a_test_leave_the_ranking_as_it_is(

@@ -33,7 +33,7 @@ from orchestrator.repository.records import StudyRecord, StudyStatus
 from orchestrator.repository.repository import open_repository
 from orchestrator.robot_leases import lease_robots
 from orchestrator.study import StudyPlan
-from orchestrator.study_recipe import make_study
+from orchestrator.study_recipe import make_study, recipe_of
 from shared.frequency_response import FrequencyResponse
 from shared.keys import FleetKeys
 from shared.response_quality import Quality
@@ -138,7 +138,8 @@ def live(life: Life) -> None:
             if study.status is not StudyStatus.OPEN:
                 return
             log = archive.log(study.study_id)
-            dispatcher = Dispatcher(fleet, log, on_attempt_failed=Silent().attempt_failed)
+            specs = recipe_of(study).specs
+            dispatcher = Dispatcher(fleet, log, specs, on_attempt_failed=Silent().attempt_failed)
             studies = repository.studies
             with archive.conducting(study.study_id, dispatcher.interrupt):
                 conclusion = conduct(make_study(study, studies), log, dispatcher, Silent())

@@ -5,14 +5,28 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from command_processes import Typed
 from fleet_lab import SLOW, Lab, Orchestrator, refusal
 from polling import wait_until
 from puppet_robot import PuppetRobot
 
 from orchestrator.goal_runner import GoalRunner
+from orchestrator.repository.errors import EpochOutOfRangeError
+from orchestrator.repository.repository import open_repository
+from orchestrator.robot_leases import lease_robots
+from robot_agent.journal import Journal
 from shared.errors import RefusedError
 from shared.excitation import Excitation
 from shared.messages import GoalAccepted, Outcome, RobotStatus
+
+LAB = """
+schema = 1
+name = "lab"
+description = "one robot"
+[robots.a]
+driver = "double_integrator"
+settings = { alpha = 0.9, beta = 0.003 }
+"""
 
 
 def submit(
@@ -126,3 +140,61 @@ def test_who_has_no_lease_may_use_a_robot_whose_owner_is_gone(lab: Lab) -> None:
     assert visitor.result("a", "g2").outcome is Outcome.COMPLETED
     described = visitor.fleet.describe("a")
     assert (described.owner, described.epoch) == ("owner", 5)
+
+
+def test_a_robot_refuses_an_epoch_that_jumps_and_stays_with_its_owner(
+    lab: Lab, tmp_path: Path
+) -> None:
+    lab.agent("a", PuppetRobot(), state_folder=tmp_path / "a")
+    owner, stranger = lab.orchestrator("owner"), lab.orchestrator("stranger")
+    submit(owner, "g1", 5)
+    owner.result("a", "g1")
+    for epoch in (2**63 - 1, 2**53, 5 + 2**20 + 1):
+        stranger.fleet.hold({"a": epoch})
+        assert refusal(lambda: stranger.fleet.remove_prior("a")) == "epoch-jump"
+    described = stranger.fleet.describe("a")
+    assert (described.owner, described.epoch) == ("owner", 5)
+    submit(owner, "g2", 6)
+    assert owner.result("a", "g2").outcome is Outcome.COMPLETED
+
+
+def test_a_robot_that_was_told_a_nonsensical_epoch_serves_again_once_it_forgot_its_owner(
+    lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    fleet, state = tmp_path / "lab.toml", tmp_path / "state"
+    fleet.write_text(LAB, encoding="utf-8")
+    forget = ("agent", str(fleet), "--state", str(state), "--forget-owner", "--robot", "a")
+    typed = Typed(monkeypatch, capfd)
+    with Journal(state / "lab" / "a" / "journal") as journal:
+        journal.owned("fuzzer", 2**63 - 1)
+        done = typed(*forget, cwd=tmp_path)
+        assert done.returncode == 1
+        assert "another agent serves this robot" in done.stderr
+    agent = lab.agent("a", PuppetRobot(), state_folder=state / "lab" / "a")
+    orchestrator = lab.orchestrator()
+    with open_repository(f"{tmp_path}/nufleet.sqlite") as repository:
+        with pytest.raises(EpochOutOfRangeError, match="--robot a --forget-owner"):
+            lease_robots(repository.leases, orchestrator.fleet, "lab", ("a",))
+        agent.close()
+        done = typed(*forget, cwd=tmp_path)
+        assert done.returncode == 0
+        assert done.stdout == f"a forgot fuzzer and its epoch {2**63 - 1}\n"
+        lab.agent("a", PuppetRobot(), state_folder=state / "lab" / "a")
+        orchestrator = lab.orchestrator("orchestrator-2")
+        with lease_robots(repository.leases, orchestrator.fleet, "lab", ("a",)) as leases:
+            assert leases.epochs == {"a": 1}
+            assert orchestrator.run("a", "g").outcome is Outcome.COMPLETED
+
+
+def test_forgetting_an_owner_needs_the_name_of_a_robot_of_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    fleet = tmp_path / "lab.toml"
+    fleet.write_text(LAB, encoding="utf-8")
+    forget = ("agent", str(fleet), "--state", str(tmp_path / "state"), "--forget-owner")
+    typed = Typed(monkeypatch, capfd)
+    for names in ((), ("--robot", "b")):
+        done = typed(*forget, *names, cwd=tmp_path)
+        assert done.returncode == 2
+        assert "--forget-owner needs --robot with robots of" in done.stderr
+    assert not (tmp_path / "state").exists()

@@ -14,7 +14,9 @@ from kept_study import trial_log
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
-from orchestrator.dispatcher import ATTEMPTS, Dispatcher, Failed, Measured, TestOutcome
+from orchestrator.attempts import ATTEMPTS
+from orchestrator.dispatcher import Dispatcher
+from orchestrator.outcomes import Failed, Measured, TestOutcome
 from orchestrator.resume import round_of
 from orchestrator.study import Question
 from shared.errors import RefusedError, RobotError
@@ -44,7 +46,8 @@ def inside(robot: FaultyRobot) -> DoubleIntegrator:
 
 def outcome_of(orchestrator: Orchestrator, folder: Path, study_id: str) -> TestOutcome:
     with trial_log(folder, study_id, {"a": 0}) as log:
-        dispatcher = Dispatcher(orchestrator.fleet, log, on_attempt_failed=lambda *_: None)
+        specs = {"a": orchestrator.fleet.describe("a").spec}
+        dispatcher = Dispatcher(orchestrator.fleet, log, specs, on_attempt_failed=lambda *_: None)
         return dispatcher.run(round_of(study_id, Question(1, {"a": TEST})).tests)["a"]
 
 

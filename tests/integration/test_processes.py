@@ -91,6 +91,17 @@ def test_a_fleet_starts_works_and_ends_agents_first(fleet_file: Path, endpoint: 
     started.stop()
 
 
+def test_where_processes_meet_is_not_among_their_arguments(fleet_file: Path, endpoint: str) -> None:
+    """An endpoint may hold a private key, and every user of the machine sees arguments."""
+    with FleetProcesses() as started:
+        started.start_router(endpoint)
+        started.start_agents(fleet_file, [("a",)], endpoint, None)
+        for pid in started.pids().values():
+            process = psutil.Process(pid)
+            assert endpoint not in " ".join(process.cmdline())
+            assert endpoint in process.environ().values()
+
+
 def test_an_error_in_their_context_ends_all_processes(fleet_file: Path, endpoint: str) -> None:
     pids: dict[str, int] = {}
 

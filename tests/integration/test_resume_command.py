@@ -180,7 +180,7 @@ def test_a_repository_that_cannot_be_used_is_refused_before_anything_starts(
 
 
 def test_a_password_is_kept_nowhere(tmp_path: Path, typed: Typed) -> None:
-    address = "postgresql://me:secret@127.0.0.1:1/none"
+    address = "postgresql://me:se/secret@127.0.0.1:1/none"
     done = typed(*OWN, "--repository", address, cwd=tmp_path)
     assert done.returncode == 1
     assert "secret" not in done.stderr

@@ -14,6 +14,7 @@ from puppet_robot import PuppetRobot
 from orchestrator import held_leases
 from orchestrator.goal_runner import GoalRunner
 from orchestrator.held_leases import HeldLeases
+from orchestrator.repository.database import Database
 from orchestrator.repository.errors import LeaseHeldError
 from orchestrator.repository.repository import Repository, open_repository
 from orchestrator.robot_leases import lease_robots
@@ -78,6 +79,59 @@ def test_who_keeps_another_repository_is_told_who_commands_a_robot_until_that_on
             assert leases.epochs == {"a": 4}
             assert GoalRunner(second.fleet).run("a", "g", TEST).outcome is Outcome.COMPLETED
         assert second.fleet.describe("a").owner == "second"
+
+
+@pytest.mark.parametrize("ahead", [0, 1, 3])
+def test_a_living_owner_is_left_its_robot_however_far_the_epochs_of_another_repository_are(
+    lab: Lab, tmp_path: Path, ahead: int
+) -> None:
+    """Epochs of two repositories cannot be compared: also the very same one is another's."""
+    lab.agent("a", PuppetRobot())
+    first, second = lab.orchestrator("first"), lab.orchestrator("second")
+    with (
+        open_repository(f"{tmp_path}/one.sqlite") as one,
+        open_repository(f"{tmp_path}/other.sqlite") as other,
+    ):
+        for _ in range(ahead):  # it leased the robot earlier, and ended before it moved
+            with lease(other, second):
+                pass
+        with lease(one, first):
+            GoalRunner(first.fleet).run("a", "g", TEST)
+            with pytest.raises(RobotOwnedError, match=r"commanded by first \(epoch 1\)"):
+                lease(other, second)
+            GoalRunner(first.fleet).run("a", "h", TEST)
+        assert second.fleet.describe("a").owner == "first"
+
+
+def test_who_released_a_robot_may_live_on_when_another_of_its_repository_takes_it(
+    lab: Lab, tmp_path: Path
+) -> None:
+    lab.agent("a", PuppetRobot())
+    first, second = lab.orchestrator("first"), lab.orchestrator("second")
+    with open_repository(f"{tmp_path}/nufleet.sqlite") as repository:
+        with lease(repository, first):
+            GoalRunner(first.fleet).run("a", "g", TEST)
+        with lease(repository, second) as leases:
+            assert leases.epochs == {"a": 2}
+            GoalRunner(second.fleet).run("a", "h", TEST)
+
+
+def test_an_owner_whose_lease_ran_out_by_a_clock_that_was_set_forward_is_left_its_robot(
+    lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lab.agent("a", PuppetRobot())
+    first, second = lab.orchestrator("first"), lab.orchestrator("second")
+    right = Database.now_s
+    with open_repository(f"{tmp_path}/nufleet.sqlite") as repository:
+        lease(repository, first)  # never entered: it is about to renew it
+        monkeypatch.setattr(Database, "now_s", lambda *asked: right(*asked) + 3600.0)
+        assert not repository.leases.held("lab")
+        with pytest.raises(RobotOwnedError, match=r"owned by first \(epoch 1\), who is alive"):
+            lease(repository, second)
+        first.session.close()
+        wait_until(lambda: not second.fleet.is_alive("first"))
+        with lease(repository, second) as leases:
+            assert leases.epochs == {"a": 2}
 
 
 def test_who_only_watches_needs_no_lease(lab: Lab, tmp_path: Path) -> None:

@@ -14,15 +14,12 @@ from kept_study import kept_study
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
-from orchestrator.dispatcher import (
-    ATTEMPTS,
-    Dispatcher,
-    Failed,
-    Interrupted,
-    Measured,
-    TestOutcome,
-)
+from orchestrator.attempts import ATTEMPTS, Attempts
+from orchestrator.dispatcher import Dispatcher
 from orchestrator.fleet import Fleet
+from orchestrator.goal_events import Ended
+from orchestrator.goal_runner import GoalRunner, Interrupted
+from orchestrator.outcomes import Failed, Measured, TestOutcome
 from orchestrator.repository.errors import RepositoryError, StaleEpochError
 from orchestrator.repository.records import TrialRecord, TrialStatus
 from orchestrator.repository.study_store import StudyStore
@@ -35,6 +32,7 @@ from shared.errors import RobotError
 from shared.excitation import Excitation, Tone
 from shared.keys import FleetKeys
 from shared.messages import GoalRequest
+from shared.robot_spec import RobotSpec
 from shared.transport import Session, open_client, open_router
 
 KEYS = FleetKeys("lab")
@@ -60,12 +58,16 @@ class Lab:
     def epochs(self) -> dict[str, int]:
         return dict.fromkeys((*ROBOTS, "r9"), self.epoch)
 
+    @property
+    def specs(self) -> dict[str, RobotSpec]:
+        return {name: robot.spec for name, robot in self.robots.items()}
+
     def log(self) -> TrialLog:
         return TrialLog(self.studies, STUDY, self.epochs)
 
     def dispatcher(self) -> Dispatcher:
         return Dispatcher(
-            self.fleet, self.log(), on_attempt_failed=lambda *a: self.attempts.append(a)
+            self.fleet, self.log(), self.specs, on_attempt_failed=lambda *a: self.attempts.append(a)
         )
 
     def run(self, **tests: Excitation) -> dict[str, TestOutcome]:
@@ -139,7 +141,9 @@ def test_a_test_whose_end_was_not_stored_is_sent_again_and_moves_its_robot_once(
 
     log.measured = fails  # type: ignore[method-assign]
     with pytest.raises(RepositoryError, match="no room"):
-        Dispatcher(lab.fleet, log, on_attempt_failed=lambda *a: None).run(lab.open_tests(r1=TEST))
+        Dispatcher(lab.fleet, log, lab.specs, on_attempt_failed=lambda *a: None).run(
+            lab.open_tests(r1=TEST)
+        )
     assert lab.trials() == [("run-1.1.r1.1", TrialStatus.ACCEPTED)]
     assert isinstance(lab.run(r1=TEST)["r1"], Measured)
     assert lab.trials() == [("run-1.1.r1.1", TrialStatus.MEASURED)]
@@ -298,7 +302,7 @@ def test_every_robot_comes_to_rest_when_one_acceptance_cannot_be_stored(slow_lab
             raise RepositoryError("no room is left")
 
     log.accepted = fails  # type: ignore[method-assign]
-    dispatcher = Dispatcher(lab.fleet, log, on_attempt_failed=lambda *a: None)
+    dispatcher = Dispatcher(lab.fleet, log, lab.specs, on_attempt_failed=lambda *a: None)
     long_test = Excitation(axis="x", tones=(Tone(omega_rad_s=0.5),))
     with pytest.raises(RepositoryError, match="no room"):
         dispatcher.run(lab.open_tests(r1=long_test, r2=long_test))
@@ -327,14 +331,14 @@ def test_a_motion_that_ended_with_its_orchestrator_is_repeated_and_no_failure(
     robot.on_sample = lambda k: moving.set()
     for life in range(ATTEMPTS + 1):
         moving.clear()
-        killed = lab.dispatcher()
         (test,) = lab.open_tests(r1=TEST)
         lab.log().intend([test])
         if test.record is not None:
             # What this orchestrator finds when it begins: the motion of the one before, ended.
-            result = killed._play(test)
-            follows = killed._judge(test, result, 0.0)
-            assert not isinstance(follows, Measured)
+            result = GoalRunner(lab.fleet).run("r1", test.goal_id, test.excitation)
+            attempts = Attempts(lab.log(), lab.specs)
+            settled = attempts.settle(test, Ended(result=result), interrupted=False)
+            assert settled.outcome is None
             (test,) = lab.open_tests(r1=TEST)
             lab.log().intend([test])
         request = GoalRequest(

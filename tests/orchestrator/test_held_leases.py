@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -31,21 +31,16 @@ def repository(tmp_path: Path) -> Iterator[Repository]:
         yield opened
 
 
-class Clock:
-    """The database's time, which a test can put forward."""
-
-    def __init__(self) -> None:
-        self.ahead_s = 0.0
-
-    def now_s(self, *_: object) -> float:
-        return time.time() + self.ahead_s
-
-
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    clock = Clock()
-    monkeypatch.setattr(Database, "now_s", clock.now_s)
-    return clock
+def set_clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
+    """Sets the repository's clock by so many seconds."""
+    right, off_s = Database.now_s, [0.0]
+
+    def set_by(seconds: float) -> None:
+        off_s[0] += seconds
+
+    monkeypatch.setattr(Database, "now_s", lambda *asked: right(*asked) + off_s[0])
+    return set_by
 
 
 TERM_S = 120.0
@@ -64,7 +59,10 @@ def hold(repository: Repository, owner: str, **options: object) -> HeldLeases:
 
 
 def test_robots_are_held_as_long_as_their_owner_lives_and_free_afterwards(
-    repository: Repository, quick: None, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    repository: Repository,
+    quick: None,
+    set_clock: Callable[[float], None],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     renewals, renew = 0, repository.leases.renew
 
@@ -77,7 +75,7 @@ def test_robots_are_held_as_long_as_their_owner_lives_and_free_afterwards(
     with hold(repository, "a") as leases:
         assert leases.epochs == {"r1": 1, "r2": 1}
         for _ in range(4):
-            clock.ahead_s += TERM_S / 2
+            set_clock(TERM_S / 2)
             begun = renewals + 1  # one may be under way
             wait_until(lambda: renewals > begun)  # noqa: B023
             assert {owner for owner, _, _ in repository.leases.held("lab").values()} == {"a"}
@@ -103,18 +101,63 @@ def test_waiting_for_an_owner_that_lives_ends_with_who_it_is(
 
 
 def test_the_robots_of_an_owner_that_died_are_had_once_its_lease_has_run_out(
-    repository: Repository, clock: Clock
+    repository: Repository, set_clock: Callable[[float], None]
 ) -> None:
     hold(repository, "a")  # never entered: nobody renews it
     told: list[str] = []
 
     def has_run_out(held: LeaseHeldError) -> None:
         told.append(held.owner)
-        clock.ahead_s += held_leases.TERM_S
+        set_clock(held_leases.TERM_S)
 
     with hold(repository, "b", patient=True, on_wait=has_run_out) as leases:
         assert leases.epochs == {"r1": 2, "r2": 2}
     assert told == ["a"]
+
+
+def test_a_clock_that_is_set_takes_no_robot_from_a_living_owner(
+    repository: Repository,
+    quick: None,
+    set_clock: Callable[[float], None],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    renewed, interrupted, renew = threading.Semaphore(0), threading.Event(), repository.leases.renew
+
+    def counted(leases: object) -> None:
+        renew(leases)  # type: ignore[arg-type]
+        renewed.release()
+
+    monkeypatch.setattr(repository.leases, "renew", counted)
+    with hold(repository, "a") as leases, leases.guarding(interrupted.set):
+        for jump_s in (-1.0, -3.0, -3600.0, 3600.0, -2.5):
+            assert renewed.acquire(timeout=PATIENCE_S)
+            set_clock(jump_s)
+            if jump_s < 0.0:
+                # Who wants it waits, although it is not patient, to see whether it is renewed.
+                with pytest.raises(LeaseHeldError, match="owned by a"):
+                    hold(repository, "b")
+            for _ in range(2):
+                assert renewed.acquire(timeout=PATIENCE_S)
+            assert {owner for owner, _, _ in repository.leases.held("lab").values()} == {"a"}
+        assert not interrupted.is_set()
+
+
+@pytest.mark.parametrize("patient", [True, False])
+def test_the_robots_of_a_dead_owner_are_had_within_a_term_after_the_clock_was_set_back(
+    repository: Repository,
+    set_clock: Callable[[float], None],
+    monkeypatch: pytest.MonkeyPatch,
+    patient: bool,
+) -> None:
+    monkeypatch.setattr(held_leases, "TERM_S", 1.0)
+    hold(repository, "a")  # never entered: nobody renews it
+    set_clock(-3600.0)
+    told: list[LeaseHeldError] = []
+    asked_s = time.monotonic()
+    with hold(repository, "b", patient=patient, on_wait=told.append) as leases:
+        assert leases.epochs == {"r1": 2, "r2": 2}
+        assert time.monotonic() - asked_s >= 1.0
+    assert [held.owner for held in told] == ["a"]
 
 
 def taken_over(repository: Repository) -> bool:

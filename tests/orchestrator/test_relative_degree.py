@@ -35,6 +35,18 @@ def test_the_relative_degree_of_section_v_is_one() -> None:
     assert measured(robot, 0) == 1
 
 
+@pytest.mark.parametrize("noise_std_m", [0.0, 0.001])
+@pytest.mark.parametrize("delay", [1, 4])
+def test_a_robot_answers_from_the_sample_in_which_it_first_moves_the_wrong_way(
+    delay: int, noise_std_m: float
+) -> None:
+    references = step_references(LaggedRobot().spec, 0)[:, 0]
+    wrong_way = np.convolve(references, np.eye(delay + 1)[delay] * -0.3)[: len(references)]
+    right_way = np.convolve(references, np.eye(delay + 3)[delay + 2] * 1.3)[: len(references)]
+    noise = np.random.default_rng(0).normal(0.0, noise_std_m, len(references))
+    assert relative_degree(references, wrong_way + right_way + noise) == delay
+
+
 def test_a_robot_that_does_not_answer_has_no_relative_degree() -> None:
     with pytest.raises(StudyError, match="did not answer"):
         measured(LaggedRobot((10_000, 1), noise_std_m=0.001), 0)

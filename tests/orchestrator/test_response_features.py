@@ -74,6 +74,22 @@ def test_no_mode_of_the_grid_decays_slower_than_the_robot_says() -> None:
     assert np.exp(log_weight).sum() == pytest.approx(1.0)
 
 
+@given(
+    omega_max_rad_s=st.floats(1e-3, 3e3),
+    settled=st.floats(1e-3, 1e5),  # ω_max over the slowest decay
+)
+def test_the_grid_is_a_probability_whatever_the_robot_and_empty_when_no_mode_is_slow_enough(
+    omega_max_rad_s: float, settled: float
+) -> None:
+    prior = ResponsePrior(omega_max_rad_s, decay_min_1_s=omega_max_rad_s / settled)
+    omega, damping, log_weight = prior.mode_grid()
+    assert omega.shape == damping.shape == log_weight.shape
+    if settled <= 1 / 1.3:
+        assert len(omega) == 0
+    elif settled > 1 / 1.29:
+        assert np.exp(log_weight).sum() == pytest.approx(1.0)
+
+
 def test_the_modes_of_the_grid_lie_closer_than_their_resonances_are_wide() -> None:
     omega, damping, _ = PRIOR.mode_grid()
     decay = np.round(omega * damping, 9)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import stat
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -10,8 +11,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from orchestrator.dispatcher import Measured
+from orchestrator.outcomes import Measured
 from orchestrator.results import ClosedForm, IterationRecord, RankResult, RunRecord
+from orchestrator.run_folder import CONFIGURATION as CONFIG
 from orchestrator.run_folder import (
     RunFolder,
     find_run,
@@ -144,3 +146,29 @@ def test_a_place_that_cannot_be_written_is_refused_in_words(tmp_path: Path) -> N
     blocked.write_text("")
     with pytest.raises(InvalidInputError, match="choose another place with --runs"):
         make_runs_root(blocked / "runs")
+
+
+def test_a_run_is_its_users_alone(tmp_path: Path) -> None:
+    root = tmp_path / "runs"
+    make_runs_root(root)
+    with RunFolder(root, "lab") as folder:
+        folder.write_configuration({})
+        for path, private in ((root, 0o700), (folder.path, 0o700), (folder.path / CONFIG, 0o600)):
+            assert stat.S_IMODE(path.stat().st_mode) == private, path
+
+
+def test_a_root_that_others_may_look_into_stays_as_its_user_made_it(tmp_path: Path) -> None:
+    tmp_path.chmod(0o750)
+    make_runs_root(tmp_path)
+    assert stat.S_IMODE(tmp_path.stat().st_mode) == 0o750
+
+
+def test_no_document_is_written_through_a_link(tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    victim.write_text("somebody's", encoding="utf-8")
+    with RunFolder(tmp_path, "lab") as folder:
+        for name in (CONFIG, f"{CONFIG}.part"):
+            (folder.path / name).symlink_to(victim)
+            folder.write_configuration({})
+            assert victim.read_text(encoding="utf-8") == "somebody's"
+        assert not (folder.path / CONFIG).is_symlink()

@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 from random_loops import BAND, SPEC, Loop, answers
 
-from orchestrator.adaptive_selection import AdaptiveStudy
+from orchestrator.adaptive_selection import AdaptiveSettings, AdaptiveStudy
 from orchestrator.experience_selection import PaperStudy
 from orchestrator.response_record import ResponseRecord
 from orchestrator.study import DesiredMotion, SourceEstimate, Study, StudyPlan
@@ -57,6 +59,56 @@ def test_the_same_verdicts_follow_from_single_tones_and_from_many(algorithm: str
     }
     for found in verdicts.values():
         assert (found.omega_rad_s[0], found.omega_rad_s[-1]) == BAND
+
+
+@pytest.mark.parametrize("algorithm", ["paper", "adaptive"])
+@settings(max_examples=12, deadline=None)
+@example(sample_time_s=0.02, share_of_nyquist=0.0025, octaves=3.0, settling=0.9)  # 2.4 s, 0.4 rad/s
+@example(sample_time_s=0.02, share_of_nyquist=0.0025, octaves=2.0, settling=2.30)
+@example(sample_time_s=0.02, share_of_nyquist=0.0025, octaves=2.0, settling=2.31)
+@example(sample_time_s=0.02, share_of_nyquist=0.0025, octaves=2.0, settling=2.5)
+@example(sample_time_s=1.0, share_of_nyquist=0.9, octaves=1.0, settling=0.0)
+@example(sample_time_s=1e-3, share_of_nyquist=0.9, octaves=10.0, settling=1e4)
+@given(
+    sample_time_s=st.floats(1e-3, 1.0),
+    share_of_nyquist=st.floats(1e-3, 0.95),
+    octaves=st.floats(0.3, 8.0),
+    settling=st.one_of(st.just(0.0), st.floats(0.01, 5.0), st.floats(5.0, 3e3)),
+)
+def test_robots_of_any_pace_are_judged_without_a_warning(
+    algorithm: str, sample_time_s: float, share_of_nyquist: float, octaves: float, settling: float
+) -> None:
+    """`settling` is the settling time in radians of the band's upper end: settling_time × ω_max."""
+    omega_max = share_of_nyquist * np.pi / sample_time_s
+    band = (omega_max / 2**octaves, omega_max)
+    spec = SPEC.model_copy(
+        update={
+            "sample_time_s": sample_time_s,
+            "omega_min_rad_s": band[0],
+            "omega_max_rad_s": omega_max,
+            "settling_time_s": settling / omega_max,
+        }
+    )
+    fleet = {
+        "target": Loop(0.6 * omega_max, delay_s=sample_time_s),
+        "near": Loop(0.62 * omega_max, damping=0.75, delay_s=sample_time_s),
+        "worse": Loop(0.3 * omega_max, delay_s=0.6 / omega_max),
+    }
+    plan = replace(PLAN, band_rad_s=band, iterations=2)
+    rng, specs = np.random.default_rng(0), dict.fromkeys(fleet, spec)
+    study: Study = PaperStudy(plan, rng)
+    if algorithm == "adaptive":
+        # It goes on until the last round, in which tests that were told already are added to.
+        impatient = AdaptiveSettings(delta=1e-9, epsilon=0.0)
+        study = AdaptiveStudy(plan, specs, rng, settings=impatient)
+    while (question := study.ask()) is not None:
+        report = study.tell(answers(fleet, question, 0.005, rng), {})
+        for estimate in report.ranking:
+            assert 0.0 <= estimate.psi <= 1.0
+    verdicts = judge_transfers(plan, report.ranking, specs, study.responses, rng).verdicts
+    for found in verdicts.values():
+        assert np.isfinite([found.error_with.median, found.error_without.median]).all()
+    assert set(verdicts) == {"near", "worse"}
 
 
 @pytest.mark.thorough

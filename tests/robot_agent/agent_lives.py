@@ -18,13 +18,13 @@ import numpy as np
 import pytest
 from puppet_robot import puppet_spec
 
-from robot_agent import journal_log
 from robot_agent.decisions import Assignment, Decisions
 from robot_agent.journal import Journal
 from robot_agent.memory import Memory
 from robot_agent.ownership import Commander
 from robot_agent.planner import Planner
 from robot_agent.supervisor import StopOrder
+from shared import private_files
 from shared.excitation import Excitation, Tone
 from shared.messages import (
     GoalAccepted,
@@ -73,7 +73,7 @@ def killing_disk() -> Iterator[Disk]:
     """Put a disk under the journal that ends processes; a killed one needs nothing flushed."""
     disk = Disk()
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(journal_log, "_write_all", disk.write)
+        patched.setattr(private_files, "write_all", disk.write)
         patched.setattr("os.fsync", lambda descriptor: None)
         patched.setattr("os.fdatasync", lambda descriptor: None)
         yield disk

@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 from puppet_robot import puppet_spec
 
-from robot_agent import journal_log
 from robot_agent.decisions import Assignment, Decisions
 from robot_agent.journal import Journal
 from robot_agent.memory import Memory
 from robot_agent.ownership import Commander
 from robot_agent.planner import Planner
+from shared import private_files
 from shared.errors import RefusedError
 from shared.messages import GoalAccepted, GoalRequest, Outcome, Refusal
 
@@ -148,7 +148,7 @@ def test_an_epoch_that_cannot_be_stored_is_not_begun(
 
     with agent_on(tmp_path, *OWNERS) as decisions:
         with monkeypatch.context() as disk:
-            disk.setattr(journal_log, "_write_all", full)
+            disk.setattr(private_files, "write_all", full)
             assert take(decisions, "a", "o-1", 2) == ("journal", None)
         assert decisions.commander is None
         assert decisions.state().goal_id is None

@@ -12,7 +12,6 @@ import pytest
 from agent_lives import EXCITATION, result_of
 from puppet_robot import puppet_spec
 
-from robot_agent import journal_log
 from robot_agent import planner as planner_module
 from robot_agent.decisions import Assignment, Decisions
 from robot_agent.journal import LOG, Journal
@@ -21,6 +20,7 @@ from robot_agent.memory import Memory
 from robot_agent.ownership import Commander
 from robot_agent.planner import Planner
 from robot_agent.supervisor import StopOrder
+from shared import private_files
 from shared.errors import RefusedError
 from shared.messages import (
     GoalAccepted,
@@ -65,13 +65,13 @@ def full(*_: object) -> None:
 
 
 def before_each_write(monkeypatch: pytest.MonkeyPatch, act: Callable[[], None]) -> None:
-    write = journal_log._write_all
+    write = private_files.write_all
 
     def acting(descriptor: int, data: bytes) -> None:
         act()
         write(descriptor, data)
 
-    monkeypatch.setattr(journal_log, "_write_all", acting)
+    monkeypatch.setattr(private_files, "write_all", acting)
 
 
 def test_a_goal_that_cannot_be_stored_is_refused_and_forgotten(
@@ -79,7 +79,7 @@ def test_a_goal_that_cannot_be_stored_is_refused_and_forgotten(
 ) -> None:
     with agent_on(tmp_path) as decisions:
         with monkeypatch.context() as disk:
-            disk.setattr(journal_log, "_write_all", full)
+            disk.setattr(private_files, "write_all", full)
             answer, motion = take(decisions, "a")
             assert motion is None
             assert isinstance(answer, Refusal)
@@ -98,7 +98,7 @@ def test_the_robot_is_free_again_though_the_end_of_its_goal_could_not_be_stored(
     with agent_on(tmp_path) as decisions:
         result = result_of(begun(decisions, "a"))
         with monkeypatch.context() as disk:
-            disk.setattr(journal_log, "_write_all", full)
+            disk.setattr(private_files, "write_all", full)
             decisions.ended(result, None)
             assert "the end of a is not stored" in caplog.text
             assert decisions.result("a") == result
@@ -156,7 +156,7 @@ def test_a_release_that_cannot_be_stored_releases_nobody(
         decisions.stop(SMOKE)
         decisions.store_stop()
         with monkeypatch.context() as disk:
-            disk.setattr(journal_log, "_write_all", full)
+            disk.setattr(private_files, "write_all", full)
             with pytest.raises(JournalError, match="No space left"):
                 decisions.release("carol")
         assert refused(decisions, "a") == "stopped"
@@ -171,7 +171,7 @@ def test_acknowledgements_that_cannot_be_stored_keep_the_results_and_refuse_no_g
         decisions.ended(result, None)
         again = GoalRequest(goal_id="a", owner="o", motion=EXCITATION, acknowledges=("a",))
         with monkeypatch.context() as disk:
-            disk.setattr(journal_log, "_write_all", full)
+            disk.setattr(private_files, "write_all", full)
             with pytest.raises(JournalError):
                 decisions.acknowledge(["a"], Commander("o"))
             assert isinstance(decisions.take(again)[0], GoalAccepted)

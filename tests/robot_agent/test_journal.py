@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import random
 import shutil
+import stat
 import subprocess
 import sys
 import threading
@@ -21,7 +23,7 @@ from polling import PATIENCE_S
 from robot_agent.goal_machine import Accepted, recognise
 from robot_agent.journal import DAMAGED_LOG, LOG, Journal, JournalInUseError
 from robot_agent.journal_frames import scan
-from robot_agent.journal_ledger import JournalError, Ledger, decode_record
+from robot_agent.journal_ledger import JournalError, Ledger, Owned, decode_record
 from robot_agent.supervisor import StopOrder
 from shared.messages import Outcome, Refusal
 from shared.motions import FlightPlan
@@ -370,3 +372,65 @@ def test_a_flight_in_progress_is_lost_as_a_test_is(tmp_path: Path) -> None:
         lost = journal.result("g1")
         assert lost is not None
         assert (lost.outcome, lost.plan, lost.response.size) == (Outcome.ABORTED, plan, 0)
+
+
+def test_an_owner_that_is_forgotten_is_unknown_to_the_next_agent_and_all_else_is_kept(
+    tmp_path: Path,
+) -> None:
+    with Journal(tmp_path) as journal:
+        journal.owned("o-1", 2**63 - 1)
+        journal.stopped(StopOrder("a", "b"))
+    with Journal(tmp_path) as journal:
+        assert journal.forget_owner() == Owned(owner="o-1", epoch=2**63 - 1)
+        assert journal.forget_owner() is None
+        journal.accepted(goal("g1"), PLAN, "boot-1")
+    with Journal(tmp_path) as journal:
+        assert journal.remembrance.owner is None
+        assert journal.remembrance.stop == StopOrder("a", "b")
+        assert journal.remembrance.lost == ("g1",)
+
+
+def test_an_owner_that_the_disk_does_not_let_go_is_said_and_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with Journal(tmp_path) as journal:
+        journal.owned("o-1", 3)
+        with monkeypatch.context() as broken:
+            broken.setattr("os.fsync", failing)
+            with pytest.raises(JournalError, match="see to the disk"):
+                journal.forget_owner()
+    with Journal(tmp_path) as journal:
+        assert journal.remembrance.owner == Owned(owner="o-1", epoch=3)
+
+
+def test_a_journal_is_its_users_alone_also_one_that_was_open_to_others(tmp_path: Path) -> None:
+    folder = tmp_path / "lab" / "a" / "journal"
+    for open_to_others in (False, True):
+        if open_to_others:
+            folder.chmod(0o755)
+        with Journal(folder) as journal:
+            journal.accepted(goal("g1"), PLAN, "boot-1")
+            for path in (folder.parents[1], folder.parent, folder, *folder.rglob("*")):
+                private = 0o700 if path.is_dir() else 0o600
+                assert stat.S_IMODE(path.stat().st_mode) == private, path
+
+
+@pytest.mark.parametrize("name", ["lock", "log", "incoming/log.new", "incoming/log.damaged"])
+def test_a_journal_writes_through_no_link(tmp_path: Path, name: str) -> None:
+    folder, victim = tmp_path / "journal", tmp_path / "victim"
+    with Journal(folder) as journal:
+        journal.stopped(StopOrder("a", "b"))
+    if name == "log":
+        (folder / LOG).rename(victim)  # what lies there is a log, but not this folder's
+    else:
+        victim.write_bytes(b"somebody's")
+        log = bytearray((folder / LOG).read_bytes())
+        log[-1] ^= 1  # so that it is written anew, and what was found is kept
+        (folder / LOG).write_bytes(log)
+        (folder / name).unlink(missing_ok=True)
+    before = victim.read_bytes()
+    (folder / name).symlink_to(victim)
+    with contextlib.suppress(JournalError), Journal(folder) as journal:
+        journal.stopped(StopOrder("c", "d"))
+        journal.released("c")
+    assert victim.read_bytes() == before

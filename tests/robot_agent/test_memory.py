@@ -242,3 +242,23 @@ def test_readers_see_whole_experiences_while_others_are_kept(tmp_path: Path) -> 
     again = Memory(tmp_path).prior
     assert again is not None
     assert again.payload == files[-1]
+
+
+def test_a_link_where_a_file_would_be_written_first_leads_nowhere(tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    victim.write_bytes(b"somebody's")
+    folder = tmp_path / "learned"
+    memory = Memory(folder)
+    for name in ("prior.part", "prior.learned.part"):
+        (folder / name).symlink_to(victim)
+    memory.keep_prior(GIVEN, digest(GIVEN))
+    assert victim.read_bytes() == b"somebody's"
+    assert Memory(folder).prior is not None
+
+
+def test_what_a_robot_learned_is_its_users_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "learned"
+    folder.mkdir(mode=0o755)
+    filled(folder)
+    assert folder.stat().st_mode & 0o077 == 0
+    assert all(path.stat().st_mode & 0o077 == 0 for path in folder.iterdir())

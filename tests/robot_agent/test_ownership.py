@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 
 from robot_agent.ownership import Commander, refusal_to_command, takes_over
+from shared.messages import EPOCH_JUMP_MAX, EPOCH_MAX
 
 OWNERS = ("a", "b", "c")
 EPOCHS = (0, 1, 2, 3)
@@ -82,3 +83,25 @@ def test_who_has_no_lease_gives_way_to_who_has_one_and_takes_nothing_over() -> N
             follows = held is not None and alive and held.owner != sender.owner
             assert answer(held, sender, alive, moving) == ("stale-epoch" if follows else "yes")
             assert not takes_over(held, sender)
+
+
+def test_an_epoch_that_jumps_is_refused_and_one_that_rises_is_not() -> None:
+    held, jump = Commander("a", 5), 5 + EPOCH_JUMP_MAX
+    assert answer(held, Commander("b", jump), False, None) == "yes"
+    refusal = refusal_to_command(held, Commander("b", jump + 1), held_alive=False, moving_for=None)
+    assert refusal is not None
+    assert refusal.code == "epoch-jump"
+    assert refusal.reason.startswith(f"b sent epoch {jump + 1}, and none above {jump} is obeyed")
+    assert "--forget-owner" in refusal.reason
+
+
+def test_a_robot_that_knows_no_owner_takes_any_epoch_that_leaves_room_in_a_number() -> None:
+    assert answer(None, Commander("a", EPOCH_MAX), False, None) == "yes"
+    for epoch in (EPOCH_MAX + 1, 2**63 - 1):
+        refusal = refusal_to_command(None, Commander("a", epoch), held_alive=False, moving_for=None)
+        assert refusal is not None
+        assert refusal.code == "epoch-jump"
+    last = Commander("a", EPOCH_MAX)
+    for epoch, expected in ((EPOCH_MAX, "yes"), (EPOCH_MAX + 1, "epoch-jump")):
+        found = refusal_to_command(last, Commander("a", epoch), held_alive=True, moving_for=None)
+        assert ("yes" if found is None else found.code) == expected

@@ -12,12 +12,12 @@ from agent_lives import EXCITATION
 from polling import PATIENCE_S, wait_until
 from puppet_robot import puppet_spec
 
-from robot_agent import journal_log
 from robot_agent.decisions import Decisions
 from robot_agent.journal import Journal
 from robot_agent.memory import Memory
 from robot_agent.planner import Planner
 from robot_agent.stop_service import StopService
+from shared import private_files
 from shared.codec import encode
 from shared.errors import MalformedMessageError
 from shared.messages import Done, GoalRequest, Outcome, Refusal, StopRequest
@@ -74,14 +74,14 @@ def test_a_thousand_stops_halt_at_once_while_the_disk_is_stuck(
     motion = decisions.take(goal)[1]
     assert motion is not None
     stuck, goes_on = threading.Event(), threading.Event()
-    write = journal_log._write_all
+    write = private_files.write_all
 
     def write_slowly(descriptor: int, data: bytes) -> None:
         stuck.set()
         assert goes_on.wait(PATIENCE_S)
         write(descriptor, data)
 
-    monkeypatch.setattr(journal_log, "_write_all", write_slowly)
+    monkeypatch.setattr(private_files, "write_all", write_slowly)
     first = stops.asked(STOP)
     assert motion.switch.order == (Outcome.ABORTED, "stopped by alice: smoke")
     assert stuck.wait(PATIENCE_S)
@@ -102,7 +102,7 @@ def test_a_stop_that_cannot_be_stored_halts_and_says_so_and_the_next_one_tries_a
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as disk:
-        disk.setattr(journal_log, "_write_all", full)
+        disk.setattr(private_files, "write_all", full)
         answer = stops.asked(STOP).result(PATIENCE_S)
         assert isinstance(answer, Refusal)
         assert answer.code == "journal"

@@ -19,7 +19,6 @@ from shared import codec, messages
 from shared.arrays import FloatArray
 from shared.codec import (
     MAX_BODY_BYTES,
-    PROTOCOL_VERSION,
     Float64Array,
     Message,
     decode,
@@ -28,6 +27,7 @@ from shared.codec import (
 from shared.errors import MalformedMessageError, ProtocolVersionError
 from shared.excitation import Excitation, ExcitationPlan, Tone
 from shared.experience_manifest import ExperienceManifest
+from shared.frame import PROTOCOL_VERSION, stop_frame
 from shared.inverse_layout import InverseLayout
 from shared.linear_model import LinearModel
 from shared.messages import (
@@ -655,6 +655,22 @@ def test_a_message_too_large_to_be_taken_is_not_sent(monkeypatch: pytest.MonkeyP
                 goal_id="g", first_sample=0, sample_time_s=0.01, reference=samples, response=samples
             )
         )
+
+
+@given(sender=identifiers, reason=st.text(st.characters()) | st.text())
+def test_a_stop_written_without_pydantic_is_the_stop_that_encode_writes(
+    sender: str, reason: str
+) -> None:
+    stop = StopRequest(sender=sender, reason=reason)
+    assert stop_frame(sender, reason) == encode(stop)
+    assert decode(stop_frame(sender, reason), StopRequest) == stop
+
+
+def test_a_field_that_only_the_sender_knows_is_shown_without_its_control_characters() -> None:
+    body = json.dumps({"\x1b[31mOWNED\n": 1}).encode()
+    with pytest.raises(MalformedMessageError, match=r"\?\[31mOWNED") as raised:
+        decode(frame(header(), body), Done)
+    assert "\x1b" not in str(raised.value)
 
 
 def test_a_refusals_reason_stays_short_whatever_was_sent() -> None:

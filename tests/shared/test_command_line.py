@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 
 import click
@@ -48,3 +50,22 @@ def test_an_error_of_the_system_that_nobody_foresaw_is_not_hidden(
 ) -> None:
     with pytest.raises(BlockingIOError):
         end_of(monkeypatch, OSError(errno.EAGAIN, "try again"))
+
+
+def test_what_others_said_cannot_command_the_terminal() -> None:
+    script = (
+        "import logging, click; from shared import command_line; "
+        "from shared.errors import NufleetError; root = command_line.command_line\n"
+        "def with_one_more():\n"
+        "    group = root()\n"
+        "    def fail():\n"
+        "        logging.getLogger('net').warning('key %s', '\\x1b]0;owned\\x07')\n"
+        "        raise NufleetError('robot a refused: \\x1b[31mno\\nand why')\n"
+        "    group.get_command = lambda ctx, name: click.Command('fail', callback=fail)\n"
+        "    return group\n"
+        "command_line.command_line = with_one_more\n"
+        "command_line.main()"
+    )
+    done = subprocess.run([sys.executable, "-c", script, "fail"], capture_output=True, text=True)
+    assert done.returncode == 1, done.stderr
+    assert done.stderr == "net: key ?]0;owned?\nerror: robot a refused: ?[31mno\nand why\n"

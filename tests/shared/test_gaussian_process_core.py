@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from shared import gaussian_process_core as core
 from shared.arrays import FloatArray
-from shared.gaussian_process import FitStatus
+from shared.gaussian_process_problem import FitStatus
 
 
 @given(st.floats(-708.0, 709.0))

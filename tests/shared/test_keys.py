@@ -7,7 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from shared.errors import InvalidInputError
-from shared.keys import FleetKeys, checked_identifier, checked_name
+from shared.keys import (
+    EVERY_FLEETS_ROBOTS_ALIVE,
+    EVERY_FLEETS_STOP,
+    FleetKeys,
+    checked_identifier,
+    checked_name,
+    fleet_of,
+    robot_in_every_fleet,
+)
 
 names = st.from_regex(r"[a-z0-9][a-z0-9_-]{0,62}", fullmatch=True)
 identifiers = st.from_regex(r"[0-9a-z][0-9a-z._-]{0,199}", fullmatch=True)
@@ -38,6 +46,11 @@ def test_a_key_says_which_robot_it_belongs_to(fleet: str, robot: str, leaf: str)
     keys = FleetKeys(fleet)
     assert keys.robot(robot, leaf) == f"nufleet/{fleet}/robot/{robot}/{leaf}"
     assert keys.robot_of(keys.robot(robot, leaf)) == robot
+    assert fleet_of(keys.robot(robot, leaf)) == fleet
+    # With `*` for the fleet, the same keys.
+    assert robot_in_every_fleet(robot, leaf).replace("*", fleet) == keys.robot(robot, leaf)
+    assert EVERY_FLEETS_ROBOTS_ALIVE.replace("*", fleet, 1) == keys.every_robot("alive")
+    assert EVERY_FLEETS_STOP.replace("*", fleet) == keys.stop
 
 
 @given(fleet=names, orchestrator=identifiers)
@@ -69,6 +82,22 @@ def test_what_is_not_an_identifier_is_in_no_key(name: str) -> None:
         FleetKeys("lab").orchestrator_alive(name)
     with pytest.raises(InvalidInputError, match="goal"):
         checked_identifier(name, "goal")
+
+
+@pytest.mark.parametrize("name", [n for n in NOT_NAMES if "/" not in n])
+def test_a_key_from_the_network_with_what_is_not_a_name_belongs_to_nobody(name: str) -> None:
+    keys = FleetKeys("lab")
+    assert keys.robot_of(f"nufleet/lab/robot/{name}/alive") is None
+    assert fleet_of(f"nufleet/{name}/robot/a/alive") is None
+    if name not in ("a.b", "x" * 64):
+        assert keys.orchestrator_of(f"nufleet/lab/orchestrator/{name}/alive") is None
+
+
+@pytest.mark.parametrize("key", ["", "nufleet", "nufleet/lab", "else/lab/robot/a/alive", "lab"])
+def test_a_key_of_something_else_belongs_to_nobody(key: str) -> None:
+    assert FleetKeys("lab").robot_of(key) is None
+    assert FleetKeys("lab").orchestrator_of(key) is None
+    assert (fleet_of(key) is None) == (key != "nufleet/lab")
 
 
 @given(

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from shared.strict import Identifier, Name, Reason, Strict, as_reason
+from shared.strict import Identifier, Name, Reason, Strict
+from shared.text import as_reason
 
 
 class Sample(Strict):
@@ -20,10 +21,21 @@ REASON: TypeAdapter[str] = TypeAdapter(Reason)
 
 @given(text=st.text(max_size=50) | st.text(st.characters(categories=["Cs"])) | st.just("ä" * 5000))
 def test_any_text_can_be_given_as_a_reason(text: str) -> None:
-    reason = REASON.validate_python(as_reason(text))
-    if len(text) <= 2000 and text.isascii():
+    reason = REASON.validate_python(text)
+    assert reason == as_reason(text)
+    assert REASON.validate_python(reason) == reason
+    if len(text) <= 2000 and text.isascii() and text.isprintable():
         assert reason == text
     assert len(reason) == min(len(text), 2000)
+    # It can be sent, and no terminal does anything but show it.
+    assert reason.encode().decode() == reason
+    assert not any(c in reason for c in "\x1b\n\r\x9b\u2028\u202e")
+
+
+@pytest.mark.parametrize("wrong", [None, 3, ["smoke"]])
+def test_what_is_no_text_is_no_reason(wrong: object) -> None:
+    with pytest.raises(ValidationError):
+        REASON.validate_python(wrong)
 
 
 def test_an_error_can_be_given_as_a_reason() -> None:

@@ -20,6 +20,7 @@ from shared.errors import (
     InvalidInputError,
     NoReplyError,
     NoRouterError,
+    NufleetError,
     TransportError,
 )
 from shared.transport import Request, Session, open_client, open_router
@@ -427,6 +428,16 @@ def test_what_is_no_endpoint_is_refused(wrong: str) -> None:
         open_client(wrong, timeout_s=None),
     ):
         pass
+
+
+@pytest.mark.parametrize("protocol", ["tls/127.0.0.1:1", "tls/127.0.0.1:x", "http/127.0.0.1:1"])
+def test_no_error_shows_the_key_in_an_endpoint(protocol: str) -> None:
+    keyed = f"{protocol}#connect_private_key_base64=c2VjcmV0;listen_private_key_base64=c2VjcmV0"
+    for opening in (lambda: open_client(keyed, timeout_s=0.1), lambda: open_router([keyed])):
+        with pytest.raises(NufleetError) as refused, opening():
+            pass
+        assert protocol in str(refused.value)
+        assert "c2VjcmV0" not in str(refused.value)
 
 
 def test_clients_find_each_other_again_after_a_restart_of_the_router(endpoint: str) -> None:

@@ -13,7 +13,11 @@ from repository_records import accepted, intent, response, result
 from sqlalchemy import Connection
 
 from orchestrator.repository.database import Database
-from orchestrator.repository.errors import RepositoryFullError, StaleEpochError
+from orchestrator.repository.errors import (
+    RepositoryError,
+    RepositoryFullError,
+    StaleEpochError,
+)
 from orchestrator.repository.group_commit import GroupCommit, _Job
 from orchestrator.repository.records import TrialStatus
 from orchestrator.repository.repository import Repository
@@ -109,6 +113,32 @@ def test_a_commit_that_fails_is_everybodys_error_and_nothing_of_it_is_stored(
     assert found == [
         TrialStatus.ACCEPTED if error is None else TrialStatus.INTENDED for error in errors
     ]
+
+
+def test_a_commit_that_is_interrupted_tells_nobody_that_it_stored_anything(
+    intended: Repository, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gate, write = Gate(intended, monkeypatch), Database.write
+
+    @contextmanager
+    def interrupted(database: Database) -> Iterator[Connection]:
+        with write(database) as connection:
+            yield connection
+            if len(gate.batches) == 2:
+                raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Database, "write", interrupted)
+        errors = [future.exception() for future in store_all(intended, gate)]
+    told = [error for error in errors if isinstance(error, RepositoryError)]
+    assert len(told) == gate.batches[1] - 1
+    assert all("interrupted" in str(error) for error in told)
+    assert [error for error in errors if isinstance(error, KeyboardInterrupt)]
+    assert statuses(intended) == [
+        TrialStatus.ACCEPTED if error is None else TrialStatus.INTENDED for error in errors
+    ]
+    intended.studies.intend(intent(attempt=THREADS + 1))
+    assert statuses(intended)[-1] is TrialStatus.INTENDED
 
 
 def test_a_writer_after_an_error_is_not_held_up_by_it(intended: Repository) -> None:

@@ -10,13 +10,32 @@ import pytest
 from polling import PATIENCE_S, wait_until
 from repository_records import FLEET
 
-from orchestrator.repository.errors import LeaseHeldError, LeaseLostError
-from orchestrator.repository.records import Lease
+from orchestrator.repository.database import Database
+from orchestrator.repository.errors import EpochOutOfRangeError, LeaseHeldError, LeaseLostError
+from orchestrator.repository.lease_rules import EPOCH_BELIEVED_MAX, StoredLease, acquired
+from orchestrator.repository.records import LastLease, Lease
 from orchestrator.repository.repository import Repository
+from shared.messages import EPOCH_MAX
 
 LONG_S = 60.0
 RACERS = 3
 ROUNDS = 20
+
+
+class Clock:
+    """The clock of a database, which is right until it is set by so many seconds."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._off_s, right = 0.0, Database.now_s
+        monkeypatch.setattr(Database, "now_s", lambda *asked: right(*asked) + self._off_s)
+
+    def set_by(self, seconds: float) -> None:
+        self._off_s += seconds
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    return Clock(monkeypatch)
 
 
 def test_a_free_robot_is_taken_with_a_new_epoch(repository: Repository) -> None:
@@ -67,6 +86,33 @@ def test_the_epoch_is_above_what_the_robot_has_seen_elsewhere(repository: Reposi
     assert lease.epoch == 51
 
 
+@pytest.mark.parametrize("epoch", [EPOCH_BELIEVED_MAX + 1, 2**63 - 1, 2**64])
+def test_an_epoch_that_no_repository_gives_out_is_an_error_that_says_what_to_do(
+    repository: Repository, epoch: int
+) -> None:
+    with pytest.raises(EpochOutOfRangeError, match=f"r1 .* epoch {epoch}, .* r1 --forget-owner"):
+        repository.leases.acquire(
+            FLEET, ["r1", "r2"], owner="a", term_s=LONG_S, above_epochs={"r1": epoch}
+        )
+    # Once the robot has forgotten it, nothing is left of it here either.
+    leases = repository.leases.acquire(FLEET, ["r1", "r2"], owner="a", term_s=LONG_S)
+    assert [lease.epoch for lease in leases] == [1, 1]
+
+
+def test_the_highest_epoch_that_is_believed_leaves_room_above_it(repository: Repository) -> None:
+    (lease,) = repository.leases.acquire(
+        FLEET, ["r1"], owner="a", term_s=LONG_S, above_epochs={"r1": EPOCH_BELIEVED_MAX}
+    )
+    assert lease.epoch == EPOCH_BELIEVED_MAX + 1 < EPOCH_MAX
+    repository.leases.release([lease])
+
+
+def test_a_repository_whose_epochs_are_used_up_says_so() -> None:
+    stored = StoredLease(FLEET, "r1", "a", EPOCH_MAX, 8.0, 0.0)
+    with pytest.raises(EpochOutOfRangeError, match="begin another with --repository"):
+        acquired(stored, owner="b", term_s=8.0, above_epoch=0, now_s=1.0)
+
+
 def test_fleets_do_not_meet(repository: Repository) -> None:
     repository.leases.acquire(FLEET, ["r1"], owner="a", term_s=LONG_S)
     repository.leases.acquire("other", ["r1"], owner="b", term_s=LONG_S)
@@ -83,14 +129,90 @@ def test_a_silent_owner_is_replaced_under_a_higher_epoch(repository: Repository)
         repository.leases.acquire(FLEET, ["r1"], owner="b", term_s=LONG_S)
     old = repository.leases.acquire(FLEET, ["r1"], owner="a", term_s=0.05)
     wait_until(lambda: expired(repository))
-    with pytest.raises(LeaseLostError, match="not renewed"):
-        repository.leases.renew(old)
     (new,) = repository.leases.acquire(FLEET, ["r1"], owner="b", term_s=LONG_S)
     assert new.epoch == 2
     with pytest.raises(LeaseLostError, match="b owns it under epoch 2"):
         repository.leases.renew(old)
     repository.leases.release(old)
     assert repository.leases.held(FLEET)["r1"][:2] == ("b", 2)
+
+
+def test_a_lease_that_ran_out_and_that_nobody_took_is_renewed(repository: Repository) -> None:
+    leases = repository.leases.acquire(FLEET, ["r1"], owner="a", term_s=0.2)
+    wait_until(lambda: expired(repository))
+    assert repository.leases.last(FLEET)["r1"] == LastLease("a", 1, silent=True)
+    repository.leases.renew(leases)
+    assert repository.leases.last(FLEET)["r1"] == LastLease("a", 1, silent=False)
+
+
+def test_a_lease_that_was_released_cannot_be_renewed(repository: Repository) -> None:
+    leases = repository.leases.acquire(FLEET, ["r1"], owner="a", term_s=LONG_S)
+    repository.leases.release(leases)
+    assert repository.leases.last(FLEET)["r1"] == LastLease("a", 1, silent=False)
+    with pytest.raises(LeaseLostError, match="it was released"):
+        repository.leases.renew(leases)
+
+
+JUMPS_S = (-1.0, -2.5, -3.0, -3600.0, 7.0, 3600.0)
+
+
+@pytest.mark.parametrize("jump_s", JUMPS_S)
+def test_an_owner_keeps_its_lease_whatever_the_clock_is_set_to(
+    repository: Repository, clock: Clock, jump_s: float
+) -> None:
+    leases = repository.leases.acquire(FLEET, ["r1"], owner="a", term_s=8.0)
+    for _ in range(2):
+        clock.set_by(jump_s)
+        repository.leases.renew(leases)
+        owner, epoch, remaining_s = repository.leases.held(FLEET)["r1"]
+        assert (owner, epoch) == ("a", 1)
+        assert 7.0 < remaining_s <= 8.0
+        with pytest.raises(LeaseHeldError):
+            repository.leases.acquire(FLEET, ["r1"], owner="b", term_s=8.0)
+
+
+@pytest.mark.parametrize("jump_s", [jump_s for jump_s in JUMPS_S if jump_s < 0])
+def test_a_clock_that_was_set_back_frees_nobodys_robot(
+    repository: Repository, clock: Clock, jump_s: float
+) -> None:
+    repository.leases.acquire(FLEET, ["r1", "r2"], owner="a", term_s=8.0)
+    clock.set_by(jump_s)
+    with pytest.raises(LeaseHeldError) as refused:
+        repository.leases.acquire(FLEET, ["r1", "r2"], owner="b", term_s=8.0)
+    assert refused.value.remaining_s == 8.0
+    renewals = refused.value.renewals
+    assert [renewal.robot for renewal in renewals] == ["r1", "r2"]
+    assert all(renewal.before_set_back for renewal in renewals)
+    # Who watched these for a whole term and saw no other knows that their owner is silent.
+    with pytest.raises(LeaseHeldError, match="robot r2 is owned by a"):
+        repository.leases.acquire(FLEET, ["r1", "r2"], owner="b", term_s=8.0, silent=renewals[:1])
+    taken = repository.leases.acquire(FLEET, ["r1", "r2"], owner="b", term_s=8.0, silent=renewals)
+    assert [lease.epoch for lease in taken] == [2, 2]
+
+
+def test_what_was_renewed_is_not_taken_from_an_owner_that_was_thought_silent(
+    repository: Repository, clock: Clock
+) -> None:
+    leases = repository.leases.acquire(FLEET, ["r1"], owner="a", term_s=8.0)
+    clock.set_by(-60.0)
+    with pytest.raises(LeaseHeldError) as refused:
+        repository.leases.acquire(FLEET, ["r1"], owner="b", term_s=8.0)
+    repository.leases.renew(leases)
+    with pytest.raises(LeaseHeldError, match="owned by a"):
+        repository.leases.acquire(
+            FLEET, ["r1"], owner="b", term_s=8.0, silent=refused.value.renewals
+        )
+
+
+def test_who_was_replaced_after_the_clock_was_set_forward_is_told_and_the_epoch_rose(
+    repository: Repository, clock: Clock
+) -> None:
+    old = repository.leases.acquire(FLEET, ["r1"], owner="a", term_s=8.0)
+    clock.set_by(3600.0)
+    (new,) = repository.leases.acquire(FLEET, ["r1"], owner="b", term_s=8.0)
+    assert new.epoch == 2
+    with pytest.raises(LeaseLostError, match="b owns it under epoch 2"):
+        repository.leases.renew(old)
 
 
 def test_an_owner_who_returns_after_its_lease_ran_out_gets_a_new_epoch(

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import os
 import shutil
+import stat
 import subprocess
 import sys
 from pathlib import Path
 
+import psycopg
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from polling import PATIENCE_S
+from polling import PATIENCE_S, wait_until
 from postgresql_server import PostgresqlServer
 from repository_records import FLEET, SPEC, STUDY
 from sqlalchemy import create_engine
@@ -146,7 +148,19 @@ def test_a_folder_of_runs_has_its_repository_in_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "address", ["mysql://u:secret@h/d", "sqlite://", "sqlite:///:memory:", "://", "oracle:x"]
+    "address",
+    [
+        "mysql://u:secret@h/d",
+        "mysql://u:se/secret@h/d",
+        "mysql://h/d?password=secret",
+        "postgresql://u:p@secret@h/d",
+        "postgresql://u@h:secret/d",
+        "postgresql:/u:secret@h/d",
+        "sqlite://",
+        "sqlite:///:memory:",
+        "://",
+        "oracle:x",
+    ],
 )
 def test_an_address_of_no_database_is_refused_without_its_password(address: str) -> None:
     with pytest.raises(RepositoryUrlError, match="expected a file") as refused:
@@ -159,10 +173,49 @@ def test_a_postgresql_address_is_served_by_psycopg(scheme: str) -> None:
     assert parse_url(f"{scheme}://me@host/lab").drivername == "postgresql+psycopg"
 
 
-def test_a_server_that_is_not_there_is_named_without_the_password(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "address",
+    [
+        "postgresql://me:secret@/lab?host={folder}",
+        "postgresql://me:se/secret@/lab?host={folder}",
+        "postgresql://me@/lab?host={folder}&password=secret",
+    ],
+)
+def test_a_server_that_is_not_there_is_named_without_the_password(
+    tmp_path: Path, address: str
+) -> None:
     with pytest.raises(RepositoryUnreachableError, match="lab") as refused:
-        open_repository(f"postgresql://me:secret@/lab?host={tmp_path}")
+        open_repository(address.format(folder=tmp_path))
     assert "secret" not in str(refused.value)
+
+
+def test_the_password_of_a_server_may_stand_in_the_file_that_pgpassfile_names(
+    server: PostgresqlServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rules = server.folder / "data" / "pg_hba.conf"
+    rules.write_text(f"local all careful scram-sha-256\n{rules.read_text()}")
+    with psycopg.connect(server.connection(), autocommit=True) as connection:
+        connection.execute("CREATE ROLE careful LOGIN SUPERUSER PASSWORD 'se/c@ret'")
+        connection.execute("SELECT pg_reload_conf()")
+        server.empty_database()
+        address = f"postgresql://careful@/postgres?host={server.folder}"
+
+        def refused() -> bool:  # from the moment on at which the server has read its rules
+            try:
+                open_repository(address).close()
+            except RepositoryUnreachableError as error:
+                return "no password supplied" in str(error)
+            return False
+
+        wait_until(refused)
+        kept = tmp_path / "pgpass"
+        kept.write_text("*:*:*:careful:se/c@ret\n")
+        kept.chmod(0o600)
+        monkeypatch.setenv("PGPASSFILE", str(kept))
+        with open_repository(address) as repository:
+            assert repository.studies.studies() == ()
+        server.empty_database()
+        connection.execute("DROP OWNED BY careful; DROP ROLE careful")
 
 
 def test_a_database_that_its_server_does_not_have_is_named(server: PostgresqlServer) -> None:
@@ -217,3 +270,15 @@ def test_a_server_without_its_driver_is_refused_with_what_to_install(
     monkeypatch.setattr(database, "find_spec", lambda name: None)
     with pytest.raises(RepositoryUrlError, match=r"nufleet\[repository\]"):
         open_repository("postgresql://me@127.0.0.1/none")
+
+
+def test_a_database_of_measurements_is_its_users_alone(tmp_path: Path) -> None:
+    with open_repository(f"{tmp_path}/nufleet.sqlite") as repository:
+        repository.studies.studies()
+        files = sorted(tmp_path.iterdir())
+        assert [path.name for path in files] == [
+            "nufleet.sqlite",
+            "nufleet.sqlite-shm",
+            "nufleet.sqlite-wal",
+        ]
+        assert {stat.S_IMODE(path.stat().st_mode) for path in files} == {0o600}

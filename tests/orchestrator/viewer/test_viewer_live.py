@@ -10,12 +10,14 @@ import sys
 import threading
 import urllib.request
 from collections.abc import Iterator
+from contextlib import closing
+from http.client import HTTPConnection
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import psutil  # type: ignore[import-untyped]
 import pytest
-from bare_viewer import BareViewer
+from bare_viewer import READ_MESSAGES, BareViewer
 from polling import PATIENCE_S, wait_until
 from recording_reader import column, scalars
 from study_events import iteration_event, samples_event
@@ -81,6 +83,48 @@ def test_the_page_is_served_on_this_machine_alone_and_may_connect_to_its_data_al
         ports = {port_of(writer.live_url), port_of(writer.web_url)}
         assert ports <= {address.port for address in listening}
     assert set(psutil.Process().children(recursive=True)) <= others
+
+
+def may_read(live_url: str | None, origin: str) -> bool:
+    """Return whether a browser lets a page of that origin read what is served live."""
+    assert live_url is not None
+    data = urlsplit(live_url.replace("rerun+http", "http")).netloc
+    asked = {
+        "Origin": origin,
+        "Access-Control-Request-Method": "POST",
+        "Access-Control-Request-Headers": "content-type,x-grpc-web",
+    }
+    with closing(HTTPConnection(data, timeout=10.0)) as connection:
+        connection.request("OPTIONS", READ_MESSAGES, headers=asked)
+        answer = connection.getresponse()
+        admitted = answer.getheader("Access-Control-Allow-Origin")
+    return admitted in ("*", origin)
+
+
+@pytest.mark.parametrize("bind_ip", ["127.0.0.1", "127.0.0.2"])
+def test_no_page_but_those_of_this_machine_may_read_the_data(bind_ip: str) -> None:
+    with RerunWriter("run-1", recording=None, serve=ServeOptions(0, 0, bind_ip)) as writer:
+        assert writer.web_url is not None
+        page = urlsplit(writer.web_url)
+        assert may_read(writer.live_url, f"http://{page.netloc}")
+        for origin in (
+            "http://evil.example",
+            f"http://evil.example:{page.port}",
+            f"http://{bind_ip}.evil.example:{page.port}",
+            f"https://evil.example:{page.port}",
+            "null",
+        ):
+            assert not may_read(writer.live_url, origin), origin
+
+
+def test_a_page_of_another_process_shows_a_running_study() -> None:
+    with (
+        RerunWriter("run-1", recording=None, serve=EPHEMERAL) as writer,
+        open_web(str(writer.live_url), browse=False) as page,
+    ):
+        assert page.web_url is not None
+        assert may_read(writer.live_url, f"http://{urlsplit(page.web_url).netloc}")
+        assert not may_read(writer.live_url, "http://evil.example")
 
 
 @pytest.mark.parametrize("taken", ["grpc", "web"])

@@ -1,0 +1,34 @@
+"""Makes robots forget who commanded them and under which epoch, while no agent serves them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from robot_agent.journal import Journal
+from shared.errors import InvalidInputError
+from shared.fleet_file import read_fleet_file
+
+
+def forget_owners(fleet_file: Path, names: tuple[str, ...], state_folder: Path) -> None:
+    """Make the robots of a fleet file that are named forget their owners; nothing moves.
+
+    Raises:
+        InvalidInputError: none is named, or one is not in the file.
+        JournalError: an agent serves one of them, or what it remembers cannot be written.
+    """
+    fleet = read_fleet_file(fleet_file)
+    unknown = [name for name in names if name not in fleet.robots]
+    if unknown or not names:
+        raise InvalidInputError(
+            f"--forget-owner needs --robot with robots of {fleet_file}: {', '.join(fleet.robots)}"
+            + (f"; {', '.join(unknown)} is none" if unknown else "")
+        )
+    for name in names:
+        with Journal(state_folder / fleet.name / name / "journal") as journal:
+            known = journal.forget_owner()
+        if known is None:
+            click.echo(f"{name} remembers no owner")
+        else:
+            click.echo(f"{name} forgot {known.owner} and its epoch {known.epoch}")

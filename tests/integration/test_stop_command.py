@@ -1,0 +1,148 @@
+"""Whoever asks for a stop gets one, whatever the words, the names and the other robots are like."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+from fleet_lab import SLOW, Lab, Orchestrator
+from polling import PATIENCE_S, wait_until
+from puppet_robot import PuppetRobot
+
+from robot_agent.agent import Agent
+from shared.keys import FleetKeys
+from shared.messages import RobotStatus
+
+ESCAPE = "\x1b[31mOWNED"
+
+
+def nufleet(lab: Lab, *arguments: str | bytes) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "shared.command_line", *arguments, "--connect", lab.endpoint],
+        capture_output=True,
+        text=True,
+        stdin=subprocess.DEVNULL,
+    )
+
+
+def moving(lab: Lab, *robots: str) -> Orchestrator:
+    """An orchestrator whose robots all move, and will for long."""
+    for robot in robots:
+        lab.agent(robot, PuppetRobot(), realtime=1.0)
+    orchestrator = lab.orchestrator()
+    for robot in robots:
+        orchestrator.submit(robot, f"goal-{robot}", **SLOW)
+        orchestrator.state(robot, lambda state: state.progress > 0)
+    return orchestrator
+
+
+def stopped(orchestrator: Orchestrator, robot: str) -> str:
+    """Wait until a robot is stopped and at rest; return its reason."""
+    return orchestrator.state(robot, lambda s: s.status is RobotStatus.STOPPED).reason
+
+
+REASONS: dict[str, tuple[str | bytes, str]] = {
+    "of a Latin-1 terminal": (b"M\xf6we", "M?we"),
+    "too long": ("x" * 5000, "x" * 100),
+    "empty": ("", ""),
+    "control characters": ("gull\r\n\x07\x1b[2J", "gull  ??[2J"),
+    "beyond the basic plane": ("🛑", "🛑"),
+}
+
+
+@pytest.mark.parametrize("kind", REASONS)
+@pytest.mark.parametrize("everyone", [False, True])
+def test_no_reason_keeps_a_robot_from_being_stopped(kind: str, everyone: bool, lab: Lab) -> None:
+    orchestrator = moving(lab, "a")
+    given, kept = REASONS[kind]
+    done = nufleet(lab, "stop", "--all" if everyone else "a", "--reason", given)
+    assert (done.returncode, done.stderr) == (0, "a is stopped\n")
+    assert kept in stopped(orchestrator, "a")
+    orchestrator.fleet.release("a")
+
+
+def test_a_name_that_cannot_be_one_keeps_no_other_robot_from_being_stopped(lab: Lab) -> None:
+    orchestrator = moving(lab, "a", "b")
+    done = nufleet(lab, "stop", "A", "nobody", "a", "b")
+    for robot in ("a", "b"):
+        stopped(orchestrator, robot)
+        assert f"{robot} is stopped\n" in done.stderr
+    assert "A DID NOT CONFIRM ITS STOP: robot 'A' is not a name" in done.stderr
+    assert "nobody DID NOT CONFIRM ITS STOP: robot nobody is not there" in done.stderr
+    assert done.returncode == 1
+
+
+def test_a_stop_of_all_stops_every_fleet_at_the_router(lab: Lab) -> None:
+    orchestrator = moving(lab, "a")
+    other = PuppetRobot()
+    with Agent(lab.session(), FleetKeys("other"), "b", other, realtime=None):
+        done = nufleet(lab, "stop", "--all")
+        assert done.returncode == 0, done.stderr
+        assert sorted(done.stderr.splitlines()) == ["lab/a is stopped", "other/b is stopped"]
+        stopped(orchestrator, "a")
+        nufleet(lab, "release", "a", "--fleet-name", "lab")
+        # Of one fleet alone, if one says which.
+        done = nufleet(lab, "stop", "--all", "--fleet-name", "other")
+        assert (done.returncode, done.stderr) == (0, "b is stopped\n")
+        orchestrator.state("a", lambda s: s.status is RobotStatus.IDLE)
+        # A robot is stopped by its name in whatever fleet it is.
+        done = nufleet(lab, "stop", "a")
+        assert (done.returncode, done.stderr) == (0, "lab/a is stopped\n")
+        stopped(orchestrator, "a")
+
+
+def test_a_stop_that_nobody_can_confirm_is_an_error(lab: Lab) -> None:
+    nobody = nufleet(lab, "stop", "--all")
+    assert nobody.returncode == 1
+    assert "nobody is there to confirm it: no robot is there" in nobody.stderr
+    lab.agent("a", PuppetRobot())
+    elsewhere = nufleet(lab, "stop", "--all", "--fleet-name", "lap")
+    assert elsewhere.returncode == 1
+    assert "every robot of fleet lap" in elsewhere.stderr
+    assert "the fleets there are lab" in elsewhere.stderr
+
+
+def test_names_from_the_network_that_are_none_are_neither_printed_nor_counted(lab: Lab) -> None:
+    orchestrator = moving(lab, "a")
+    stranger = lab.session()
+    stranger.declare_alive(f"nufleet/lab/robot/{ESCAPE}/alive")
+    stranger.declare_alive(f"nufleet/{ESCAPE}/robot/b/alive")
+    stranger.declare_alive(f"nufleet/lab/orchestrator/{ESCAPE}/alive")
+    wait_until(lambda: len(stranger.alive("nufleet/*/robot/*/alive", timeout_s=PATIENCE_S)) == 3)
+    status = nufleet(lab, "fleet", "status")
+    assert status.returncode == 0, status.stderr
+    assert json.loads(nufleet(lab, "fleet", "status", "--json").stdout)["robots"].keys() == {"a"}
+    done = nufleet(lab, "stop", "--all")
+    assert done.returncode == 0, done.stderr
+    assert "a is stopped\n" in done.stderr
+    for said in (status.stderr, done.stderr):
+        assert "\x1b" not in said
+    stopped(orchestrator, "a")
+    assert orchestrator.fleet.robots() == ("a",)
+
+
+def test_one_robot_that_is_not_released_keeps_no_other_from_it(lab: Lab) -> None:
+    orchestrator = moving(lab, "a", "b")
+    assert nufleet(lab, "stop", "--all").returncode == 0
+    for robot in ("a", "b"):
+        stopped(orchestrator, robot)
+    done = nufleet(lab, "release", "nobody", "a", "b")
+    assert done.returncode == 1
+    assert "nobody was not released: robot nobody is not there" in done.stderr
+    for robot in ("a", "b"):
+        assert f"{robot} may move again\n" in done.stderr
+        orchestrator.state(robot, lambda s: s.status is RobotStatus.IDLE)
+
+
+def test_nothing_heavy_is_imported_before_robots_are_told_to_stop() -> None:
+    script = (
+        "import sys; import orchestrator.cli.stop, orchestrator.stopping; "
+        "print({m.partition('.')[0] for m in sys.modules})"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    loaded = done.stdout
+    assert "'zenoh'" in loaded
+    for heavy in ("numpy", "pydantic", "scipy", "rich", "sqlalchemy", "matplotlib", "rerun"):
+        assert f"'{heavy}'" not in loaded
