@@ -154,7 +154,7 @@ def test_no_server_is_left_when_the_recording_is_refused(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("stuck", ["viewers", "server"])
 def test_what_is_stuck_costs_neither_the_study_nor_its_recording(
-    tmp_path: Path, stuck: str
+    tmp_path: Path, stuck: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run.rrd"
     writer = RerunWriter("run-1", recording=path, serve=EPHEMERAL)
@@ -175,7 +175,8 @@ def test_what_is_stuck_costs_neither_the_study_nor_its_recording(
         # How long it may take is a matter of the machine; what follows is one of what is stuck.
         wait_until(lambda: not recording._kept and not recording._droppable)
         # Left to itself Rerun waits 25 s for a viewer that is stopped, and for ever for a server.
-        assert writer.close(20.0 if stuck == "viewers" else 8.0) == (stuck == "viewers")
+        monkeypatch.setattr("orchestrator.viewer.writer.LIVE_CLOSE_S", 20.0)
+        assert writer.close(40.0 if stuck == "viewers" else 8.0) == (stuck == "viewers")
     assert len(scalars(path, "/tests/response/s1/x")[1]) == 2000 * tests
     assert len(column(path, "/psi/worst/s1", "Measurements:values")) == tests // 100
     assert servers_of(os.getpid()) == []
