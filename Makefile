@@ -1,5 +1,8 @@
 # make demo   sets everything up and runs the main job
 # make test   sets everything up, lints, type-checks and passes the tests
+# make check  a minute's worth of that: lint, format, types, and the tests that start no process, open
+#             no connection, run no foreign simulator (tests/purity.py) and are not marked `thorough`
+# make test-busy   passes the tests beside processes that keep the machine busy, RUNS times over
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PIP_INSTALL = .venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 # Many tests wait for processes; two at a time take little more than half as long as one by one.
@@ -8,7 +11,10 @@ TEST_PROCESSES ?= 2
 # PostgreSQL server, networks that can be cut in two, and clocks that are wrong.
 SYSTEM_PACKAGES = mesa-vulkan-drivers postgresql iproute2 libfaketime
 
-.PHONY: demo test lint clean system-packages
+RUNS ?= 5
+BURNERS ?= 4
+
+.PHONY: demo test test-busy check lint clean system-packages
 
 demo: .venv/installed-demo
 	.venv/bin/nufleet demo
@@ -16,6 +22,22 @@ demo: .venv/installed-demo
 test: .venv/installed-test system-packages lint
 	@echo "== tests"
 	.venv/bin/pytest -n $(TEST_PROCESSES) --dist loadfile
+
+# Each process ends with the others of this recipe's shell, however it ends.
+test-busy: .venv/installed-test system-packages
+	@trap 'kill 0' INT TERM EXIT; \
+	for burner in $$(seq $(BURNERS)); do (while :; do :; done) & done; \
+	for run in $$(seq $(RUNS)); do \
+	  echo "== run $$run of $(RUNS), beside $(BURNERS) busy loops"; \
+	  .venv/bin/pytest -n $(TEST_PROCESSES) --dist loadfile || exit 1; \
+	done
+
+check: .venv/installed-test
+	@echo "== lint, format, types and pure tests"
+	@.venv/bin/ruff check . && .venv/bin/ruff format --check .
+	@.venv/bin/mypy & types=$$!; \
+	.venv/bin/pytest --pure -m "not thorough" -n $(TEST_PROCESSES) --dist loadfile; tests=$$?; \
+	wait $$types && exit $$tests
 
 lint: .venv/installed-test
 	@echo "== lint, format and types"

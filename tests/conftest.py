@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import os
 import signal
-import tempfile
 from collections.abc import Generator
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from lifeline import Lifeline
+from purity import is_pure
 
 # The simulated quadrotors need SciPy's array interface, which SciPy reads when it is first
 # imported; in production their process gets it from its driver's `environment`.
 os.environ["SCIPY_ARRAY_API"] = "1"
 os.environ["JAX_PLATFORMS"] = "cpu"
 
+# Killed outright, a run of the tests leaves no process and no file either.
+_LIFELINE = Lifeline()
+
 # What agents started here remember must neither come from nor go to the user's own fleets.
-_STATE = tempfile.TemporaryDirectory(prefix="nufleet-test-state-")
-os.environ["NUFLEET_STATE"] = _STATE.name
+os.environ["NUFLEET_STATE"] = str(_LIFELINE.folder / "state")
 
 # Small matrices, many of them: with threads, BLAS takes ten times as long on a busy machine.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
@@ -31,6 +35,19 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # changes; at a desk every run tries new ones.
 settings.register_profile("nufleet", deadline=None, print_blob=True, derandomize="CI" in os.environ)
 settings.load_profile("nufleet")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Offer the tests that `make check` runs."""
+    words = "only tests that start no process, open no connection and run no foreign simulator"
+    parser.addoption("--pure", action="store_true", help=words)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Pass over the others without importing them."""
+    if config.getoption("pure") and collection_path.match("test_*.py"):
+        return not is_pure(collection_path) or None
+    return None
 
 
 @pytest.hookimpl(wrapper=True)

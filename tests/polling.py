@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-PATIENCE_S = 30.0
-"""Long enough for a busy machine; what is waited for normally takes milliseconds."""
+PATIENCE_S = 120.0
+"""Ends a test that hangs, and nothing else: what is waited for normally takes milliseconds."""
 
 
 def wait_until(condition: Callable[[], bool], *, timeout_s: float = PATIENCE_S) -> None:

@@ -6,7 +6,7 @@ import shlex
 from pathlib import Path
 
 import pytest
-from polling import wait_until
+from polling import PATIENCE_S, wait_until
 
 from orchestrator.fleet_processes import GRACE_S
 from robot_agent.watched_robot import SLOW_CALL_MAX_S
@@ -32,14 +32,14 @@ def test_the_router_configuration_opens_a_router_that_clients_reach(tmp_path: Pa
     with open_configured_router(private) as router:
         (endpoint,) = router.listening_on()
         with (
-            open_client(endpoint, timeout_s=5.0) as one,
-            open_client(endpoint, timeout_s=5.0) as other,
+            open_client(endpoint, timeout_s=PATIENCE_S) as one,
+            open_client(endpoint, timeout_s=PATIENCE_S) as other,
         ):
             one.declare_alive("nufleet/lab/robot/r1/alive")
             # A token takes a moment to reach the router and the other side of it.
             wait_until(
                 lambda: (
-                    other.alive("nufleet/*/robot/*/alive", timeout_s=5.0)
+                    other.alive("nufleet/*/robot/*/alive", timeout_s=PATIENCE_S)
                     == ["nufleet/lab/robot/r1/alive"]
                 )
             )

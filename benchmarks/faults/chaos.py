@@ -9,7 +9,6 @@ by then is up to the machine.
 from __future__ import annotations
 
 import heapq
-import socket
 import tempfile
 import threading
 import time
@@ -23,7 +22,7 @@ import numpy as np
 import psutil
 
 from benchmarks.faults import link
-from benchmarks.faults.chaos_history import History, Stop
+from benchmarks.faults.chaos_history import HALT_MAX_S, History, Stop
 from benchmarks.faults.figure import Figure
 from benchmarks.faults.fuzz_targets import experience
 from benchmarks.faults.lab import Lab, double_integrator, opened_lab
@@ -41,7 +40,7 @@ REALTIME = 20.0
 AT_ONCE = 3
 """So many faults last at the same time at most."""
 
-HEALED_MAX_S = 180.0
+HEALED_MAX_S = 600.0
 """After the last fault the study in progress has to end within this time."""
 
 Act = Callable[[], None]
@@ -60,10 +59,9 @@ class Chaos:
                 for k, (name, alpha) in enumerate(zip(self._names, _alphas(robots), strict=True))
             }
         )
-        port = _free_port()
-        self._router = lab.router(f"tcp/127.0.0.1:{port}")
+        self._router = lab.router()
         self._links = {
-            name: stack.enter_context(link.opened(("127.0.0.1", port)))
+            name: stack.enter_context(link.opened(lab.socket))
             for name in (*self._names, "orchestrator")
         }
         self._agents = {
@@ -84,8 +82,8 @@ class Chaos:
         self.faults: Counter[str] = Counter()
         self._finish()
 
-    def live(self, seconds: float) -> None:
-        """Let things fail at random for so long, one study after the other."""
+    def live(self, seconds: float, faults_min: int) -> None:
+        """Let things fail at random for so long, and so often, one study after the other."""
         kinds: list[tuple[str, Callable[[], None], float]] = [
             ("agents killed", self._kill_agent, 3.0),
             ("agents frozen", self._freeze_agent, 2.0),
@@ -99,7 +97,7 @@ class Chaos:
         weights = np.array([weight for *_, weight in kinds])
         ends_s = time.monotonic() + seconds
         next_s = time.monotonic()
-        while time.monotonic() < ends_s:
+        while time.monotonic() < ends_s or self.faults.total() < faults_min:
             self._attend()
             if time.monotonic() >= next_s:
                 next_s = time.monotonic() + float(self._rng.exponential(1.5))
@@ -132,7 +130,7 @@ class Chaos:
             "most files of an agent": max(agent.num_fds() for agent in agents),
         }
 
-    def history(self) -> History:
+    def history(self, halt_max_s: float) -> History:
         """End all programs and return what happened."""
         for program in (*self._agents.values(), self._router):
             program.end()
@@ -151,6 +149,7 @@ class Chaos:
             trials,
             self._stops,
             dict(+self.faults),
+            halt_max_s,
         )
 
     # Studies.
@@ -287,22 +286,37 @@ class Chaos:
                 # Cut off just now, or still coming to rest: once more, a little later.
                 self._afflict(name, (0.2, 0.5), release)
                 return
-            self._stops.append(Stop(name, confirmed_s, released_s))
+            self._stops.append(Stop(name, confirmed_s, released_s, time.monotonic()))
 
         self._afflict(name, (0.3, 2.0), release)
 
 
-def run(robots: int, seconds: float, seed: int) -> tuple[History, dict[str, int], dict[str, int]]:
-    """Live through a chaos; return what happened, and what was held before and after it."""
+def run(
+    robots: int,
+    seconds: float,
+    seed: int,
+    *,
+    faults_min: int = 0,
+    halt_max_s: float = HALT_MAX_S,
+) -> tuple[History, dict[str, int], dict[str, int]]:
+    """Live through a chaos; return what happened, and what was held before and after it.
+
+    Args:
+        robots: in the fleet.
+        seconds: how long things fail.
+        seed: of what fails when.
+        faults_min: they fail for longer until they have failed so often.
+        halt_max_s: how long after a stop a motion may go on.
+    """
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="nufleet-chaos-"))
         lab = stack.enter_context(opened_lab(Path(folder)))
         chaos = Chaos(lab, stack, robots, np.random.default_rng(seed))
         before = chaos.resources()
-        chaos.live(seconds)
+        chaos.live(seconds, faults_min)
         chaos.heal()
         after = chaos.resources()
-        history = chaos.history()
+        history = chaos.history(halt_max_s)
         found = history.violations()
         if found:
             raise AssertionError(f"{len(found)} violations with seed {seed}:\n" + "\n".join(found))
@@ -349,8 +363,3 @@ def _bad_sensor(alpha: float) -> dict[str, object]:
         {"kind": "drop-out", "motion": 4, "from_sample": 90, "samples": 1},
     )
     return {"driver": "faulty", "settings": {**double_integrator(alpha), "faults": faults}}
-
-
-def _free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        return int(free.getsockname()[1])

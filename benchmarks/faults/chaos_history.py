@@ -12,8 +12,8 @@ from orchestrator.repository.records import StudyRecord, StudyStatus, TrialRecor
 from robot_agent.journal import Journal
 
 HALT_MAX_S = 1.0
-"""A motion that was in progress when a stop was confirmed has been told to rest by then."""
-
+"""By then a motion that was in progress when a stop was confirmed has been told to rest, where the
+machine is not otherwise busy; everywhere, before the stop is released."""
 
 MAY_BE_GIVEN_UP = (
     "stopped by",
@@ -27,11 +27,12 @@ MAY_BE_GIVEN_UP = (
 
 @dataclass(frozen=True)
 class Stop:
-    """A stop that a robot confirmed, and when its release was begun; None if it was not."""
+    """A stop that a robot confirmed, when its release was begun and granted; None if it was not."""
 
     robot: str
     confirmed_s: float
     released_s: float | None
+    granted_s: float | None = None
 
 
 @dataclass
@@ -46,6 +47,7 @@ class History:
     trials: Sequence[TrialRecord] = ()
     stops: list[Stop] = field(default_factory=list)
     faults: dict[str, int] = field(default_factory=dict)
+    halt_max_s: float = HALT_MAX_S
 
     @property
     def complete(self) -> list[StudyRecord]:
@@ -117,6 +119,7 @@ class History:
             for motion in motions:
                 if stop.confirmed_s < motion.began_s < until_s:
                     yield f"{robot} moved at {motion.began_s:.3f} while {stop}"
-                halted_s = min(until_s, stop.confirmed_s + HALT_MAX_S)
+                granted_s = float("inf") if stop.granted_s is None else stop.granted_s
+                halted_s = min(granted_s, stop.confirmed_s + self.halt_max_s)
                 if motion.began_s < stop.confirmed_s and halted_s < (motion.ended_s or 0.0):
                     yield f"{robot} moved on until {motion.ended_s:.3f} after {stop}"

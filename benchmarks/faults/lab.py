@@ -8,9 +8,10 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from benchmarks.faults.logbook import Entry, Stretch, install_driver, motions, read_logbook
+from benchmarks.faults.logbook import Entry, Stretch, die_at, install_driver, motions, read_logbook
 from benchmarks.faults.namespaces import Namespace
 from benchmarks.faults.program import PATIENCE_S, Program
+from benchmarks.faults.study_process import TERM_S
 from orchestrator.fleet import Fleet
 from orchestrator.robot_watch import RobotWatch
 from shared.keys import FleetKeys
@@ -32,7 +33,8 @@ class Lab:
 
     def __init__(self, folder: Path, stack: ExitStack) -> None:
         self.folder = folder
-        self.endpoint = f"unixsock-stream/{folder}/r.sock"
+        self.socket = folder / "r.sock"
+        self.endpoint = f"unixsock-stream/{self.socket}"
         self._stack = stack
         self._robots: dict[str, dict[str, Any]] = {}
         self._commands = 0
@@ -135,11 +137,13 @@ class Lab:
         *,
         iterations: int,
         connect: str | None = None,
+        term_s: float = TERM_S,
     ) -> Program:
         """Start an orchestrator that begins a study of robots, target first, or goes on with it."""
         self._commands += 1
         arguments = ["--connect", connect or self.endpoint, "--database", str(database)]
         arguments += ["--study", study_id, "--iterations", str(iterations)]
+        arguments += ["--term-s", str(term_s)]
         arguments += ["--owner", f"orchestrator-{self._commands}", "--robots", *robots]
         study = Program(
             f"{study_id} {self._commands}",
@@ -189,6 +193,10 @@ class Lab:
     def logbook(self, robot: str) -> list[Entry]:
         """Return what a robot wrote down."""
         return read_logbook(self.folder / f"{robot}.logbook")
+
+    def kill_at(self, robot: str, moment: str) -> None:
+        """Have a robot's agent be killed, once, at a moment that its logbook knows."""
+        die_at(self.folder / f"{robot}.logbook", moment)
 
     def motions(self, robot: str) -> list[Stretch]:
         """Return the motions that a robot made, in all its agents' lives."""

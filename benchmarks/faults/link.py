@@ -1,4 +1,8 @@
-"""A TCP cable through this process that can be cut, held up, or made slow, in each direction."""
+"""A cable through this process that can be cut, held up, or made slow, in each direction.
+
+Clients reach it by TCP at a port that is its own as long as it lives; the server behind it listens
+at a Unix socket, which nobody takes while a router is being restarted.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +14,7 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 CHUNK_BYTES = 64 * 1024
@@ -39,7 +44,7 @@ class Link:
     connection is then cut.
     """
 
-    def __init__(self, server: tuple[str, int]) -> None:
+    def __init__(self, server: Path) -> None:
         """Prepare; see `opened`."""
         self._server = server
         self._listener = socket.create_server(("127.0.0.1", 0))
@@ -114,12 +119,13 @@ class Link:
         client, _ = self._listener.accept()
         if self._refusing:
             return _close(client)
+        server = socket.socket(socket.AF_UNIX)
         try:
-            server = socket.create_connection(self._server, timeout=1.0)
+            server.connect(str(self._server))
         except OSError:
+            _close(server)
             return _close(client)
-        for end in (client, server):
-            end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         with self._lock:
             self._pipes += [_Pipe(client, server, "up"), _Pipe(server, client, "down")]
         return None
@@ -159,8 +165,8 @@ class Link:
 
 
 @contextmanager
-def opened(server: tuple[str, int]) -> Iterator[Link]:
-    """Open a cable to a server that listens at a host and port."""
+def opened(server: Path) -> Iterator[Link]:
+    """Open a cable to a server that listens at a Unix socket."""
     link = Link(server)
     thread = threading.Thread(target=link.work, name="link")
     thread.start()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -24,6 +25,8 @@ from shared.robot_spec import RobotSpec
 from shared.strict import NonNegative, Strict
 
 CONNECTED, MOVES, TOLD_TO_REST, RESTS = "connected", "moves", "told to rest", "rests"
+HALF_WAY = "is half way"
+"""Written in no logbook: a moment to die at, a second of the robot's time into a motion."""
 
 
 class LoggedRobotSettings(Strict):
@@ -61,6 +64,15 @@ class Stretch:
     ended_s: float | None
 
 
+def die_at(logbook: Path, moment: str) -> None:
+    """Have a robot's process be killed, once, when its robot next comes to a moment."""
+    _fate(logbook).write_text(moment)
+
+
+def _fate(logbook: Path) -> Path:
+    return logbook.with_suffix(".fate")
+
+
 def motions(entries: list[Entry]) -> list[Stretch]:
     """Return every motion of a logbook, in the order in which they began."""
     found: list[Stretch] = []
@@ -86,7 +98,9 @@ class LoggedRobot(Robot):
     def __init__(self, name: str, robot: Robot, logbook: Path, rest_s: float) -> None:
         self._name, self._robot, self._rest_s = name, robot, rest_s
         self._file = os.open(logbook, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        self._fate = _fate(logbook)
         self._moving = False
+        self._played = 0
 
     @property
     def spec(self) -> RobotSpec:
@@ -114,8 +128,11 @@ class LoggedRobot(Robot):
     def run(self, references: FloatArray) -> FloatArray:
         """Follow a whole reference signal."""
         if not self._moving:
-            self._moving = True
+            self._moving, self._played = True, 0
             self._write(MOVES)
+        before, self._played = self._played, self._played + len(references)
+        if before * self.spec.sample_time_s < 1.0 <= self._played * self.spec.sample_time_s:
+            self._meet_fate(HALF_WAY)
         return self._robot.run(references)
 
     def rest(self) -> None:
@@ -135,6 +152,12 @@ class LoggedRobot(Robot):
     def _write(self, what: str) -> None:
         line = {"time_s": time.monotonic(), "robot": self._name, "pid": os.getpid(), "what": what}
         os.write(self._file, json.dumps(line).encode() + b"\n")
+        self._meet_fate(what)
+
+    def _meet_fate(self, moment: str) -> None:
+        if self._fate.exists() and self._fate.read_text() == moment:
+            self._fate.unlink()
+            os.kill(os.getpid(), signal.SIGKILL)
 
 
 @dataclass(frozen=True)

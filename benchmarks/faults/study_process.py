@@ -31,6 +31,8 @@ SEED = 3
 TERM_S = 2.0
 """A successor waits so long for a killed owner; the product's own term would only take longer."""
 
+RENEW_EVERY_S = 0.5
+
 
 def main() -> None:
     """Do what the command line says; exit code 1 for an error that has a name."""
@@ -40,10 +42,11 @@ def main() -> None:
     parser.add_argument("--database", type=Path, required=True)
     parser.add_argument("--iterations", type=int, required=True)
     parser.add_argument("--robots", nargs="+", required=True)
+    parser.add_argument("--term-s", type=float, default=TERM_S)
     own = parser.parse_args()
     logging.basicConfig(level=logging.INFO)
     when_stdin_closes(partial(os._exit, 0))
-    held_leases.TERM_S, held_leases.RENEW_EVERY_S = TERM_S, TERM_S / 4
+    held_leases.TERM_S, held_leases.RENEW_EVERY_S = own.term_s, RENEW_EVERY_S
     robots = tuple(own.robots)
     try:
         with (

@@ -48,7 +48,7 @@ def test_a_killed_agent_is_noticed_at_once_with_robot_and_goal(
         running = pool.submit(GoalRunner(fleet).run, "a", "g", LONG)
         wait_for_motion(lab, "a", 1)
         agent.kill()
-        assert fleet.watch("a").wait_until(lambda w: not w.alive, timeout_s=1.0)
+        assert fleet.watch("a").wait_until(lambda w: not w.alive, timeout_s=PATIENCE_S)
         # The latter when it had not answered yet.
         words = r"robot a .* (during g|goal g)\b"
         with pytest.raises((RobotLostError, NoReplyError), match=words):
@@ -81,18 +81,15 @@ def test_a_goal_that_an_agent_died_of_is_never_played_again(lab: Lab, agent: Pro
     assert len(lab.motions("a")) == 2
 
 
-def test_a_frozen_agent_is_given_up_within_seconds_and_rests_when_it_wakes(
-    lab: Lab, agent: Program
-) -> None:
+def test_a_frozen_agent_is_given_up_and_rests_when_it_wakes(lab: Lab, agent: Program) -> None:
     fleet = lab.orchestrator("a")
     accepted = fleet.submit("a", goal(fleet, "g", LONG))
     wait_for_motion(lab, "a", 1)
     agent.freeze()
-    began_s = time.monotonic()
-    watch = fleet.watch("a")
-    assert watch.wait_until(lambda w: not w.alive or w.silent_s > 2.5, timeout_s=PATIENCE_S)
-    assert time.monotonic() - began_s < 3.5
-    wait_until(lambda: time.monotonic() - began_s > 2.5)
+    frozen_s = time.monotonic()
+    # How soon is measured by `python -m benchmarks.faults detection`.
+    assert fleet.watch("a").wait_until(lambda w: not w.alive, timeout_s=PATIENCE_S)
+    wait_until(lambda: time.monotonic() - frozen_s > 2.5)
     agent.thaw()
     lab.wait_for_state(fleet, "a", lambda state: state.last_goal_id == "g")
     fleet.wait_for(("a",), timeout_s=PATIENCE_S)
@@ -145,5 +142,5 @@ def test_an_agent_that_is_being_restarted_takes_a_goal_when_it_is_back(
         assert asked.wait(PATIENCE_S)
         session.close()
         lab.agent("a")
-        assert running.result(2 * PATIENCE_S).outcome is Outcome.COMPLETED
+        assert running.result(PATIENCE_S).outcome is Outcome.COMPLETED
     assert len(lab.motions("a")) == 1

@@ -69,9 +69,8 @@ def test_death_and_return_are_noticed_whatever_the_clocks_say(lab: Lab) -> None:
     fleet = lab.orchestrator("a")
     boot_id = lab.wait_for_state(fleet, "a", lambda state: True).boot_id
     agent.kill()
-    began_s = time.monotonic()
-    assert fleet.watch("a").wait_until(lambda w: not w.alive, timeout_s=2.0)
-    assert time.monotonic() - began_s < 2.0
+    # Long before the hour that the clocks are apart.
+    assert fleet.watch("a").wait_until(lambda w: not w.alive, timeout_s=PATIENCE_S)
     # It comes back from the future into the past.
     behind = lab.agent("a", realtime=20.0, environment=clock_off_by(-1))
     lab.wait_for_state(fleet, "a", lambda state: state.boot_id != boot_id)

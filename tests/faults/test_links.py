@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
@@ -26,9 +25,8 @@ LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=60.0)
 def cable(lab: Lab) -> Iterator[Link]:
     """A link to the router over which the orchestrator, or an agent, can be reached."""
     lab.describe_section_v()
-    router = lab.router("tcp/127.0.0.1:0")
-    (port,) = re.findall(r"tcp/127\.0\.0\.1:(\d+)", router.said)
-    with link.opened(("127.0.0.1", int(port))) as cable:
+    lab.router()
+    with link.opened(lab.socket) as cable:
         yield cable
         lab.close()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.faults.lab import Lab
-from benchmarks.faults.program import PATIENCE_S, Program
+from benchmarks.faults.program import PATIENCE_S, Program, wait_until
 from orchestrator.stopping import stop_robots
 from shared.errors import RefusedError
 from shared.excitation import Excitation, Tone
@@ -61,6 +61,7 @@ def test_a_stop_of_all_halts_every_motion_and_outlasts_a_crash(lab: Lab, agent: 
 def test_a_stop_that_does_not_arrive_is_shouted(lab: Lab, agent: Program) -> None:
     fleet = lab.orchestrator(*ROBOTS)
     fleet.submit("a", GoalRequest(goal_id="g", owner=fleet.orchestrator_id, motion=LONG))
+    wait_until(lambda: len(lab.motions("a")) == 1)
     agent.freeze()
     stop = lab.command("stop", "a", "b", "--connect", lab.endpoint, "--fleet-name", "lab")
     assert stop.wait() == 1

@@ -17,12 +17,15 @@ def test_of_two_processes_that_race_for_robots_one_owns_them_and_the_other_says_
 ) -> None:
     lab.describe_section_v()
     lab.router()
-    lab.agent(*ROBOTS, realtime=15.0)
-    lab.orchestrator(*ROBOTS, name="watcher")
+    watcher = lab.orchestrator(name="watcher")
     database = lab.folder / "nufleet.sqlite"
-    rivals = [lab.study(f"s{n}", database, ROBOTS, iterations=2) for n in (1, 2)]
+    # A lease that no process on a busy machine is too slow to renew.
+    rivals = [lab.study(f"s{n}", database, ROBOTS, iterations=2, term_s=60.0) for n in (1, 2)]
+    # Both wait for the robots, so that neither is done before the other has begun.
+    wait_until(lambda: all(watcher.is_alive(f"orchestrator-{n}") for n in (1, 2)))
+    lab.agent(*ROBOTS, realtime=2.0)
     # A patient one waits for an owner that may be dead, and gives up when it sees it renew.
-    wait_until(lambda: any(not rival.running for rival in rivals), timeout_s=60.0)
+    wait_until(lambda: any(not rival.running for rival in rivals))
     loser, winner = sorted(rivals, key=lambda rival: rival.running)
     assert loser.wait() == 1
     assert winner.wait() == 0

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,8 @@ import pytest
 from shared import command_line
 
 NUFLEET = [sys.executable, "-m", "shared.command_line"]
-PATIENCE_S = 120.0
+PATIENCE_S = 600.0
+"""Ends a command that hangs; some learn for half a minute where nothing else runs."""
 
 
 def nufleet(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -28,6 +30,17 @@ def nufleet(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         timeout=PATIENCE_S,
         check=False,
     )
+
+
+def trial_statuses(database: Path) -> list[str]:
+    """How far each trial is; read beside the process that writes them, without a lock."""
+    if not database.exists():
+        return []
+    with closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True)) as connection:
+        try:
+            return [status for (status,) in connection.execute("SELECT status FROM trials")]
+        except sqlite3.OperationalError:  # its tables are not made yet
+            return []
 
 
 class Typed:

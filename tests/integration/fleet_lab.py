@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from polling import PATIENCE_S
+from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
 from orchestrator.fleet import Fleet
 from robot_agent.agent import Agent
 from robot_agent.robot import Robot
-from shared.errors import RefusedError
+from shared.errors import NoReplyError, RefusedError, RobotLostError
 from shared.excitation import Excitation, Tone
 from shared.keys import FleetKeys
 from shared.messages import GoalAccepted, GoalRequest, GoalResult, RobotState
@@ -59,6 +59,18 @@ class Orchestrator:
         assert watch.state is not None
         return watch.state
 
+    def next_life(self, robot: str, boot_id: str) -> RobotState:
+        """Wait until another agent than that of `boot_id` answers for a robot; return its state."""
+
+        def answers() -> bool:
+            try:
+                return self.fleet.describe(robot).boot_id != boot_id
+            except (NoReplyError, RobotLostError):  # none of them does, or both do
+                return False
+
+        wait_until(answers)
+        return self.state(robot, lambda state: state.boot_id != boot_id)
+
     def result(self, robot: str, goal_id: str) -> GoalResult:
         """Wait for the end of a goal and return its result."""
         self.state(robot, lambda state: state.last_goal_id == goal_id)
@@ -99,6 +111,14 @@ class Lab:
         fleet = Fleet(session, KEYS, name)
         fleet.wait_for(robots or tuple(self.robots), timeout_s=PATIENCE_S)
         return Orchestrator(session, fleet)
+
+
+def assert_never_moved(orchestrator: Orchestrator, robot: str) -> None:
+    """Fail when a robot has been given a goal, by a state that it published from now on."""
+    heard = orchestrator.state(robot, lambda state: True)
+    # The next one may have been on its way already.
+    state = orchestrator.state(robot, lambda s: s.sequence >= heard.sequence + 2)
+    assert (state.goal_id, state.last_goal_id, state.robot_time_s) == (None, None, 0.0)
 
 
 def double_integrator(alpha: float, seed: int) -> DoubleIntegrator:

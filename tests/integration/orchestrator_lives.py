@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from polling import PATIENCE_S
 from sqlalchemy import Connection
 
 from orchestrator import held_leases
@@ -72,7 +73,7 @@ class OrchestratorLives:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._process.communicate(timeout=20.0)
+        self._process.communicate(timeout=PATIENCE_S)
 
     def live(self, life: Life) -> bool:
         """Have an orchestrator live; return whether it was killed. Otherwise it must succeed."""
@@ -125,12 +126,12 @@ class Silent:
 def live(life: Life) -> None:
     """Begin a study, or go on with it, to its end."""
     with (
-        open_client(life.endpoint, timeout_s=10.0) as session,
+        open_client(life.endpoint, timeout_s=PATIENCE_S) as session,
         open_repository(life.database) as repository,
         dying(life.killed_at, before_commit=life.before_commit),
     ):
         fleet = Fleet(session, FleetKeys("lab"), life.owner)
-        fleet.wait_for(ROBOTS, timeout_s=10.0)
+        fleet.wait_for(ROBOTS, timeout_s=PATIENCE_S)
         with lease_robots(repository.leases, fleet, "lab", ROBOTS, patient=True) as leases:
             archive = Archive(repository, "lab", leases)
             study = _study(archive, fleet, life)

@@ -205,10 +205,8 @@ def test_a_restarted_agent_is_known_by_its_boot_id_and_by_nothing_of_the_goals_b
     boot_id = orchestrator.run("a", "g").boot_id
     first.close()
     lab.agent("a", PuppetRobot())
-    state = orchestrator.state("a", lambda s: s.boot_id != boot_id)
+    state = orchestrator.next_life("a", boot_id)
     assert state.last_goal_id is None
-    # It says what it is before it serves; its token comes last.
-    orchestrator.fleet.wait_for(("a",), timeout_s=PATIENCE_S)
     assert refusal(lambda: orchestrator.fleet.result("a", "g")) == "unknown-goal"
 
 

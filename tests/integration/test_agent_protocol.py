@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 
 import numpy as np
@@ -153,19 +152,18 @@ def test_a_cancel_ends_a_motion_in_real_time_at_once_and_at_rest(lab: Lab) -> No
     robot = PuppetRobot()
     lab.agent("a", robot, realtime=1.0)
     orchestrator = lab.orchestrator()
-    took_s = []
     for k in range(3):
         orchestrator.submit("a", f"g{k}", **SLOW)
         orchestrator.state("a", lambda s, k=k: s.goal_id == f"g{k}")  # type: ignore[misc]
         wait_until(lambda: not robot.at_rest)
-        began_s = time.monotonic()
         orchestrator.fleet.cancel("a", f"g{k}")
+        played = robot.samples
         result = orchestrator.result("a", f"g{k}")
-        took_s.append(time.monotonic() - began_s)
+        # The answer may come while one sample is being played, and no other is played after it.
+        assert robot.samples <= played + 1
         assert robot.at_rest
         assert (result.outcome, result.reason) == (Outcome.CANCELLED, "cancelled")
         assert len(result.response) < result.plan.samples
-    assert min(took_s) < 0.1
     assert refusal(lambda: orchestrator.fleet.cancel("a", "g0")) == "goal-ended"
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from fleet_lab import KEYS, SLOW, Lab, Orchestrator, refusal
-from polling import PATIENCE_S, wait_until
+from polling import PATIENCE_S
 from puppet_robot import PuppetRobot
 
 from robot_agent.agent import Agent
@@ -19,8 +19,7 @@ def begin_anew(lab: Lab, orchestrator: Orchestrator, robot: PuppetRobot, folder:
     """Start another agent of the same robot, and wait until the orchestrator can reach it."""
     before = orchestrator.state("a", lambda s: True).boot_id
     agent = lab.agent("a", robot, state_folder=folder)
-    orchestrator.state("a", lambda s: s.boot_id != before)
-    wait_until(lambda: orchestrator.fleet.robots() == ("a",))
+    orchestrator.next_life("a", before)
     return agent
 
 

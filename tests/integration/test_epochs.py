@@ -77,9 +77,8 @@ def test_an_epoch_that_is_over_is_refused_in_everything_and_names_the_newer_owne
             boot_id = owner.state("a", lambda s: True).boot_id
             agent.close()
             agent = lab.agent("a", robot, state_folder=tmp_path / "a")
-            late.state("a", lambda s: s.boot_id != boot_id)  # noqa: B023
-            owner.state("a", lambda s: s.boot_id != boot_id)  # noqa: B023
-            wait_until(lambda: late.fleet.robots() == owner.fleet.robots() == ("a",))
+            late.next_life("a", boot_id)
+            owner.next_life("a", boot_id)
     assert robot.motions == 1
 
 

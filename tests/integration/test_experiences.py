@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fleet_lab import Lab, double_integrator, refusal
+from fleet_lab import Lab, Orchestrator, assert_never_moved, double_integrator, refusal
 from puppet_robot import PuppetRobot
 from robots_that_learn import LaggedRobot
 
@@ -46,10 +46,15 @@ def experience(
 
 
 @pytest.fixture
-def fleet(lab: Lab, tmp_path: Path) -> Fleet:
+def orchestrator(lab: Lab, tmp_path: Path) -> Orchestrator:
     lab.agent("source", double_integrator(0.85, 1), state_folder=tmp_path / "source")
     lab.agent("target", double_integrator(0.9, 2), state_folder=tmp_path / "target")
-    return lab.orchestrator().fleet
+    return lab.orchestrator()
+
+
+@pytest.fixture
+def fleet(orchestrator: Orchestrator) -> Fleet:
+    return orchestrator.fleet
 
 
 def test_a_robot_offers_what_was_installed_on_it_and_hands_it_out(fleet: Fleet) -> None:
@@ -193,13 +198,11 @@ def test_a_guarded_flight_needs_a_baseline_that_is_known(fleet: Fleet) -> None:
     ],
 )
 def test_a_path_that_the_robot_may_not_fly_is_refused_before_it_moves(
-    fleet: Fleet, desired: FloatArray, reason: str
+    orchestrator: Orchestrator, desired: FloatArray, reason: str
 ) -> None:
     with pytest.raises(Exception, match=reason):
-        Pilot(fleet, "run").baseline("target", desired, "baseline")
-    state = fleet.watch("target").state
-    assert state is not None
-    assert state.last_goal_id is None
+        Pilot(orchestrator.fleet, "run").baseline("target", desired, "baseline")
+    assert_never_moved(orchestrator, "target")
 
 
 def test_a_robot_without_tracking_limits_takes_tests_only(lab: Lab) -> None:
@@ -226,7 +229,8 @@ def test_the_same_path_sent_again_is_the_same_flight(fleet: Fleet, lab: Lab) -> 
 
 
 def test_a_prior_is_not_changed_while_the_robot_flies(lab: Lab) -> None:
-    lab.agent("slow", double_integrator(0.85, 1), realtime=1.0)
+    # The flight takes minutes, so that it lasts for as long as the messages take.
+    lab.agent("slow", double_integrator(0.85, 1), realtime=0.1)
     orchestrator = lab.orchestrator("orchestrator-1")
     request = GoalRequest(
         goal_id="long",

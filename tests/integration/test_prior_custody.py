@@ -8,7 +8,7 @@ import threading
 
 import numpy as np
 import pytest
-from fleet_lab import Lab, double_integrator
+from fleet_lab import Lab, Orchestrator, assert_never_moved, double_integrator
 from learned_things import experience
 from robots_that_learn import LaggedRobot
 
@@ -16,6 +16,7 @@ from orchestrator.experience_learning import fly_lessons
 from orchestrator.fleet import Fleet
 from orchestrator.pilot import Pilot
 from orchestrator.prior_custody import install, prior_put_back
+from orchestrator.robot_watch import RobotWatch
 from shared.arrays import FloatArray
 from shared.errors import InvalidInputError, RobotError, StudyError
 from shared.experience import digest
@@ -33,9 +34,14 @@ def prior_of(fleet: Fleet, robot: str) -> str | None:
 
 
 @pytest.fixture
-def fleet(lab: Lab) -> Fleet:
+def orchestrator(lab: Lab) -> Orchestrator:
     lab.agent("target", double_integrator(0.85, 1))
-    return lab.orchestrator().fleet
+    return lab.orchestrator()
+
+
+@pytest.fixture
+def fleet(orchestrator: Orchestrator) -> Fleet:
+    return orchestrator.fleet
 
 
 @pytest.mark.parametrize("before", [None, OWN], ids=["none", "one"])
@@ -128,7 +134,10 @@ def test_a_robot_that_does_not_answer_to_steps_is_named_with_what_to_try(lab: La
         lessons(fleet, "stuck")
 
 
-def test_a_robot_that_does_not_track_is_refused_before_it_moves(fleet: Fleet) -> None:
+def test_a_robot_that_does_not_track_is_refused_before_it_moves(
+    orchestrator: Orchestrator,
+) -> None:
+    fleet = orchestrator.fleet
     description = fleet.describe("target")
     spec = description.spec.model_copy(update={"tracking": None})
     with pytest.raises(InvalidInputError, match="robot target has no tracking limits"):
@@ -140,9 +149,7 @@ def test_a_robot_that_does_not_track_is_refused_before_it_moves(fleet: Fleet) ->
             seed=0,
             say=lambda robot, what: None,
         )
-    state = fleet.watch("target").state
-    assert state is not None
-    assert state.last_goal_id is None
+    assert_never_moved(orchestrator, "target")
 
 
 def lessons(fleet: Fleet, robot: str) -> None:
@@ -157,8 +164,11 @@ def lessons(fleet: Fleet, robot: str) -> None:
     )
 
 
-def test_a_goal_that_another_sent_is_not_cancelled_by_putting_back(fleet: Fleet) -> None:
+def test_a_goal_that_another_sent_is_not_cancelled_by_putting_back(
+    orchestrator: Orchestrator,
+) -> None:
     """Only Ctrl-C ends flights; an error of one robot leaves the others' alone."""
+    fleet = orchestrator.fleet
     request = GoalRequest(
         goal_id="theirs",
         owner=fleet.orchestrator_id,
@@ -166,7 +176,4 @@ def test_a_goal_that_another_sent_is_not_cancelled_by_putting_back(fleet: Fleet)
     )
     with prior_put_back(fleet, Pilot(fleet, "run"), fleet.describe("target")):
         fleet.submit("target", request)
-        fleet.watch("target").wait_until(
-            lambda w: w.state is not None and w.state.last_goal_id == "theirs", timeout_s=30.0
-        )
-    assert fleet.result("target", "theirs").outcome == "completed"
+        assert orchestrator.result("target", "theirs").outcome == "completed"

@@ -6,7 +6,6 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -155,8 +154,6 @@ def test_a_process_that_does_not_end_is_killed_and_said_to_be(
         started.start_agents(fleet_file, [("a",)], endpoint, None)
         (pid,) = started.pids().values()
         psutil.Process(pid).suspend()
-        began_s = time.monotonic()
-    assert time.monotonic() - began_s < 5.0
     assert is_gone(pid)
     assert "agent of a did not end within 0.2 s and is killed" in caplog.text
 

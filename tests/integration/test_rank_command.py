@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import socket
 import subprocess
-import sys
-import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
+from command_processes import NUFLEET, PATIENCE_S, nufleet, trial_statuses
+from lifeline import started_with
+from polling import wait_until
 
 from shared.transport import open_client, open_router
 
 ROOT = Path(__file__).parents[2]
 FLEET = ROOT / "sims" / "fleets" / "paper_linear.toml"
-NUFLEET = [sys.executable, "-m", "shared.command_line"]
-
-
-def nufleet(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*NUFLEET, *arguments], cwd=cwd, capture_output=True, text=True, timeout=180, check=False
-    )
 
 
 def children_of(pid: int) -> list[psutil.Process]:
@@ -165,26 +161,39 @@ def test_the_demo_ranks_as_rank_does_however_robots_share_processes(tmp_path: Pa
     assert " view " in alone.stderr
 
 
-@pytest.mark.parametrize("after_s", [0.3, 1.5, 3.0])
-def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, after_s: float) -> None:
-    demo = subprocess.Popen(
+def has_begun(pid: int) -> bool:
+    """Whether `nufleet` itself runs, and not yet Python's start: it has a handler for SIGTERM."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    (caught,) = (line.split()[1] for line in status.splitlines() if line.startswith("SigCgt"))
+    return bool(int(caught, 16) >> (signal.SIGTERM - 1) & 1)
+
+
+MOMENTS: dict[str, Callable[[int, Path], bool]] = {
+    "as it begins": lambda pid, runs: has_begun(pid),
+    "as it starts its robots": lambda pid, runs: len(children_of(pid)) > 1,
+    "while they move": lambda pid, runs: "accepted" in trial_statuses(runs / "nufleet.sqlite"),
+}
+
+
+@pytest.mark.parametrize("moment", MOMENTS)
+def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, moment: str) -> None:
+    state = str(tmp_path / "its own")  # by which whoever it starts is known
+    ranking = subprocess.Popen(
         [*NUFLEET, "rank", "--fleet", str(FLEET), "--realtime", "1"],
         cwd=tmp_path,
+        env={**os.environ, "NUFLEET_STATE": state},
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
     )
-    time.sleep(after_s)
-    children = children_of(demo.pid)
-    demo.send_signal(signal.SIGINT)
-    _, said = demo.communicate(timeout=30)
+    wait_until(lambda: MOMENTS[moment](ranking.pid, tmp_path / "runs"))
+    ranking.send_signal(signal.SIGINT)
+    _, said = ranking.communicate(timeout=PATIENCE_S)
     # A shell shows 130 for both: CPython ends by the signal itself, after an orderly exit, when the
     # interrupt came while a module was being imported.
-    assert demo.returncode in (130, -signal.SIGINT), said
+    assert ranking.returncode in (130, -signal.SIGINT), said
     assert "Traceback" not in said
-    gone, alive = psutil.wait_procs(children, timeout=5)
-    assert not alive
-    assert len(gone) == len(children)
+    assert not started_with("NUFLEET_STATE", state)
 
 
 @pytest.mark.parametrize(
@@ -239,7 +248,7 @@ def test_a_robot_that_never_answers_is_an_error_that_names_it_before_anything_mo
     tmp_path: Path,
 ) -> None:
     endpoint = f"unixsock-stream/{tmp_path}/r.sock"
-    with open_router([endpoint]), open_client(endpoint, timeout_s=5.0) as mute:
+    with open_router([endpoint]), open_client(endpoint, timeout_s=PATIENCE_S) as mute:
         for robot in ("target", "source-1"):
             mute.declare_alive(f"nufleet/lab/robot/{robot}/alive")
         done = nufleet("rank", "--connect", endpoint, "--target", "target", cwd=tmp_path)
@@ -293,18 +302,11 @@ def test_doctor_finds_everything_that_the_demo_needs(tmp_path: Path) -> None:
     assert "double_integrator" in checks["robot drivers"]["found"]
 
 
-@pytest.fixture
-def tcp_endpoint() -> str:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
-
-
 def test_a_running_fleet_is_shown_ranked_stopped_and_released(
-    tmp_path: Path, tcp_endpoint: str
+    tmp_path: Path, endpoint: str
 ) -> None:
     up = subprocess.Popen(
-        [*NUFLEET, "fleet", "up", str(FLEET), "--listen", tcp_endpoint, "--processes"],
+        [*NUFLEET, "fleet", "up", str(FLEET), "--listen", endpoint, "--processes"],
         cwd=tmp_path,
         stderr=subprocess.PIPE,
         text=True,
@@ -314,7 +316,7 @@ def test_a_running_fleet_is_shown_ranked_stopped_and_released(
     try:
         assert "4 robots of fleet paper-linear are up" in up.stderr.readline()
         assert len(children_of(up.pid)) == 5
-        join = ("--connect", tcp_endpoint)
+        join = ("--connect", endpoint)
         status = json.loads(nufleet("fleet", "status", *join, "--json", cwd=tmp_path).stdout)
         assert {state["status"] for state in status["robots"].values()} == {"idle"}
         ranked = nufleet(
@@ -338,6 +340,6 @@ def test_a_running_fleet_is_shown_ranked_stopped_and_released(
         assert nufleet("stop", "nobody", *join, cwd=tmp_path).returncode == 1
     finally:
         up.send_signal(signal.SIGINT)
-        up.communicate(timeout=20)
+        up.communicate(timeout=PATIENCE_S)
     assert up.returncode == 130
     assert not [p for p in psutil.process_iter() if p.ppid() == up.pid]

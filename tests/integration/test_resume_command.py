@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 import signal
-import sqlite3
 import subprocess
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
 import pytest
-from command_processes import PATIENCE_S, Typed, begun, fleet_that_is_up, nufleet
+from command_processes import PATIENCE_S, Typed, begun, fleet_that_is_up, nufleet, trial_statuses
 from polling import wait_until
 
 from orchestrator.repository.records import StudyStatus, TrialStatus
@@ -77,20 +76,9 @@ def typed(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) ->
     return Typed(monkeypatch, capfd)
 
 
-def trials(database: Path) -> list[str]:
-    """How far each trial is; read beside the process that writes them, without a lock."""
-    if not database.exists():
-        return []
-    with closing(sqlite3.connect(f"file:{database}?mode=ro", uri=True)) as connection:
-        try:
-            return [status for (status,) in connection.execute("SELECT status FROM trials")]
-        except sqlite3.OperationalError:  # its tables are not made yet
-            return []
-
-
 def under_way(database: Path) -> bool:
     """Whether some tests have been measured and others are in progress."""
-    found = trials(database)
+    found = trial_statuses(database)
     return "measured" in found and "accepted" in found[ROBOTS:]
 
 
@@ -152,7 +140,7 @@ def test_ctrl_c_says_how_to_go_on_and_a_fleet_of_its_own_is_started_again(
         children = psutil.Process(interrupted.pid).children(recursive=True)
         interrupted.send_signal(signal.SIGINT)
         _, said = interrupted.communicate(timeout=PATIENCE_S)
-        psutil.wait_procs(children, timeout=20)
+        psutil.wait_procs(children, timeout=PATIENCE_S)
     assert interrupted.returncode == 130
     run = the_run(tmp_path / "here")
     assert f"runs resume {run.name} --runs here" in said

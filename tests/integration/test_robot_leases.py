@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from fleet_lab import SLOW, Lab, Orchestrator
-from polling import wait_until
+from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
 from orchestrator import held_leases
@@ -35,7 +35,7 @@ def test_of_two_that_want_a_robot_at_once_one_has_it_and_the_other_is_told_who(
     robot = PuppetRobot()
     lab.agent("a", robot)
     rivals = [lab.orchestrator(name) for name in ("first", "second")]
-    together, done = threading.Barrier(2, timeout=10.0), threading.Barrier(2, timeout=10.0)
+    together, done = (threading.Barrier(2, timeout=PATIENCE_S) for _ in range(2))
 
     def work(rival: Orchestrator) -> str:
         with open_repository(f"{tmp_path}/nufleet.sqlite") as repository:

@@ -83,6 +83,7 @@ def test_an_easy_fleet_is_decided_by_one_test_of_each_robot() -> None:
         assert abs(estimate.psi - truth) < 4 * estimate.psi_std + 0.005
 
 
+@pytest.mark.thorough
 def test_claims_of_95_percent_are_right_at_least_so_often() -> None:
     right, rounds = [], []
     for seed in range(15):

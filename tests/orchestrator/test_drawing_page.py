@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from polling import PATIENCE_S
 
 from orchestrator.drawing_page import SPACING_M, DrawingPage
 from shared.arrays import FloatArray
@@ -36,7 +37,7 @@ def page(folder: Path, **settings: Any) -> Iterator[DrawingPage]:
 
 def asked(url: str, body: bytes | None = None) -> tuple[int, str]:
     try:
-        with urllib.request.urlopen(url, body, timeout=10) as answer:  # noqa: S310 - our own page
+        with urllib.request.urlopen(url, body, timeout=PATIENCE_S) as answer:  # noqa: S310 - our own page
             return answer.status, answer.read().decode()
     except urllib.error.HTTPError as error:
         return error.code, error.read().decode()
@@ -57,7 +58,7 @@ def test_the_page_has_a_paper_as_large_as_was_asked_for(tmp_path: Path) -> None:
 def test_a_drawing_is_saved_evenly_spaced_and_ends_the_wait(tmp_path: Path) -> None:
     with page(tmp_path) as served:
         status, said = posted(served, CIRCLE)
-        points = served.wait(timeout_s=10.0)
+        points = served.wait(timeout_s=PATIENCE_S)
     assert status == 200
     assert float(said.removeprefix("saved: ").removesuffix(" m long")) == pytest.approx(
         6.28, abs=0.05

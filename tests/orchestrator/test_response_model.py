@@ -45,6 +45,7 @@ def disc(samples: ComplexArray) -> tuple[ComplexArray, FloatArray]:
     return centre, np.quantile(np.abs(samples - centre), 0.95, axis=0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("mode", "tones"), [(False, 7), (True, 12)])
 @pytest.mark.parametrize("deviation", [0.003, 0.02])
 def test_discs_of_95_percent_hold_the_truth_about_so_often(
@@ -120,6 +121,7 @@ def test_a_contradictory_prior_does_not_hide_what_was_measured() -> None:
     np.testing.assert_allclose(centre, data.z, atol=0.05)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("mode", [False, True])
 def test_the_search_ends_as_low_as_scipys(mode: bool) -> None:
     rng = np.random.default_rng(9)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 
 import pytest
+from polling import PATIENCE_S
 
 from orchestrator.robot_watch import RobotWatch
 from shared.messages import RobotState, RobotStatus
@@ -56,6 +57,8 @@ def test_waiting_ends_when_the_condition_holds_or_the_time_is_over() -> None:
     watch = RobotWatch("a")
     assert not watch.wait_until(lambda w: w.alive, timeout_s=0.01)
     threading.Timer(0.02, watch.set_alive, [True]).start()
-    assert watch.wait_until(lambda w: w.alive, timeout_s=10.0)
+    assert watch.wait_until(lambda w: w.alive, timeout_s=PATIENCE_S)
     threading.Timer(0.02, watch.set_state, [state(7)]).start()
-    assert watch.wait_until(lambda w: w.state is not None and w.state.sequence == 7, timeout_s=10.0)
+    assert watch.wait_until(
+        lambda w: w.state is not None and w.state.sequence == 7, timeout_s=PATIENCE_S
+    )

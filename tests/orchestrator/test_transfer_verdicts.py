@@ -111,6 +111,7 @@ def test_robots_of_any_pace_are_judged_without_a_warning(
     assert set(verdicts) == {"near", "worse"}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("algorithm", "studies"), [("paper", 6), ("adaptive", 12)])
 def test_gains_and_errors_lie_within_their_bounds_as_often_as_claimed(
     algorithm: str, studies: int

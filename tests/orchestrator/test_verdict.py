@@ -88,6 +88,7 @@ def test_predicted_errors_are_those_of_a_simulated_transfer(source: Loop, target
     assert found.verdict is (Verdict.TRANSFER if helps else Verdict.DO_NOT_TRANSFER)
 
 
+@pytest.mark.thorough
 def test_verdicts_from_tests_are_right_and_never_harmful() -> None:
     given, right, harmful = 0, 0, 0
     for seed in range(8):

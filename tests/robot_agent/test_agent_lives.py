@@ -61,6 +61,7 @@ def step(lives: Lives, name: str) -> None:
     (STEPS | MORE_STEPS)[name](lives)
 
 
+@pytest.mark.thorough
 def test_every_sequence_of_events_and_restarts_keeps_every_promise(tmp_path: Path) -> None:
     # Nothing but a release leads from stopped to motion, and no goal moves twice: the model in
     # `Lives` refuses every answer that says otherwise.

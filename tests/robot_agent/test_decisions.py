@@ -10,6 +10,7 @@ import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+from polling import PATIENCE_S
 from puppet_robot import puppet_spec
 
 from robot_agent import planner as planner_module
@@ -292,7 +293,7 @@ def test_an_owner_lost_during_planning_is_not_missed(monkeypatch: pytest.MonkeyP
 def test_a_goal_waits_for_its_owners_token() -> None:
     decisions = new_decisions()
     threading.Timer(0.05, decisions.owner_appeared, ["o-1"]).start()
-    assert decisions.wait_for_owner("o-1", timeout_s=5.0)
+    assert decisions.wait_for_owner("o-1", timeout_s=PATIENCE_S)
     assert not decisions.wait_for_owner("o-2", timeout_s=0.01)
 
 
@@ -373,13 +374,13 @@ def test_goals_from_many_threads_at_once_begin_one_motion(different: bool) -> No
             begin: threading.Barrier = begin,
             motions: list[Assignment | None] = motions,
         ) -> None:
-            begin.wait(5.0)
+            begin.wait(PATIENCE_S)
             motions.append(decisions.take(goal(f"g{k}" if different else "g"))[1])
 
         threads = [threading.Thread(target=submit, args=(k,)) for k in range(6)]
         for thread in threads:
             thread.start()
         for thread in threads:
-            thread.join(5.0)
+            thread.join(PATIENCE_S)
         assert len(motions) == 6
         assert sum(motion is not None for motion in motions) == 1

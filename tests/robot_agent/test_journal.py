@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 from journal_facts import DIGEST, PLAN, content, goal, result, write
+from polling import PATIENCE_S
 
 from robot_agent.goal_machine import Accepted, recognise
 from robot_agent.journal import DAMAGED_LOG, LOG, Journal, JournalInUseError
@@ -259,10 +260,10 @@ def test_what_crashes_left_lying_about_is_swept_away(tmp_path: Path) -> None:
 
 
 def test_many_threads_write_and_nothing_is_torn(tmp_path: Path) -> None:
-    together = threading.Barrier(4)
+    together = threading.Barrier(4, timeout=PATIENCE_S)
 
     def work(worker: int) -> None:
-        together.wait(10.0)
+        together.wait()
         for n in range(10):
             journal.accepted(goal(f"w{worker}-{n}"), PLAN, "boot-1")
             journal.ended(result(f"w{worker}-{n}"))
@@ -383,7 +384,7 @@ def test_a_full_disk_takes_no_goal_and_heals(tmp_path: Path) -> None:
         [*apart, tmp_path, sys.executable, script],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
     assert done.returncode == 0, done.stderr

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from polling import PATIENCE_S
 from puppet_robot import PuppetRobot
 
 from robot_agent import watched_robot
@@ -43,11 +44,11 @@ class Stuck:
 
     def wait(self) -> None:
         self.inside.set()
-        assert self.let_go.wait(10.0)
+        assert self.let_go.wait(PATIENCE_S)
 
     def __enter__(self) -> WatchedRobot:
         self._thread.start()
-        assert self.inside.wait(10.0)
+        assert self.inside.wait(PATIENCE_S)
         self.robot.look()
         return self.robot
 

@@ -82,6 +82,7 @@ def test_any_tone_of_the_band_is_measured_closely(omega: float, segments: int) -
     assert measured.quality.usable
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("omegas_rad_s", "segments", "trials"),
     [
@@ -108,6 +109,7 @@ def test_discs_cover_as_often_as_they_say_with_noise_of_one_percent(
     np.testing.assert_allclose(inside / trials, 0.95, atol=4 * np.sqrt(0.95 * 0.05 / trials))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("omegas_rad_s", "segments"),
     [
@@ -135,6 +137,7 @@ def test_discs_of_tones_that_no_segment_tells_apart_cover_as_often_as_they_say(
     assert 0.95 - 3 * np.sqrt(0.95 * 0.05 / 1200) < np.mean(covered) < 0.985
 
 
+@pytest.mark.thorough
 def test_the_variance_is_the_mean_square_of_the_error() -> None:
     robot = section_v_target()
     plan, reference, _ = a_test_on(robot, 3.0)

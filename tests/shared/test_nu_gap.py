@@ -107,6 +107,7 @@ def test_the_winding_number_is_that_of_the_contour() -> None:
     assert len(numbers) >= 4
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("dt_s", [0.0, 0.05])
 def test_five_hundred_pairs_agree_with_nugap(dt_s: float) -> None:
     """Where nugap resolves the response: well damped, no pole on the axis, ω = 0 included."""

@@ -14,6 +14,7 @@ from shared.realization import transfer_function
 from shared.transfer_models import ModelError
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("dt_s", [0.0, 0.02])
 def test_it_agrees_with_the_matrices_on_hard_pairs(dt_s: float) -> None:
     rng = np.random.default_rng(21)

@@ -357,6 +357,7 @@ def test_noise_alone_hardly_ever_makes_a_test_unusable(
     assert off / trials < 0.05 + 4 * np.sqrt(0.05 * 0.95 / trials)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("memory", [0.0, 0.97])
 def test_noise_alone_hardly_ever_makes_a_response_nonlinear(memory: float) -> None:
     plan, reference, response = a_flight(ONE_TONE)

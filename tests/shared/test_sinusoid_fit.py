@@ -88,6 +88,7 @@ def coloured(rng: np.random.Generator, samples: int, memory: float) -> FloatArra
     return noise
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("memory", [0.0, 0.9])
 @pytest.mark.parametrize("periods", [1.0, 2.5])
 def test_the_variance_is_that_of_the_estimates_in_white_and_coloured_noise(

@@ -13,6 +13,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
+import zenoh
 from polling import PATIENCE_S, wait_until
 
 from shared import transport
@@ -379,10 +380,8 @@ def test_closing_while_a_handler_runs_neither_waits_nor_hangs(
 
 
 def test_no_router_is_an_error_that_says_what_to_do(endpoint: str) -> None:
-    began_s = time.monotonic()
     with pytest.raises(NoRouterError, match="nufleet router"), open_client(endpoint, timeout_s=0.2):
         pass
-    assert time.monotonic() - began_s < 2.0
 
 
 def test_a_client_without_a_time_limit_waits_for_its_router(endpoint: str) -> None:
@@ -419,15 +418,26 @@ def test_waiting_for_a_router_can_be_given_up(endpoint: str) -> None:
     waiting.join(PATIENCE_S)
 
 
-def test_waiting_for_a_router_ends_with_ctrl_c(endpoint: str) -> None:
+def test_waiting_for_a_router_ends_with_ctrl_c(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     main = threading.main_thread().ident
     assert main is not None
-    ctrl_c = threading.Timer(0.2, lambda: signal.pthread_kill(main, signal.SIGINT))
+    waits, reach = threading.Event(), zenoh.open
+
+    def waiting(config: zenoh.Config) -> zenoh.Session:
+        waits.set()
+        return reach(config)
+
+    def press_ctrl_c() -> None:
+        assert waits.wait(PATIENCE_S)
+        signal.pthread_kill(main, signal.SIGINT)
+
+    monkeypatch.setattr(zenoh, "open", waiting)
+    ctrl_c = threading.Thread(target=press_ctrl_c)
     ctrl_c.start()
-    began_s = time.monotonic()
     with pytest.raises(KeyboardInterrupt), open_client(endpoint, timeout_s=None):
         pass
-    assert time.monotonic() - began_s < 4.0
     ctrl_c.join()
 
 

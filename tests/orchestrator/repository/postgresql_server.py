@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import psycopg
+from lifeline import RUN
+from polling import PATIENCE_S
 
-PATIENCE_S = 60.0
 MISSING = "PostgreSQL's server is not installed; install it with: apt-get install -y postgresql"
 
 
@@ -33,7 +34,7 @@ class PostgresqlServer:
         A database for each test would be 8 MB to write each; one that somebody uses still is found.
         """
         with psycopg.connect(self.connection(), autocommit=True) as connection:
-            connection.execute("SET lock_timeout = '10s'")
+            connection.execute(f"SET lock_timeout = '{PATIENCE_S:g}s'")
             connection.execute("DROP SCHEMA public CASCADE")
             connection.execute("CREATE SCHEMA public")
         return f"postgresql://nufleet@/postgres?host={self.folder}"
@@ -58,7 +59,7 @@ def running_server() -> Iterator[PostgresqlServer]:
     """A server from an empty folder to its end; nothing of it is left."""
     here = binaries()
     # Not in pytest's folder: that is closed to everybody but who runs the tests.
-    with tempfile.TemporaryDirectory(prefix="nufleet-postgresql-") as name:
+    with tempfile.TemporaryDirectory(prefix="postgresql-", dir=os.environ[RUN]) as name:
         folder = Path(name)
         as_user: list[str] = []
         if os.geteuid() == 0:
@@ -75,13 +76,11 @@ def running_server() -> Iterator[PostgresqlServer]:
             text=True,
         )
         assert made.returncode == 0, made.stderr
-        # It ends with the process that runs the tests, however that ends.
-        lifeline = ["setpriv", *as_user[1:], "--pdeathsig", "INT"]
         options = ["-k", str(folder), "-c", "listen_addresses=", "-c", "fsync=off"]
         log = folder / "log"
         with log.open("wb") as output:
             process = subprocess.Popen(
-                [*lifeline, here / "postgres", "-D", data, *options],
+                [*as_user, here / "postgres", "-D", data, *options],
                 cwd=folder,
                 stdin=subprocess.DEVNULL,
                 stdout=output,

@@ -8,7 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 
 import pytest
-from polling import wait_until
+from polling import PATIENCE_S, wait_until
 from repository_records import accepted, intent, response, result
 from sqlalchemy import Connection
 
@@ -37,7 +37,7 @@ class Gate:
 
     def _held(self, jobs: list[_Job]) -> None:
         self.batches.append(len(jobs))
-        assert self.opened.wait(20.0)
+        assert self.opened.wait(PATIENCE_S)
         self._commit(jobs)
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import multiprocessing
-import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import lease_racer
 import pytest
+from polling import PATIENCE_S, wait_until
 from repository_records import FLEET
 
 from orchestrator.repository.database import Database
@@ -124,17 +123,11 @@ def expired(repository: Repository) -> bool:
     return not repository.leases.held(FLEET)
 
 
-def wait_until(condition: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + 10.0
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
-
-
 def test_a_silent_owner_is_replaced_under_a_higher_epoch(repository: Repository) -> None:
-    old = repository.leases.acquire(FLEET, ["r1"], owner="a", term_s=0.2)
+    repository.leases.acquire(FLEET, ["r1"], owner="a", term_s=LONG_S)
     with pytest.raises(LeaseHeldError):
         repository.leases.acquire(FLEET, ["r1"], owner="b", term_s=LONG_S)
+    old = repository.leases.acquire(FLEET, ["r1"], owner="a", term_s=0.05)
     wait_until(lambda: expired(repository))
     (new,) = repository.leases.acquire(FLEET, ["r1"], owner="b", term_s=LONG_S)
     assert new.epoch == 2
@@ -231,12 +224,20 @@ def test_an_owner_who_returns_after_its_lease_ran_out_gets_a_new_epoch(
     assert again.epoch == 2
 
 
-def test_a_renewed_lease_outlives_its_term(repository: Repository) -> None:
-    leases = repository.leases.acquire(FLEET, ["r1"], owner="a", term_s=0.5)
-    begin_s = time.monotonic()
-    while time.monotonic() - begin_s < 0.8:
+def test_a_renewed_lease_begins_its_term_again(repository: Repository) -> None:
+    leases = repository.leases.acquire(FLEET, ["r1"], owner="a", term_s=LONG_S)
+
+    def left_s() -> float:
+        return repository.leases.held(FLEET)["r1"][2]
+
+    wait_until(lambda: left_s() < LONG_S - 0.2)
+    before_s = left_s()
+
+    def renewed() -> bool:
         repository.leases.renew(leases)
-        time.sleep(0.02)
+        return left_s() > before_s
+
+    wait_until(renewed)
     with pytest.raises(LeaseHeldError):
         repository.leases.acquire(FLEET, ["r1"], owner="b", term_s=LONG_S)
 
@@ -262,9 +263,9 @@ def test_processes_that_race_open_one_database_and_have_one_winner(address: str)
         racer.start()
     won: list[tuple[int, list[int]]] = []
     for (receiver, sender), racer in zip(pipes, racers, strict=True):
-        assert receiver.poll(90.0)
+        assert receiver.poll(PATIENCE_S)
         won += receiver.recv()
-        racer.join(30.0)
+        racer.join(PATIENCE_S)
         assert racer.exitcode == 0
         racer.close()
         receiver.close()

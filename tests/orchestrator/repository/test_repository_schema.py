@@ -13,7 +13,7 @@ import psycopg
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from polling import wait_until
+from polling import PATIENCE_S, wait_until
 from postgresql_server import PostgresqlServer
 from repository_records import FLEET, SPEC, STUDY
 from sqlalchemy import create_engine
@@ -246,7 +246,7 @@ def in_a_small_filesystem(folder: Path, scenario: str) -> str:
         [*apart, "sh", "-c", mount, "sh", folder, sys.executable, script, scenario],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])},
     )
     assert done.returncode == 0, done.stderr

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from polling import PATIENCE_S
 from repository_records import (
     FLEET,
     LONGER,
@@ -258,10 +259,10 @@ def test_an_owner_of_the_past_cannot_write_about_a_trial(begun: Repository) -> N
 
 def test_threads_store_the_trials_of_a_round_at_the_same_time(begun: Repository) -> None:
     trials = [intent(f"r{n}") for n in range(16)]
-    together = threading.Barrier(4)
+    together = threading.Barrier(4, timeout=PATIENCE_S)
 
     def store(worker: int) -> None:
-        together.wait(10.0)
+        together.wait()
         for trial in trials[worker::4]:
             begun.studies.intend(trial)
             begun.studies.accepted(accepted(trial), epoch=1)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import socket
 from types import TracebackType
 
+from polling import PATIENCE_S
+
 READ_MESSAGES = "/rerun.sdk_comms.v1alpha1.MessageProxyService/ReadMessages"
 
 DEFAULT_WINDOW = 65_535
@@ -18,7 +20,7 @@ class BareViewer:
         self._socket = socket.socket()
         # What is not read must back up into the server, not into the kernel.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        self._socket.settimeout(10.0)
+        self._socket.settimeout(PATIENCE_S)
         self._socket.connect(("127.0.0.1", port))
 
     def subscribe(self, *, more: int = 0) -> bytes:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 
 import pytest
+from polling import PATIENCE_S
 from study_events import iteration_event, samples_event, state_event
 from tracking_events import flight
 
@@ -20,8 +20,6 @@ from orchestrator.viewer.events import (
 from orchestrator.viewer.outlet import Outlet
 from shared.errors import InvalidInputError
 
-WAIT_S = 10.0
-
 
 class GatedSink:
     """Keeps what it is given; blocks in the first `write` until its gate is opened."""
@@ -34,7 +32,7 @@ class GatedSink:
 
     def write(self, events: Sequence[ViewerEvent]) -> None:
         self.entered.set()
-        assert self.gate.wait(WAIT_S)
+        assert self.gate.wait(PATIENCE_S)
         self.events += events
 
     def close(self) -> None:
@@ -59,13 +57,13 @@ def gated() -> Iterator[GatedSink]:
 def started(open_sink: Callable[[], GatedSink], **limits: int) -> Outlet:
     outlet = Outlet("test", open_sink, **limits)
     outlet.start()
-    outlet.wait_opened(WAIT_S)
+    outlet.wait_opened(PATIENCE_S)
     return outlet
 
 
 def finish(outlet: Outlet) -> None:
     outlet.ask_to_close()
-    assert outlet.join(WAIT_S)
+    assert outlet.join(PATIENCE_S)
 
 
 def test_everything_arrives_in_order_before_the_outlet_ends(gated: GatedSink) -> None:
@@ -89,15 +87,13 @@ def test_everything_arrives_in_order_before_the_outlet_ends(gated: GatedSink) ->
 def test_offering_never_waits_for_a_sink_that_is_stuck(gated: GatedSink) -> None:
     outlet = started(lambda: gated)
     outlet.offer(state_event("s1", 0.0))
-    assert gated.entered.wait(WAIT_S)
-    start = time.monotonic()
+    assert gated.entered.wait(PATIENCE_S)
+    # Its gate is shut all along: whoever waited for it would not come back.
     for k in range(20_000):
         outlet.offer(state_event("s1", 0.1 * k))
-    assert time.monotonic() - start < 2.0
     outlet.ask_to_close()
-    start = time.monotonic()
     assert not outlet.join(0.2)
-    assert time.monotonic() - start < 1.0
+    assert not gated.events
 
 
 def test_behind_a_slow_sink_the_oldest_telemetry_goes_and_every_iteration_stays(
@@ -105,7 +101,7 @@ def test_behind_a_slow_sink_the_oldest_telemetry_goes_and_every_iteration_stays(
 ) -> None:
     outlet = started(lambda: gated, waiting_max=10)
     outlet.offer(state_event("s1", 0.0))
-    assert gated.entered.wait(WAIT_S)
+    assert gated.entered.wait(PATIENCE_S)
     for k in range(1, 101):
         outlet.offer(state_event("s1", float(k)))
         outlet.offer(iteration_event(k))
@@ -124,7 +120,7 @@ def test_waiting_samples_are_bounded_in_bytes(gated: GatedSink) -> None:
     size = event.reference.nbytes + event.response.nbytes
     outlet = started(lambda: gated, waiting_bytes_max=5 * size)
     outlet.offer(state_event("s1", 0.0))
-    assert gated.entered.wait(WAIT_S)
+    assert gated.entered.wait(PATIENCE_S)
     for _ in range(8):
         outlet.offer(event)
     assert outlet.dropped == 3
@@ -141,7 +137,7 @@ def test_behind_a_slow_sink_samples_of_flights_go_and_the_guards_event_stays(
     one = sum(array.nbytes for array in arrays)
     outlet = started(lambda: gated, waiting_bytes_max=3 * one)
     outlet.offer(state_event("target", 0.0))
-    assert gated.entered.wait(WAIT_S)
+    assert gated.entered.wait(PATIENCE_S)
     outlet.offer(taken_back := TakenBackEvent(1.0, "target", event.flight, "it was worse"))
     for k in range(10):
         outlet.offer(flight(t_s=15.0 * k))
@@ -159,7 +155,7 @@ def test_a_sink_that_fails_takes_nothing_more_and_what_it_misses_is_counted(
     outlet = started(lambda: sink)
     outlet.offer(iteration_event(1))
     outlet.offer(iteration_event(2))
-    assert outlet.join(WAIT_S)
+    assert outlet.join(PATIENCE_S)
     outlet.offer(iteration_event(3))
     assert outlet.dropped == 3
     assert "the disk is full" in caplog.text
@@ -172,7 +168,7 @@ def test_what_opening_a_sink_raises_is_raised_to_who_waits_for_it() -> None:
     outlet = Outlet("test", refuse)
     outlet.start()
     with pytest.raises(InvalidInputError, match="no such folder"):
-        outlet.wait_opened(WAIT_S)
+        outlet.wait_opened(PATIENCE_S)
     outlet.offer(iteration_event(1))
     assert outlet.dropped == 1
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ from study_events import iteration_event
 from tracking_events import SAMPLE_TIME_S, flight, parts
 
 from orchestrator.viewer.events import MessageEvent, TakenBackEvent, ViewerEvent
+from orchestrator.viewer.stream import RerunSink
 from orchestrator.viewer.writer import RerunWriter
 
 LATE_MM = 1e3 * 2 * np.sin(np.pi * 0.1 / 10)
@@ -195,13 +195,12 @@ def test_the_number_of_entities_does_not_grow_with_the_flights(tmp_path: Path) -
 
 
 def test_between_flights_nothing_is_drawn_again(tmp_path: Path) -> None:
-    with RerunWriter("run-1", recording=tmp_path / "run.rrd", serve=None) as writer:
-        writer.emit(flight(samples=100))
-        time.sleep(0.5)
-        writer.emit(taken_back(1.0))
-        for k in range(4):
-            time.sleep(0.3)
-            writer.emit(MessageEvent(2.0 + k, "info", "on its way back to the start"))
+    sink = RerunSink.to_file("run-1", tmp_path / "run.rrd")
+    sink.write([flight(samples=100)])
+    sink.write([taken_back(1.0)])
+    for k in range(4):
+        sink.write([MessageEvent(2.0 + k, "info", "on its way back to the start")])
+    sink.close()
     rows = column(tmp_path / "run.rrd", "/tracking/plot/path/places", "Points2D:positions")
     assert len([row for row in rows if row]) == 1
     trails = column(tmp_path / "run.rrd", "/tracking/plot/path/trail", "LineStrips2D:strips")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -18,7 +17,8 @@ from shared.errors import RobotError
 from shared.fleet_file import FleetFile
 from shared.linear_model import LinearModel
 from sims.arms.driver import DRIVER
-from sims.arms.mechanism import nominal_inertia_kg_m2
+from sims.arms.mechanism import STEPS_PER_SAMPLE, nominal_inertia_kg_m2
+from sims.arms.robot import Arm
 from sims.arms.settings import ArmSettings, EncoderNoise
 
 Respond = Callable[[Robot, float, int], complex]
@@ -210,7 +210,20 @@ def test_an_arm_held_back_by_its_torque_limit_fails_until_it_is_connected_anew(
     robot.rest()
 
 
-def test_a_minute_takes_well_under_a_second(arms: Mapping[str, Robot]) -> None:
-    began_s = time.perf_counter()
-    arms["target"].run(wandering(3000))
-    assert time.perf_counter() - began_s < 1.0
+def test_a_minute_is_one_call_of_a_compiled_program(
+    arms: Mapping[str, Robot], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """How long it takes is measured by `python -m benchmarks.simulators`."""
+    robot = arms["target"]
+    assert isinstance(robot, Arm)
+    rollouts: list[int] = []
+    rollout = robot._mechanism._rollout
+
+    class Counted:
+        def rollout(self, model: object, data: object, state: object, control: FloatArray) -> Any:
+            rollouts.append(control.shape[1])
+            return rollout.rollout(model, data, state, control)
+
+    monkeypatch.setattr(robot._mechanism, "_rollout", Counted())
+    robot.run(wandering(3000))
+    assert rollouts == [3000 * STEPS_PER_SAMPLE]
