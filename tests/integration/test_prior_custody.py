@@ -16,7 +16,6 @@ from orchestrator.experience_learning import fly_lessons
 from orchestrator.fleet import Fleet
 from orchestrator.pilot import Pilot
 from orchestrator.prior_custody import install, prior_put_back
-from orchestrator.robot_watch import RobotWatch
 from shared.arrays import FloatArray
 from shared.errors import InvalidInputError, RobotError, StudyError
 from shared.experience import digest

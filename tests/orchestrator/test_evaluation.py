@@ -6,49 +6,17 @@ import math
 
 import numpy as np
 import pytest
+from evaluated_flights import ERRORS, PSI, record, records, summed
 from flown_paths import flight, line
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import kendalltau
 
-from orchestrator.evaluation import Psi, flight_record, summarise
-from orchestrator.evaluation_results import EvaluationResult, FlightRecord
+from orchestrator.evaluation import Psi, flight_record
+from orchestrator.evaluation_results import EvaluationResult
 from orchestrator.flight_labels import BASELINE, NO_PRIOR
 from orchestrator.paths import Leg
 from shared.motions import TakenBack
-
-PSI = {"near": Psi(0.1, 0.01), "middle": Psi(0.3, 0.02), "far": Psi(0.5, 0.03)}
-ERRORS = {BASELINE: (0.2, 0.4), NO_PRIOR: (0.25, 0.25), "near": (0.05, 0.07)}
-ERRORS |= {"middle": (0.1, 0.2), "far": (0.3, 0.1)}
-
-
-def record(
-    inverse: str, drawing: str, rms_m: float | None, *, taken_back: str | None = None
-) -> FlightRecord:
-    return FlightRecord(
-        target="target",
-        inverse=inverse,
-        drawing=drawing,
-        speed_m_s=0.6,
-        rms_m=rms_m,
-        taken_back=taken_back,
-        failure="it fell over" if rms_m is None else None,
-        deadline_misses=0,
-    )
-
-
-def records(errors: dict[str, tuple[float | None, float | None]]) -> list[FlightRecord]:
-    return [
-        record(inverse, drawing, rms_m)
-        for inverse, both in errors.items()
-        for drawing, rms_m in zip(("clover", "pear"), both, strict=True)
-    ]
-
-
-def summed(
-    flights: list[FlightRecord], psi: dict[str, Psi] | None = None, unit: str = "m"
-) -> EvaluationResult:
-    return summarise("target", flights, psi or PSI, "state", unit=unit, guarded=True, run="runs/1")
 
 
 def test_errors_are_averaged_over_the_paths_and_compared_with_the_baseline() -> None:

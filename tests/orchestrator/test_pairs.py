@@ -5,53 +5,11 @@ from __future__ import annotations
 import math
 
 import pytest
+from evaluated_flights import A, B, C, target
 from scipy.stats import kendalltau
 
 from orchestrator.evaluation_report import pairs_table
-from orchestrator.evaluation_results import (
-    BaselineResult,
-    EvaluationResult,
-    InverseResult,
-    SourceResult,
-)
 from orchestrator.pairs import PairsResult, compare_pairs
-from shared.inverse_layout import Architecture
-
-STATE: Architecture = "state"
-
-
-def target(
-    name: str, base: float | None, sources: dict[str, tuple[float, float | None]]
-) -> EvaluationResult:
-    """A target's result from each source's (ψ, error); the errors are on one path."""
-    ordered = sorted(sources.items(), key=lambda item: item[1][0])
-    return EvaluationResult(
-        target=name,
-        architecture=STATE,
-        unit="m",
-        guarded=True,
-        baseline=BaselineResult(rms_m=base),
-        no_prior=InverseResult(rms_m=None, reduction_percent=None),
-        sources=tuple(
-            SourceResult(
-                robot=source,
-                psi=psi,
-                psi_std=0.0,
-                rms_m=rms_m,
-                reduction_percent=None,
-                worst_ratio=None if rms_m is None or base is None else rms_m / base,
-            )
-            for source, (psi, rms_m) in ordered
-        ),
-        selected=ordered[0][0],
-        kendall_tau=None,
-        run="runs/1",
-    )
-
-
-A = target("a", 0.2, {"b": (0.1, 0.04), "c": (0.3, 0.1)})
-B = target("b", 0.1, {"a": (0.1, 0.06), "c": (0.2, 0.02)})
-C = target("c", 0.4, {"a": (0.3, 0.6), "b": (0.2, 0.2)})
 
 
 def test_every_ordered_pair_is_there_with_its_share_of_the_baseline() -> None:

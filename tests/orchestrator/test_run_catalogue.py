@@ -8,11 +8,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from evaluated_flights import ERRORS, A, B, record, records, summed
 from learned_things import experience
 from rich.console import Console
-from test_evaluation import ERRORS, record, records, summed
-from test_pairs import A, B
-from test_run_folder import NOON, a_record
+from run_records import NOON, a_record
 
 from orchestrator.cli.runs_session import list_and_print, show_and_print
 from orchestrator.demonstration import DEMONSTRATION, DemoResult

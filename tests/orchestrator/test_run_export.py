@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_archive import archive, begin, measure
-from test_run_folder import NOON, a_record, a_test
+from archived_studies import archive, begin, measure
+from run_records import NOON, a_record, a_test
 
 from orchestrator.archive import Archive
 from orchestrator.gap_report import gap_report

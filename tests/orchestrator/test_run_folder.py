@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import json
+<<<<<<< HEAD
 import stat
 from datetime import UTC, datetime
+=======
+>>>>>>> 947be20 (Keep what several test modules share in helper modules: no test module imports another one)
 from pathlib import Path
 
-import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from run_records import NOON, a_record, a_test
 
+<<<<<<< HEAD
 from orchestrator.outcomes import Measured
 from orchestrator.results import ClosedForm, IterationRecord, RankResult, RunRecord
 from orchestrator.run_folder import CONFIGURATION as CONFIG
+=======
+>>>>>>> 947be20 (Keep what several test modules share in helper modules: no test module imports another one)
 from orchestrator.run_folder import (
     RunFolder,
     find_run,
@@ -21,66 +27,7 @@ from orchestrator.run_folder import (
     make_runs_root,
     read_record,
 )
-from orchestrator.study import SourceEstimate
-from robot_agent.excitation import plan_excitation, reference_of
 from shared.errors import InvalidInputError
-from shared.excitation import Excitation, Tone
-from shared.frequency_response import estimate_frequency_response
-from shared.messages import GoalResult, Outcome
-from sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
-
-NOON = datetime(2026, 1, 2, 12, 0, 0, tzinfo=UTC)
-
-
-def a_record(run: Path) -> RunRecord:
-    estimate = SourceEstimate("source-1", 0.07, 0.001, 4.5, 2)
-    return RunRecord(
-        result=RankResult(
-            target="target",
-            band_rad_s=(0.1, 10.0),
-            selected="source-1",
-            ranking=(estimate,),
-            iterations=1,
-            robot_time_s=12.5,
-            run=str(run),
-        ),
-        axis="x",
-        seed=3,
-        history=(
-            IterationRecord(
-                iteration=1,
-                omega_rad_s=(4.5,),
-                sampled_psi={"source-1": 0.07},
-                ranking=(estimate,),
-            ),
-        ),
-        dropped={"source-2": "lost"},
-        closed_form={"source-1": ClosedForm(psi=0.0694, omega_rad_s=4.49)},
-        wall_time_s=1.5,
-    )
-
-
-def a_test(robot_name: str) -> Measured:
-    robot = DoubleIntegrator(
-        DoubleIntegratorSettings(alpha=1.0, beta=0.003), np.random.default_rng(0)
-    )
-    plan = plan_excitation(
-        Excitation(axis="x", tones=(Tone(omega_rad_s=5.0),)), robot.spec, robot_name
-    )
-    reference = reference_of(plan)
-    robot.connect()
-    response = robot.run(reference[:, None])[:, 0]
-    result = GoalResult(
-        goal_id=f"g.{robot_name}",
-        boot_id="b",
-        outcome=Outcome.COMPLETED,
-        reason="",
-        plan=plan,
-        reference=reference,
-        response=response,
-    )
-    z = estimate_frequency_response(reference, response, plan)
-    return Measured(robot_name, z, result, attempts=1, robot_time_s=plan.duration_s)
 
 
 def test_a_record_reads_back_as_it_was_written(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from test_archive import DESCRIPTIONS, PLAN, SPEC, archive, begin, measure
+from archived_studies import DESCRIPTIONS, PLAN, SPEC, archive, begin, measure
 
 from orchestrator.archive import Archive
 from orchestrator.results import StoredResponses
