@@ -3,23 +3,14 @@
 from __future__ import annotations
 
 import json
-<<<<<<< HEAD
 import stat
-from datetime import UTC, datetime
-=======
->>>>>>> 947be20 (Keep what several test modules share in helper modules: no test module imports another one)
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 from run_records import NOON, a_record, a_test
 
-<<<<<<< HEAD
-from orchestrator.outcomes import Measured
-from orchestrator.results import ClosedForm, IterationRecord, RankResult, RunRecord
 from orchestrator.run_folder import CONFIGURATION as CONFIG
-=======
->>>>>>> 947be20 (Keep what several test modules share in helper modules: no test module imports another one)
 from orchestrator.run_folder import (
     RunFolder,
     find_run,
