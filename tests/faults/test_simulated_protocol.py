@@ -16,7 +16,18 @@ from benchmarks.faults.simulation.simulation import shortened, story, violation
 from benchmarks.faults.simulation.without import WITHOUT, without
 
 SEEDS_AT_ONCE = 300
-FOUND_WITHIN = 3000
+
+FOUND_AT = {
+    "1-interrupt": 99,
+    "6-late-states": 0,
+    "10-repositories": 2475,
+    "11-longer": 29,
+    "12-clock": 35,
+    "16-in-turn": 45,
+    "forgone": 1855,
+    "frozen": 4797,
+}
+"""The first seed that misses each fix; `simulate --without FIX` of the benchmark finds it anew."""
 
 
 @pytest.fixture(autouse=True)
@@ -33,10 +44,12 @@ def test_no_schedule_of_faults_breaks_an_invariant(first: int) -> None:
         assert violation(drawn(seed)) is None, f"seed {seed}"
 
 
-@pytest.mark.parametrize("fix", sorted(WITHOUT))
+@pytest.mark.parametrize("fix", WITHOUT)
 def test_every_fix_is_missed_when_it_is_taken_out(fix: str) -> None:
+    schedule = drawn(FOUND_AT[fix])
     with without(fix):
-        assert any(violation(drawn(seed)) is not None for seed in range(FOUND_WITHIN))
+        assert violation(schedule) is not None
+    assert violation(schedule) is None
 
 
 def test_a_seed_gives_the_same_story_every_time() -> None:
@@ -46,8 +59,8 @@ def test_a_seed_gives_the_same_story_every_time() -> None:
 
 def test_a_schedule_that_breaks_an_invariant_is_shortened_to_the_faults_that_matter() -> None:
     with without("11-longer"):
-        found = (schedule for seed in range(FOUND_WITHIN) if violation(schedule := drawn(seed)))
-        broken = next(schedule for schedule in found if len(schedule.faults) > 2)
+        several = (s for s in map(drawn, range(1000)) if len(s.faults) > 2)
+        broken = next(schedule for schedule in several if violation(schedule) is not None)
         short = shortened(broken)
         assert {fault.kind for fault in short.faults} == {"bad sensor"}
         assert set(short.faults) < set(broken.faults)

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.faults.simulation.history import History, Motion
+from benchmarks.faults.simulation.history import History, Motion, Violation
 from benchmarks.faults.simulation.network import Network, Node, OnAnswer
 from benchmarks.faults.simulation.world import World
 from robot_agent.decisions import Assignment, Decisions
+from robot_agent.excitation import peak_velocity_and_acceleration, reference_of
 from robot_agent.freezes import Freezes
 from robot_agent.goal_machine import Goal, Goals
 from robot_agent.heartbeat import HEARTBEAT_S
@@ -35,6 +36,7 @@ from robot_agent.pace import GAP_MAX_S
 from robot_agent.planner import Planner
 from robot_agent.supervisor import StopOrder
 from shared.errors import RefusedError
+from shared.excitation import ExcitationPlan
 from shared.messages import Description, Done, GoalRequest, GoalResult, Outcome, Refusal
 from shared.motions import Motion as AskedMotion
 from shared.motions import MotionPlan
@@ -148,7 +150,19 @@ class CachedPlanner(Planner):
         key = (self.spec.duration_max_s, motion)
         if key not in _PLANS:
             _PLANS[key] = super().plan(motion)
+            self._check_limits(_PLANS[key])
         return _PLANS[key]
+
+    def _check_limits(self, plan: MotionPlan) -> None:
+        """Check every sample that the robot would see, from rest to rest; raises Violation."""
+        if not isinstance(plan, ExcitationPlan):
+            raise Violation(f"{plan} is not what a study asks for")
+        reference, (axis,) = reference_of(plan), self.spec.axes
+        velocity, acceleration = peak_velocity_and_acceleration(reference, plan.sample_time_s)
+        found = (float(np.abs(reference).max()), velocity, acceleration)
+        limits = (axis.amplitude_max, axis.velocity_max, axis.acceleration_max)
+        if any(value > limit for value, limit in zip(found, limits, strict=True)):
+            raise Violation(f"a plan asks for {found} where {limits} is allowed: {plan}")
 
 
 @dataclass
