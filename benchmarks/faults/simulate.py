@@ -16,6 +16,7 @@ from benchmarks.faults.simulation.without import without as taken_out
 
 _SEEDS_AT_ONCE = 250
 _SHOWN_VIOLATIONS = 5
+_LINE_EVERY_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -39,14 +40,21 @@ def figures(
     """
     began_s = time.perf_counter()
     done, violations = 0, list[tuple[int, str]]()
-    for found in _simulated(seeds, first, processes or 1, without):
-        done += found.seeds
-        violations += found.violations
-        rate = done / (time.perf_counter() - began_s)
-        _progress(f"{done} of {seeds} schedules, {len(violations)} violations, {rate:.0f} a second")
-        if without is not None and violations:
-            break  # it is found
-    _progress("")
+    progress = _Progress()
+    try:
+        for found in _simulated(seeds, first, processes or 1, without):
+            done += found.seeds
+            violations += found.violations
+            rate = done / (time.perf_counter() - began_s)
+            progress.show(
+                f"{done} of {seeds} schedules from seed {first} on, {len(violations)} violations, "
+                f"{rate:.0f} a second"
+            )
+            if without is not None and violations:
+                break  # it is found
+    except KeyboardInterrupt:
+        print(f"interrupted after {done} of {seeds} schedules")
+    progress.end()
     for seed, broken in sorted(violations)[:_SHOWN_VIOLATIONS]:
         _show(seed, broken, without)
     hours = (time.perf_counter() - began_s) / 3600
@@ -90,6 +98,22 @@ def _show(seed: int, broken: str, without: str | None) -> None:
             print(f"  {line}")
 
 
-def _progress(line: str) -> None:
-    if sys.stderr.isatty():
-        print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
+class _Progress:
+    """One line that changes on a terminal; elsewhere a line a minute."""
+
+    def __init__(self) -> None:
+        self._terminal = sys.stderr.isatty()
+        self._shown_s = time.monotonic()
+
+    def show(self, line: str) -> None:
+        """Say how far it is."""
+        if self._terminal:
+            print(f"\r\x1b[K{line}", end="", file=sys.stderr, flush=True)
+        elif time.monotonic() > self._shown_s + _LINE_EVERY_S:
+            self._shown_s = time.monotonic()
+            print(line, file=sys.stderr, flush=True)
+
+    def end(self) -> None:
+        """Leave the terminal's line free."""
+        if self._terminal:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
