@@ -40,7 +40,7 @@ from orchestrator.goal_events import (
 from orchestrator.overdue import Overdue
 from orchestrator.robot_watch import HEARTBEAT_LOST_S
 from shared.errors import NufleetError, RefusedError, RobotLostError
-from shared.messages import GoalAccepted, RobotState
+from shared.messages import GoalAccepted, Outcome, RobotState
 
 RETURN_PATIENCE_S = 10.0
 """A robot that is not heard for this long is given up."""
@@ -189,11 +189,10 @@ class Pursuit:
                     self._taken, self.accepted = True, accepted
                     self._overdue = Overdue(accepted.wall_duration_s, now_s)
             case Fetched(result):
-                self.ended = (
-                    Ended(result=result)
-                    if self._given_up is None
-                    else Ended(error=self._given_up, interrupted=self._interrupted)
-                )
+                if self._given_up is None or result.outcome is Outcome.COMPLETED:
+                    self.ended = Ended(result=result)
+                else:
+                    self.ended = Ended(error=self._given_up, interrupted=self._interrupted)
             case CancelTaken():
                 self._note_cancelled(now_s)
             case Refused(question, error):
