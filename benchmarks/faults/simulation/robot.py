@@ -384,7 +384,7 @@ class SimulatedAgent:
             flown_s = self._world.now_s - playing.record.began_s
             samples = int(flown_s / playing.assignment.plan.sample_time_s)
             self.decisions.progressed(playing.assignment, samples)
-        if self._world.now_s < self._robot.states_lost_until_s:
+        if not self._robot.listeners or self._world.now_s < self._robot.states_lost_until_s:
             return
         state = self.decisions.state()
         until_s, late_s = self._robot.states_late

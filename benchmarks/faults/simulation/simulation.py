@@ -8,7 +8,7 @@ from functools import partial
 
 from benchmarks.faults.simulation.causes import CAUSES, Case
 from benchmarks.faults.simulation.history import History, Violation
-from benchmarks.faults.simulation.network import Network
+from benchmarks.faults.simulation.network import LEASE_S, Network
 from benchmarks.faults.simulation.orchestrator import SimulatedOrchestrator
 from benchmarks.faults.simulation.repository import SimulatedRepository
 from benchmarks.faults.simulation.robot import SimulatedRobot
@@ -21,6 +21,9 @@ from shared.robot_spec import AxisSpec, RobotSpec
 STUDY = "study"
 ENDS_WITHIN_S = 900.0
 """How long after the last fault a study may take: it is resumed until it is complete."""
+
+RESTS_WITHIN_S = 30.0
+"""How long the last motion may go on after its orchestrator: a frozen agent has to thaw first."""
 
 WALL_S = 1e6
 """What the wall clock shows when a simulation begins."""
@@ -80,8 +83,14 @@ class Simulation:
         # Whatever is still on its way arrives, and robots without an owner come to rest.
         for orchestrator in self.orchestrators:
             orchestrator.kill()
-        self.world.run(self.world.now_s + 30.0, lambda: False)
+        arrived_s = self.world.now_s + self.schedule.weather.late_s + LEASE_S
+        self.world.run(arrived_s + RESTS_WITHIN_S, lambda: self._at_rest_after(arrived_s))
         self._check_end(self.finished)
+
+    def _at_rest_after(self, time_s: float) -> bool:
+        return self.world.now_s > time_s and all(
+            motion.ended_s is not None for motion in self.history.motions
+        )
 
     # People.
 
