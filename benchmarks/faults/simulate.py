@@ -84,7 +84,7 @@ def _simulated(seeds: int, first: int, processes: int, without: str | None) -> I
 def _block(block: tuple[int, int, str | None]) -> Found:
     first, end, without = block
     logging.disable(logging.CRITICAL)  # what goes wrong is meant to
-    gc.disable()  # a schedule's objects go together; collecting among them takes a sixth of the time
+    gc.disable()  # collecting among the objects of one schedule takes a sixth of the time
     broken = list[tuple[int, str]]()
     with taken_out(without):
         for seed in range(first, end):
