@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import signal
+import threading
 
 import numpy as np
 import pytest
@@ -14,7 +15,6 @@ from orchestrator.experience_learning import fly_lessons
 from orchestrator.fleet import Fleet
 from orchestrator.pilot import Pilot
 from orchestrator.prior_custody import install, prior_put_back
-from orchestrator.robot_watch import RobotWatch
 from shared.arrays import FloatArray
 from shared.errors import InvalidInputError, RobotError, StudyError
 from shared.experience import digest
@@ -67,38 +67,32 @@ def test_a_prior_is_put_back_however_it_ends(
 
 
 def test_ctrl_c_in_flight_brings_the_robot_to_rest_before_its_prior_is_put_back(lab: Lab) -> None:
-    lab.agent("slow", double_integrator(0.85, 1), realtime=4.0)
+    lab.agent("slow", double_integrator(0.85, 1), realtime=1.0)
     orchestrator = lab.orchestrator()
     fleet = orchestrator.fleet
     install(fleet, "slow", "prior", OWN)
     pilot = Pilot(fleet, "run")
-    # The interrupt of the thread that waits for the flight, as Ctrl-C causes it. The way to the
-    # start takes the first third.
-    watch = fleet.watch("slow")
-    wait = watch.wait_until
+    main = threading.main_thread().ident
+    assert main is not None
 
-    def flies(robot: RobotWatch) -> bool:
-        return robot.state is not None and robot.state.progress > 0.4
+    def press_ctrl_c() -> None:
+        # The way to the start takes the first third.
+        orchestrator.state("slow", lambda s: s.goal_id is not None and s.progress > 0.4)
+        signal.pthread_kill(main, signal.SIGINT)
 
-    def wait_and_interrupt(condition: Callable[[RobotWatch], bool], *, timeout_s: float) -> bool:
-        ended = wait(lambda robot: flies(robot) or condition(robot), timeout_s=timeout_s)
-        if flies(watch):
-            watch.wait_until = wait  # type: ignore[method-assign]
-            raise KeyboardInterrupt
-        return ended
+    ctrl_c = threading.Thread(target=press_ctrl_c)
 
     def fly() -> None:
         with prior_put_back(fleet, pilot, fleet.describe("slow")):
             install(fleet, "slow", "prior", OTHER)
-            watch.wait_until = wait_and_interrupt  # type: ignore[method-assign]
+            ctrl_c.start()
             pilot.with_prior("slow", PATH, "prior", digest(OTHER), guarded=False)
 
     with pytest.raises(KeyboardInterrupt):
         fly()
+    ctrl_c.join()
     assert prior_of(fleet, "slow") == digest(OWN)
-    state = watch.state
-    assert state is not None
-    assert state.goal_id is None
+    state = orchestrator.state("slow", lambda s: s.goal_id is None)
     assert state.last_goal_id is not None
     result = fleet.result("slow", state.last_goal_id)
     assert result.outcome == "cancelled"
