@@ -34,6 +34,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # Continuous integration tries the same examples each time, so that a change is judged by what it
 # changes; at a desk every run tries new ones.
 settings.register_profile("nufleet", deadline=None, print_blob=True, derandomize="CI" in os.environ)
+settings.register_profile("quick", settings.get_profile("nufleet"), max_examples=20)
 settings.load_profile("nufleet")
 
 
@@ -41,6 +42,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Offer the tests that `make check` runs."""
     words = "only tests that start no process, open no connection and run no foreign simulator"
     parser.addoption("--pure", action="store_true", help=words)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Try fewer examples where somebody waits."""
+    if config.getoption("pure"):
+        settings.load_profile("quick")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import threading
 
@@ -68,32 +67,32 @@ def test_a_prior_is_put_back_however_it_ends(
 
 
 def test_ctrl_c_in_flight_brings_the_robot_to_rest_before_its_prior_is_put_back(lab: Lab) -> None:
-    lab.agent("slow", double_integrator(0.85, 1), realtime=4.0)
+    lab.agent("slow", double_integrator(0.85, 1), realtime=1.0)
     orchestrator = lab.orchestrator()
     fleet = orchestrator.fleet
     install(fleet, "slow", "prior", OWN)
     pilot = Pilot(fleet, "run")
-    watch = fleet.watch("slow")
+    main = threading.main_thread().ident
+    assert main is not None
 
     def press_ctrl_c() -> None:
         # The way to the start takes the first third.
-        orchestrator.state("slow", lambda state: state.progress > 0.4)
-        os.kill(os.getpid(), signal.SIGINT)
+        orchestrator.state("slow", lambda s: s.goal_id is not None and s.progress > 0.4)
+        signal.pthread_kill(main, signal.SIGINT)
+
+    ctrl_c = threading.Thread(target=press_ctrl_c)
 
     def fly() -> None:
         with prior_put_back(fleet, pilot, fleet.describe("slow")):
             install(fleet, "slow", "prior", OTHER)
-            pressing.start()
+            ctrl_c.start()
             pilot.with_prior("slow", PATH, "prior", digest(OTHER), guarded=False)
 
-    pressing = threading.Thread(target=press_ctrl_c)
     with pytest.raises(KeyboardInterrupt):
         fly()
-    pressing.join()
+    ctrl_c.join()
     assert prior_of(fleet, "slow") == digest(OWN)
-    state = watch.state
-    assert state is not None
-    assert state.goal_id is None
+    state = orchestrator.state("slow", lambda s: s.goal_id is None)
     assert state.last_goal_id is not None
     result = fleet.result("slow", state.last_goal_id)
     assert result.outcome == "cancelled"

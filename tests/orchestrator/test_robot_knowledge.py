@@ -26,6 +26,7 @@ def spread(knowledge: RobotKnowledge, rng: np.random.Generator) -> float:
     return float(np.median(knowledge.model.draw(GRID, 300, rng).std(axis=0)))
 
 
+@pytest.mark.thorough
 def test_repeated_tests_of_the_same_robot_agree() -> None:
     contradicted = 0
     for seed in range(40):

@@ -61,6 +61,7 @@ def test_the_same_verdicts_follow_from_single_tones_and_from_many(algorithm: str
         assert (found.omega_rad_s[0], found.omega_rad_s[-1]) == BAND
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("algorithm", ["paper", "adaptive"])
 @settings(max_examples=12, deadline=None)
 @example(sample_time_s=0.02, share_of_nyquist=0.0025, octaves=3.0, settling=0.9)  # 2.4 s, 0.4 rad/s
