@@ -37,6 +37,10 @@ class PlanarRobot(Robot):
         for part in self._parts:
             part.connect()
 
+    def measure_output(self) -> FloatArray:
+        """Measure the output at rest, shape (2,)."""
+        return np.concatenate([part.measure_output() for part in self._parts])
+
     def observe(self) -> FloatArray:
         """Measure the state now, shape (2, 2)."""
         return np.concatenate([part.observe() for part in self._parts])
@@ -109,6 +113,10 @@ class ClockedRobot(Robot):
     def connect(self) -> None:
         """Make the robot ready to move."""
         self._robot.connect()
+
+    def measure_output(self) -> FloatArray:
+        """Measure the output at rest."""
+        return self._robot.measure_output()
 
     def observe(self) -> FloatArray:
         """Wait for the next tick, then measure the state."""

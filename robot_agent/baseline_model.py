@@ -12,6 +12,7 @@ from scipy.signal import oaconvolve
 
 from shared.arrays import FloatArray
 from shared.errors import InvalidInputError
+from shared.robot_spec import AxisSpec
 from shared.strict import NonNegative, Strict
 
 _FINE_S = 0.3  # up to this lag the taps are equally wide; then they widen
@@ -19,6 +20,8 @@ _FINE_TAPS = 40  # at most, and none narrower than two samples
 _WIDENING = 1.25
 _LAGS_MAX = 100_000
 _SAMPLES_PER_TAP = 10
+_UNEXPLAINED_MAX = 0.15  # of the reference: what friction and other nonlinearities may leave
+_NOISE_RATIO = 4.0  # of the noise at rest: in flight there is more
 _BLOCK_SAMPLES = 4096  # of the rows of the least-squares problem that are in memory at a time
 
 
@@ -90,6 +93,32 @@ def identify_baseline(
         error_response=tuple(np.repeat(response, np.diff(edges)).tolist()),
         residual_std=math.sqrt(max(0.0, squares / samples - (total / samples) ** 2)),
     )
+
+
+def check_explained(
+    model: BaselineModel, reference: FloatArray, noise_std: float, axis: AxisSpec
+) -> None:
+    """Refuse a model that does not explain the record that it was fitted to, noise apart.
+
+    A guard would take what is left for the baseline's own error. A sensor that was late by more
+    than the robot remembers, lost its place on the way or measured something else leaves much.
+
+    Args:
+        model: fitted to the record.
+        reference: shape (samples,).
+        noise_std: of the output at rest.
+        axis: that it is of, for the error.
+
+    Raises:
+        InvalidInputError: the model leaves more than it may.
+    """
+    moved = float(reference.std())
+    if model.residual_std > max(_UNEXPLAINED_MAX * moved, _NOISE_RATIO * noise_std):
+        raise InvalidInputError(
+            f"axis {axis.name} did {model.residual_std:.3g} {axis.unit} RMS that is no answer to "
+            f"its reference of {moved:.3g} {axis.unit} RMS within the settling time: see to its "
+            "sensor, or give a longer settling time"
+        )
 
 
 def samples_needed(sample_time_s: float, memory_s: float) -> int:

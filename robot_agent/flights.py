@@ -6,9 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from robot_agent.baseline_model import identify_baseline, needed_correction
+from robot_agent.baseline_model import check_explained, identify_baseline, needed_correction
 from robot_agent.guard import Guard
 from robot_agent.memory import Memory
+from robot_agent.monitored_robot import MonitoredRobot
 from robot_agent.motion import Performance, Samples
 from robot_agent.online_gp import WINDOW_POINTS, OnlineGp
 from robot_agent.pace import HaltSwitch, Pace
@@ -50,30 +51,29 @@ def performance_of(
         on_played: is told how many samples have been played.
         watch: sees every sample along a path.
     """
-    paced = PacedRobot(robot, Pace(robot.spec, realtime, switch), switch, on_played)
+    monitored = MonitoredRobot(robot)
+    paced = PacedRobot(monitored, Pace(robot.spec, realtime, switch), switch, on_played)
     match motion:
         case StepTest(axis=axis):
-            return _Steps(paced, axis)
+            return _Steps(paced, axis, monitored)
         case RichFlight():
-            return _Rich(paced, motion, memory)
+            return _Rich(paced, motion, memory, monitored)
         case Tracking():
-            return _Path(paced, motion, memory, watch, switch)
+            return _Path(paced, motion, memory, watch, switch, monitored)
 
 
 class _Steps:
     """Small steps on one axis."""
 
-    def __init__(self, robot: Robot, axis: str) -> None:
-        self._robot = robot
+    def __init__(self, robot: Robot, axis: str, monitored: MonitoredRobot) -> None:
+        self._robot, self._monitored = robot, monitored
         column = [known.name for known in robot.spec.axes].index(axis)
         self._references = step_references(robot.spec, column)
         self._outputs = np.empty((0, len(robot.spec.axes)))
 
     def play(self) -> tuple[Outcome, str]:
+        self._monitored.begin(self._references)
         self._outputs = self._robot.run(self._references)
-        if not np.isfinite(self._outputs).all():
-            self._outputs = self._outputs[:0]
-            return Outcome.FAILED, "the sensor returned a number that is not finite"
         return Outcome.COMPLETED, ""
 
     def measured(self) -> Samples:
@@ -83,8 +83,11 @@ class _Steps:
 class _Rich:
     """A flight that shows the whole dynamics; the robot learns its baseline from it."""
 
-    def __init__(self, robot: Robot, motion: RichFlight, memory: Memory) -> None:
+    def __init__(
+        self, robot: Robot, motion: RichFlight, memory: Memory, monitored: MonitoredRobot
+    ) -> None:
         self._robot, self._motion, self._memory = robot, motion, memory
+        self._monitored = monitored
         axes, states = len(robot.spec.axes), max(1, len(robot.state_names))
         self._record = FlightRecord(np.empty((0, axes)), np.empty((0, axes, states)))
 
@@ -92,19 +95,20 @@ class _Rich:
         spec = self._robot.spec
         rng = np.random.default_rng(self._motion.seed)
         references = rich_references(spec, self._motion.duration_s, rng)
+        self._monitored.begin(references)
         self._record = fly_record(self._robot, references)
         outputs = self._record.states[:, :, 0]
         try:
-            self._memory.keep_baseline(
-                {
-                    axis.name: identify_baseline(
-                        [(references[:, i], outputs[:, i])],
-                        spec.sample_time_s,
-                        spec.settling_time_s,
-                    )
-                    for i, axis in enumerate(spec.axes)
-                }
-            )
+            models = {
+                axis.name: identify_baseline(
+                    [(references[:, i], outputs[:, i])], spec.sample_time_s, spec.settling_time_s
+                )
+                for i, axis in enumerate(spec.axes)
+            }
+            for i, axis in enumerate(spec.axes):
+                noise_std = float(self._monitored.noise_std[i])
+                check_explained(models[axis.name], references[:, i], noise_std, axis)
+            self._memory.keep_baseline(models)
         except NufleetError as error:
             # The robot is well and at rest: what failed is the disk, or the record is too short.
             return Outcome.FAILED, f"its baseline was not learned: {error}"
@@ -127,8 +131,9 @@ class _Path:
         memory: Memory,
         watch: Watch,
         switch: HaltSwitch,
+        monitored: MonitoredRobot,
     ) -> None:
-        self._robot, self._motion = robot, motion
+        self._robot, self._motion, self._monitored = robot, motion, monitored
         self._watch, self._switch = watch, switch
         self._learner = learner_for(motion, robot, memory)
         self._guard = None
@@ -140,6 +145,9 @@ class _Path:
         limits = self._robot.spec.tracking
         if limits is None:
             raise RobotError("the robot does not track")
+        # The way to the path's start begins at rest too.
+        origin = np.zeros((1, len(self._robot.spec.axes)))
+        self._monitored.begin(np.concatenate([origin, self._motion.desired]))
         self._record = track(
             self._robot,
             self._motion.desired,

@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
+from robot_agent.monitored_robot import begun
 from robot_agent.pace import HaltSwitch, Pace
 from robot_agent.paced_robot import CHUNK_SAMPLES, Halted
 from robot_agent.robot import Robot
@@ -140,25 +141,29 @@ class AxisMotion:
         """Play the reference to its end, or until the switch is thrown."""
         axes = [axis.name for axis in self._robot.spec.axes]
         column = axes.index(self._axis)
+        if self._switch.order is not None:
+            return self._switch.order
+        whole = np.zeros((len(self._reference), len(axes)))
+        whole[:, column] = self._reference
+        _, monitor = begun(self._robot, whole, flight=False)
         for start, stop in self._batches():
             if self._switch.order is not None:
                 return self._switch.order
-            references = np.zeros((stop - start, len(axes)))
-            references[:, column] = self._reference[start:stop]
+            references = whole[start:stop]
             measured = (
                 self._robot.run(references)
                 if stop - start > 1
                 else self._robot.step(references[0])[np.newaxis, :]
             )
-            good = int(np.argmin(np.append(np.isfinite(measured).all(axis=1), False)))
+            failure = monitor.check(references, measured)
+            good = stop - start if failure is None else failure.good
             self._response[start : start + good] = measured[:good, column]
             self._done = start + good
             self._on_samples(
                 start, self._reference[start : self._done], self._response[start : self._done]
             )
-            if good < stop - start:
-                reason = f"the sensor returned a number that is not finite at sample {self._done}"
-                return Outcome.FAILED, reason
+            if failure is not None:
+                return Outcome.FAILED, failure.reason
         return Outcome.COMPLETED, ""
 
     def _batches(self) -> Iterator[tuple[int, int]]:

@@ -50,6 +50,10 @@ class PacedRobot(Robot):
     def connect(self) -> None:
         """It is connected already."""
 
+    def measure_output(self) -> FloatArray:
+        """Measure the output at rest, shape (axes,)."""
+        return self._robot.measure_output()
+
     def observe(self) -> FloatArray:
         """Measure the state now, shape (axes, states)."""
         return self._robot.observe()

@@ -13,6 +13,12 @@ from shared.robot_spec import RobotSpec
 class Robot(ABC):
     """A robot under its own baseline controller: references in, measured outputs out.
 
+    A robot rests at reference 0 of every axis: there `connect` and `rest` leave it, there every
+    motion begins, and its first reference is 0. The reference that the robot holds at rest is the
+    driver's own, so the way to 0 is too; a driver that rests where it happens to be would see its
+    reference jump when the next motion begins. The agent compares the output at rest with the first
+    reference, and begins nothing when they are further apart than `robot_agent.monitor` says.
+
     One sample is `spec.sample_time_s`. References and outputs hold one number per axis, in the
     order and the units of `spec.axes`. Methods are called from one thread at a time. Each raises
     `RobotError` when the robot cannot do what is asked.
@@ -25,7 +31,15 @@ class Robot(ABC):
 
     @abstractmethod
     def connect(self) -> None:
-        """Make the robot ready to move, at rest."""
+        """Make the robot ready to move, at rest at reference 0."""
+
+    @abstractmethod
+    def measure_output(self) -> FloatArray:
+        """Measure the output at rest, shape (axes,); commands nothing.
+
+        It is asked for three to eight times before each motion, to find out where the robot is and
+        how noisy its sensor: wait for the sensor's next sample, and return it as it is, unfiltered.
+        """
 
     @abstractmethod
     def step(self, reference: FloatArray) -> FloatArray:
@@ -74,7 +88,11 @@ class Robot(ABC):
 
     @abstractmethod
     def rest(self) -> None:
-        """Bring the robot to rest from whatever it is doing; returns when it is."""
+        """Bring the robot to rest at reference 0, from whatever it is doing; returns when it is.
+
+        The way there is the driver's own: no faster than the robot may go, whatever the reference
+        was last. Called at the end of every motion, and in the middle of one that is stopped.
+        """
 
     @abstractmethod
     def disconnect(self) -> None:

@@ -85,6 +85,11 @@ class WatchedRobot(Robot):
         with self._calling("connect", SLOW_CALL_MAX_S):
             self._robot.connect()
 
+    def measure_output(self) -> FloatArray:
+        """Measure the output at rest."""
+        with self._calling("measure_output", self._sample_max_s):
+            return self._robot.measure_output()
+
     def step(self, reference: FloatArray) -> FloatArray:
         """Follow a reference for one sample."""
         with self._calling("step", self._sample_max_s):

@@ -98,6 +98,8 @@ class DoubleIntegrator(Robot):
         self._state: tuple[float, float, float] | None = None
         # The noise of the current sample, once somebody has looked at it.
         self._noise_now_m: float | None = None
+        # Measuring at rest leaves the noise of the samples as it is.
+        self._rest_rng = rng.spawn(1)[0]
 
     @property
     def spec(self) -> RobotSpec:
@@ -107,6 +109,13 @@ class DoubleIntegrator(Robot):
     def connect(self) -> None:
         """Put the robot at rest at 0."""
         self._state = (0.0, 0.0, 0.0)
+
+    def measure_output(self) -> FloatArray:
+        """Measure the output at rest, shape (1,)."""
+        if self._state is None:
+            raise RobotError("the simulated double integrator is not connected")
+        noise_m = self._settings.noise_std_m * self._rest_rng.standard_normal()
+        return np.array([self._state[0] + noise_m])
 
     @property
     def state_names(self) -> tuple[str, ...]:

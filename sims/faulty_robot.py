@@ -84,6 +84,10 @@ class FaultyRobot(Robot):
         self._rested()
         self._robot.connect()
 
+    def measure_output(self) -> FloatArray:
+        """Measure the output at rest; faults begin with a motion."""
+        return self._robot.measure_output()
+
     def observe(self) -> FloatArray:
         """Measure the state now: the output with the faulty sensor, its derivatives without."""
         states = self._robot.observe()

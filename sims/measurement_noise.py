@@ -18,12 +18,17 @@ class MeasurementNoise:
         """Start with the noise of the first sample; `sigma` has shape (axes, states)."""
         self._sigma = sigma
         self._rng = rng
+        self._aside_rng = rng.spawn(1)[0]
         self._now: FloatArray = self._draw(1)[0]
 
     @property
     def now(self) -> FloatArray:
         """The noise of the current sample, shape (axes, states)."""
         return self._now
+
+    def aside(self) -> FloatArray:
+        """Return noise of a measurement that is no sample, shape (axes, states); a new one each."""
+        return np.asarray(self._sigma * self._aside_rng.standard_normal(self._sigma.shape))
 
     def take(self, samples: int) -> FloatArray:
         """Return the noise of the current and the following samples, and go past them.

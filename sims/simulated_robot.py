@@ -72,6 +72,10 @@ class SimulatedRobot(Robot):
         self._reference = np.zeros(len(self._spec.axes))
         self._state = self._start()
 
+    def measure_output(self) -> FloatArray:
+        """Measure the output at rest, shape (axes,)."""
+        return np.asarray((self._ready() + self._noise.aside())[:, 0])
+
     def observe(self) -> FloatArray:
         """Measure the state now, shape (axes, states)."""
         return self._ready() + self._noise.now

@@ -43,6 +43,7 @@ class PuppetRobot(Robot):
         self._busy = threading.Lock()
         self.on_sample: Callable[[int], None] = lambda k: None
         self.measure: Callable[[FloatArray], FloatArray] = np.copy
+        self.rests_at = np.zeros(len(self._spec.axes))
         self.on_rest: Callable[[], None] = lambda: None
         self.on_connect: Callable[[], None] = lambda: None
         self.on_disconnect: Callable[[], None] = lambda: None
@@ -61,6 +62,11 @@ class PuppetRobot(Robot):
         with self._alone():
             self.on_connect()
             self.connected = True
+
+    def measure_output(self) -> FloatArray:
+        assert self.connected
+        with self._alone():
+            return self.rests_at.copy()
 
     def step(self, reference: FloatArray) -> FloatArray:
         assert reference.shape == (len(self._spec.axes),)

@@ -45,6 +45,7 @@ class LaggedRobot(Robot):
     ) -> None:
         self._past = [deque([0.0] * delay, delay) for delay in delays]
         self._noise_std_m, self._rng = noise_std_m, np.random.default_rng(0)
+        self._rest_rng = np.random.default_rng(1)
         self._fails_at, self._blind_at = fails_at, blind_at
         self._now: FloatArray | None = None
         self.samples, self.rests = 0, 0
@@ -73,6 +74,10 @@ class LaggedRobot(Robot):
 
     def connect(self) -> None:
         pass
+
+    def measure_output(self) -> FloatArray:
+        noise = self._noise_std_m * self._rest_rng.standard_normal(2)
+        return np.array([past[0] for past in self._past]) + noise
 
     def observe(self) -> FloatArray:
         if self._now is None:

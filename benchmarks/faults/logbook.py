@@ -117,6 +117,10 @@ class LoggedRobot(Robot):
         self._write(CONNECTED)
         self._robot.connect()
 
+    def measure_output(self) -> FloatArray:
+        """Measure the output at rest."""
+        return self._robot.measure_output()
+
     def observe(self) -> FloatArray:
         """Measure the state now."""
         return self._robot.observe()

@@ -118,15 +118,15 @@ def test_a_robot_that_is_gone_does_not_hide_why_the_flights_ended(
 # What goes wrong while a robot learns names the robot.
 
 
-class StuckRobot(LaggedRobot):
-    """It does what it is told and does not move."""
+class StickyRobot(LaggedRobot):
+    """It moves only as far as its reference is beyond 0.03 m: steps are too small for it."""
 
     def step(self, reference: FloatArray) -> FloatArray:
-        return super().step(np.zeros_like(reference))
+        return super().step(np.sign(reference) * np.maximum(0.0, np.abs(reference) - 0.03))
 
 
 def test_a_robot_that_does_not_answer_to_steps_is_named_with_what_to_try(lab: Lab) -> None:
-    lab.agent("stuck", StuckRobot())
+    lab.agent("stuck", StickyRobot(noise_std_m=0.001))
     fleet = lab.orchestrator().fleet
     with pytest.raises(StudyError, match=r"robot stuck, axis x: .*nufleet track --target stuck"):
         lessons(fleet, "stuck")

@@ -115,10 +115,11 @@ def test_a_baseline_that_cannot_be_stored_fails_the_flight_and_not_the_robot(
 
 
 def test_a_flight_that_fails_on_its_way_is_a_failed_one_with_its_samples() -> None:
-    robot = LaggedRobot(blind_at=len(approach(LaggedRobot().spec, PATH[0], LIMITS)) + 30)
+    way = len(approach(LaggedRobot().spec, PATH[0], LIMITS))
+    robot = LaggedRobot(blind_at=way + 30)
     played = flown(robot, baseline_flight())
     assert played.outcome is Outcome.FAILED
-    assert "not finite at sample 30" in played.reason
+    assert f"not finite at sample {way + 30}" in played.reason
     assert len(played.samples.response) == 30
 
 
