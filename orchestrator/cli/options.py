@@ -9,8 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
-REPOSITORY_VARIABLE = "NUFLEET_REPOSITORY"
-"""The variable of the environment that stands for --repository."""
+from orchestrator.environment import REPOSITORY_VARIABLE, ROUTER_VARIABLE, RUNS_VARIABLE
 
 
 class PositiveNumber(click.ParamType[float]):
@@ -51,7 +50,7 @@ def connect_options(command: F) -> F:
         "--connect",
         default="tcp/127.0.0.1:7447",
         show_default=True,
-        envvar="NUFLEET_ROUTER",
+        envvar=ROUTER_VARIABLE,
         metavar="ENDPOINT",
         help="The router of a running fleet.  [env: NUFLEET_ROUTER]",
     )
@@ -66,7 +65,7 @@ def runs_option(command: F) -> F:
         type=click.Path(file_okay=False, path_type=Path),
         default=Path("runs"),
         show_default=True,
-        envvar="NUFLEET_RUNS",
+        envvar=RUNS_VARIABLE,
         help="Where runs leave their folders.  [env: NUFLEET_RUNS]",
     )(command)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from orchestrator.cli.options import REPOSITORY_VARIABLE
+from orchestrator.environment import REPOSITORY_VARIABLE
 from orchestrator.repository.database import default_url, name_of
 from orchestrator.repository.errors import LeaseLostError
 from orchestrator.repository.repository import Repository, open_repository

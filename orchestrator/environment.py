@@ -1,0 +1,5 @@
+"""The environment variables that stand for options of commands."""
+
+ROUTER_VARIABLE = "NUFLEET_ROUTER"
+RUNS_VARIABLE = "NUFLEET_RUNS"
+REPOSITORY_VARIABLE = "NUFLEET_REPOSITORY"
