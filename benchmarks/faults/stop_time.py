@@ -1,4 +1,4 @@
-"""How long a stop takes from its sender to the robot, while many robots move and stream."""
+"""How long stops and interrupts take from their sender to robots that move and stream."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import tempfile
 import time
 from collections import Counter
 from pathlib import Path
+from threading import Semaphore
 
 import numpy as np
 
@@ -14,11 +15,13 @@ from benchmarks.faults.lab import Lab, opened_lab
 from benchmarks.faults.logbook import TOLD_TO_REST
 from benchmarks.faults.program import wait_until
 from orchestrator.fleet import Fleet
+from orchestrator.goal_runner import GoalRunner
 from orchestrator.stopping import stop_robots
 from shared.excitation import Excitation, Tone
 from shared.messages import GoalRequest
 
 STOP_MAX_S = 0.02
+INTERRUPT_MAX_S = 0.2
 COMMAND_MAX_S = 0.6
 COMMANDS = 10
 PROCESSES = 4
@@ -42,6 +45,9 @@ def figures(robots: int, rounds: int) -> list[Figure]:
             alone += [_stopped_s(lab, fleet, name) for name in names]
             _all_move(lab, fleet, names, f"together-{number}")
             together.append(_all_stopped_s(lab, fleet, names))
+        interrupted = [
+            _interrupted_s(lab, fleet, names, f"interrupted-{number}") for number in range(rounds)
+        ]
         typed = []
         for number in range(COMMANDS):
             _all_move(lab, fleet, names, f"typed-{number}")
@@ -65,6 +71,16 @@ def figures(robots: int, rounds: int) -> list[Figure]:
             "s",
             None,
             {"median": f"{1e3 * float(np.median(together)):.2f} ms", "stops": len(together)},
+        ),
+        Figure(
+            f"an interrupt (Ctrl-C) is with the last of {robots} after (worst)",
+            max(interrupted),
+            "s",
+            INTERRUPT_MAX_S,
+            {
+                "median": f"{1e3 * float(np.median(interrupted)):.2f} ms",
+                "interrupts": len(interrupted),
+            },
         ),
         Figure(
             f"from Enter behind `nufleet stop --all` to the last of {robots} (median)",
@@ -98,6 +114,24 @@ def _all_stopped_s(lab: Lab, fleet: Fleet, names: tuple[str, ...]) -> float:
     slowest_s = max(_told_s(lab, name, began_s) for name in names)
     if stop_robots(fleet, names, "measuring"):
         raise AssertionError("a robot did not confirm its stop")
+    return slowest_s
+
+
+def _interrupted_s(lab: Lab, fleet: Fleet, names: tuple[str, ...], goal_id: str) -> float:
+    goals, over = GoalRunner(fleet), Semaphore(0)
+    with goals.pursuing() as loop:
+        for name in names:
+            fleet.release(name)
+            loop.begin(goals.errand(name, goal_id, LONG, on_ended=lambda _: over.release()))
+        for name in names:
+            lab.wait_for_state(
+                fleet, name, lambda state: state.goal_id == goal_id and state.progress > 0
+            )
+        began_s = time.monotonic()
+        goals.interrupt()
+        slowest_s = max(_told_s(lab, name, began_s) for name in names)
+        for _ in names:
+            over.acquire()
     return slowest_s
 
 
