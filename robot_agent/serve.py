@@ -42,7 +42,15 @@ def serve(
             session = stack.enter_context(open_client(connect, timeout_s=None, given_up=ended))
             own = state_folder / fleet.name / name
             stack.enter_context(
-                Agent(session, keys, name, robot, realtime=realtime, state_folder=own)
+                Agent(
+                    session,
+                    keys,
+                    name,
+                    robot,
+                    realtime=realtime,
+                    state_folder=own,
+                    allow_unguarded=fleet.robots[name].allow_unguarded,
+                )
             )
         click.echo(f"serving {', '.join(chosen)} of fleet {fleet.name} at {connect}", err=True)
         ended.wait()
