@@ -67,6 +67,7 @@ class Agent:
         *,
         realtime: float | None,
         state_folder: Path | None = None,
+        allow_unguarded: bool = False,
     ) -> None:
         """Prepare; nothing happens before the context is entered.
 
@@ -77,6 +78,7 @@ class Agent:
             robot: disconnected.
             realtime: plays a simulated robot at this multiple of real time; None as fast as it can.
             state_folder: where this robot's agents keep what has to survive them; None nowhere.
+            allow_unguarded: whether it flies with a learned inverse and no guard when asked to.
 
         Raises:
             MemoryFolderError: what is kept there is damaged.
@@ -87,6 +89,7 @@ class Agent:
         self._robot = WatchedRobot(robot, realtime=realtime)
         self._realtime = realtime
         self._state_folder = state_folder
+        self._allow_unguarded = allow_unguarded
         self._boot_id = uuid.uuid4().hex
         self._rivals = Rivals(name, self._boot_id, time.monotonic)
         self._freezes = Freezes(time.monotonic())
@@ -142,7 +145,14 @@ class Agent:
         for goal_id in journal.remembrance.lost:
             _log.warning("%s: goal %s was lost with the agent before", self._name, goal_id)
         robot, memory = self._robot, self._memory
-        planner = Planner(self._name, robot.spec, robot.state_names, memory, self._realtime)
+        planner = Planner(
+            self._name,
+            robot.spec,
+            robot.state_names,
+            memory,
+            self._realtime,
+            self._allow_unguarded,
+        )
         self._decisions = Decisions(self._boot_id, planner, journal, self._changed)
         change = self._decisions.change
         self._experiences = ExperienceService(self._name, robot, memory, change)

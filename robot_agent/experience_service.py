@@ -6,8 +6,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from robot_agent.inverse_model import NetworkInverse
 from robot_agent.memory import Kept, Memory
 from robot_agent.ownership import Commander
+from robot_agent.prior_bounds import out_of_bounds
 from robot_agent.robot import Robot
 from shared.codec import Message
 from shared.errors import RefusedError
@@ -93,7 +95,8 @@ class ExperienceService:
         refusal = self._change(Commander(request.sender, request.epoch))
         if refusal is not None:
             return refusal
-        manifest = decode_experience(request.payload, request.sha256).manifest
+        experience = decode_experience(request.payload, request.sha256)
+        manifest = experience.manifest
         if own and manifest.robot != self._name:
             return Refusal(
                 code="misfit",
@@ -103,6 +106,13 @@ class ExperienceService:
             reason = misfit(manifest, self._robot.spec, self._robot.state_names, axis)
             if reason is not None:
                 return Refusal(code="misfit", reason=f"the experience does not fit: {reason}")
+        if not own:
+            inverse = NetworkInverse(experience)
+            reason = out_of_bounds(inverse, manifest.layout, self._robot.spec)
+            if reason is not None:
+                return Refusal(
+                    code="bounds", reason=f"the experience of {manifest.robot}: {reason}"
+                )
         return offer_of(keep(request.payload, request.sha256))
 
     def _found(self, sha256: str) -> Kept:

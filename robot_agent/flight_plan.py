@@ -16,7 +16,13 @@ from shared.trajectories import check_trajectory
 
 
 def plan_flight(
-    motion: Flight, spec: RobotSpec, state_names: tuple[str, ...], memory: Memory, robot: str
+    motion: Flight,
+    spec: RobotSpec,
+    state_names: tuple[str, ...],
+    memory: Memory,
+    robot: str,
+    *,
+    allow_unguarded: bool = False,
 ) -> FlightPlan:
     """Say how long a flight takes, or refuse it.
 
@@ -26,10 +32,12 @@ def plan_flight(
         state_names: what the robot's `observe` measures.
         memory: its prior and its baseline.
         robot: its name, for the error.
+        allow_unguarded: whether it may fly with a learned inverse and no guard.
 
     Raises:
         RefusedError: with code `unknown-axis`, `no-tracking`, `trajectory`, `duration`, `layout`,
-            `baseline`, `no-prior`, `other-prior`, `misfit` or `no-baseline`.
+            `baseline`, `no-prior`, `other-prior`, `misfit`, `unguarded`
+            or `no-baseline`.
     """
     match motion:
         case StepTest(axis=axis):
@@ -49,6 +57,12 @@ def plan_flight(
         case Tracking():
             limits = _tracking_limits(spec, robot)
             _check_path(motion, spec, limits, robot)
+            if motion.inverse != "baseline" and not (motion.guarded or allow_unguarded):
+                reason = (
+                    "it may not fly with a learned inverse and without a guard: ask for a guarded "
+                    "flight, or set allow_unguarded = true for it in its fleet file"
+                )
+                raise RefusedError("unguarded", reason, robot)
             _check_inverse(motion, spec, state_names, memory, robot)
             samples = len(motion.desired)
             before = samples + len(approach(spec, motion.desired[0], limits))

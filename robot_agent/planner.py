@@ -28,6 +28,7 @@ class Planner:
     """Plans for one robot, whose samples are taken `realtime` times as fast as its clock says.
 
     `realtime` None plays a simulated robot as fast as it can; a real robot keeps its own time.
+    `allow_unguarded` is the robot's own setting, see `shared.fleet_file`.
     """
 
     robot: str
@@ -35,6 +36,7 @@ class Planner:
     state_names: tuple[str, ...]
     memory: Memory
     realtime: float | None
+    allow_unguarded: bool = False
 
     def plan(self, motion: Motion) -> MotionPlan:
         """Return the plan; the same motion gives the same until the robot learns something.
@@ -46,7 +48,14 @@ class Planner:
         if isinstance(motion, Excitation):
             plan: MotionPlan = plan_excitation(motion, self.spec, robot=self.robot)
         else:
-            plan = plan_flight(motion, self.spec, self.state_names, self.memory, self.robot)
+            plan = plan_flight(
+                motion,
+                self.spec,
+                self.state_names,
+                self.memory,
+                self.robot,
+                allow_unguarded=self.allow_unguarded,
+            )
             per_sample = _NUMBERS_PER_AXIS * len(self.spec.axes)
         most = MAX_RESULT_NUMBERS // per_sample
         if plan.samples > most:

@@ -57,7 +57,15 @@ def serve(
                     open_client(connect, timeout_s=None, given_up=ended)
                 )
                 own = state_folder / fleet.name / name
-                agent = Agent(session, keys, name, robot, realtime=realtime, state_folder=own)
+                agent = Agent(
+                    session,
+                    keys,
+                    name,
+                    robot,
+                    realtime=realtime,
+                    state_folder=own,
+                    allow_unguarded=fleet.robots[name].allow_unguarded,
+                )
                 agents.append(agent.__enter__())
             at = without_secrets(connect)
             click.echo(f"serving {', '.join(chosen)} of fleet {fleet.name} at {at}", err=True)

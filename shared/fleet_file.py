@@ -17,10 +17,14 @@ ENTRY_POINT_GROUP = "nufleet.fleets"
 
 
 class RobotEntry(Strict):
-    """One robot: the name of its driver (entry-point group `nufleet.robots`) and its settings."""
+    """One robot: the name of its driver (entry-point group `nufleet.robots`) and its settings.
+
+    `allow_unguarded` lets it fly with a learned inverse and no guard where somebody asks for that.
+    """
 
     driver: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,62}$")]
     settings: Annotated[dict[str, Any], Field(default_factory=dict)]
+    allow_unguarded: bool = False
 
 
 class StudyDefaults(Strict):

@@ -79,7 +79,11 @@ from orchestrator.cli.options import (
     is_flag=True,
     help="Every robot as target, all others as its sources: how well ψ predicts in general.",
 )
-@click.option("--no-guard", is_flag=True, help="Never fall back to the baseline.")
+@click.option(
+    "--no-guard",
+    is_flag=True,
+    help="Never fall back to the baseline; only a robot whose fleet file allows it flies so.",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True)
 @live_option
 @runs_option

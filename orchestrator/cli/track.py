@@ -69,7 +69,11 @@ from orchestrator.cli.options import (
 @click.option(
     "--no-learning", is_flag=True, help="Use the prior as it is, without the online process."
 )
-@click.option("--no-guard", is_flag=True, help="Never fall back to the baseline.")
+@click.option(
+    "--no-guard",
+    is_flag=True,
+    help="Never fall back to the baseline; only a robot whose fleet file allows it flies so.",
+)
 @live_option
 @runs_option
 @repository_option

@@ -99,10 +99,18 @@ class Lab:
         *,
         realtime: float | None = None,
         state_folder: Path | None = None,
+        allow_unguarded: bool = False,
     ) -> Agent:
         self.robots[name] = robot
-        session = self.session()
-        agent = Agent(session, KEYS, name, robot, realtime=realtime, state_folder=state_folder)
+        agent = Agent(
+            self.session(),
+            KEYS,
+            name,
+            robot,
+            realtime=realtime,
+            state_folder=state_folder,
+            allow_unguarded=allow_unguarded,
+        )
         return self.stack.enter_context(agent)
 
     def orchestrator(self, name: str = "orchestrator-1", *robots: str) -> Orchestrator:

@@ -67,7 +67,7 @@ def test_a_prior_is_put_back_however_it_ends(
 
 
 def test_ctrl_c_in_flight_brings_the_robot_to_rest_before_its_prior_is_put_back(lab: Lab) -> None:
-    lab.agent("slow", double_integrator(0.85, 1), realtime=1.0)
+    lab.agent("slow", double_integrator(0.85, 1), realtime=1.0, allow_unguarded=True)
     orchestrator = lab.orchestrator()
     fleet = orchestrator.fleet
     install(fleet, "slow", "prior", OWN)

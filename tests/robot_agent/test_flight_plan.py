@@ -39,8 +39,21 @@ def memory(prior: bytes | None = None, *, baseline: bool = False) -> Memory:
     return known
 
 
-def planned(motion: Flight, spec: RobotSpec = SPEC, known: Memory | None = None) -> FlightPlan:
-    return plan_flight(motion, spec, ROBOT.state_names, known or memory(), "drone-7")
+def planned(
+    motion: Flight,
+    spec: RobotSpec = SPEC,
+    known: Memory | None = None,
+    *,
+    allow_unguarded: bool = True,
+) -> FlightPlan:
+    return plan_flight(
+        motion,
+        spec,
+        ROBOT.state_names,
+        known or memory(),
+        "drone-7",
+        allow_unguarded=allow_unguarded,
+    )
 
 
 def refused(motion: Flight, spec: RobotSpec = SPEC, known: Memory | None = None) -> tuple[str, str]:
@@ -170,6 +183,16 @@ def test_a_flight_with_a_prior_needs_that_prior() -> None:
     code, reason = refused(with_prior(), known=memory(other, baseline=True))
     assert code == "other-prior"
     assert "of somebody" in reason
+
+
+def test_a_flight_without_a_guard_is_a_setting_of_the_robot() -> None:
+    for motion in (with_prior(guarded=False), zero_prior(layout(), guarded=False)):
+        with pytest.raises(RefusedError, match="allow_unguarded = true") as raised:
+            planned(motion, known=memory(PRIOR, baseline=True), allow_unguarded=False)
+        assert raised.value.code == "unguarded"
+        assert planned(motion, known=memory(PRIOR)).samples == len(PATH)
+    alone = Tracking(desired=PATH, inverse="baseline", guarded=False)
+    assert planned(alone, allow_unguarded=False).samples == len(PATH)
 
 
 def test_a_guarded_flight_needs_a_known_baseline() -> None:

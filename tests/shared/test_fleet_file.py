@@ -154,3 +154,14 @@ def test_a_fleet_is_found_by_path_or_by_the_name_it_is_installed_under(tmp_path:
     assert read_fleet_file(find_fleet_file("paper_linear")).name == "paper-linear"
     with pytest.raises(FleetFileError, match=r"no such fleet file; known by name: .*paper_linear"):
         find_fleet_file("paper_liner")
+
+
+def test_no_robot_flies_unguarded_unless_its_fleet_file_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "lab.toml"
+    path.write_text(
+        'schema = 1\nname = "lab"\n'
+        '[robots.a]\ndriver = "d"\n'
+        '[robots.b]\ndriver = "d"\nallow_unguarded = true\n'
+    )
+    robots = read_fleet_file(path).robots
+    assert [robots[name].allow_unguarded for name in ("a", "b")] == [False, True]
