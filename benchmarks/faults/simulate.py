@@ -46,6 +46,8 @@ def figures(
     try:
         for found in _simulated(seeds, first, processes or 1, without):
             done += found.seeds
+            for seed, broken in found.violations:
+                print(f"seed {seed}: {broken}", flush=True)
             violations += found.violations
             rate = done / (time.perf_counter() - began_s)
             progress.show(
@@ -99,7 +101,7 @@ def _block(block: tuple[int, int, str | None]) -> Found:
 def _show(seed: int, broken: str, without: str | None) -> None:
     """Print the shortest schedule that breaks an invariant as this seed does, as a story."""
     option = "" if without is None else f" --without {without}"
-    print(f"seed {seed}: {broken}")
+    print(f"seed {seed}, shortened: {broken}")
     print(f"  again: python -m benchmarks.faults simulate --seeds 1 --first {seed}{option}")
     with taken_out(without):
         short = shortened(drawn(seed))

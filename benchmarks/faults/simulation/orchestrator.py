@@ -140,7 +140,7 @@ class SimulatedOrchestrator:
     def _interrupt(self) -> None:
         if self.over is not None or self.interrupted:
             return
-        self.interrupted = True
+        self.interrupted, self.commands = True, False
         now_s = self.world.now_s
         self.history.tell(now_s, f"{self.name} is interrupted")
         on_its_way_s = self.network.weather.late_s + ON_ITS_WAY_S
@@ -324,14 +324,15 @@ class SimulatedOrchestrator:
     def _take_over(self) -> None:
         now_s = self.world.now_s
         self.history.tell(now_s, f"{self.name} takes all robots, {self.leases[0].epoch}")
-        self.commands = True
         # Between two repositories nothing but what the robots know can tell.
         known = {m.owner for m in self.history.motions if m.began_s < self._described_s}
         for other in self._everyone:
+            commands, other.commands = other.commands, False
             if other is self or other.name not in known:
                 continue
-            if other.commands and other.name in self._tokens:
+            if commands and other.name in self._tokens:
                 raise Violation(f"{now_s:.3f}: {self.name} takes the robots of {other.name}")
+        self.commands = True
         self._renewed_s = now_s
         self.world.after(RENEW_EVERY_S, lambda: self.node.do(self._renew))
         self._begin_study()
