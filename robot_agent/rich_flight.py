@@ -78,7 +78,7 @@ def _piece(
 ) -> FloatArray:
     """Return a piece of shape (samples, axes) that reaches one of the limits."""
     lowest_rad_s = max(spec.omega_min_rad_s, 0.3 * min(slow_rad_s, highest_rad_s))
-    time_s = np.arange(samples) * spec.sample_time_s
+    time_s: FloatArray = np.arange(samples, dtype=np.float64) * spec.sample_time_s
     fade = np.minimum(1.0, np.minimum(time_s, time_s[::-1]) * slow_rad_s / _FADE_RAD)
     fade = fade**3 * (10 - 15 * fade + 6 * fade**2)
     columns = [fade * _wave(lowest_rad_s, highest_rad_s, time_s, rng) for _ in spec.axes]
