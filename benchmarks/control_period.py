@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -44,6 +43,7 @@ from sims import drawings
 HORIZON_SAMPLES = 13
 SPEED_M_S, ACCELERATION_M_S2 = 0.7, 1.6
 NOISE_STD_M = 0.001
+BRAKING_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,10 @@ class ClockedFlight:
 
 
 def laps(duration_s: float, sample_time_s: float) -> FloatArray:
-    """Return the drawings one after another, from rest to rest, again and again, (samples, 2)."""
+    """Return the drawings one after another, from rest to rest, again and again, (samples, 2).
+
+    Where the time is over in the middle of one, the path comes to rest there within two seconds.
+    """
     paths = [read_drawing(drawing) for drawing in drawings.ALL]
     lines = [
         np.stack([path[-1], following[0]])
@@ -83,7 +86,10 @@ def laps(duration_s: float, sample_time_s: float) -> FloatArray:
     legs = [leg for pair in zip(paths, lines, strict=True) for leg in pair]
     lap = np.concatenate([travel(leg, SPEED_M_S, ACCELERATION_M_S2, sample_time_s) for leg in legs])
     samples = round(duration_s / sample_time_s)
-    return np.tile(lap, (math.ceil(samples / len(lap)), 1))[:samples]
+    braking = min(samples, round(BRAKING_S / sample_time_s))
+    rate = np.concatenate([np.ones(samples - braking), np.linspace(1.0, 0.0, braking)])
+    along = np.concatenate([[0.0], np.cumsum(rate)[:-1]]) % (len(lap) - 1)
+    return np.stack([np.interp(along, np.arange(len(lap)), column) for column in lap.T], axis=1)
 
 
 def prepared(
