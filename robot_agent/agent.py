@@ -249,7 +249,9 @@ class Agent:
 
     def _take_goal(self, payload: bytes) -> Answer:
         request = _decoded(payload, GoalRequest)
-        refusal = self._freezes.refusal(time.monotonic()) or self._rivals.refusal()
+        refusal = self._rivals.refusal()
+        if refusal is None and not self._decisions.knows(request.goal_id):
+            refusal = self._freezes.refusal(time.monotonic())
         if refusal is not None:
             return refusal
         self._await_owner(request.owner)

@@ -179,6 +179,11 @@ class Decisions:
             self._journal.forgone(goal_id)
         return None
 
+    def knows(self, goal_id: str) -> bool:
+        """Return whether a goal came before, so that it moves nothing when it comes again."""
+        with self._lock:
+            return goal_id in self._goals.known
+
     def result(self, goal_id: str) -> GoalResult | Refusal:
         """Return how a goal ended, or why there is nothing to return."""
         with self._lock:

@@ -158,7 +158,8 @@ class _AxisMonitor:
         path_speed = tracking.speed_max + tracking.correction_speed_max if tracking else 0.0
         self._moved = max(axis.velocity_max, path_speed) * spec.sample_time_s
         ratio = FLIGHT_SPEED_RATIO if flight else SPEED_RATIO
-        self._leap = ratio * self._moved + NOISE_DEVIATIONS * noise
+        # A robot that rests beside its first reference may come to it at once.
+        self._leap = ratio * self._moved + NOISE_DEVIATIONS * noise + abs(rests_at)
         self._lost_max = math.ceil(LOST_MAX_S / spec.sample_time_s)
         self._good, self._since, self._bad = rests_at, 0, 0.0
         settling = math.ceil(spec.settling_time_s / spec.sample_time_s)

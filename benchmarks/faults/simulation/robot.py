@@ -293,7 +293,7 @@ class SimulatedAgent:
 
     def _take(self, request: GoalRequest) -> Any:
         refusal = self._freezes.refusal(self._world.now_s)
-        if refusal is not None:
+        if refusal is not None and not self.decisions.knows(request.goal_id):
             return refusal
         accepted, motion = self.decisions.take(request)
         if motion is not None:
