@@ -54,7 +54,7 @@ lint: .venv/installed-test
 	@echo "== installing nufleet and what it needs, torch among it (once; some minutes)"
 	$(PIP_INSTALL) -e '.[learning]'
 	@echo "== compiling the numerics (once)"
-	.venv/bin/python -c 'from shared.gaussian_process import warm_up; warm_up()'
+	.venv/bin/python -c 'from nufleet.shared.gaussian_process.exact import warm_up; warm_up()'
 	@touch $@
 
 .venv/installed-test: .venv/installed-demo

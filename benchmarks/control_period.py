@@ -25,20 +25,20 @@ from benchmarks.planar_robot import (
     planar_double_integrator,
     tracking_limits,
 )
-from orchestrator.learning_record import LearningRecord, pooled_pairs
-from orchestrator.training import STEPS_MAX, Origin, TrainingData, train
-from robot_agent.baseline_model import identify_baseline, needed_correction
-from robot_agent.guard import Guard
-from robot_agent.inverse_model import NetworkInverse
-from robot_agent.online_gp import OnlineGp
-from robot_agent.rich_flight import fly_record, rich_references
-from robot_agent.tracking import Learner, track
-from shared.arrays import FloatArray
-from shared.drawing_files import read_drawing
-from shared.gaussian_process import warm_up
-from shared.inverse_layout import InverseLayout
-from shared.trajectories import travel
-from sims import drawings
+from nufleet.orchestrator.experience.lesson_record import LearningRecord, pooled_pairs
+from nufleet.orchestrator.experience.training import STEPS_MAX, Origin, TrainingData, train
+from nufleet.robot_agent.flight.baseline_model import identify_baseline, needed_correction
+from nufleet.robot_agent.flight.guard import Guard
+from nufleet.robot_agent.flight.inverse_model import NetworkInverse
+from nufleet.robot_agent.flight.online_gp import OnlineGp
+from nufleet.robot_agent.flight.rich_flight import fly_record, rich_references
+from nufleet.robot_agent.flight.tracking import Learner, track
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.experience.layout import InverseLayout
+from nufleet.shared.gaussian_process.exact import warm_up
+from nufleet.shared.paths.files import read_drawing
+from nufleet.shared.paths.trajectories import travel
+from nufleet.sims import drawings
 
 HORIZON_SAMPLES = 13
 SPEED_M_S, ACCELERATION_M_S2 = 0.7, 1.6

@@ -19,16 +19,16 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from orchestrator.archive import Archive
-from orchestrator.connection import started_fleet
-from orchestrator.dispatcher import Dispatcher
-from orchestrator.outcomes import Measured, TestOutcome
-from orchestrator.rank_run import RankRequest, prepare
-from orchestrator.ranking import conduct
-from orchestrator.repository.repository import open_repository
-from orchestrator.robot_leases import lease_robots
-from orchestrator.study import Question, Report
-from orchestrator.study_recipe import make_study, recipe_of
+from nufleet.orchestrator.conduct.archive import Archive
+from nufleet.orchestrator.conduct.conductor import conduct
+from nufleet.orchestrator.conduct.dispatcher import Dispatcher
+from nufleet.orchestrator.conduct.leases import lease_robots
+from nufleet.orchestrator.conduct.rank_run import RankRequest, prepare
+from nufleet.orchestrator.conduct.recipe import make_study, recipe_of
+from nufleet.orchestrator.fleet.connection import started_fleet
+from nufleet.orchestrator.repository.repository import open_repository
+from nufleet.orchestrator.study.interface import Question, Report
+from nufleet.orchestrator.study.outcomes import Measured, TestOutcome
 
 PROCESSES = 4
 

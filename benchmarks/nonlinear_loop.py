@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from shared.arrays import FloatArray
+from nufleet.shared.arrays import FloatArray
 
 SUBSTEPS = 4
 

@@ -27,10 +27,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from shared.arrays import FloatArray
-from shared.nu_gap import NuGap, nu_gap
-from shared.rational_gap import rational_nu_gap
-from shared.realization import transfer_function
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.distance.nu_gap import NuGap, nu_gap
+from nufleet.shared.distance.rational_gap import rational_nu_gap
+from nufleet.shared.models.realization import transfer_function
 
 AGREEMENT = 1e-4
 DT_S = 0.05

@@ -44,7 +44,7 @@ from benchmarks.online_gp_columns import Column, Comparison, best_known, compare
 from benchmarks.online_gp_ours import OURS
 from benchmarks.online_gp_peers import MODULES, PEERS
 from benchmarks.online_gp_windows import ROBOTS, Windows, random_windows, read, recorded
-from shared.gaussian_process import warm_up
+from nufleet.shared.gaussian_process.exact import warm_up
 
 MEDIAN_MAX_MS, P99_MAX_MS, RATIO_MIN = 1.0, 3.0, 50.0
 BLOCKS = 5

@@ -11,10 +11,15 @@ import numpy as np
 
 from benchmarks.online_gp_peers import Answer, Peer
 from benchmarks.online_gp_windows import Windows
-from robot_agent.online_gp import BOUNDS, START, OnlineGp
-from shared.arrays import FloatArray
-from shared.gaussian_process import Batch, Hyperparameters, fit, log_marginal_likelihood
-from shared.inverse_layout import InverseLayout
+from nufleet.robot_agent.flight.online_gp import BOUNDS, START, OnlineGp
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.experience.layout import InverseLayout
+from nufleet.shared.gaussian_process.exact import (
+    Batch,
+    Hyperparameters,
+    fit,
+    log_marginal_likelihood,
+)
 
 EQUAL = 1e-6
 STATES = {4: ("position", "velocity"), 5: ("position", "velocity", "tilt")}

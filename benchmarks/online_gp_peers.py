@@ -12,9 +12,9 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from robot_agent.online_gp import BOUNDS, START
-from shared.arrays import FloatArray
-from shared.gaussian_process_problem import Hyperparameters
+from nufleet.robot_agent.flight.online_gp import BOUNDS, START
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.gaussian_process.problem import Hyperparameters
 
 
 class Answer(NamedTuple):

@@ -18,18 +18,18 @@ from pathlib import Path
 
 import numpy as np
 
-import sims
 from benchmarks.planar_robot import planar_double_integrator, tracking_limits
-from robot_agent.online_gp import WINDOW_POINTS, Correction, OnlineGp
-from robot_agent.robot import Robot
-from robot_agent.tracking import PAIR_SPACING_S, Learner, TrackingRecord, track
-from shared.arrays import FloatArray
-from shared.drawing_files import read_drawing
-from shared.fleet_file import read_fleet_file, validated_settings
-from shared.gaussian_process_problem import Hyperparameters
-from shared.inverse_layout import InverseLayout
-from shared.trajectories import travel
-from sims import drawings
+from nufleet import sims
+from nufleet.robot_agent.flight.online_gp import WINDOW_POINTS, Correction, OnlineGp
+from nufleet.robot_agent.flight.tracking import PAIR_SPACING_S, Learner, TrackingRecord, track
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.experience.layout import InverseLayout
+from nufleet.shared.gaussian_process.problem import Hyperparameters
+from nufleet.shared.paths.files import read_drawing
+from nufleet.shared.paths.trajectories import travel
+from nufleet.shared.robots.fleet_file import read_fleet_file, validated_settings
+from nufleet.sims import drawings
 
 ROBOTS = ("quadrotor", "double-integrator")
 HORIZON_S = {"quadrotor": 0.4, "double-integrator": 0.2}
@@ -114,7 +114,7 @@ class RecordingGp(OnlineGp):
 
 def quadrotor() -> Robot:
     """Return the target of the paper's quadrotors, ready to fly."""
-    from sims.quadrotors.driver import DRIVER
+    from nufleet.sims.quadrotors.driver import DRIVER
 
     path = Path(sims.__file__).with_name("fleets") / "paper_quadrotors.toml"
     entry = read_fleet_file(path).robots["target"]
@@ -155,7 +155,7 @@ def recorded(kind: str, file: Path) -> Windows:
     """Fly the drawings in another process, store the windows in a file and read them."""
     extra = {}
     if kind == "quadrotor":
-        from sims.quadrotors.environment import environment
+        from nufleet.sims.quadrotors.environment import environment
 
         extra = environment()
     command = [sys.executable, "-m", __spec__.name, "--robot", kind, "--out", str(file)]

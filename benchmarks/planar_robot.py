@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from robot_agent.robot import Robot
-from shared.arrays import FloatArray
-from shared.errors import RobotError
-from shared.robot_spec import RobotSpec, TrackingLimits
-from sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotError
+from nufleet.shared.robots.spec import RobotSpec, TrackingLimits
+from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 
 class PlanarRobot(Robot):

@@ -14,14 +14,17 @@ from pathlib import Path
 
 import numpy as np
 
-from orchestrator.experience_selection import PaperStudy
-from orchestrator.study import Report, StudyPlan
-from robot_agent.excitation import plan_excitation, reference_of
-from shared.arrays import FloatArray
-from shared.chordal import worst_case_chordal_distance
-from shared.excitation import Excitation, Tone
-from shared.frequency_response import FrequencyResponse, estimate_frequency_response
-from sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
+from nufleet.orchestrator.study.interface import Report, StudyPlan
+from nufleet.orchestrator.study.paper_algorithm import PaperStudy
+from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.distance.chordal import worst_case_chordal_distance
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.frequency_test.frequency_response import (
+    FrequencyResponse,
+    estimate_frequency_response,
+)
+from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 PARAMETERS = {
     "target": (0.85, 0.003),

@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.selection_fleets import FAMILIES, NOISE_LEVELS_M, random_fleet
 from benchmarks.selection_methods import METHODS, Trace
-from shared.arrays import FloatArray
+from nufleet.shared.arrays import FloatArray
 
 RIGHT_BELOW = 0.01
 WANTED = 0.98

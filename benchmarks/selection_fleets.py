@@ -16,13 +16,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks.nonlinear_loop import NonlinearLoop, play
-from robot_agent.excitation import plan_excitation, reference_of
-from shared.arrays import ComplexArray, FloatArray
-from shared.chordal import chordal_distance
-from shared.excitation import Excitation, ExcitationPlan, Tone
-from shared.frequency_response import FrequencyResponse, estimate_frequency_response
-from shared.response_quality import Quality
-from shared.robot_spec import AxisSpec, RobotSpec
+from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
+from nufleet.shared.arrays import ComplexArray, FloatArray
+from nufleet.shared.distance.chordal import chordal_distance
+from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan, Tone
+from nufleet.shared.frequency_test.frequency_response import (
+    FrequencyResponse,
+    estimate_frequency_response,
+)
+from nufleet.shared.frequency_test.quality import Quality
+from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
 BAND_RAD_S = (0.1, 5.4)
 SAMPLE_TIME_S = 0.02

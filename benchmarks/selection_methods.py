@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from benchmarks.selection_fleets import BAND_RAD_S, Fleet
-from orchestrator.adaptive_selection import AdaptiveStudy
-from orchestrator.experience_selection import SEGMENT_MIN_S, SEGMENTS, PaperStudy
-from orchestrator.study import Study, StudyPlan
-from orchestrator.tone_choice import ToneChoice
-from shared.chordal import chordal_distance
-from shared.errors import StudyError
-from shared.excitation import Excitation, Tone
-from shared.frequency_response import FrequencyResponse
+from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
+from nufleet.orchestrator.study.interface import Study, StudyPlan
+from nufleet.orchestrator.study.paper_algorithm import SEGMENT_MIN_S, SEGMENTS, PaperStudy
+from nufleet.orchestrator.study.tone_choice import ToneChoice
+from nufleet.shared.distance.chordal import chordal_distance
+from nufleet.shared.errors import StudyError
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 
 PAPER_ITERATIONS = 12
 ADAPTIVE_ROUNDS = 8

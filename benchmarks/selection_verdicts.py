@@ -32,13 +32,13 @@ from benchmarks.selection_fleets import (
     random_fleet,
 )
 from benchmarks.selection_methods import adaptive, follow
-from orchestrator.study import DesiredMotion, SourceEstimate, StudyPlan
-from orchestrator.trajectory_spectrum import spectrum_of
-from orchestrator.transfer_verdicts import judge_transfers
-from orchestrator.verdict import Verdict
-from orchestrator.verdict_document import TransferVerdict
-from shared.arrays import FloatArray
-from shared.errors import StudyError
+from nufleet.orchestrator.study.interface import DesiredMotion, SourceEstimate, StudyPlan
+from nufleet.orchestrator.study.trajectory_spectrum import spectrum_of
+from nufleet.orchestrator.study.transfer_verdicts import judge_transfers
+from nufleet.orchestrator.study.verdict import Verdict
+from nufleet.orchestrator.study.verdict_document import TransferVerdict
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import StudyError
 
 PERIOD_S = 60.0
 FASTEST_RAD_S = (1.5, 5.0)

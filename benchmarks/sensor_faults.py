@@ -1,8 +1,8 @@
 """What a faulty sensor does to an estimate that is accepted: how often, and how far off it is.
 
-Every fault of `sims.faults` that a sensor can have, at several intensities, on the target of
-Section V, whose response is known in closed form. A test that is refused does no harm; one that is
-accepted must hold the truth in its disc, whose radius is for 5 % of misses.
+Every fault of `nufleet.sims.faults` that a sensor can have, at several intensities, on the target
+of Section V, whose response is known in closed form. A test that is refused does no harm; one that
+is accepted must hold the truth in its disc, whose radius is for 5 % of misses.
 
     python -m benchmarks.sensor_faults --seeds 100
     python -m benchmarks.sensor_faults --kind spikes --noise 0.01
@@ -22,14 +22,17 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from robot_agent.excitation import plan_excitation, reference_of
-from robot_agent.robot import Robot
-from shared.chordal import chordal_distance
-from shared.excitation import Excitation, Tone
-from shared.frequency_response import FrequencyResponse, estimate_frequency_response
-from sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings, closed_loop
-from sims.faults import Fault
-from sims.faulty_robot import FaultyRobot
+from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.distance.chordal import chordal_distance
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.frequency_test.frequency_response import (
+    FrequencyResponse,
+    estimate_frequency_response,
+)
+from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings, closed_loop
+from nufleet.sims.faults import Fault
+from nufleet.sims.faulty_robot import FaultyRobot
 
 TONES = {
     "1 tone": (3.0,),

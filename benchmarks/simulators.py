@@ -12,8 +12,8 @@ import time
 import numpy as np
 
 from benchmarks.faults.figure import Figure
-from shared.drivers import load_driver, needed_environment
-from shared.fleet_file import find_fleet_file, read_fleet_file, validated_settings
+from nufleet.shared.robots.drivers import load_driver, needed_environment
+from nufleet.shared.robots.fleet_file import find_fleet_file, read_fleet_file, validated_settings
 
 MINUTE_S = 60.0
 MINUTE_MAX_S = 1.0

@@ -25,9 +25,9 @@ from typing import Any, TypeVar
 import numpy as np
 from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
-from shared.arrays import FloatArray
-from shared.chordal import chordal_distance
-from shared.gaussian_process import (
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.distance.chordal import chordal_distance
+from nufleet.shared.gaussian_process.exact import (
     Batch,
     BatchFit,
     Bounds,

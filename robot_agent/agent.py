@@ -15,24 +15,29 @@ from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 
-from robot_agent.decisions import Decisions
-from robot_agent.endpoint import MAX_LARGE_REQUEST_BYTES, MAX_REQUEST_BYTES, Answer, Endpoint
-from robot_agent.experience_service import ExperienceService
-from robot_agent.freezes import Freezes
-from robot_agent.heartbeat import Heartbeat
-from robot_agent.journal import Journal
-from robot_agent.memory import Memory
-from robot_agent.motion_worker import MotionWorker
-from robot_agent.ownership import Commander
-from robot_agent.planner import Planner
-from robot_agent.rivals import Rivals
-from robot_agent.robot import Robot
-from robot_agent.stop_service import StopService
-from robot_agent.unrecorded import Unrecorded
-from robot_agent.watched_robot import WatchedRobot
-from shared.codec import M, decode
-from shared.keys import FleetKeys
-from shared.messages import (
+from nufleet.robot_agent.decisions import Decisions
+from nufleet.robot_agent.experience_service import ExperienceService
+from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.journal.journal import Journal
+from nufleet.robot_agent.journal.unrecorded import Unrecorded
+from nufleet.robot_agent.motion.watched_robot import WatchedRobot
+from nufleet.robot_agent.motion_worker import MotionWorker
+from nufleet.robot_agent.network.endpoint import (
+    MAX_LARGE_REQUEST_BYTES,
+    MAX_REQUEST_BYTES,
+    Answer,
+    Endpoint,
+)
+from nufleet.robot_agent.network.heartbeat import Heartbeat
+from nufleet.robot_agent.network.rivals import Rivals
+from nufleet.robot_agent.planner import Planner
+from nufleet.robot_agent.robot import Robot
+from nufleet.robot_agent.rules.freezes import Freezes
+from nufleet.robot_agent.rules.ownership import Commander
+from nufleet.robot_agent.stop_service import StopService
+from nufleet.shared.wire.codec import M, decode
+from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.messages import (
     AcknowledgeRequest,
     CancelRequest,
     DescribeRequest,
@@ -47,7 +52,7 @@ from shared.messages import (
     ResultRequest,
     RobotState,
 )
-from shared.transport import MAX_STATE_BYTES, Session
+from nufleet.shared.wire.transport import MAX_STATE_BYTES, Session
 
 OWNER_PATIENCE_S = 1.0
 """How long a goal waits for news of its owner's liveliness token, which may be on its way."""

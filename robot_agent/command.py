@@ -65,14 +65,14 @@ def agent(
     disappears, and when anyone stops it. A stop outlasts the agent; so does what it did, so that
     no goal moves the robot twice.
     """
-    from shared.drivers import needed_environment
-    from shared.fleet_file import find_fleet_file, read_fleet_file
-    from shared.state_folder import default_state_folder
+    from nufleet.shared.robots.drivers import needed_environment
+    from nufleet.shared.robots.fleet_file import find_fleet_file, read_fleet_file
+    from nufleet.shared.state_folder import default_state_folder
 
     path = find_fleet_file(fleet_file)
     state_folder = state_folder or default_state_folder()
     if forget_owner:
-        from robot_agent.forgotten_owners import forget_owners
+        from nufleet.robot_agent.forgotten_owners import forget_owners
 
         return forget_owners(path, robots, state_folder)
     fleet = read_fleet_file(path)
@@ -82,7 +82,7 @@ def agent(
         # Some simulators read it while they are imported, so this process begins once more.
         os.execve(sys.executable, sys.orig_argv, {**os.environ, **missing})
 
-    from robot_agent.serve import serve
+    from nufleet.robot_agent.serve import serve
 
     return serve(
         path,

@@ -12,16 +12,16 @@ import threading
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from robot_agent import goal_machine, ownership, supervisor
-from robot_agent.goal_machine import Goal
-from robot_agent.journal import Journal
-from robot_agent.journal_ledger import JournalError
-from robot_agent.ownership import Commander
-from robot_agent.pace import HaltSwitch
-from robot_agent.planner import Planner, digest
-from robot_agent.results import KeptResults
-from robot_agent.unrecorded import Unrecorded
-from shared.messages import (
+from nufleet.robot_agent.journal.journal import Journal
+from nufleet.robot_agent.journal.ledger import JournalError
+from nufleet.robot_agent.journal.unrecorded import Unrecorded
+from nufleet.robot_agent.motion.pace import HaltSwitch
+from nufleet.robot_agent.planner import Planner, digest
+from nufleet.robot_agent.rules import goal_machine, ownership, supervisor
+from nufleet.robot_agent.rules.goal_machine import Goal
+from nufleet.robot_agent.rules.kept_results import KeptResults
+from nufleet.robot_agent.rules.ownership import Commander
+from nufleet.shared.wire.messages import (
     GoalAccepted,
     GoalRequest,
     GoalResult,
@@ -30,7 +30,7 @@ from shared.messages import (
     RobotState,
     RobotStatus,
 )
-from shared.motions import Motion, MotionPlan
+from nufleet.shared.wire.motions import Motion, MotionPlan
 
 _log = logging.getLogger(__name__)
 

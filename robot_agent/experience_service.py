@@ -6,16 +6,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from robot_agent.inverse_model import NetworkInverse
-from robot_agent.memory import Kept, Memory
-from robot_agent.ownership import Commander
-from robot_agent.prior_bounds import out_of_bounds
-from robot_agent.robot import Robot
-from shared.codec import Message
-from shared.errors import RefusedError
-from shared.experience import decode_experience
-from shared.experience_manifest import misfit
-from shared.messages import (
+from nufleet.robot_agent.flight.inverse_model import NetworkInverse
+from nufleet.robot_agent.flight.memory import Kept, Memory
+from nufleet.robot_agent.flight.prior_bounds import out_of_bounds
+from nufleet.robot_agent.robot import Robot
+from nufleet.robot_agent.rules.ownership import Commander
+from nufleet.shared.errors import RefusedError
+from nufleet.shared.experience.file import decode_experience
+from nufleet.shared.experience.manifest import misfit
+from nufleet.shared.wire.codec import Message
+from nufleet.shared.wire.messages import (
     Done,
     ExperienceFile,
     ExperienceOffer,

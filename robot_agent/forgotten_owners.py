@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
-from robot_agent.journal import Journal
-from shared.errors import InvalidInputError
-from shared.fleet_file import read_fleet_file
+from nufleet.robot_agent.journal.journal import Journal
+from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.robots.fleet_file import read_fleet_file
 
 
 def forget_owners(fleet_file: Path, names: tuple[str, ...], state_folder: Path) -> None:

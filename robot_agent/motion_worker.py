@@ -10,20 +10,20 @@ from concurrent.futures import Future
 
 import numpy as np
 
-from robot_agent.decisions import Assignment, Decisions
-from robot_agent.excitation import reference_of
-from robot_agent.flights import performance_of
-from robot_agent.memory import Memory
-from robot_agent.motion import AxisMotion, Performance, Played, Samples, perform
-from robot_agent.online_gp import Correction
-from robot_agent.robot import Robot
-from robot_agent.telemetry import TelemetryBatcher
-from robot_agent.watched_robot import WatchedRobot
-from shared.arrays import FloatArray
-from shared.codec import Message
-from shared.errors import RobotError
-from shared.excitation import Excitation, ExcitationPlan
-from shared.messages import (
+from nufleet.robot_agent.decisions import Assignment, Decisions
+from nufleet.robot_agent.flight.flights import performance_of
+from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.flight.online_gp import Correction
+from nufleet.robot_agent.motion.excitation import reference_of
+from nufleet.robot_agent.motion.perform import AxisMotion, Performance, Played, Samples, perform
+from nufleet.robot_agent.motion.watched_robot import WatchedRobot
+from nufleet.robot_agent.network.telemetry import TelemetryBatcher
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotError
+from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
+from nufleet.shared.wire.codec import Message
+from nufleet.shared.wire.messages import (
     Done,
     GoalResult,
     Outcome,
@@ -31,7 +31,7 @@ from shared.messages import (
     Telemetry,
     TrackingTelemetry,
 )
-from shared.transport import Publisher
+from nufleet.shared.wire.transport import Publisher
 
 CLOSING_LOOK_S = 0.1
 """While it closes, the worker looks after the robot so often."""

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_agent.excitation import plan_excitation
-from robot_agent.flight_plan import plan_flight
-from robot_agent.memory import Memory
-from shared.codec import MAX_BODY_BYTES, MAX_MESSAGE_BYTES
-from shared.errors import RefusedError
-from shared.excitation import Excitation
-from shared.motions import Motion, MotionPlan
-from shared.robot_spec import RobotSpec
+from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.flight.plan import plan_flight
+from nufleet.robot_agent.motion.excitation import plan_excitation
+from nufleet.shared.errors import RefusedError
+from nufleet.shared.frequency_test.excitation import Excitation
+from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.wire.codec import MAX_BODY_BYTES, MAX_MESSAGE_BYTES
+from nufleet.shared.wire.motions import Motion, MotionPlan
 
 MAX_RESULT_NUMBERS = (MAX_MESSAGE_BYTES - 2 * MAX_BODY_BYTES) // 8
 """A motion that measures more is refused: its result would not fit into one message."""
@@ -28,7 +28,7 @@ class Planner:
     """Plans for one robot, whose samples are taken `realtime` times as fast as its clock says.
 
     `realtime` None plays a simulated robot as fast as it can; a real robot keeps its own time.
-    `allow_unguarded` is the robot's own setting, see `shared.fleet_file`.
+    `allow_unguarded` is the robot's own setting, see `nufleet.shared.robots.fleet_file`.
     """
 
     robot: str

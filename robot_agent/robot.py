@@ -6,8 +6,8 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from shared.arrays import FloatArray
-from shared.robot_spec import RobotSpec
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.robots.spec import RobotSpec
 
 
 class Robot(ABC):
@@ -17,7 +17,8 @@ class Robot(ABC):
     motion begins, and its first reference is 0. The reference that the robot holds at rest is the
     driver's own, so the way to 0 is too; a driver that rests where it happens to be would see its
     reference jump when the next motion begins. The agent compares the output at rest with the first
-    reference, and begins nothing when they are further apart than `robot_agent.monitor` says.
+    reference, and begins nothing when they are further apart than
+    `nufleet.robot_agent.motion.monitor` says.
 
     One sample is `spec.sample_time_s`. References and outputs hold one number per axis, in the
     order and the units of `spec.axes`. Methods are called from one thread at a time. Each raises

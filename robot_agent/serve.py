@@ -1,4 +1,4 @@
-"""Runs the agents of one process until they are told to end."""
+"""Robots of a fleet file, and the agents that serve them in one process."""
 
 from __future__ import annotations
 
@@ -9,18 +9,52 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import click
+import numpy as np
 
-from robot_agent.agent import Agent
-from robot_agent.fleet_robots import build_robots
-from shared.errors import NufleetError, RobotError
-from shared.fleet_file import read_fleet_file
-from shared.interrupts import Interrupts
-from shared.keys import FleetKeys
-from shared.lifeline import when_stdin_closes
-from shared.redaction import without_secrets
-from shared.transport import open_client
+from nufleet.robot_agent.agent import Agent
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.errors import FleetFileError, NufleetError, RobotError
+from nufleet.shared.interrupts import Interrupts
+from nufleet.shared.lifeline import when_stdin_closes
+from nufleet.shared.redaction import without_secrets
+from nufleet.shared.robots.drivers import load_driver
+from nufleet.shared.robots.fleet_file import FleetFile, read_fleet_file, validated_settings
+from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.transport import open_client
 
 LANDING = "landing: the robots are coming to rest, and then this ends by itself"
+
+
+def build_robots(fleet: FleetFile, path: Path, names: tuple[str, ...]) -> dict[str, Robot]:
+    """Build some robots of a fleet file, in the order of the names given.
+
+    A robot's noise depends on the fleet's seed and the robot's place in the file, not on which
+    other robots its process serves; but robots that share one simulator share its noise too.
+
+    Raises:
+        FleetFileError: for a name, driver or setting that is not right.
+    """
+    unknown = [name for name in names if name not in fleet.robots]
+    if unknown:
+        raise FleetFileError(
+            f"{path}: no robot {unknown[0]!r}; there are {', '.join(fleet.robots)}"
+        )
+    by_driver: dict[str, list[str]] = {}
+    for name in (name for name in fleet.robots if name in names):
+        by_driver.setdefault(fleet.robots[name].driver, []).append(name)
+    places = {name: place for place, name in enumerate(fleet.robots)}
+    built: dict[str, Robot] = {}
+    for driver_name, members in by_driver.items():
+        driver = load_driver(driver_name)
+        settings = {
+            name: validated_settings(driver.settings, path, name, fleet.robots[name].settings)
+            for name in members
+        }
+        groups = [members] if driver.shares_process else [[name] for name in members]
+        for group in groups:
+            rng = np.random.default_rng([fleet.seed, places[group[0]]])
+            built.update(driver.build({name: settings[name] for name in group}, rng))
+    return {name: built[name] for name in names}
 
 
 def serve(

@@ -6,13 +6,13 @@ import logging
 import threading
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from robot_agent.decisions import Decisions
-from robot_agent.endpoint import MAX_REQUEST_BYTES, SHUTTING_DOWN
-from robot_agent.journal_ledger import JournalError
-from robot_agent.supervisor import StopOrder
-from shared.codec import Message, decode
-from shared.errors import MalformedMessageError
-from shared.messages import Done, Refusal, StopRequest
+from nufleet.robot_agent.decisions import Decisions
+from nufleet.robot_agent.journal.ledger import JournalError
+from nufleet.robot_agent.network.endpoint import MAX_REQUEST_BYTES, SHUTTING_DOWN
+from nufleet.robot_agent.rules.supervisor import StopOrder
+from nufleet.shared.errors import MalformedMessageError
+from nufleet.shared.wire.codec import Message, decode
+from nufleet.shared.wire.messages import Done, Refusal, StopRequest
 
 _log = logging.getLogger(__name__)
 

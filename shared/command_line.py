@@ -21,8 +21,8 @@ from typing import NoReturn
 
 import click
 
-from shared.errors import NufleetError
-from shared.text import printable
+from nufleet.shared.errors import NufleetError
+from nufleet.shared.text import printable
 
 ENTRY_POINT_GROUP = "nufleet.commands"
 _DISK_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
@@ -128,7 +128,7 @@ def invocation() -> str:
     """Return how this program was called, for commands that a person is told to type next."""
     called = Path(sys.argv[0])
     if called.suffix == ".py":
-        return f"{sys.executable} -m shared.command_line"
+        return f"{sys.executable} -m nufleet"
     found = shutil.which(called.name)
     return called.name if found and Path(found).samefile(called) else str(called)
 
@@ -160,7 +160,3 @@ def _print_version(ctx: click.Context, _option: click.Parameter, wanted: bool) -
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:
     """Make every end as orderly as Ctrl-C: robots at rest, recordings closed."""
     raise KeyboardInterrupt
-
-
-if __name__ == "__main__":
-    main()

@@ -13,7 +13,7 @@ from pydantic import (
     ValidationError,
 )
 
-from shared.text import IDENTIFIER_PATTERN, NAME_PATTERN, as_reason, printable
+from nufleet.shared.text import IDENTIFIER_PATTERN, NAME_PATTERN, as_reason, printable
 
 _SHOWN_PROBLEMS = 4
 _SHOWN_CHARACTERS = 200

@@ -9,12 +9,12 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.linalg import solve_discrete_lyapunov
 
-from robot_agent.robot import Robot
-from shared.arrays import FloatArray
-from shared.errors import RobotError
-from shared.linear_model import LinearModel
-from shared.robot_spec import AxisSpec, RobotSpec, TrackingLimits
-from shared.strict import NonNegative, Positive, Strict
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotError
+from nufleet.shared.models.linear_model import LinearModel
+from nufleet.shared.robots.spec import AxisSpec, RobotSpec, TrackingLimits
+from nufleet.shared.strict import NonNegative, Positive, Strict
 
 SETTLED = 1e-4
 """A transient is negligible once the slowest mode of the loop has decayed to this share."""

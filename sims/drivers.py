@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
+from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 
 @dataclass(frozen=True)

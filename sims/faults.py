@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from shared.strict import NonNegative, Positive, Strict
+from nufleet.shared.strict import NonNegative, Positive, Strict
 
 Probability = Annotated[float, Field(ge=0, le=1)]
 SampleCount = Annotated[int, Field(ge=0)]

@@ -12,14 +12,14 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from robot_agent.robot import Robot
-from shared.arrays import FloatArray
-from shared.drivers import load_driver
-from shared.errors import FleetFileError, RobotError
-from shared.robot_spec import RobotSpec
-from shared.strict import Strict, describe_validation
-from sims.faults import Crash, DriverFault, DropOut, Fault, Hang
-from sims.faulty_sensor import FaultySensor
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import FleetFileError, RobotError
+from nufleet.shared.robots.drivers import load_driver
+from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.strict import Strict, describe_validation
+from nufleet.sims.faults import Crash, DriverFault, DropOut, Fault, Hang
+from nufleet.sims.faulty_sensor import FaultySensor
 
 EXIT_CODE = 70
 """With which a process ends whose driver crashes."""

@@ -1,12 +1,12 @@
-"""A sensor that fails in one of the ways of `sims.faults`."""
+"""A sensor that fails in one of the ways of `nufleet.sims.faults`."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from shared.arrays import FloatArray
-from sims.faults import (
+from nufleet.shared.arrays import FloatArray
+from nufleet.sims.faults import (
     Frozen,
     Held,
     Infinite,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.arrays import FloatArray
+from nufleet.shared.arrays import FloatArray
 
 
 class MeasurementNoise:

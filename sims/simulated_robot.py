@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_agent.robot import Robot
-from shared.arrays import FloatArray
-from shared.errors import RobotError
-from shared.robot_spec import RobotSpec
-from sims.measurement_noise import MeasurementNoise
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotError
+from nufleet.shared.robots.spec import RobotSpec
+from nufleet.sims.measurement_noise import MeasurementNoise
 
 
 @dataclass(frozen=True)

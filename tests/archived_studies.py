@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from puppet_robot import puppet_spec
 
-from orchestrator.archive import Archive
-from orchestrator.held_leases import hold_leases
-from orchestrator.repository.records import StudyRecord
-from orchestrator.repository.repository import open_repository
-from orchestrator.resume import OpenTest
-from orchestrator.study import StudyPlan
-from shared.excitation import ExcitationPlan
-from shared.frequency_response import FrequencyResponse
-from shared.linear_model import LinearModel
-from shared.messages import Description, GoalResult, Outcome
-from shared.response_quality import Quality
+from nufleet.orchestrator.conduct.archive import Archive
+from nufleet.orchestrator.conduct.leases import hold_leases
+from nufleet.orchestrator.conduct.replay import OpenTest
+from nufleet.orchestrator.repository.records import StudyRecord
+from nufleet.orchestrator.repository.repository import open_repository
+from nufleet.orchestrator.study.interface import StudyPlan
+from nufleet.shared.frequency_test.excitation import ExcitationPlan
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.quality import Quality
+from nufleet.shared.models.linear_model import LinearModel
+from nufleet.shared.wire.messages import Description, GoalResult, Outcome
 
 MODEL = LinearModel(a=((0.1 + 0.2,),), b=(1 / 3,), c=(1.0,), sample_time_s=0.01)
 SPEC = puppet_spec()

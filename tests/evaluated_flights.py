@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from orchestrator.evaluation import Psi, summarise
-from orchestrator.evaluation_results import (
+from nufleet.orchestrator.evaluation.fly_target import Psi, summarise
+from nufleet.orchestrator.evaluation.results import (
     BaselineResult,
     EvaluationResult,
     FlightRecord,
     InverseResult,
     SourceResult,
 )
-from orchestrator.flight_labels import BASELINE, NO_PRIOR
-from shared.inverse_layout import Architecture
+from nufleet.orchestrator.flight_labels import BASELINE, NO_PRIOR
+from nufleet.shared.experience.layout import Architecture
 
 PSI = {"near": Psi(0.1, 0.01), "middle": Psi(0.3, 0.02), "far": Psi(0.5, 0.03)}
 ERRORS = {BASELINE: (0.2, 0.4), NO_PRIOR: (0.25, 0.25), "near": (0.05, 0.07)}

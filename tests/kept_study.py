@@ -8,10 +8,10 @@ from pathlib import Path
 
 from puppet_robot import puppet_spec
 
-from orchestrator.repository.records import RobotRecord, StudyRecord
-from orchestrator.repository.repository import Repository, open_repository
-from orchestrator.study import StudyPlan
-from orchestrator.trial_log import TrialLog
+from nufleet.orchestrator.conduct.trial_log import TrialLog
+from nufleet.orchestrator.repository.records import RobotRecord, StudyRecord
+from nufleet.orchestrator.repository.repository import Repository, open_repository
+from nufleet.orchestrator.study.interface import StudyPlan
 
 
 @contextmanager

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_agent.baseline_model import BaselineModel
-from shared.experience import Experience, encode_experience
-from shared.experience_manifest import ExperienceManifest
-from shared.inverse_layout import Architecture, InverseLayout
+from nufleet.robot_agent.flight.baseline_model import BaselineModel
+from nufleet.shared.experience.file import Experience, encode_experience
+from nufleet.shared.experience.layout import Architecture, InverseLayout
+from nufleet.shared.experience.manifest import ExperienceManifest
 
 BASELINE = BaselineModel(error_response=(1.0, 0.5, 0.25), residual_std=1e-3)
 

@@ -8,9 +8,9 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from robot_agent.robot import Robot
-from shared.arrays import FloatArray
-from shared.robot_spec import AxisSpec, RobotSpec
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
 
 def puppet_spec(*, simulated: bool = True, sample_time_s: float = 0.01) -> RobotSpec:

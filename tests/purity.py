@@ -15,9 +15,14 @@ TESTS = Path(__file__).parent
 
 REACHING_OUT = (
     *("multiprocessing", "psutil", "psycopg", "socket", "subprocess", "urllib.request", "zenoh"),
-    *("gymnasium", "jax", "mujoco", "sims.arms", "sims.quadrotors", "torch"),
-    *("benchmarks", "orchestrator.fleet", "orchestrator.viewer", "robot_agent.agent"),
-    "shared.transport",
+    *("gymnasium", "jax", "mujoco", "nufleet.sims.arms", "nufleet.sims.quadrotors", "torch"),
+    *(
+        "benchmarks",
+        "nufleet.orchestrator.fleet.client",
+        "nufleet.orchestrator.viewer",
+        "nufleet.robot_agent.agent",
+    ),
+    "nufleet.shared.wire.transport",
 )
 
 

@@ -9,19 +9,19 @@ from hypothesis import HealthCheck, reject, settings
 from hypothesis import strategies as st
 from learned_things import BASELINE
 
-from robot_agent.excitation import plan_excitation, reference_of
-from robot_agent.flight_plan import plan_flight
-from robot_agent.flights import performance_of
-from robot_agent.memory import Memory
-from robot_agent.motion import AxisMotion, Performance, Played, perform
-from robot_agent.pace import HaltSwitch
-from robot_agent.robot import Robot
-from shared.arrays import FloatArray
-from shared.excitation import Excitation, Tone
-from shared.inverse_layout import InverseLayout
-from shared.motions import Flight, RichFlight, StepTest, Tracking
-from shared.robot_spec import AxisSpec, RobotSpec, TrackingLimits
-from shared.trajectories import travel
+from nufleet.robot_agent.flight.flights import performance_of
+from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.flight.plan import plan_flight
+from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
+from nufleet.robot_agent.motion.pace import HaltSwitch
+from nufleet.robot_agent.motion.perform import AxisMotion, Performance, Played, perform
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.experience.layout import InverseLayout
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.paths.trajectories import travel
+from nufleet.shared.robots.spec import AxisSpec, RobotSpec, TrackingLimits
+from nufleet.shared.wire.motions import Flight, RichFlight, StepTest, Tracking
 
 Sensor = Callable[[int, FloatArray], FloatArray]
 """Makes what is read of an output (axes,) at a sample of the motion."""

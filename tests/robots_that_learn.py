@@ -6,11 +6,11 @@ from collections import deque
 
 import numpy as np
 
-from robot_agent.robot import Robot
-from shared.arrays import FloatArray
-from shared.errors import RobotError
-from shared.robot_spec import AxisSpec, RobotSpec, TrackingLimits
-from sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotError
+from nufleet.shared.robots.spec import AxisSpec, RobotSpec, TrackingLimits
+from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 LIMITS = TrackingLimits(
     position_max=1.5,

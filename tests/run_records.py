@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from orchestrator.outcomes import Measured
-from orchestrator.results import ClosedForm, IterationRecord, RankResult, RunRecord
-from orchestrator.study import SourceEstimate
-from robot_agent.excitation import plan_excitation, reference_of
-from shared.excitation import Excitation, Tone
-from shared.frequency_response import estimate_frequency_response
-from shared.messages import GoalResult, Outcome
-from sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
+from nufleet.orchestrator.runs.rank_result import ClosedForm, IterationRecord, RankResult, RunRecord
+from nufleet.orchestrator.study.interface import SourceEstimate
+from nufleet.orchestrator.study.outcomes import Measured
+from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.frequency_test.frequency_response import estimate_frequency_response
+from nufleet.shared.wire.messages import GoalResult, Outcome
+from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 NOON = datetime(2026, 1, 2, 12, 0, 0, tzinfo=UTC)
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from polling import PATIENCE_S, wait_until
 
-from orchestrator.fleet_processes import GRACE_S
-from robot_agent.watched_robot import SLOW_CALL_MAX_S
-from shared import codec
-from shared.command_line import command_line
-from shared.fleet_file import read_fleet_file
-from shared.transport import (
+from nufleet.orchestrator.fleet.processes import GRACE_S
+from nufleet.robot_agent.motion.watched_robot import SLOW_CALL_MAX_S
+from nufleet.shared.command_line import command_line
+from nufleet.shared.robots.fleet_file import read_fleet_file
+from nufleet.shared.wire import codec
+from nufleet.shared.wire.transport import (
     FULL_LINK_WAIT_US,
     MAX_MESSAGE_BYTES,
     open_client,

@@ -43,7 +43,7 @@ def test_every_package_has_pure_tests() -> None:
     ("text", "pure"),
     [
         ("import socketry\nfrom shared.transporter import open_client", True),
-        ("from shared import transport", False),
+        ("from nufleet.shared.wire import transport", False),
         ("def test():\n    import jax.numpy", False),
     ],
 )

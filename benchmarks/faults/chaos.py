@@ -28,12 +28,12 @@ from benchmarks.faults.fuzz_targets import experience
 from benchmarks.faults.lab import Lab, double_integrator, opened_lab
 from benchmarks.faults.program import Program
 from benchmarks.faults.study_process import TERM_S
-from orchestrator.prior_custody import install
-from orchestrator.repository.records import StudyStatus
-from orchestrator.repository.repository import open_repository
-from orchestrator.stopping import stop_robots
-from shared.errors import NufleetError
-from shared.experience import encode_experience
+from nufleet.orchestrator.experience.prior_custody import install
+from nufleet.orchestrator.fleet.stopping import stop_robots
+from nufleet.orchestrator.repository.records import StudyStatus
+from nufleet.orchestrator.repository.repository import open_repository
+from nufleet.shared.errors import NufleetError
+from nufleet.shared.experience.file import encode_experience
 
 ITERATIONS = 3
 REALTIME = 20.0

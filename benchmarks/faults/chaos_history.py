@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from benchmarks.faults.lab import Lab
 from benchmarks.faults.logbook import Stretch
 from benchmarks.faults.program import Program
-from orchestrator.repository.records import StudyRecord, StudyStatus, TrialRecord
-from robot_agent.journal import Journal
+from nufleet.orchestrator.repository.records import StudyRecord, StudyStatus, TrialRecord
+from nufleet.robot_agent.journal.journal import Journal
 
 HALT_MAX_S = 1.0
 """By then a motion that was in progress when a stop was confirmed has been told to rest, where the

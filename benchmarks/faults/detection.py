@@ -12,9 +12,9 @@ from benchmarks.faults.figure import Figure
 from benchmarks.faults.lab import Lab, opened_lab
 from benchmarks.faults.namespaces import star
 from benchmarks.faults.program import PATIENCE_S, Program, wait_until
-from orchestrator.fleet import Fleet
-from shared.excitation import Excitation, Tone
-from shared.messages import GoalRequest
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.wire.messages import GoalRequest
 
 KILLED_MAX_S = 0.05
 SILENT_MAX_S = 2.5

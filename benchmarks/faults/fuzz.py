@@ -14,7 +14,7 @@ from benchmarks.faults.fuzz_targets import decoding_targets, file_targets
 from benchmarks.faults.fuzzing import Tally, Target, fuzz, resident_bytes
 from benchmarks.faults.lab import KEYS, opened_lab
 from benchmarks.faults.program import PATIENCE_S
-from shared.transport import open_client
+from nufleet.shared.wire.transport import open_client
 
 GROWTH_MAX_MIB = 32.0
 MIB = 2**20

@@ -9,12 +9,12 @@ import numpy as np
 
 from benchmarks.faults.fuzz_targets import example_messages
 from benchmarks.faults.fuzzing import EscapedError, Mutator, Tally
-from orchestrator.fleet import Fleet
-from shared.codec import Message, decode, encode
-from shared.errors import MalformedMessageError, RefusedError
-from shared.excitation import Excitation, Tone
-from shared.keys import FleetKeys
-from shared.messages import (
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.shared.errors import MalformedMessageError, RefusedError
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.wire.codec import Message, decode, encode
+from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.messages import (
     AcknowledgeRequest,
     CancelRequest,
     DescribeRequest,
@@ -30,7 +30,7 @@ from shared.messages import (
     ResultRequest,
     StopRequest,
 )
-from shared.transport import Session
+from nufleet.shared.wire.transport import Session
 
 LEAVES: dict[str, type[Message]] = {
     "describe": DescribeRequest,

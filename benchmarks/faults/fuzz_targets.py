@@ -9,27 +9,28 @@ from pathlib import Path
 
 import numpy as np
 
-import sims
 from benchmarks.faults.fuzzing import Target
-from orchestrator.model_files import read_model
-from orchestrator.repository.array_blob import pack_array, unpack_complex
-from orchestrator.repository.errors import DamagedRecordError
-from orchestrator.results import RankResult, RunRecord
-from orchestrator.run_folder import CONFIGURATION, RESULTS, read_record
-from orchestrator.study import SourceEstimate
-from robot_agent.journal import Journal
-from robot_agent.journal_frames import encode_frame, file_head, scan
-from robot_agent.journal_ledger import JournalError
-from shared import messages
-from shared.codec import Message, decode, encode
-from shared.drawing_files import read_drawing
-from shared.errors import InvalidInputError, MalformedMessageError
-from shared.excitation import Excitation, ExcitationPlan, Tone
-from shared.experience import Experience, decode_experience, encode_experience
-from shared.experience_manifest import ExperienceManifest
-from shared.fleet_file import read_fleet_file
-from shared.inverse_layout import InverseLayout
-from shared.messages import (
+from nufleet import sims
+from nufleet.orchestrator.gap.model_files import read_model
+from nufleet.orchestrator.repository.array_blob import pack_array, unpack_complex
+from nufleet.orchestrator.repository.errors import DamagedRecordError
+from nufleet.orchestrator.runs.folder import CONFIGURATION, RESULTS, read_record
+from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord
+from nufleet.orchestrator.study.interface import SourceEstimate
+from nufleet.robot_agent.journal.frames import encode_frame, file_head, scan
+from nufleet.robot_agent.journal.journal import Journal
+from nufleet.robot_agent.journal.ledger import JournalError
+from nufleet.shared.errors import InvalidInputError, MalformedMessageError
+from nufleet.shared.experience.file import Experience, decode_experience, encode_experience
+from nufleet.shared.experience.layout import InverseLayout
+from nufleet.shared.experience.manifest import ExperienceManifest
+from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan, Tone
+from nufleet.shared.paths.files import read_drawing
+from nufleet.shared.robots.fleet_file import read_fleet_file
+from nufleet.shared.robots.spec import AxisSpec, RobotSpec
+from nufleet.shared.wire import messages
+from nufleet.shared.wire.codec import Message, decode, encode
+from nufleet.shared.wire.messages import (
     AcknowledgeRequest,
     CancelRequest,
     DescribeRequest,
@@ -55,8 +56,7 @@ from shared.messages import (
     Telemetry,
     TrackingTelemetry,
 )
-from shared.motions import Motion, RichFlight, RichFlightDetails, StepTest, Tracking
-from shared.robot_spec import AxisSpec, RobotSpec
+from nufleet.shared.wire.motions import Motion, RichFlight, RichFlightDetails, StepTest, Tracking
 
 PLAN = ExcitationPlan(
     axis="x",

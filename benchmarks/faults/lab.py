@@ -12,11 +12,11 @@ from benchmarks.faults.logbook import Entry, Stretch, die_at, install_driver, mo
 from benchmarks.faults.namespaces import Namespace
 from benchmarks.faults.program import PATIENCE_S, Program
 from benchmarks.faults.study_process import TERM_S
-from orchestrator.fleet import Fleet
-from orchestrator.robot_watch import RobotWatch
-from shared.keys import FleetKeys
-from shared.messages import RobotState
-from shared.transport import open_client
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.fleet.robot_watch import RobotWatch
+from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.messages import RobotState
+from nufleet.shared.wire.transport import open_client
 
 FLEET = "lab"
 KEYS = FleetKeys(FLEET)

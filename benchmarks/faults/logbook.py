@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from robot_agent.robot import Robot
-from shared.arrays import FloatArray
-from shared.drivers import load_driver
-from shared.robot_spec import RobotSpec
-from shared.strict import NonNegative, Strict
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.robots.drivers import load_driver
+from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.strict import NonNegative, Strict
 
 CONNECTED, MOVES, TOLD_TO_REST, RESTS = "connected", "moves", "told to rest", "rests"
 HALF_WAY = "is half way"

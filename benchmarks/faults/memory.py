@@ -11,16 +11,16 @@ import psutil
 from benchmarks.faults.figure import Figure
 from benchmarks.faults.fuzzing import resident_bytes
 from benchmarks.faults.lab import Lab, opened_lab
-from orchestrator.archive import Archive
-from orchestrator.dispatcher import Dispatcher
-from orchestrator.outcomes import Failed
-from orchestrator.repository.repository import Repository, open_repository
-from orchestrator.resume import OpenTest, goal_id_of
-from orchestrator.robot_leases import lease_robots
-from orchestrator.study import StudyPlan
-from orchestrator.study_recipe import recipe_of
-from shared.errors import StudyError
-from shared.excitation import Excitation, Tone
+from nufleet.orchestrator.conduct.archive import Archive
+from nufleet.orchestrator.conduct.dispatcher import Dispatcher
+from nufleet.orchestrator.conduct.leases import lease_robots
+from nufleet.orchestrator.conduct.recipe import recipe_of
+from nufleet.orchestrator.conduct.replay import OpenTest, goal_id_of
+from nufleet.orchestrator.repository.repository import Repository, open_repository
+from nufleet.orchestrator.study.interface import StudyPlan
+from nufleet.orchestrator.study.outcomes import Failed
+from nufleet.shared.errors import StudyError
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
 
 GROWTH_MAX_KIB_PER_TEST = 2.0
 """Of a process; what a journal remembers of 10 000 goals by design is less than half of that."""

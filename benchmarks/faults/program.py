@@ -33,7 +33,7 @@ class Program:
         arguments: list[str],
         folder: Path,
         *,
-        module: str = "shared.command_line",
+        module: str = "nufleet",
         namespace: Namespace | None = None,
         environment: Mapping[str, str] | None = None,
     ) -> None:

@@ -7,13 +7,13 @@ import os
 from functools import partial
 from itertools import count
 
-from orchestrator.fleet import Fleet
-from shared.errors import NufleetError, RefusedError
-from shared.excitation import Excitation, Tone
-from shared.keys import FleetKeys
-from shared.lifeline import when_stdin_closes
-from shared.messages import GoalRequest
-from shared.transport import open_client
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.shared.errors import NufleetError, RefusedError
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.lifeline import when_stdin_closes
+from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.messages import GoalRequest
+from nufleet.shared.wire.transport import open_client
 
 MOTION = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=60.0)
 

@@ -13,8 +13,8 @@ import numpy as np
 from benchmarks.faults.figure import Figure
 from benchmarks.faults.lab import SECTION_V, Lab, opened_lab
 from benchmarks.faults.program import Program, wait_until
-from orchestrator.repository.records import StudyStatus
-from orchestrator.repository.repository import Repository, open_repository
+from nufleet.orchestrator.repository.records import StudyStatus
+from nufleet.orchestrator.repository.repository import Repository, open_repository
 
 ROBOTS = tuple(SECTION_V)
 ITERATIONS = 7

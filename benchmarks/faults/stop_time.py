@@ -14,11 +14,11 @@ from benchmarks.faults.figure import Figure
 from benchmarks.faults.lab import Lab, opened_lab
 from benchmarks.faults.logbook import TOLD_TO_REST
 from benchmarks.faults.program import wait_until
-from orchestrator.fleet import Fleet
-from orchestrator.goal_runner import GoalRunner
-from orchestrator.stopping import stop_robots
-from shared.excitation import Excitation, Tone
-from shared.messages import GoalRequest
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.fleet.goal_runner import GoalRunner
+from nufleet.orchestrator.fleet.stopping import stop_robots
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.wire.messages import GoalRequest
 
 STOP_MAX_S = 0.02
 INTERRUPT_MAX_S = 0.2

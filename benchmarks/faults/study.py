@@ -6,16 +6,16 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from orchestrator.archive import Archive
-from orchestrator.dispatcher import Dispatcher
-from orchestrator.fleet import Fleet
-from orchestrator.outcomes import TestOutcome
-from orchestrator.ranking import Conclusion, conduct
-from orchestrator.repository.records import TrialRecord
-from orchestrator.repository.repository import open_repository
-from orchestrator.robot_leases import lease_robots
-from orchestrator.study import Question, Report, StudyPlan
-from orchestrator.study_recipe import make_study, recipe_of
+from nufleet.orchestrator.conduct.archive import Archive
+from nufleet.orchestrator.conduct.conductor import Conclusion, conduct
+from nufleet.orchestrator.conduct.dispatcher import Dispatcher
+from nufleet.orchestrator.conduct.leases import lease_robots
+from nufleet.orchestrator.conduct.recipe import make_study, recipe_of
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.repository.records import TrialRecord
+from nufleet.orchestrator.repository.repository import open_repository
+from nufleet.orchestrator.study.interface import Question, Report, StudyPlan
+from nufleet.orchestrator.study.outcomes import TestOutcome
 
 BAND_RAD_S = (5.0, 40.0)
 

@@ -11,20 +11,20 @@ from functools import partial
 from pathlib import Path
 
 from benchmarks.faults.study import Story, plan_of, ranking_of
-from orchestrator import held_leases
-from orchestrator.archive import Archive
-from orchestrator.dispatcher import Dispatcher
-from orchestrator.fleet import Fleet
-from orchestrator.ranking import conduct
-from orchestrator.repository.errors import UnknownRecordError
-from orchestrator.repository.records import StudyRecord, StudyStatus
-from orchestrator.repository.repository import Repository, open_repository
-from orchestrator.robot_leases import lease_robots
-from orchestrator.study_recipe import make_study, recipe_of
-from shared.errors import NufleetError
-from shared.keys import FleetKeys
-from shared.lifeline import when_stdin_closes
-from shared.transport import open_client
+from nufleet.orchestrator.conduct import leases as held_leases
+from nufleet.orchestrator.conduct.archive import Archive
+from nufleet.orchestrator.conduct.conductor import conduct
+from nufleet.orchestrator.conduct.dispatcher import Dispatcher
+from nufleet.orchestrator.conduct.leases import lease_robots
+from nufleet.orchestrator.conduct.recipe import make_study, recipe_of
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.repository.errors import UnknownRecordError
+from nufleet.orchestrator.repository.records import StudyRecord, StudyStatus
+from nufleet.orchestrator.repository.repository import Repository, open_repository
+from nufleet.shared.errors import NufleetError
+from nufleet.shared.lifeline import when_stdin_closes
+from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.transport import open_client
 
 FLEET = "lab"
 SEED = 3

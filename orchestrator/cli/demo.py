@@ -6,7 +6,12 @@ from pathlib import Path
 
 import click
 
-from orchestrator.cli.options import json_option, live_option, repository_option, runs_option
+from nufleet.orchestrator.cli.options import (
+    json_option,
+    live_option,
+    repository_option,
+    runs_option,
+)
 
 
 @click.command()
@@ -36,7 +41,7 @@ def demo(
     the furthest source learn inverse models of themselves, and the target tracks a drawing with
     each as its prior, with none, and with its baseline controller alone.
     """
-    from orchestrator.cli.demo_session import demo_and_print
+    from nufleet.orchestrator.jobs.demo import demo_and_print
 
     demo_and_print(
         "paper_quadrotors" if quadrotors else "paper_linear",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from orchestrator.cli.options import connect_options, json_option
+from nufleet.orchestrator.cli.options import connect_options, json_option
 
 
 @click.command()
@@ -18,7 +18,7 @@ def doctor(connect: str, fleet_name: str | None, as_json: bool) -> None:
     """
     import json
 
-    from orchestrator.checkup import checkup
+    from nufleet.orchestrator.jobs.doctor import checkup
 
     findings = checkup(connect, fleet_name)
     if as_json:

@@ -7,7 +7,7 @@ from typing import Literal
 
 import click
 
-from orchestrator.cli.options import (
+from nufleet.orchestrator.cli.options import (
     PositiveNumber,
     connect_options,
     fleet_option,
@@ -120,8 +120,8 @@ def evaluate(
     \b
     nufleet evaluate --fleet paper_quadrotors --quick
     """
-    from orchestrator.cli.evaluate_session import EvaluateCommand, evaluate_and_print
-    from shared.fleet_file import find_fleet_file
+    from nufleet.orchestrator.jobs.evaluate import EvaluateCommand, evaluate_and_print
+    from nufleet.shared.robots.fleet_file import find_fleet_file
 
     evaluate_and_print(
         EvaluateCommand(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from orchestrator.cli.options import connect_options, json_option
+from nufleet.orchestrator.cli.options import connect_options, json_option
 
 
 @click.command()
@@ -14,9 +14,9 @@ def status(connect: str, fleet_name: str | None, as_json: bool) -> None:
     """Show the robots of a running fleet and what each of them does."""
     import json
 
-    from orchestrator.connection import running_fleet
-    from orchestrator.console import stderr_console
-    from orchestrator.fleet_table import fleet_table
+    from nufleet.orchestrator.fleet.connection import running_fleet
+    from nufleet.orchestrator.fleet.table import fleet_table
+    from nufleet.orchestrator.runs.console import stderr_console
 
     with running_fleet(connect, fleet_name) as connection:
         fleet = connection.fleet

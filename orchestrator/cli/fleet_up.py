@@ -29,7 +29,7 @@ def up(fleet_file: str, listen: str, processes: bool, realtime: float | None) ->
     \b
     nufleet fleet up paper_linear --realtime 1
     """
-    from orchestrator.fleet_up import fleet_up
-    from shared.fleet_file import find_fleet_file
+    from nufleet.orchestrator.jobs.fleet_up import fleet_up
+    from nufleet.shared.robots.fleet_file import find_fleet_file
 
     fleet_up(find_fleet_file(fleet_file), listen=listen, processes=processes, realtime=realtime)

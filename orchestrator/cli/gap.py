@@ -42,8 +42,8 @@ def gap(
     Between a measured response and anything else there is only the largest chordal
     distance over the common band, which is a lower bound of the ν-gap.
     """
-    from orchestrator.console import stderr_console
-    from orchestrator.gap_report import gap_report, gap_table
+    from nufleet.orchestrator.gap.report import gap_report, gap_table
+    from nufleet.orchestrator.runs.console import stderr_console
 
     report = gap_report(first, second, band, controller)
     if as_json:

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
-from orchestrator.environment import REPOSITORY_VARIABLE, ROUTER_VARIABLE, RUNS_VARIABLE
+from nufleet.orchestrator.environment import REPOSITORY_VARIABLE, ROUTER_VARIABLE, RUNS_VARIABLE
 
 
 class PositiveNumber(click.ParamType[float]):

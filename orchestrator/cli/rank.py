@@ -8,7 +8,7 @@ from typing import Literal
 import click
 from click.core import ParameterSource
 
-from orchestrator.cli.options import (
+from nufleet.orchestrator.cli.options import (
     PositiveNumber,
     connect_options,
     json_option,
@@ -149,8 +149,8 @@ def rank(
     if resume is not None:
         _go_on(resume)
         return
-    from orchestrator.cli.rank_session import RankCommand, rank_and_print
-    from shared.fleet_file import find_fleet_file
+    from nufleet.orchestrator.jobs.rank import RankCommand, rank_and_print
+    from nufleet.shared.robots.fleet_file import find_fleet_file
 
     rank_and_print(
         RankCommand(
@@ -183,7 +183,7 @@ _OF_A_RESUMPTION = {
 
 
 def _go_on(run: str) -> None:
-    from orchestrator.cli.resume_session import ResumeCommand, resume_and_print
+    from nufleet.orchestrator.jobs.resume import ResumeCommand, resume_and_print
 
     context = click.get_current_context()
     given = [

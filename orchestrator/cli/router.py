@@ -38,8 +38,8 @@ def router(listen: tuple[str, ...], config: Path | None, until_stdin_closes: boo
 
     One per fleet is enough; agents and orchestrators reconnect when it restarts.
     """
-    from shared.lifeline import when_stdin_closes
-    from shared.transport import DEFAULT_ENDPOINT, open_configured_router, open_router
+    from nufleet.shared.lifeline import when_stdin_closes
+    from nufleet.shared.wire.transport import DEFAULT_ENDPOINT, open_configured_router, open_router
 
     if config is not None and listen:
         raise click.UsageError("the file given with --config says where to listen; leave --listen")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from orchestrator.cli.options import json_option, repository_option, runs_option
+from nufleet.orchestrator.cli.options import json_option, repository_option, runs_option
 
 
 @click.command("list")
@@ -14,7 +14,7 @@ from orchestrator.cli.options import json_option, repository_option, runs_option
 @json_option
 def list_runs(runs_root: Path, as_json: bool) -> None:
     """List earlier runs, the newest last."""
-    from orchestrator.cli.runs_session import list_and_print
+    from nufleet.orchestrator.jobs.runs import list_and_print
 
     list_and_print(runs_root, as_json=as_json)
 
@@ -57,7 +57,7 @@ def resume(
     counts if it was completed, and is repeated if it ended with the process that commanded it. The
     result is that of the undisturbed run, for robots that answer the same question alike.
     """
-    from orchestrator.cli.resume_session import ResumeCommand, resume_and_print
+    from nufleet.orchestrator.jobs.resume import ResumeCommand, resume_and_print
 
     resume_and_print(
         ResumeCommand(
@@ -78,7 +78,7 @@ def resume(
 @json_option
 def show(run: str, runs_root: Path, as_json: bool) -> None:
     """Show what RUN came to: a folder, its name, or `latest`."""
-    from orchestrator.cli.runs_session import show_and_print
+    from nufleet.orchestrator.jobs.runs import show_and_print
 
     show_and_print(runs_root, run, as_json=as_json)
 
@@ -119,6 +119,6 @@ def export(
     nufleet runs export latest --to responses
     nufleet gap responses/target.json responses/source-2.json
     """
-    from orchestrator.cli.runs_session import export_and_print
+    from nufleet.orchestrator.jobs.runs import export_and_print
 
     export_and_print(runs_root, run, to, suffix, repository, as_json=as_json)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from orchestrator.cli.options import connect_options
+from nufleet.orchestrator.cli.options import connect_options
 
 
 @click.command()
@@ -21,7 +21,7 @@ def stop(
     every fleet at the router. Ends with exit code 1, and says so loudly, when a robot does not
     confirm that it has stopped.
     """
-    from orchestrator.stopping import stop_at_router
+    from nufleet.orchestrator.fleet.stopping import stop_at_router
 
     if everyone == bool(robots):
         raise click.UsageError("name the robots to stop, or give --all")
@@ -47,8 +47,8 @@ def release(robots: tuple[str, ...], connect: str, fleet_name: str | None) -> No
     Each robot named is asked, whatever becomes of the others. Ends with exit code 1 when one of
     them stays stopped.
     """
-    from orchestrator.connection import running_fleet
-    from shared.errors import NufleetError
+    from nufleet.orchestrator.fleet.connection import running_fleet
+    from nufleet.shared.errors import NufleetError
 
     stay = False
     with running_fleet(connect, fleet_name) as connection:

@@ -7,7 +7,7 @@ from typing import Literal
 
 import click
 
-from orchestrator.cli.options import (
+from nufleet.orchestrator.cli.options import (
     PositiveNumber,
     connect_options,
     json_option,
@@ -102,7 +102,7 @@ def track(
     \b
     nufleet track --target drone-7 --trajectory clover --speed 0.6
     """
-    from orchestrator.cli.track_session import TrackCommand, track_and_print
+    from nufleet.orchestrator.jobs.track import TrackCommand, track_and_print
 
     track_and_print(
         TrackCommand(

@@ -7,7 +7,7 @@ from typing import Literal
 
 import click
 
-from orchestrator.cli.options import (
+from nufleet.orchestrator.cli.options import (
     PositiveNumber,
     connect_options,
     json_option,
@@ -74,7 +74,7 @@ def train(
     \b
     nufleet train --robot drone-3
     """
-    from orchestrator.cli.train_session import TrainCommand, train_and_print
+    from nufleet.orchestrator.jobs.train import TrainCommand, train_and_print
 
     train_and_print(
         TrainCommand(

@@ -7,7 +7,12 @@ from typing import Literal
 
 import click
 
-from orchestrator.cli.options import connect_options, json_option, repository_option, runs_option
+from nufleet.orchestrator.cli.options import (
+    connect_options,
+    json_option,
+    repository_option,
+    runs_option,
+)
 
 
 @click.command()
@@ -58,7 +63,7 @@ def transfer(
         raise click.UsageError("Whose experience? Give either --source or --file.")
     if file is not None and architecture is not None:
         raise click.UsageError("A file holds one experience: leave --architecture out.")
-    from orchestrator.cli.transfer_session import TransferCommand, transfer_and_print
+    from nufleet.orchestrator.jobs.transfer import TransferCommand, transfer_and_print
 
     transfer_and_print(
         TransferCommand(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from orchestrator.cli.options import runs_option
+from nufleet.orchestrator.cli.options import runs_option
 
 
 @click.command()
@@ -25,10 +25,10 @@ def view(run: str | None, live: bool, web: bool, picture: Path | None, runs_root
     """Open the recording of RUN: a folder, its name, or `latest` (the default)."""
     import threading
 
-    from orchestrator.run_folder import RECORDING, find_run
-    from orchestrator.viewer.picture import screenshot
-    from orchestrator.viewer.ports import GRPC_PORT
-    from orchestrator.viewer.show import open_native, open_web
+    from nufleet.orchestrator.runs.folder import RECORDING, find_run
+    from nufleet.orchestrator.viewer.server.open import open_native, open_web
+    from nufleet.orchestrator.viewer.server.picture import screenshot
+    from nufleet.orchestrator.viewer.server.ports import GRPC_PORT
 
     if live and run is not None:
         raise click.UsageError("name a run, or watch the running one with --live")

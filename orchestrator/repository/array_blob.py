@@ -12,8 +12,8 @@ import zlib
 
 import numpy as np
 
-from orchestrator.repository.errors import DamagedRecordError
-from shared.arrays import ComplexArray, FloatArray
+from nufleet.orchestrator.repository.errors import DamagedRecordError
+from nufleet.shared.arrays import ComplexArray, FloatArray
 
 _MAGIC = b"NUA1"
 _HEAD = struct.Struct("<4s4sB")

@@ -14,7 +14,7 @@ from typing import Any
 from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url, text
 from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 
-from orchestrator.repository.errors import (
+from nufleet.orchestrator.repository.errors import (
     RecordConflictError,
     RepositoryBusyError,
     RepositoryError,
@@ -24,8 +24,8 @@ from orchestrator.repository.errors import (
     RepositoryUrlError,
     UnknownRecordError,
 )
-from orchestrator.repository.group_commit import GroupCommit, Work
-from shared.redaction import without_secrets
+from nufleet.orchestrator.repository.group_commit import GroupCommit, Work
+from nufleet.shared.redaction import without_secrets
 
 FILE_NAME = "nufleet.sqlite"
 BUSY_S = 10.0

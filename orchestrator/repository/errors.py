@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from shared.errors import InvalidInputError, NufleetError
+from nufleet.shared.errors import InvalidInputError, NufleetError
 
 if TYPE_CHECKING:
-    from orchestrator.repository.records import Renewal
+    from nufleet.orchestrator.repository.records import Renewal
 
 
 class RepositoryUrlError(InvalidInputError):

@@ -14,7 +14,7 @@ from typing import Protocol
 
 from sqlalchemy import Connection
 
-from orchestrator.repository.errors import RepositoryError
+from nufleet.orchestrator.repository.errors import RepositoryError
 
 Work = Callable[[Connection], None]
 

@@ -8,7 +8,8 @@ clock is a wall clock, which may be set at any moment:
   what is still stored under its name and epoch, and thereby brings it to the clock as it is now.
 - Another may take a lease that its owner released, or did not renew for a whole term by the clock.
   When the clock is set forward, leases of living owners look like that until their next renewal;
-  before one is taken, the network is asked whether its owner lives (`orchestrator.robot_leases`).
+  before one is taken, the network is asked whether its owner lives
+  (`nufleet.orchestrator.conduct.leases`).
 - A lease that would hold for longer than a term was renewed before the clock was set back, and
   nobody knows when. It holds for another term, measured by those who wait for it: an owner whose
   `Renewal` they saw unchanged for that long is silent.
@@ -19,13 +20,13 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from orchestrator.repository.errors import (
+from nufleet.orchestrator.repository.errors import (
     EpochOutOfRangeError,
     LeaseHeldError,
     LeaseLostError,
 )
-from orchestrator.repository.records import Lease, Renewal
-from shared.messages import EPOCH_MAX
+from nufleet.orchestrator.repository.records import Lease, Renewal
+from nufleet.shared.wire.messages import EPOCH_MAX
 
 EPOCH_BELIEVED_MAX = EPOCH_MAX // 2
 """A robot that saw a higher one was told nonsense; believed, it would leave no room above it."""

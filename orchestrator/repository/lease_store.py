@@ -6,12 +6,17 @@ from collections.abc import Collection, Iterable, Mapping
 
 from sqlalchemy import Connection, select, tuple_
 
-from orchestrator.repository.database import Database
-from orchestrator.repository.errors import LeaseHeldError
-from orchestrator.repository.lease_rules import RELEASED_S, StoredLease, acquired, check_held
-from orchestrator.repository.records import LastLease, Lease, Renewal
-from orchestrator.repository.tables import LEASES
-from orchestrator.repository.upsert import insert_new
+from nufleet.orchestrator.repository.database import Database
+from nufleet.orchestrator.repository.errors import LeaseHeldError
+from nufleet.orchestrator.repository.lease_rules import (
+    RELEASED_S,
+    StoredLease,
+    acquired,
+    check_held,
+)
+from nufleet.orchestrator.repository.records import LastLease, Lease, Renewal
+from nufleet.orchestrator.repository.tables import LEASES
+from nufleet.orchestrator.repository.upsert import insert_new
 
 
 class LeaseStore:

@@ -10,11 +10,11 @@ from enum import StrEnum
 
 from pydantic import JsonValue
 
-from orchestrator.study import StudyPlan
-from shared.excitation import Excitation, ExcitationPlan
-from shared.frequency_response import FrequencyResponse
-from shared.messages import Outcome
-from shared.robot_spec import RobotSpec
+from nufleet.orchestrator.study.interface import StudyPlan
+from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.wire.messages import Outcome
 
 
 @dataclass(frozen=True)

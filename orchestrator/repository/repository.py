@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from types import TracebackType
 
-from orchestrator.repository.database import Database, parse_url
-from orchestrator.repository.lease_store import LeaseStore
-from orchestrator.repository.robot_store import RobotStore
-from orchestrator.repository.schema import MIGRATIONS, migrate
-from orchestrator.repository.study_store import StudyStore
+from nufleet.orchestrator.repository.database import Database, parse_url
+from nufleet.orchestrator.repository.lease_store import LeaseStore
+from nufleet.orchestrator.repository.robot_store import RobotStore
+from nufleet.orchestrator.repository.schema import MIGRATIONS, migrate
+from nufleet.orchestrator.repository.study_store import StudyStore
 
 
 class Repository:

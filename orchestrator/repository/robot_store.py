@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from sqlalchemy import Connection, select
 
-from orchestrator.repository.database import Database
-from orchestrator.repository.errors import UnknownRecordError
-from orchestrator.repository.records import ExperienceRecord, ExperienceSummary, RobotRecord
-from orchestrator.repository.rows import (
+from nufleet.orchestrator.repository.database import Database
+from nufleet.orchestrator.repository.errors import UnknownRecordError
+from nufleet.orchestrator.repository.records import ExperienceRecord, ExperienceSummary, RobotRecord
+from nufleet.orchestrator.repository.rows import (
     experience_record,
     experience_summary,
     json_object,
     robot_record,
 )
-from orchestrator.repository.tables import EXPERIENCES, ROBOTS, utc_now
-from orchestrator.repository.upsert import insert_new
+from nufleet.orchestrator.repository.tables import EXPERIENCES, ROBOTS, utc_now
+from nufleet.orchestrator.repository.upsert import insert_new
 
 
 class RobotStore:

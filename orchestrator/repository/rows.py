@@ -11,9 +11,9 @@ from typing import Any
 from pydantic import JsonValue, TypeAdapter, ValidationError
 from sqlalchemy import RowMapping
 
-from orchestrator.repository.array_blob import pack_array, unpack_complex, unpack_floats
-from orchestrator.repository.errors import DamagedRecordError
-from orchestrator.repository.records import (
+from nufleet.orchestrator.repository.array_blob import pack_array, unpack_complex, unpack_floats
+from nufleet.orchestrator.repository.errors import DamagedRecordError
+from nufleet.orchestrator.repository.records import (
     ExperienceRecord,
     ExperienceSummary,
     ResponseRecord,
@@ -24,13 +24,13 @@ from orchestrator.repository.records import (
     TrialRecord,
     TrialStatus,
 )
-from orchestrator.study import StudyPlan
-from shared.excitation import Excitation, ExcitationPlan
-from shared.frequency_response import FrequencyResponse
-from shared.messages import GoalResult, Outcome
-from shared.response_quality import Quality
-from shared.robot_spec import RobotSpec
-from shared.strict import describe_validation
+from nufleet.orchestrator.study.interface import StudyPlan
+from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.quality import Quality
+from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.strict import describe_validation
+from nufleet.shared.wire.messages import GoalResult, Outcome
 
 _PLAN = TypeAdapter(StudyPlan)
 _OBJECT = TypeAdapter(dict[str, JsonValue])

@@ -10,8 +10,8 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import text
 
-from orchestrator.repository.database import Database
-from orchestrator.repository.errors import SchemaVersionError
+from nufleet.orchestrator.repository.database import Database
+from nufleet.orchestrator.repository.errors import SchemaVersionError
 
 MIGRATIONS = Path(__file__).with_name("migrations")
 

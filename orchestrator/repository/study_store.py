@@ -8,10 +8,10 @@ from typing import Any
 from pydantic import JsonValue
 from sqlalchemy import Connection, bindparam, select
 
-from orchestrator.repository.array_blob import pack_array
-from orchestrator.repository.database import Database
-from orchestrator.repository.errors import RecordConflictError, UnknownRecordError
-from orchestrator.repository.records import (
+from nufleet.orchestrator.repository.array_blob import pack_array
+from nufleet.orchestrator.repository.database import Database
+from nufleet.orchestrator.repository.errors import RecordConflictError, UnknownRecordError
+from nufleet.orchestrator.repository.records import (
     ResponseRecord,
     StudyRecord,
     StudyStatus,
@@ -19,7 +19,7 @@ from orchestrator.repository.records import (
     TrialRecord,
     TrialStatus,
 )
-from orchestrator.repository.rows import (
+from nufleet.orchestrator.repository.rows import (
     frequency_response,
     goal_result,
     intent_row,
@@ -31,17 +31,24 @@ from orchestrator.repository.rows import (
     study_row,
     trial_record,
 )
-from orchestrator.repository.tables import RESPONSES, ROBOTS, SAMPLES, STUDIES, TRIALS, utc_now
-from orchestrator.repository.trial_rules import (
+from nufleet.orchestrator.repository.tables import (
+    RESPONSES,
+    ROBOTS,
+    SAMPLES,
+    STUDIES,
+    TRIALS,
+    utc_now,
+)
+from nufleet.orchestrator.repository.trial_rules import (
     check_epoch,
     check_same_intent,
     is_new_acceptance,
     is_new_end,
 )
-from orchestrator.repository.upsert import insert_new
-from shared.excitation import Excitation
-from shared.frequency_response import FrequencyResponse
-from shared.messages import GoalAccepted, GoalResult
+from nufleet.orchestrator.repository.upsert import insert_new
+from nufleet.shared.frequency_test.excitation import Excitation
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.wire.messages import GoalAccepted, GoalResult
 
 
 class StudyStore:

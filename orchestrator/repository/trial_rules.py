@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from orchestrator.repository.errors import (
+from nufleet.orchestrator.repository.errors import (
     RecordConflictError,
     StaleEpochError,
     TrialEndedError,
 )
-from orchestrator.repository.records import TrialIntent, TrialRecord, TrialStatus
+from nufleet.orchestrator.repository.records import TrialIntent, TrialRecord, TrialStatus
 
 
 def check_same_intent(known: TrialRecord, intent: TrialIntent) -> None:

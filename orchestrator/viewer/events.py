@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from orchestrator.study import Curve, SourceEstimate
-from shared.arrays import FloatArray
+from nufleet.orchestrator.study.interface import Curve, SourceEstimate
+from nufleet.shared.arrays import FloatArray
 
 RobotStatus = Literal["idle", "running", "resting", "stopped", "fault", "lost"]
 MessageLevel = Literal["debug", "info", "warning", "error"]

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from orchestrator.flight_labels import BASELINE, prior_and_path
-from orchestrator.viewer.events import TrackingSamplesEvent
-from shared.arrays import FloatArray
+from nufleet.orchestrator.flight_labels import BASELINE, prior_and_path
+from nufleet.orchestrator.viewer.events import TrackingSamplesEvent
+from nufleet.shared.arrays import FloatArray
 
 PAUSE_S = 1.0
 """A flight whose samples pause for longer is another one, flown again: the robot had to go back

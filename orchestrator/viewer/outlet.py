@@ -9,14 +9,14 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from orchestrator.viewer.events import (
+from nufleet.orchestrator.viewer.events import (
     IterationEvent,
     TakenBackEvent,
     TestSamplesEvent,
     TrackingSamplesEvent,
     ViewerEvent,
 )
-from shared.errors import NufleetError
+from nufleet.shared.errors import NufleetError
 
 BATCH_S = 0.25
 """Telemetry is written so often; per sample it would cost tens of times as much."""

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
-from orchestrator.viewer.endpoint import claim_recording
-from orchestrator.viewer.events import ViewerEvent
-from orchestrator.viewer.outlet import Outlet, Sink
-from orchestrator.viewer.ports import GRPC_PORT
-from orchestrator.viewer.viewer_server import ViewerServer
-from shared.errors import NufleetError
+from nufleet.orchestrator.viewer.events import ViewerEvent
+from nufleet.orchestrator.viewer.outlet import Outlet, Sink
+from nufleet.orchestrator.viewer.server.claims import claim_recording
+from nufleet.orchestrator.viewer.server.ports import GRPC_PORT
+from nufleet.orchestrator.viewer.server.server import ViewerServer
+from nufleet.shared.errors import NufleetError
 
 OPEN_TIMEOUT_S = 30.0
 """Importing Rerun and its first log take a second or two; on a busy machine more."""
@@ -143,7 +143,7 @@ class RerunWriter:
 
     def _open_recording(self, path: Path) -> None:
         def open_sink() -> Sink:
-            from orchestrator.viewer.stream import RerunSink
+            from nufleet.orchestrator.viewer.rerun_sink import RerunSink
 
             return RerunSink.to_file(self._run_id, path)
 
@@ -154,7 +154,7 @@ class RerunWriter:
         server.open()
 
         def open_sink() -> Sink:
-            from orchestrator.viewer.stream import RerunSink
+            from nufleet.orchestrator.viewer.rerun_sink import RerunSink
 
             return RerunSink.to_server(self._run_id, server.live_url, lambda: server.alive)
 

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from robot_agent.robot import Robot
-from shared.errors import InvalidInputError
-from shared.strict import Strict
-from sims.arms.settings import ArmSettings
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.strict import Strict
+from nufleet.sims.arms.settings import ArmSettings
 
 
 class ArmDriver:
@@ -24,7 +24,7 @@ class ArmDriver:
     ) -> dict[str, Robot]:
         """Build the robots, disconnected; raises InvalidInputError where MuJoCo is missing."""
         try:
-            from sims.arms.robot import Arm
+            from nufleet.sims.arms.robot import Arm
         except ModuleNotFoundError as error:
             raise InvalidInputError(
                 f"simulated arms need {error.name!r}: pip install 'nufleet[arms]'"

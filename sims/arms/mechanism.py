@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
 
-from shared.arrays import FloatArray
-from shared.errors import InvalidInputError
-from sims.arms.settings import SAMPLE_TIME_S, SERVO_HZ, ArmSettings
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import InvalidInputError
+from nufleet.sims.arms.settings import SAMPLE_TIME_S, SERVO_HZ, ArmSettings
 
 STEPS_PER_SAMPLE = round(SAMPLE_TIME_S * SERVO_HZ)
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.arrays import FloatArray
-from shared.errors import RobotError
-from shared.robot_spec import AxisSpec, RobotSpec
-from sims.arms.mechanism import Mechanism
-from sims.arms.settings import SAMPLE_TIME_S, ArmSettings
-from sims.measurement_noise import MeasurementNoise
-from sims.simulated_robot import RestRule, SimulatedRobot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotError
+from nufleet.shared.robots.spec import AxisSpec, RobotSpec
+from nufleet.sims.arms.mechanism import Mechanism
+from nufleet.sims.arms.settings import SAMPLE_TIME_S, ArmSettings
+from nufleet.sims.measurement_noise import MeasurementNoise
+from nufleet.sims.simulated_robot import RestRule, SimulatedRobot
 
 STATE_NAMES = ("position", "velocity")
 

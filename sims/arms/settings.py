@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-from shared.robot_spec import TrackingLimits
-from shared.strict import NonNegative, Positive, Strict
+from nufleet.shared.robots.spec import TrackingLimits
+from nufleet.shared.strict import NonNegative, Positive, Strict
 
 SAMPLE_TIME_S = 0.02
 """One sample of the robot, common to every arm so that models transfer between them."""

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from robot_agent.robot import Robot
-from shared.errors import InvalidInputError
-from shared.strict import Strict
-from sims.quadrotors.environment import environment
-from sims.quadrotors.settings import QuadrotorSettings
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.strict import Strict
+from nufleet.sims.quadrotors.environment import environment
+from nufleet.sims.quadrotors.settings import QuadrotorSettings
 
 
 class QuadrotorDriver:
@@ -36,8 +36,8 @@ class QuadrotorDriver:
         """
         try:
             _require_scipy_array_interface()
-            from sims.quadrotors.robot import Quadrotor
-            from sims.quadrotors.simulator import Hangar
+            from nufleet.sims.quadrotors.robot import Quadrotor
+            from nufleet.sims.quadrotors.simulator import Hangar
         except ModuleNotFoundError as error:
             raise InvalidInputError(
                 f"simulated quadrotors need {error.name!r}: pip install 'nufleet[quadrotors]'"

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from shared.arrays import FloatArray
-from sims.quadrotors.controllers import GroundStation, firmware_setpoint, offboard_command
-from sims.quadrotors.settings import CONTROL_HZ, PHYSICS_HZ, SAMPLE_TIME_S
+from nufleet.shared.arrays import FloatArray
+from nufleet.sims.quadrotors.controllers import GroundStation, firmware_setpoint, offboard_command
+from nufleet.sims.quadrotors.settings import CONTROL_HZ, PHYSICS_HZ, SAMPLE_TIME_S
 
 CHUNK_SAMPLES = 256
 """Samples that one call of the compiled program can play."""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from shared.arrays import FloatArray
-from shared.errors import RobotError
-from shared.robot_spec import AxisSpec, RobotSpec
-from sims.measurement_noise import MeasurementNoise
-from sims.quadrotors.controllers import HOVER_HEIGHT_M
-from sims.quadrotors.flight import Flight, Plant, Track
-from sims.quadrotors.settings import SAMPLE_TIME_S, QuadrotorSettings
-from sims.simulated_robot import RestRule, SimulatedRobot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotError
+from nufleet.shared.robots.spec import AxisSpec, RobotSpec
+from nufleet.sims.measurement_noise import MeasurementNoise
+from nufleet.sims.quadrotors.controllers import HOVER_HEIGHT_M
+from nufleet.sims.quadrotors.flight import Flight, Plant, Track
+from nufleet.sims.quadrotors.settings import SAMPLE_TIME_S, QuadrotorSettings
+from nufleet.sims.simulated_robot import RestRule, SimulatedRobot
 
 STATE_NAMES = ("position", "velocity", "tilt")
 

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from shared.robot_spec import TrackingLimits
-from shared.strict import NonNegative, Positive, Strict
+from nufleet.shared.robots.spec import TrackingLimits
+from nufleet.shared.strict import NonNegative, Positive, Strict
 
 PHYSICS_HZ = 500
 """Integration steps per second: crazyflow's own choice for its explicit Euler integrator."""

@@ -11,9 +11,9 @@ from typing import Any
 import jax.numpy as jnp
 import mujoco
 
-from sims.quadrotors.controllers import GRAVITY_M_S2, HOVER_HEIGHT_M, GroundStation
-from sims.quadrotors.flight import Flight, Plant, Step
-from sims.quadrotors.settings import (
+from nufleet.sims.quadrotors.controllers import GRAVITY_M_S2, HOVER_HEIGHT_M, GroundStation
+from nufleet.sims.quadrotors.flight import Flight, Plant, Step
+from nufleet.sims.quadrotors.settings import (
     CONTROL_HZ,
     LINK_TICKS,
     PHYSICS_HZ,

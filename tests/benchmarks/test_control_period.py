@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.control_period import fly_by_the_clock, laps
 from benchmarks.planar_robot import ClockedRobot, planar_double_integrator, tracking_limits
-from shared.trajectories import check_trajectory
+from nufleet.shared.paths.trajectories import check_trajectory
 
 
 class Clock:

@@ -22,10 +22,10 @@ from benchmarks.online_gp_columns import (
 from benchmarks.online_gp_ours import OURS
 from benchmarks.online_gp_peers import PEERS
 from benchmarks.online_gp_windows import Windows, fly, joined, random_windows, read
-from robot_agent.online_gp import BOUNDS, START
-from robot_agent.tracking import TrackingRecord
-from shared.gaussian_process import Batch, fit
-from sims import drawings
+from nufleet.robot_agent.flight.online_gp import BOUNDS, START
+from nufleet.robot_agent.flight.tracking import TrackingRecord
+from nufleet.shared.gaussian_process.exact import Batch, fit
+from nufleet.sims import drawings
 
 POINTS = 50
 

@@ -18,10 +18,10 @@ from benchmarks.selection_fleets import (
     random_fleet,
     spec_of,
 )
-from orchestrator.tone_choice import first_look
-from robot_agent.excitation import plan_excitation, reference_of
-from shared.excitation import Excitation, Tone
-from shared.frequency_response import estimate_frequency_response
+from nufleet.orchestrator.study.tone_choice import first_look
+from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.frequency_test.frequency_response import estimate_frequency_response
 
 NOISE_M = 0.01
 LOOP = NonlinearLoop(3.0, 0.6, 0.2, 0.06, dead_zone_m_s2=0.0, rate_max_m_s3=math.inf)

@@ -15,7 +15,7 @@ from benchmarks.selection_verdicts import (
     through_inverse,
     tracking_error,
 )
-from orchestrator.trajectory_spectrum import spectrum_of
+from nufleet.orchestrator.study.trajectory_spectrum import spectrum_of
 
 SOURCE = LinearLoop((Mode(3.0, 0.6, 0.2), Mode(4.0, 0.1, gain=0.05)), 0.06)
 TARGET = LinearLoop((Mode(2.0, 0.5),), 0.13)

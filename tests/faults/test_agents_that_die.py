@@ -10,15 +10,15 @@ import pytest
 
 from benchmarks.faults.lab import KEYS, Lab
 from benchmarks.faults.program import PATIENCE_S, Program, wait_until
-from orchestrator import goal_pursuit
-from orchestrator.fleet import Fleet
-from orchestrator.goal_runner import GoalRunner
-from robot_agent.endpoint import SHUTTING_DOWN
-from shared.codec import encode
-from shared.errors import NoReplyError, RobotLostError
-from shared.excitation import Excitation, Tone
-from shared.messages import GoalRequest, Outcome, RobotStatus
-from shared.transport import Request, open_client
+from nufleet.orchestrator.fleet import goal_pursuit
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.fleet.goal_runner import GoalRunner
+from nufleet.robot_agent.network.endpoint import SHUTTING_DOWN
+from nufleet.shared.errors import NoReplyError, RobotLostError
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.wire.codec import encode
+from nufleet.shared.wire.messages import GoalRequest, Outcome, RobotStatus
+from nufleet.shared.wire.transport import Request, open_client
 
 SHORT = Excitation(axis="x", tones=(Tone(omega_rad_s=20.0),), settle_s=0.5)
 LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=60.0)

@@ -13,9 +13,9 @@ import pytest
 from benchmarks.faults.lab import Lab
 from benchmarks.faults.program import PATIENCE_S, wait_until
 from benchmarks.faults.study import Story, plan_of, ranking_of, run_study
-from orchestrator.goal_runner import GoalRunner
-from shared.excitation import Excitation, Tone
-from shared.messages import Outcome
+from nufleet.orchestrator.fleet.goal_runner import GoalRunner
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.wire.messages import Outcome
 
 SHORT = Excitation(axis="x", tones=(Tone(omega_rad_s=20.0),), settle_s=0.5)
 

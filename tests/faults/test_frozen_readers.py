@@ -10,10 +10,10 @@ import zenoh
 from benchmarks.faults.lab import KEYS, Lab
 from benchmarks.faults.logbook import TOLD_TO_REST
 from benchmarks.faults.program import PATIENCE_S, wait_until
-from shared.excitation import Excitation, Tone
-from shared.frame import stop_frame
-from shared.messages import GoalRequest
-from shared.transport import open_client
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.wire.frame import stop_frame
+from nufleet.shared.wire.messages import GoalRequest
+from nufleet.shared.wire.transport import open_client
 
 LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=60.0)
 STOP = stop_frame("somebody", "smoke")

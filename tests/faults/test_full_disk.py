@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from benchmarks.faults.lab import Lab
-from orchestrator.goal_runner import GoalRunner
-from shared.errors import RefusedError
-from shared.excitation import Excitation, Tone
-from shared.messages import GoalRequest, Outcome, RobotStatus
+from nufleet.orchestrator.fleet.goal_runner import GoalRunner
+from nufleet.shared.errors import RefusedError
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.wire.messages import GoalRequest, Outcome, RobotStatus
 
 SHORT = Excitation(axis="x", tones=(Tone(omega_rad_s=20.0),), settle_s=0.5)
 

@@ -20,11 +20,11 @@ from benchmarks.faults.fuzz_targets import (
     file_targets,
 )
 from benchmarks.faults.fuzzing import EscapedError, Mutator, Target, fuzz, resident_bytes
-from orchestrator.fleet import Fleet
-from orchestrator.fleet_processes import FleetProcesses
-from shared.errors import MalformedMessageError
-from shared.keys import FleetKeys
-from shared.transport import open_client
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.fleet.processes import FleetProcesses
+from nufleet.shared.errors import MalformedMessageError
+from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.transport import open_client
 
 GROWTH_MAX_BYTES = 32 * 2**20
 """By which a process may grow over all payloads of a test: caches and fragments, no payloads."""
@@ -42,7 +42,7 @@ settings = { alpha = 1.0, beta = 0.003 }
 @pytest.fixture(autouse=True)
 def _quiet() -> None:
     """A damaged journal is shouted about, a thousand times."""
-    logging.getLogger("robot_agent.journal").disabled = True
+    logging.getLogger("nufleet.robot_agent.journal.journal").disabled = True
 
 
 def test_there_is_an_example_of_every_message() -> None:

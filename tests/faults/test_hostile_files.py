@@ -12,14 +12,14 @@ import pytest
 
 from benchmarks.faults.fuzz_targets import experience
 from benchmarks.faults.lab import Lab
-from orchestrator.goal_runner import GoalRunner
-from orchestrator.model_files import read_model
-from shared.drawing_files import read_drawing
-from shared.errors import InvalidInputError, MalformedMessageError, RefusedError
-from shared.excitation import Excitation, Tone
-from shared.experience import decode_experience, digest, encode_experience
-from shared.fleet_file import read_fleet_file
-from shared.messages import Outcome
+from nufleet.orchestrator.fleet.goal_runner import GoalRunner
+from nufleet.orchestrator.gap.model_files import read_model
+from nufleet.shared.errors import InvalidInputError, MalformedMessageError, RefusedError
+from nufleet.shared.experience.file import decode_experience, digest, encode_experience
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.paths.files import read_drawing
+from nufleet.shared.robots.fleet_file import read_fleet_file
+from nufleet.shared.wire.messages import Outcome
 
 SHORT = Excitation(axis="x", tones=(Tone(omega_rad_s=20.0),), settle_s=0.5)
 

@@ -13,9 +13,9 @@ import pytest
 from benchmarks.faults.lab import Lab, double_integrator
 from benchmarks.faults.logbook import RESTS, TOLD_TO_REST
 from benchmarks.faults.program import PATIENCE_S, Program, wait_until
-from orchestrator.fleet import Fleet
-from shared.excitation import Excitation, Tone
-from shared.messages import GoalRequest, RobotStatus
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.wire.messages import GoalRequest, RobotStatus
 
 LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=60.0)
 ROBOTS = ("a", "b", "c")

@@ -12,10 +12,10 @@ from benchmarks.faults.lab import SECTION_V, Lab
 from benchmarks.faults.link import Link
 from benchmarks.faults.program import PATIENCE_S, wait_until
 from benchmarks.faults.study import Story, plan_of, ranking_of, run_study
-from orchestrator.goal_runner import GoalRunner
-from shared.errors import NoReplyError
-from shared.excitation import Excitation, Tone
-from shared.messages import GoalRequest, Outcome
+from nufleet.orchestrator.fleet.goal_runner import GoalRunner
+from nufleet.shared.errors import NoReplyError
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.wire.messages import GoalRequest, Outcome
 
 SHORT = Excitation(axis="x", tones=(Tone(omega_rad_s=20.0),), settle_s=0.5)
 LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=60.0)

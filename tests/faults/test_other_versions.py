@@ -11,12 +11,12 @@ from benchmarks.faults.fuzz_agent import LEAVES
 from benchmarks.faults.fuzz_targets import example_messages
 from benchmarks.faults.lab import KEYS, Lab
 from benchmarks.faults.program import PATIENCE_S
-from orchestrator.fleet import Fleet
-from shared.codec import decode, encode
-from shared.errors import ProtocolVersionError
-from shared.frame import PROTOCOL_VERSION
-from shared.messages import Description, Refusal, RobotStatus
-from shared.transport import open_client
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.shared.errors import ProtocolVersionError
+from nufleet.shared.wire.codec import decode, encode
+from nufleet.shared.wire.frame import PROTOCOL_VERSION
+from nufleet.shared.wire.messages import Description, Refusal, RobotStatus
+from nufleet.shared.wire.transport import open_client
 
 OTHERS = (PROTOCOL_VERSION - 1, PROTOCOL_VERSION + 1)
 

@@ -10,12 +10,12 @@ import pytest
 from benchmarks.faults.lab import Lab
 from benchmarks.faults.namespaces import Network, star
 from benchmarks.faults.program import PATIENCE_S, wait_until
-from orchestrator import goal_pursuit
-from orchestrator.fleet import Fleet
-from orchestrator.goal_runner import GoalRunner
-from shared.errors import NoReplyError, RefusedError, RobotLostError
-from shared.excitation import Excitation, Tone
-from shared.messages import GoalRequest, Outcome
+from nufleet.orchestrator.fleet import goal_pursuit
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.fleet.goal_runner import GoalRunner
+from nufleet.shared.errors import NoReplyError, RefusedError, RobotLostError
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.wire.messages import GoalRequest, Outcome
 
 SHORT = Excitation(axis="x", tones=(Tone(omega_rad_s=20.0),), settle_s=0.5)
 LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=60.0)

@@ -6,10 +6,10 @@ import pytest
 
 from benchmarks.faults.lab import Lab
 from benchmarks.faults.program import PATIENCE_S, Program, wait_until
-from orchestrator.stopping import stop_robots
-from shared.errors import RefusedError
-from shared.excitation import Excitation, Tone
-from shared.messages import GoalRequest, Outcome, RobotStatus
+from nufleet.orchestrator.fleet.stopping import stop_robots
+from nufleet.shared.errors import RefusedError
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.wire.messages import GoalRequest, Outcome, RobotStatus
 
 LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=60.0)
 ROBOTS = ("a", "b", "c")

@@ -10,9 +10,9 @@ from benchmarks.faults.lab import SECTION_V, Lab, opened_lab
 from benchmarks.faults.logbook import HALF_WAY, MOVES, TOLD_TO_REST
 from benchmarks.faults.program import PATIENCE_S, Program, wait_until
 from benchmarks.faults.study import Story, plan_of, ranking_of, run_study
-from orchestrator import goal_pursuit
-from orchestrator.fleet import Fleet
-from orchestrator.study import Question
+from nufleet.orchestrator.fleet import goal_pursuit
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.study.interface import Question
 
 ROBOTS = tuple(SECTION_V)
 PLAN = plan_of(ROBOTS, iterations=3)

@@ -6,12 +6,12 @@ import pytest
 
 from benchmarks.faults.lab import KEYS, Lab
 from benchmarks.faults.program import PATIENCE_S, wait_until
-from orchestrator.goal_runner import GoalRunner
-from shared.codec import decode, encode
-from shared.errors import RefusedError, RobotLostError
-from shared.excitation import Excitation, Tone
-from shared.messages import GoalRequest, Outcome, Refusal
-from shared.transport import open_client
+from nufleet.orchestrator.fleet.goal_runner import GoalRunner
+from nufleet.shared.errors import RefusedError, RobotLostError
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.wire.codec import decode, encode
+from nufleet.shared.wire.messages import GoalRequest, Outcome, Refusal
+from nufleet.shared.wire.transport import open_client
 
 SHORT = Excitation(axis="x", tones=(Tone(omega_rad_s=20.0),), settle_s=0.5)
 

@@ -6,8 +6,8 @@ import re
 
 from benchmarks.faults.lab import SECTION_V, Lab
 from benchmarks.faults.program import wait_until
-from orchestrator.repository.records import StudyStatus
-from orchestrator.repository.repository import open_repository
+from nufleet.orchestrator.repository.records import StudyStatus
+from nufleet.orchestrator.repository.repository import open_repository
 
 ROBOTS = tuple(SECTION_V)
 

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from shared import command_line
+from nufleet.shared import command_line
 
-NUFLEET = [sys.executable, "-m", "shared.command_line"]
+NUFLEET = [sys.executable, "-m", "nufleet"]
 PATIENCE_S = 600.0
 """Ends a command that hangs; some learn for half a minute where nothing else runs."""
 

@@ -12,7 +12,7 @@ import pytest
 from fleet_lab import Lab, Orchestrator, double_integrator
 from polling import wait_until
 
-from shared.transport import Session, open_router
+from nufleet.shared.wire.transport import Session, open_router
 
 
 @pytest.fixture(autouse=True)

@@ -13,15 +13,15 @@ import pytest
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
-from orchestrator.fleet import Fleet
-from robot_agent.agent import Agent
-from robot_agent.robot import Robot
-from shared.errors import NoReplyError, RefusedError, RobotLostError
-from shared.excitation import Excitation, Tone
-from shared.keys import FleetKeys
-from shared.messages import GoalAccepted, GoalRequest, GoalResult, RobotState
-from shared.transport import Session, open_client
-from sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.robot_agent.agent import Agent
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.errors import NoReplyError, RefusedError, RobotLostError
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.messages import GoalAccepted, GoalRequest, GoalResult, RobotState
+from nufleet.shared.wire.transport import Session, open_client
+from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 KEYS = FleetKeys("lab")
 

@@ -20,23 +20,23 @@ from pathlib import Path
 import numpy as np
 from sqlalchemy import Connection
 
-from orchestrator import held_leases
-from orchestrator.archive import Archive
-from orchestrator.dispatcher import Dispatcher
-from orchestrator.experience_selection import PaperStudy
-from orchestrator.fleet import Fleet
-from orchestrator.ranking import Conclusion, conduct
-from orchestrator.repository.database import Database
-from orchestrator.repository.errors import UnknownRecordError
-from orchestrator.repository.records import StudyRecord, StudyStatus
-from orchestrator.repository.repository import open_repository
-from orchestrator.robot_leases import lease_robots
-from orchestrator.study import StudyPlan
-from orchestrator.study_recipe import make_study, recipe_of
-from shared.frequency_response import FrequencyResponse
-from shared.keys import FleetKeys
-from shared.response_quality import Quality
-from shared.transport import open_client
+from nufleet.orchestrator.conduct import leases as held_leases
+from nufleet.orchestrator.conduct.archive import Archive
+from nufleet.orchestrator.conduct.conductor import Conclusion, conduct
+from nufleet.orchestrator.conduct.dispatcher import Dispatcher
+from nufleet.orchestrator.conduct.leases import lease_robots
+from nufleet.orchestrator.conduct.recipe import make_study, recipe_of
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.repository.database import Database
+from nufleet.orchestrator.repository.errors import UnknownRecordError
+from nufleet.orchestrator.repository.records import StudyRecord, StudyStatus
+from nufleet.orchestrator.repository.repository import open_repository
+from nufleet.orchestrator.study.interface import StudyPlan
+from nufleet.orchestrator.study.paper_algorithm import PaperStudy
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.quality import Quality
+from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.transport import open_client
 
 PATIENCE_S = 120.0
 """Bounds a hang only; this file is also a program of its own, which the tests start."""

@@ -11,11 +11,17 @@ from fleet_lab import KEYS, SLOW, Lab, Orchestrator, refusal
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
-from robot_agent.agent import Agent
-from shared.arrays import FloatArray
-from shared.errors import NoReplyError, RefusedError, RobotError, RobotLostError, TransportError
-from shared.messages import Outcome, RobotStatus
-from shared.transport import open_router
+from nufleet.robot_agent.agent import Agent
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import (
+    NoReplyError,
+    RefusedError,
+    RobotError,
+    RobotLostError,
+    TransportError,
+)
+from nufleet.shared.wire.messages import Outcome, RobotStatus
+from nufleet.shared.wire.transport import open_router
 
 # Robots that fail.
 

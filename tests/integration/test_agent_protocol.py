@@ -11,13 +11,19 @@ from fleet_lab import KEYS, SLOW, Gate, Lab, Orchestrator, double_integrator, re
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot, puppet_spec
 
-from robot_agent.agent import Agent
-from robot_agent.excitation import reference_of
-from shared.codec import encode
-from shared.errors import RefusedError, RobotLostError
-from shared.excitation import Tone
-from shared.messages import DescribeRequest, GoalAccepted, Outcome, RobotStatus, Telemetry
-from shared.transport import open_client
+from nufleet.robot_agent.agent import Agent
+from nufleet.robot_agent.motion.excitation import reference_of
+from nufleet.shared.errors import RefusedError, RobotLostError
+from nufleet.shared.frequency_test.excitation import Tone
+from nufleet.shared.wire.codec import encode
+from nufleet.shared.wire.messages import (
+    DescribeRequest,
+    GoalAccepted,
+    Outcome,
+    RobotStatus,
+    Telemetry,
+)
+from nufleet.shared.wire.transport import open_client
 
 # Work.
 
@@ -254,7 +260,7 @@ def test_a_stop_is_answered_while_other_requests_wait_and_the_rest_are_turned_aw
         assert planned.wait(PATIENCE_S)
         raise RefusedError("too-slow", "planning took too long", "a")
 
-    monkeypatch.setattr("robot_agent.planner.plan_excitation", plan_for_ever)
+    monkeypatch.setattr("nufleet.robot_agent.planner.plan_excitation", plan_for_ever)
     lab.agent("a", PuppetRobot())
     orchestrator = lab.orchestrator()
     codes: list[str] = []

@@ -9,10 +9,10 @@ from fleet_lab import KEYS, SLOW, Lab, Orchestrator, refusal
 from polling import PATIENCE_S
 from puppet_robot import PuppetRobot
 
-from robot_agent.agent import Agent
-from robot_agent.journal import LOG, JournalInUseError
-from shared.messages import Outcome, RobotStatus
-from shared.transport import open_client
+from nufleet.robot_agent.agent import Agent
+from nufleet.robot_agent.journal.journal import LOG, JournalInUseError
+from nufleet.shared.wire.messages import Outcome, RobotStatus
+from nufleet.shared.wire.transport import open_client
 
 
 def begin_anew(lab: Lab, orchestrator: Orchestrator, robot: PuppetRobot, folder: Path) -> Agent:

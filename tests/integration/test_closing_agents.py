@@ -10,10 +10,10 @@ from fleet_lab import KEYS, SLOW, Lab
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
-from robot_agent import watched_robot
-from robot_agent.agent import Agent
-from robot_agent.serve import closed_together
-from shared.errors import RobotError
+from nufleet.robot_agent.agent import Agent
+from nufleet.robot_agent.motion import watched_robot
+from nufleet.robot_agent.serve import closed_together
+from nufleet.shared.errors import RobotError
 
 
 def serve_and_close(lab: Lab, robots: dict[str, PuppetRobot]) -> None:

@@ -10,14 +10,14 @@ from fleet_lab import SLOW, Lab, Orchestrator, refusal
 from polling import wait_until
 from puppet_robot import PuppetRobot
 
-from orchestrator.goal_runner import GoalRunner
-from orchestrator.repository.errors import EpochOutOfRangeError
-from orchestrator.repository.repository import open_repository
-from orchestrator.robot_leases import lease_robots
-from robot_agent.journal import Journal
-from shared.errors import RefusedError
-from shared.excitation import Excitation
-from shared.messages import GoalAccepted, Outcome, RobotStatus
+from nufleet.orchestrator.conduct.leases import lease_robots
+from nufleet.orchestrator.fleet.goal_runner import GoalRunner
+from nufleet.orchestrator.repository.errors import EpochOutOfRangeError
+from nufleet.orchestrator.repository.repository import open_repository
+from nufleet.robot_agent.journal.journal import Journal
+from nufleet.shared.errors import RefusedError
+from nufleet.shared.frequency_test.excitation import Excitation
+from nufleet.shared.wire.messages import GoalAccepted, Outcome, RobotStatus
 
 LAB = """
 schema = 1

@@ -10,20 +10,20 @@ from fleet_lab import Lab, Orchestrator, assert_never_moved, double_integrator, 
 from puppet_robot import PuppetRobot
 from robots_that_learn import LaggedRobot
 
-from orchestrator.fleet import Fleet
-from orchestrator.linear_inverse import linear_experience
-from orchestrator.pilot import Pilot
-from orchestrator.prior_custody import install
-from orchestrator.prior_transfer import transfer
-from orchestrator.training import Origin, TrainingData
-from robot_agent.inverse_model import NetworkInverse
-from shared.arrays import FloatArray
-from shared.errors import InvalidInputError, MalformedMessageError, RobotError
-from shared.experience import decode_experience, digest, encode_experience
-from shared.inverse_layout import InverseLayout
-from shared.messages import GoalRequest
-from shared.motions import Tracking
-from shared.trajectories import travel
+from nufleet.orchestrator.experience.linear_inverse import linear_experience
+from nufleet.orchestrator.experience.prior_custody import install
+from nufleet.orchestrator.experience.training import Origin, TrainingData
+from nufleet.orchestrator.experience.transfer import transfer
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.flights.pilot import Pilot
+from nufleet.robot_agent.flight.inverse_model import NetworkInverse
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import InvalidInputError, MalformedMessageError, RobotError
+from nufleet.shared.experience.file import decode_experience, digest, encode_experience
+from nufleet.shared.experience.layout import InverseLayout
+from nufleet.shared.paths.trajectories import travel
+from nufleet.shared.wire.messages import GoalRequest
+from nufleet.shared.wire.motions import Tracking
 
 PATH = travel(np.array([[0.0], [0.9], [-0.5], [0.6], [0.0]]), 0.8, 1.5, 0.015)
 PREVIEW = InverseLayout(

@@ -14,16 +14,16 @@ from kept_study import trial_log
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
-from orchestrator.attempts import ATTEMPTS
-from orchestrator.dispatcher import Dispatcher
-from orchestrator.outcomes import Failed, Measured, TestOutcome
-from orchestrator.resume import round_of
-from orchestrator.study import Question
-from shared.errors import RefusedError, RobotError
-from shared.excitation import Excitation, Tone
-from shared.messages import Outcome, RobotStatus
-from sims.double_integrator import DoubleIntegrator
-from sims.faulty_robot import FAULTY, FaultyRobot, FaultyRobotSettings
+from nufleet.orchestrator.conduct.attempts import ATTEMPTS
+from nufleet.orchestrator.conduct.dispatcher import Dispatcher
+from nufleet.orchestrator.conduct.replay import round_of
+from nufleet.orchestrator.study.interface import Question
+from nufleet.orchestrator.study.outcomes import Failed, Measured, TestOutcome
+from nufleet.shared.errors import RefusedError, RobotError
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.wire.messages import Outcome, RobotStatus
+from nufleet.sims.double_integrator import DoubleIntegrator
+from nufleet.sims.faulty_robot import FAULTY, FaultyRobot, FaultyRobotSettings
 
 OMEGA_RAD_S = 4.0
 TEST = Excitation(axis="x", tones=(Tone(omega_rad_s=OMEGA_RAD_S),), settle_s=4.0)

@@ -14,11 +14,11 @@ from orchestrator_lives import ROBOTS, Life, live
 from polling import wait_until
 from puppet_robot import PuppetRobot
 
-from orchestrator import held_leases
-from orchestrator.repository.errors import RepositoryFullError
-from orchestrator.repository.records import StudyStatus
-from orchestrator.repository.repository import open_repository
-from shared.arrays import FloatArray
+from nufleet.orchestrator.conduct import leases as held_leases
+from nufleet.orchestrator.repository.errors import RepositoryFullError
+from nufleet.orchestrator.repository.records import StudyStatus
+from nufleet.orchestrator.repository.repository import open_repository
+from nufleet.shared.arrays import FloatArray
 
 ROOM = 160 * 1024
 """Enough for a round of the study, and not for two."""

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
-from robot_agent.endpoint import MAX_REQUEST_BYTES
-from shared.codec import Message, decode, encode
-from shared.messages import (
+from nufleet.robot_agent.network.endpoint import MAX_REQUEST_BYTES
+from nufleet.shared.wire.codec import Message, decode, encode
+from nufleet.shared.wire.messages import (
     AcknowledgeRequest,
     CancelRequest,
     DescribeRequest,
@@ -29,7 +29,7 @@ from shared.messages import (
     RobotStatus,
     StopRequest,
 )
-from shared.transport import Session
+from nufleet.shared.wire.transport import Session
 
 SERVED = ("describe", "goal", "cancel", "result", "acknowledge", "release", "stop")
 NOT_SERVED = ("state", "alive", "telemetry/motion", "result/g", "Goal", "goal/x", "x" * 3000)

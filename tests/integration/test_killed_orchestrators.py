@@ -13,9 +13,9 @@ from fleet_lab import Lab
 from orchestrator_lives import ROBOTS, Life, OrchestratorLives
 from puppet_robot import PuppetRobot
 
-from orchestrator.repository.records import StudyStatus, TrialStatus
-from orchestrator.repository.repository import Repository, open_repository
-from shared.arrays import FloatArray
+from nufleet.orchestrator.repository.records import StudyStatus, TrialStatus
+from nufleet.orchestrator.repository.repository import Repository, open_repository
+from nufleet.shared.arrays import FloatArray
 
 GAINS = {"target": 1.0, "near": 0.9, "far": 0.5}
 TESTS = 2 * len(ROBOTS)

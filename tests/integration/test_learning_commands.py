@@ -19,11 +19,11 @@ from command_processes import Typed, begun, fleet_that_is_up, nufleet
 from learned_things import experience, layout
 from polling import PATIENCE_S, wait_until
 
-from orchestrator.fleet import Fleet
-from shared.experience import decode_experience
-from shared.keys import FleetKeys
-from shared.messages import Description, RobotStatus
-from shared.transport import open_client
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.shared.experience.file import decode_experience
+from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.messages import Description, RobotStatus
+from nufleet.shared.wire.transport import open_client
 
 FLEET = """
 schema = 1

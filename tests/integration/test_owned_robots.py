@@ -8,9 +8,9 @@ import pytest
 from command_processes import Typed
 from fleet_lab import Lab, double_integrator
 
-from orchestrator.held_leases import hold_leases
-from orchestrator.repository.repository import open_repository
-from shared.messages import RobotStatus
+from nufleet.orchestrator.conduct.leases import hold_leases
+from nufleet.orchestrator.repository.repository import open_repository
+from nufleet.shared.wire.messages import RobotStatus
 
 COMMANDS = {
     "rank": ("--target", "a", "--band", "2", "10"),

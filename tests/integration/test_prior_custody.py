@@ -11,16 +11,16 @@ from fleet_lab import Lab, Orchestrator, assert_never_moved, double_integrator
 from learned_things import experience
 from robots_that_learn import LaggedRobot
 
-from orchestrator.experience_learning import fly_lessons
-from orchestrator.fleet import Fleet
-from orchestrator.pilot import Pilot
-from orchestrator.prior_custody import install, prior_put_back
-from shared.arrays import FloatArray
-from shared.errors import InvalidInputError, RobotError, StudyError
-from shared.experience import digest
-from shared.messages import GoalRequest
-from shared.motions import Tracking
-from shared.trajectories import travel
+from nufleet.orchestrator.experience.learning import fly_lessons
+from nufleet.orchestrator.experience.prior_custody import install, prior_put_back
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.flights.pilot import Pilot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import InvalidInputError, RobotError, StudyError
+from nufleet.shared.experience.file import digest
+from nufleet.shared.paths.trajectories import travel
+from nufleet.shared.wire.messages import GoalRequest
+from nufleet.shared.wire.motions import Tracking
 
 PATH = travel(np.array([[0.0], [0.9], [-0.5], [0.0]]), 0.4, 1.5, 0.015)
 OWN, OTHER = experience("source", seed=1), experience("somebody", seed=2)

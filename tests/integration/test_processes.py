@@ -16,15 +16,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from polling import PATIENCE_S, wait_until
 
-from orchestrator import fleet_processes
-from orchestrator.fleet import Fleet
-from orchestrator.fleet_processes import FleetProcesses, grouped, private_folder
-from shared.errors import EndpointInUseError
-from shared.excitation import Tone
-from shared.fleet_file import FleetFile, read_fleet_file
-from shared.keys import FleetKeys
-from shared.messages import Outcome, RobotStatus
-from shared.transport import open_client
+from nufleet.orchestrator.fleet import processes as fleet_processes
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.fleet.processes import FleetProcesses, grouped, private_folder
+from nufleet.shared.errors import EndpointInUseError
+from nufleet.shared.frequency_test.excitation import Tone
+from nufleet.shared.robots.fleet_file import FleetFile, read_fleet_file
+from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.messages import Outcome, RobotStatus
+from nufleet.shared.wire.transport import open_client
 
 FLEET = """
 schema = 1
@@ -40,7 +40,7 @@ settings = { alpha = 1.0, beta = 0.003 }
 START_AND_SAY_WHICH = """
 import json, sys, time
 from pathlib import Path
-from orchestrator.fleet_processes import FleetProcesses
+from nufleet.orchestrator.fleet.processes import FleetProcesses
 
 path, endpoint, with_router = Path(sys.argv[1]), sys.argv[2], sys.argv[3] == "router"
 with FleetProcesses() as started:
@@ -189,7 +189,7 @@ def looks_for_a_router(agent: subprocess.Popen[str]) -> bool:
 def test_a_waiting_agent_ends_with_ctrl_c(fleet_file: Path, endpoint: str) -> None:
     command = ("agent", str(fleet_file), "--connect", endpoint)
     with subprocess.Popen(
-        [sys.executable, "-m", "shared.command_line", *command],
+        [sys.executable, "-m", "nufleet", *command],
         stdin=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,

@@ -17,7 +17,7 @@ from command_processes import NUFLEET, PATIENCE_S, nufleet, trial_statuses
 from lifeline import started_with
 from polling import wait_until
 
-from shared.transport import open_client, open_router
+from nufleet.shared.wire.transport import open_client, open_router
 
 ROOT = Path(__file__).parents[2]
 FLEET = ROOT / "sims" / "fleets" / "paper_linear.toml"

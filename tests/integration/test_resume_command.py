@@ -15,8 +15,8 @@ import pytest
 from command_processes import PATIENCE_S, Typed, begun, fleet_that_is_up, nufleet, trial_statuses
 from polling import wait_until
 
-from orchestrator.repository.records import StudyStatus, TrialStatus
-from orchestrator.repository.repository import open_repository
+from nufleet.orchestrator.repository.records import StudyStatus, TrialStatus
+from nufleet.orchestrator.repository.repository import open_repository
 
 FLEET = """
 schema = 1

@@ -11,16 +11,15 @@ from fleet_lab import SLOW, Lab, Orchestrator
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
-from orchestrator import held_leases
-from orchestrator.goal_runner import GoalRunner
-from orchestrator.held_leases import HeldLeases
-from orchestrator.repository.database import Database
-from orchestrator.repository.errors import LeaseHeldError
-from orchestrator.repository.repository import Repository, open_repository
-from orchestrator.robot_leases import lease_robots
-from shared.errors import RobotOwnedError
-from shared.excitation import Excitation, Tone
-from shared.messages import Outcome
+from nufleet.orchestrator.conduct import leases as held_leases
+from nufleet.orchestrator.conduct.leases import HeldLeases, lease_robots
+from nufleet.orchestrator.fleet.goal_runner import GoalRunner
+from nufleet.orchestrator.repository.database import Database
+from nufleet.orchestrator.repository.errors import LeaseHeldError
+from nufleet.orchestrator.repository.repository import Repository, open_repository
+from nufleet.shared.errors import RobotOwnedError
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.wire.messages import Outcome
 
 TEST = Excitation(axis="x", tones=(Tone(omega_rad_s=20.0),), settle_s=0.5)
 

@@ -11,16 +11,16 @@ from fleet_lab import SLOW, Lab, Orchestrator
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
-from robot_agent.agent import Agent
-from shared.keys import FleetKeys
-from shared.messages import RobotStatus
+from nufleet.robot_agent.agent import Agent
+from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.messages import RobotStatus
 
 ESCAPE = "\x1b[31mOWNED"
 
 
 def nufleet(lab: Lab, *arguments: str | bytes) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "shared.command_line", *arguments, "--connect", lab.endpoint],
+        [sys.executable, "-m", "nufleet", *arguments, "--connect", lab.endpoint],
         capture_output=True,
         text=True,
         stdin=subprocess.DEVNULL,
@@ -138,7 +138,7 @@ def test_one_robot_that_is_not_released_keeps_no_other_from_it(lab: Lab) -> None
 
 def test_nothing_heavy_is_imported_before_robots_are_told_to_stop() -> None:
     script = (
-        "import sys; import orchestrator.cli.stop, orchestrator.stopping; "
+        "import sys; import nufleet.orchestrator.cli.stop, nufleet.orchestrator.fleet.stopping; "
         "print({m.partition('.')[0] for m in sys.modules})"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)

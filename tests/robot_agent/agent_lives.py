@@ -18,15 +18,15 @@ import numpy as np
 import pytest
 from puppet_robot import puppet_spec
 
-from robot_agent.decisions import Assignment, Decisions
-from robot_agent.journal import Journal
-from robot_agent.memory import Memory
-from robot_agent.ownership import Commander
-from robot_agent.planner import Planner
-from robot_agent.supervisor import StopOrder
-from shared import private_files
-from shared.excitation import Excitation, Tone
-from shared.messages import (
+from nufleet.robot_agent.decisions import Assignment, Decisions
+from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.journal.journal import Journal
+from nufleet.robot_agent.planner import Planner
+from nufleet.robot_agent.rules.ownership import Commander
+from nufleet.robot_agent.rules.supervisor import StopOrder
+from nufleet.shared import private_files
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.wire.messages import (
     GoalAccepted,
     GoalRequest,
     GoalResult,

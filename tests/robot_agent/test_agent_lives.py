@@ -15,8 +15,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from robot_agent.journal import LOG
-from shared.messages import Outcome
+from nufleet.robot_agent.journal.journal import LOG
+from nufleet.shared.wire.messages import Outcome
 
 STEPS: dict[str, Callable[[Lives], None]] = {
     "submit a": lambda lives: lives.submit("a"),

@@ -13,18 +13,19 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 from polling import PATIENCE_S
 from puppet_robot import puppet_spec
 
-from robot_agent import planner as planner_module
-from robot_agent.decisions import Assignment, Decisions
-from robot_agent.excitation import plan_excitation
-from robot_agent.memory import Memory
-from robot_agent.ownership import Commander
-from robot_agent.planner import Planner
-from robot_agent.supervisor import StopOrder
-from robot_agent.unrecorded import Unrecorded
-from shared.codec import MAX_BODY_BYTES, MAX_MESSAGE_BYTES
-from shared.errors import RefusedError
-from shared.excitation import Excitation, Tone
-from shared.messages import (
+from nufleet.robot_agent import planner as planner_module
+from nufleet.robot_agent.decisions import Assignment, Decisions
+from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.journal.unrecorded import Unrecorded
+from nufleet.robot_agent.motion.excitation import plan_excitation
+from nufleet.robot_agent.planner import Planner
+from nufleet.robot_agent.rules.ownership import Commander
+from nufleet.robot_agent.rules.supervisor import StopOrder
+from nufleet.shared.errors import RefusedError
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.wire.codec import MAX_BODY_BYTES, MAX_MESSAGE_BYTES
+from nufleet.shared.wire.messages import (
     GoalAccepted,
     GoalRequest,
     GoalResult,
@@ -32,7 +33,6 @@ from shared.messages import (
     Refusal,
     RobotStatus,
 )
-from shared.robot_spec import RobotSpec
 
 OWNERS = ("o-1", "o-2")
 EXCITATIONS = tuple(

@@ -15,14 +15,14 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 from puppet_robot import puppet_spec
 
-from robot_agent.decisions import Assignment, Decisions
-from robot_agent.journal import Journal
-from robot_agent.memory import Memory
-from robot_agent.ownership import Commander
-from robot_agent.planner import Planner
-from shared import private_files
-from shared.errors import RefusedError
-from shared.messages import GoalAccepted, GoalRequest, Outcome, Refusal
+from nufleet.robot_agent.decisions import Assignment, Decisions
+from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.journal.journal import Journal
+from nufleet.robot_agent.planner import Planner
+from nufleet.robot_agent.rules.ownership import Commander
+from nufleet.shared import private_files
+from nufleet.shared.errors import RefusedError
+from nufleet.shared.wire.messages import GoalAccepted, GoalRequest, Outcome, Refusal
 
 OWNERS = ("o-1", "o-2", "o-3")
 owners = st.sampled_from(OWNERS)

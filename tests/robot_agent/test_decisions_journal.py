@@ -12,17 +12,17 @@ import pytest
 from agent_lives import EXCITATION, result_of
 from puppet_robot import puppet_spec
 
-from robot_agent import planner as planner_module
-from robot_agent.decisions import Assignment, Decisions
-from robot_agent.journal import LOG, Journal
-from robot_agent.journal_ledger import JournalError
-from robot_agent.memory import Memory
-from robot_agent.ownership import Commander
-from robot_agent.planner import Planner
-from robot_agent.supervisor import StopOrder
-from shared import private_files
-from shared.errors import RefusedError
-from shared.messages import (
+from nufleet.robot_agent import planner as planner_module
+from nufleet.robot_agent.decisions import Assignment, Decisions
+from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.journal.journal import LOG, Journal
+from nufleet.robot_agent.journal.ledger import JournalError
+from nufleet.robot_agent.planner import Planner
+from nufleet.robot_agent.rules.ownership import Commander
+from nufleet.robot_agent.rules.supervisor import StopOrder
+from nufleet.shared import private_files
+from nufleet.shared.errors import RefusedError
+from nufleet.shared.wire.messages import (
     GoalAccepted,
     GoalRequest,
     GoalResult,

@@ -12,15 +12,15 @@ from agent_lives import EXCITATION
 from polling import PATIENCE_S, wait_until
 from puppet_robot import puppet_spec
 
-from robot_agent.decisions import Decisions
-from robot_agent.journal import Journal
-from robot_agent.memory import Memory
-from robot_agent.planner import Planner
-from robot_agent.stop_service import StopService
-from shared import private_files
-from shared.codec import encode
-from shared.errors import MalformedMessageError
-from shared.messages import Done, GoalRequest, Outcome, Refusal, StopRequest
+from nufleet.robot_agent.decisions import Decisions
+from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.journal.journal import Journal
+from nufleet.robot_agent.planner import Planner
+from nufleet.robot_agent.stop_service import StopService
+from nufleet.shared import private_files
+from nufleet.shared.errors import MalformedMessageError
+from nufleet.shared.wire.codec import encode
+from nufleet.shared.wire.messages import Done, GoalRequest, Outcome, Refusal, StopRequest
 
 STOP = encode(StopRequest(sender="alice", reason="smoke"))
 

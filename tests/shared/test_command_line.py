@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import click
 import pytest
 
-from shared import command_line
+from nufleet.shared import command_line
 
 
 @pytest.fixture(autouse=True)
@@ -54,8 +54,8 @@ def test_an_error_of_the_system_that_nobody_foresaw_is_not_hidden(
 
 def test_what_others_said_cannot_command_the_terminal() -> None:
     script = (
-        "import logging, click; from shared import command_line; "
-        "from shared.errors import NufleetError; root = command_line.command_line\n"
+        "import logging, click; from nufleet.shared import command_line; "
+        "from nufleet.shared.errors import NufleetError; root = command_line.command_line\n"
         "def with_one_more():\n"
         "    group = root()\n"
         "    def fail():\n"

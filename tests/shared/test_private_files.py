@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from shared.private_files import make_private_folder, replace_privately, write_privately
+from nufleet.shared.private_files import make_private_folder, replace_privately, write_privately
 
 
 def mode(path: Path) -> int:

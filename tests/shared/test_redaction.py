@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.redaction import without_secrets
+from nufleet.shared.redaction import without_secrets
 
 SECRETS = ("cret", "MIIEv", "hunter2")
 

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from shared.strict import Identifier, Name, Reason, Strict
-from shared.text import as_reason
+from nufleet.shared.strict import Identifier, Name, Reason, Strict
+from nufleet.shared.text import as_reason
 
 
 class Sample(Strict):

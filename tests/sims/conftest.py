@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-import sims
-from robot_agent.robot import Robot
-from shared.drivers import RobotDriver
-from shared.fleet_file import FleetFile, read_fleet_file, validated_settings
+from nufleet import sims
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.robots.drivers import RobotDriver
+from nufleet.shared.robots.fleet_file import FleetFile, read_fleet_file, validated_settings
 
 Respond = Callable[[Robot, float, int], complex]
 

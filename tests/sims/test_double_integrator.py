@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.signal import dlsim
 
-from shared.arrays import FloatArray
-from shared.errors import RobotError
-from sims.double_integrator import (
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotError
+from nufleet.sims.double_integrator import (
     DoubleIntegrator,
     DoubleIntegratorSettings,
     closed_loop,

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from shared.drawing_files import read_drawing
-from shared.drawings import ENTRY_POINT_GROUP
-from shared.robot_spec import TrackingLimits
-from shared.trajectories import check_trajectory, travel
-from sims.drawings import ALL
+from nufleet.shared.paths.files import read_drawing
+from nufleet.shared.paths.installed import ENTRY_POINT_GROUP
+from nufleet.shared.paths.trajectories import check_trajectory, travel
+from nufleet.shared.robots.spec import TrackingLimits
+from nufleet.sims.drawings import ALL
 
 ROOT = Path(__file__).parents[2]
 

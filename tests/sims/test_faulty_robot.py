@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from polling import PATIENCE_S
 from pydantic import ValidationError
 
-from robot_agent.robot import Robot
-from shared.arrays import FloatArray
-from shared.errors import FleetFileError, RobotError
-from shared.fleet_file import validated_settings
-from sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
-from sims.faulty_robot import EXIT_CODE, FAULTY, FaultyRobot, FaultyRobotSettings
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import FleetFileError, RobotError
+from nufleet.shared.robots.fleet_file import validated_settings
+from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
+from nufleet.sims.faulty_robot import EXIT_CODE, FAULTY, FaultyRobot, FaultyRobotSettings
 
 INNER = {"alpha": 1.0, "beta": 0.003, "noise_std_m": 0.001}
 REFERENCES = np.sin(0.1 * np.arange(300))[:, np.newaxis]
@@ -164,7 +164,7 @@ def in_a_process_of_its_own(fault: dict[str, Any]) -> subprocess.Popen[str]:
     document = {"driver": "double_integrator", "settings": INNER, "faults": [fault]}
     program = f"""
 import numpy as np
-from sims.faulty_robot import FAULTY, FaultyRobotSettings
+from nufleet.sims.faulty_robot import FAULTY, FaultyRobotSettings
 settings = FaultyRobotSettings.model_validate_json({json.dumps(document)!r})
 robot = FAULTY.build({{"a": settings}}, np.random.default_rng(0))["a"]
 robot.connect()

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sims.measurement_noise import MeasurementNoise
+from nufleet.sims.measurement_noise import MeasurementNoise
 
 SIGMA = np.array([[0.002, 0.01, 0.005], [0.004, 0.0, 0.001]])
 

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from shared.arrays import FloatArray
-from shared.errors import RobotError
-from shared.robot_spec import AxisSpec, RobotSpec
-from sims.measurement_noise import MeasurementNoise
-from sims.simulated_robot import RestRule, SimulatedRobot, path_to_rest
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotError
+from nufleet.shared.robots.spec import AxisSpec, RobotSpec
+from nufleet.sims.measurement_noise import MeasurementNoise
+from nufleet.sims.simulated_robot import RestRule, SimulatedRobot, path_to_rest
 
 SAMPLE_TIME_S = 0.1
 RULE = RestRule(speed=0.5, position_max=0.01, velocity_max=0.01, patience_s=20.0)

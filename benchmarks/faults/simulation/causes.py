@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from benchmarks.faults.simulation.network import NoAnswer, Node
 from benchmarks.faults.simulation.robot import SimulatedRobot
-from shared.messages import Done
+from nufleet.shared.wire.messages import Done
 
 if TYPE_CHECKING:
     from benchmarks.faults.simulation.schedule import Kind

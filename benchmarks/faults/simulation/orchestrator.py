@@ -13,10 +13,12 @@ from benchmarks.faults.simulation.repository import SimulatedLog, SimulatedRepos
 from benchmarks.faults.simulation.robot import BAD_SENSOR, SimulatedRobot
 from benchmarks.faults.simulation.study import RankingStudy, response_of, useless
 from benchmarks.faults.simulation.world import World
-from orchestrator import robot_leases
-from orchestrator.attempts import ATTEMPTS, ATTEMPTS_IN_ALL, Attempts, Settled
-from orchestrator.fleet import QUERY_TIMEOUT_S, RESULT_TIMEOUT_S
-from orchestrator.goal_events import (
+from nufleet.orchestrator.conduct import leases as robot_leases
+from nufleet.orchestrator.conduct.attempts import ATTEMPTS, ATTEMPTS_IN_ALL, Attempts, Settled
+from nufleet.orchestrator.conduct.leases import RENEW_EVERY_S
+from nufleet.orchestrator.conduct.replay import OpenRound, OpenTest, resume, round_of
+from nufleet.orchestrator.fleet.client import QUERY_TIMEOUT_S, RESULT_TIMEOUT_S
+from nufleet.orchestrator.fleet.goal_events import (
     Accepted,
     Ask,
     CancelTaken,
@@ -33,17 +35,15 @@ from orchestrator.goal_events import (
     TokenLost,
     Unanswered,
 )
-from orchestrator.goal_pursuit import RETURN_PATIENCE_S, Pursuit
-from orchestrator.held_leases import RENEW_EVERY_S
-from orchestrator.outcomes import Failed, Measured, TestOutcome
-from orchestrator.repository.errors import LeaseHeldError, LeaseLostError, RepositoryError
-from orchestrator.repository.records import Lease, Renewal, TrialStatus
-from orchestrator.resume import OpenRound, OpenTest, resume, round_of
-from robot_agent.freezes import FROZEN_S
-from robot_agent.ownership import Commander
-from shared.errors import NoReplyError, RefusedError, RobotOwnedError, StudyError
-from shared.frequency_response import FrequencyResponse
-from shared.messages import (
+from nufleet.orchestrator.fleet.goal_pursuit import RETURN_PATIENCE_S, Pursuit
+from nufleet.orchestrator.repository.errors import LeaseHeldError, LeaseLostError, RepositoryError
+from nufleet.orchestrator.repository.records import Lease, Renewal, TrialStatus
+from nufleet.orchestrator.study.outcomes import Failed, Measured, TestOutcome
+from nufleet.robot_agent.rules.freezes import FROZEN_S
+from nufleet.robot_agent.rules.ownership import Commander
+from nufleet.shared.errors import NoReplyError, RefusedError, RobotOwnedError, StudyError
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.wire.messages import (
     Description,
     GoalAccepted,
     GoalRequest,

@@ -5,9 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-from orchestrator.repository.errors import RepositoryError
-from orchestrator.repository.lease_rules import RELEASED_S, StoredLease, acquired, check_held
-from orchestrator.repository.records import (
+from nufleet.orchestrator.conduct.replay import OpenTest
+from nufleet.orchestrator.repository.errors import RepositoryError
+from nufleet.orchestrator.repository.lease_rules import (
+    RELEASED_S,
+    StoredLease,
+    acquired,
+    check_held,
+)
+from nufleet.orchestrator.repository.records import (
     LastLease,
     Lease,
     Renewal,
@@ -15,16 +21,15 @@ from orchestrator.repository.records import (
     TrialRecord,
     TrialStatus,
 )
-from orchestrator.repository.trial_rules import (
+from nufleet.orchestrator.repository.trial_rules import (
     check_epoch,
     check_same_intent,
     is_new_acceptance,
     is_new_end,
 )
-from orchestrator.resume import OpenTest
-from shared.excitation import Excitation
-from shared.frequency_response import FrequencyResponse
-from shared.messages import GoalAccepted, GoalResult
+from nufleet.shared.frequency_test.excitation import Excitation
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.wire.messages import GoalAccepted, GoalResult
 
 TERM_S = 8.0
 

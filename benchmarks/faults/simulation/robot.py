@@ -13,13 +13,10 @@ import numpy as np
 from benchmarks.faults.simulation.history import History, Motion, Violation
 from benchmarks.faults.simulation.network import Network, Node, OnAnswer
 from benchmarks.faults.simulation.world import World
-from robot_agent.decisions import Assignment, Decisions
-from robot_agent.excitation import peak_velocity_and_acceleration, reference_of
-from robot_agent.freezes import Freezes
-from robot_agent.goal_machine import Goal, Goals
-from robot_agent.heartbeat import HEARTBEAT_S
-from robot_agent.journal import Remembrance, lost_result
-from robot_agent.journal_ledger import (
+from nufleet.robot_agent.decisions import Assignment, Decisions
+from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.journal.journal import Remembrance, lost_result
+from nufleet.robot_agent.journal.ledger import (
     Accepted,
     Acknowledged,
     Ended,
@@ -30,17 +27,27 @@ from robot_agent.journal_ledger import (
     Released,
     Stopped,
 )
-from robot_agent.memory import Memory
-from robot_agent.ownership import Commander
-from robot_agent.pace import GAP_MAX_S
-from robot_agent.planner import Planner
-from robot_agent.supervisor import StopOrder
-from shared.errors import RefusedError
-from shared.excitation import ExcitationPlan
-from shared.messages import Description, Done, GoalRequest, GoalResult, Outcome, Refusal
-from shared.motions import Motion as AskedMotion
-from shared.motions import MotionPlan
-from shared.robot_spec import RobotSpec
+from nufleet.robot_agent.motion.excitation import peak_velocity_and_acceleration, reference_of
+from nufleet.robot_agent.motion.pace import GAP_MAX_S
+from nufleet.robot_agent.network.heartbeat import HEARTBEAT_S
+from nufleet.robot_agent.planner import Planner
+from nufleet.robot_agent.rules.freezes import Freezes
+from nufleet.robot_agent.rules.goal_machine import Goal, Goals
+from nufleet.robot_agent.rules.ownership import Commander
+from nufleet.robot_agent.rules.supervisor import StopOrder
+from nufleet.shared.errors import RefusedError
+from nufleet.shared.frequency_test.excitation import ExcitationPlan
+from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.wire.messages import (
+    Description,
+    Done,
+    GoalRequest,
+    GoalResult,
+    Outcome,
+    Refusal,
+)
+from nufleet.shared.wire.motions import Motion as AskedMotion
+from nufleet.shared.wire.motions import MotionPlan
 
 BAD_SENSOR = "its sensor reads 0"
 _PLANS: dict[tuple[float, AskedMotion], MotionPlan] = {}

@@ -15,8 +15,8 @@ from benchmarks.faults.simulation.robot import SimulatedRobot
 from benchmarks.faults.simulation.schedule import Fault, Schedule
 from benchmarks.faults.simulation.study import RankingStudy
 from benchmarks.faults.simulation.world import World
-from orchestrator.repository.records import TrialStatus
-from shared.robot_spec import AxisSpec, RobotSpec
+from nufleet.orchestrator.repository.records import TrialStatus
+from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
 STUDY = "study"
 ENDS_WITHIN_S = 900.0

@@ -7,11 +7,11 @@ from functools import cache
 
 import numpy as np
 
-from orchestrator.study import Question, Report, Responses, SourceEstimate
-from shared.errors import StudyError
-from shared.excitation import Excitation, Tone
-from shared.frequency_response import FrequencyResponse
-from shared.response_quality import Finding, Quality
+from nufleet.orchestrator.study.interface import Question, Report, Responses, SourceEstimate
+from nufleet.shared.errors import StudyError
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.quality import Finding, Quality
 
 ROUNDS = 2
 _OMEGA_RAD_S = (8.0, 12.0)

@@ -15,8 +15,9 @@ from unittest.mock import patch
 from benchmarks.faults.simulation import orchestrator as simulated
 from benchmarks.faults.simulation import repository as kept
 from benchmarks.faults.simulation.orchestrator import SimulatedOrchestrator
-from orchestrator import attempts, robot_leases
-from orchestrator.goal_events import (
+from nufleet.orchestrator.conduct import attempts
+from nufleet.orchestrator.conduct import leases as robot_leases
+from nufleet.orchestrator.fleet.goal_events import (
     Ask,
     CancelTaken,
     Ended,
@@ -26,16 +27,16 @@ from orchestrator.goal_events import (
     Refused,
     Unanswered,
 )
-from orchestrator.goal_pursuit import Pursuit
-from orchestrator.repository import lease_rules
-from orchestrator.repository.errors import LeaseLostError
-from orchestrator.repository.lease_rules import StoredLease
-from orchestrator.repository.records import Lease
-from robot_agent import goal_machine
-from robot_agent.freezes import Freezes
-from shared.excitation import Excitation
-from shared.messages import Description, GoalResult
-from shared.robot_spec import RobotSpec
+from nufleet.orchestrator.fleet.goal_pursuit import Pursuit
+from nufleet.orchestrator.repository import lease_rules
+from nufleet.orchestrator.repository.errors import LeaseLostError
+from nufleet.orchestrator.repository.lease_rules import StoredLease
+from nufleet.orchestrator.repository.records import Lease
+from nufleet.robot_agent.rules import goal_machine
+from nufleet.robot_agent.rules.freezes import Freezes
+from nufleet.shared.frequency_test.excitation import Excitation
+from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.wire.messages import Description, GoalResult
 
 Patches = Iterator[Any]
 

@@ -9,8 +9,8 @@ import pytest
 from postgresql_server import PostgresqlServer, running_server
 from repository_records import FLEET, SPEC, STUDY
 
-from orchestrator.repository.records import RobotRecord
-from orchestrator.repository.repository import Repository, open_repository
+from nufleet.orchestrator.repository.records import RobotRecord
+from nufleet.orchestrator.repository.repository import Repository, open_repository
 
 
 @pytest.fixture(scope="session")

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from repository_records import STUDY, intent
 
-from orchestrator.repository.errors import RepositoryError
-from orchestrator.repository.repository import open_repository
+from nufleet.orchestrator.repository.errors import RepositoryError
+from nufleet.orchestrator.repository.repository import open_repository
 
 
 def fill_up(folder: Path) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Barrier
 
-from orchestrator.repository.errors import LeaseHeldError
-from orchestrator.repository.repository import open_repository
+from nufleet.orchestrator.repository.errors import LeaseHeldError
+from nufleet.orchestrator.repository.repository import open_repository
 
 PATIENCE_S = 30.0
 

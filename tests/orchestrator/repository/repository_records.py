@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from orchestrator.repository.records import StudyRecord, TrialIntent
-from orchestrator.study import DesiredMotion, StudyPlan
-from shared.excitation import Excitation, ExcitationPlan, Tone
-from shared.frequency_response import FrequencyResponse
-from shared.messages import GoalAccepted, GoalResult, Outcome
-from shared.response_quality import Finding, Quality
-from shared.robot_spec import AxisSpec, RobotSpec
+from nufleet.orchestrator.repository.records import StudyRecord, TrialIntent
+from nufleet.orchestrator.study.interface import DesiredMotion, StudyPlan
+from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan, Tone
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.quality import Finding, Quality
+from nufleet.shared.robots.spec import AxisSpec, RobotSpec
+from nufleet.shared.wire.messages import GoalAccepted, GoalResult, Outcome
 
 FLEET = "lab"
 SPEC = RobotSpec(

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from orchestrator.repository.array_blob import pack_array, unpack_complex, unpack_floats
-from orchestrator.repository.errors import DamagedRecordError
-from shared.arrays import ComplexArray, FloatArray
+from nufleet.orchestrator.repository.array_blob import pack_array, unpack_complex, unpack_floats
+from nufleet.orchestrator.repository.errors import DamagedRecordError
+from nufleet.shared.arrays import ComplexArray, FloatArray
 
 SHAPES = array_shapes(min_dims=1, max_dims=3, min_side=0, max_side=5)
 

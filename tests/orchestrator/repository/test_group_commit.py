@@ -12,15 +12,15 @@ from polling import PATIENCE_S, wait_until
 from repository_records import accepted, intent, response, result
 from sqlalchemy import Connection
 
-from orchestrator.repository.database import Database
-from orchestrator.repository.errors import (
+from nufleet.orchestrator.repository.database import Database
+from nufleet.orchestrator.repository.errors import (
     RepositoryError,
     RepositoryFullError,
     StaleEpochError,
 )
-from orchestrator.repository.group_commit import GroupCommit, _Job
-from orchestrator.repository.records import TrialStatus
-from orchestrator.repository.repository import Repository
+from nufleet.orchestrator.repository.group_commit import GroupCommit, _Job
+from nufleet.orchestrator.repository.records import TrialStatus
+from nufleet.orchestrator.repository.repository import Repository
 
 THREADS = 24
 

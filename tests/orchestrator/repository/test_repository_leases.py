@@ -10,12 +10,16 @@ import pytest
 from polling import PATIENCE_S, wait_until
 from repository_records import FLEET
 
-from orchestrator.repository.database import Database
-from orchestrator.repository.errors import EpochOutOfRangeError, LeaseHeldError, LeaseLostError
-from orchestrator.repository.lease_rules import EPOCH_BELIEVED_MAX, StoredLease, acquired
-from orchestrator.repository.records import LastLease, Lease
-from orchestrator.repository.repository import Repository
-from shared.messages import EPOCH_MAX
+from nufleet.orchestrator.repository.database import Database
+from nufleet.orchestrator.repository.errors import (
+    EpochOutOfRangeError,
+    LeaseHeldError,
+    LeaseLostError,
+)
+from nufleet.orchestrator.repository.lease_rules import EPOCH_BELIEVED_MAX, StoredLease, acquired
+from nufleet.orchestrator.repository.records import LastLease, Lease
+from nufleet.orchestrator.repository.repository import Repository
+from nufleet.shared.wire.messages import EPOCH_MAX
 
 LONG_S = 60.0
 RACERS = 3

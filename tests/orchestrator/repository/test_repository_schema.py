@@ -18,19 +18,19 @@ from postgresql_server import PostgresqlServer
 from repository_records import FLEET, SPEC, STUDY
 from sqlalchemy import create_engine
 
-from orchestrator.repository import database
-from orchestrator.repository.database import default_url, parse_url
-from orchestrator.repository.errors import (
+from nufleet.orchestrator.repository import database
+from nufleet.orchestrator.repository.database import default_url, parse_url
+from nufleet.orchestrator.repository.errors import (
     DamagedRecordError,
     RepositoryError,
     RepositoryUnreachableError,
     RepositoryUrlError,
     SchemaVersionError,
 )
-from orchestrator.repository.records import ExperienceRecord, RobotRecord
-from orchestrator.repository.repository import Repository, open_repository
-from orchestrator.repository.schema import MIGRATIONS
-from orchestrator.repository.tables import METADATA
+from nufleet.orchestrator.repository.records import ExperienceRecord, RobotRecord
+from nufleet.orchestrator.repository.repository import Repository, open_repository
+from nufleet.orchestrator.repository.schema import MIGRATIONS
+from nufleet.orchestrator.repository.tables import METADATA
 
 NEXT_SCHEMA = """
 from alembic import op

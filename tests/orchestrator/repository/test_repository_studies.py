@@ -27,13 +27,13 @@ from repository_records import (
     result,
 )
 
-from orchestrator.repository.errors import (
+from nufleet.orchestrator.repository.errors import (
     RecordConflictError,
     StaleEpochError,
     TrialEndedError,
     UnknownRecordError,
 )
-from orchestrator.repository.records import (
+from nufleet.orchestrator.repository.records import (
     ExperienceRecord,
     ExperienceSummary,
     RobotRecord,
@@ -41,9 +41,9 @@ from orchestrator.repository.records import (
     TrialRecord,
     TrialStatus,
 )
-from orchestrator.repository.repository import Repository, open_repository
-from shared.messages import Outcome
-from shared.response_quality import Finding
+from nufleet.orchestrator.repository.repository import Repository, open_repository
+from nufleet.shared.frequency_test.quality import Finding
+from nufleet.shared.wire.messages import Outcome
 
 UNUSABLE = Finding(code="clipped", text="the output is clipped")
 

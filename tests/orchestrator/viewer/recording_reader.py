@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from rerun.chunk import RrdReader
 
-from shared.arrays import FloatArray
+from nufleet.shared.arrays import FloatArray
 
 
 def entities(path: Path) -> set[str]:

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from orchestrator.study import Curve, SourceEstimate
-from orchestrator.viewer.events import (
-    IterationEvent,
-    RobotStateEvent,
-    TestSamplesEvent,
-)
+from nufleet.orchestrator.study.interface import Curve, SourceEstimate
+from nufleet.orchestrator.viewer.events import IterationEvent, RobotStateEvent, TestSamplesEvent
 
 SAMPLE_TIME_S = 0.015
 

@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tracking_events import SAMPLE_TIME_S, flight, parts
 
-from orchestrator.viewer.axes import HEIGHT, WIDTH
-from orchestrator.viewer.flights import PAUSE_S, Flight, Outcomes
-from orchestrator.viewer.outline import thinned
-from orchestrator.viewer.palette import GROUND, TARGET, Palette, subdued
-from orchestrator.viewer.path_axes import axes_around
+from nufleet.orchestrator.viewer.draw.axes import HEIGHT, WIDTH
+from nufleet.orchestrator.viewer.draw.outline import thinned
+from nufleet.orchestrator.viewer.draw.palette import GROUND, TARGET, Palette, subdued
+from nufleet.orchestrator.viewer.draw.path_frame import axes_around
+from nufleet.orchestrator.viewer.flights import PAUSE_S, Flight, Outcomes
 
 
 def test_a_label_tells_who_gave_the_prior_and_what_was_flown() -> None:

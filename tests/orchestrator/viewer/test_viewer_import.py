@@ -9,7 +9,8 @@ import sys
 def test_the_viewer_is_imported_without_rerun() -> None:
     program = (
         "import sys\n"
-        "from orchestrator.viewer import events, picture, show, writer\n"
+        "from nufleet.orchestrator.viewer import events, writer\n"
+        "from nufleet.orchestrator.viewer.server import picture, open as show\n"
         "writer.RerunWriter('run-1', recording=None, serve=None)\n"
         "sys.exit('rerun' in sys.modules)"
     )

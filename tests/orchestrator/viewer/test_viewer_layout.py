@@ -9,10 +9,10 @@ from recording_reader import layouts
 from study_events import iteration_event, samples_event, state_event
 from tracking_events import flight
 
-from orchestrator.viewer.blueprint import layout
-from orchestrator.viewer.events import ViewerEvent
-from orchestrator.viewer.shown import COMPARED_S, Shown
-from orchestrator.viewer.writer import RerunWriter
+from nufleet.orchestrator.viewer.events import ViewerEvent
+from nufleet.orchestrator.viewer.layout import layout
+from nufleet.orchestrator.viewer.shown import COMPARED_S, Shown
+from nufleet.orchestrator.viewer.writer import RerunWriter
 
 STUDY_VIEWS = {"Ranking", "Robots", "Log", "Responses on the Riemann sphere"}
 FLIGHT_VIEWS = {"Tracking", "Flights", "Log", "Tracking error |e| [mm], by who gave the prior"}

@@ -22,9 +22,9 @@ from polling import PATIENCE_S, wait_until
 from recording_reader import column, scalars
 from study_events import iteration_event, samples_event
 
-from orchestrator.viewer.show import open_web
-from orchestrator.viewer.writer import RerunWriter, ServeOptions
-from shared.errors import EndpointInUseError, InvalidInputError
+from nufleet.orchestrator.viewer.server.open import open_web
+from nufleet.orchestrator.viewer.writer import RerunWriter, ServeOptions
+from nufleet.shared.errors import EndpointInUseError, InvalidInputError
 
 EPHEMERAL = ServeOptions(grpc_port=0)
 
@@ -175,7 +175,7 @@ def test_what_is_stuck_costs_neither_the_study_nor_its_recording(
         # How long it may take is a matter of the machine; what follows is one of what is stuck.
         wait_until(lambda: not recording._kept and not recording._droppable)
         # Left to itself Rerun waits 25 s for a viewer that is stopped, and for ever for a server.
-        monkeypatch.setattr("orchestrator.viewer.writer.LIVE_CLOSE_S", 20.0)
+        monkeypatch.setattr("nufleet.orchestrator.viewer.writer.LIVE_CLOSE_S", 20.0)
         assert writer.close(40.0 if stuck == "viewers" else 8.0) == (stuck == "viewers")
     assert len(scalars(path, "/tests/response/s1/x")[1]) == 2000 * tests
     assert len(column(path, "/psi/worst/s1", "Measurements:values")) == tests // 100
@@ -209,7 +209,7 @@ import signal, sys, time
 sys.path.insert(0, sys.argv[1])
 from pathlib import Path
 from study_events import iteration_event
-from orchestrator.viewer.writer import RerunWriter, ServeOptions
+from nufleet.orchestrator.viewer.writer import RerunWriter, ServeOptions
 
 def end(*_):
     raise SystemExit(3)

@@ -10,15 +10,15 @@ from polling import PATIENCE_S
 from study_events import iteration_event, samples_event, state_event
 from tracking_events import flight
 
-from orchestrator.viewer.events import (
+from nufleet.orchestrator.viewer.events import (
     IterationEvent,
     RobotStateEvent,
     TakenBackEvent,
     TrackingSamplesEvent,
     ViewerEvent,
 )
-from orchestrator.viewer.outlet import Outlet
-from shared.errors import InvalidInputError
+from nufleet.orchestrator.viewer.outlet import Outlet
+from nufleet.shared.errors import InvalidInputError
 
 
 class GatedSink:

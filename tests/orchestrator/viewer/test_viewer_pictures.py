@@ -14,20 +14,27 @@ from hypothesis import strategies as st
 from study_events import iteration_event, samples_event, state_event
 from tracking_events import flight
 
-from orchestrator.viewer.axes import HEIGHT, WIDTH, Axes, fitting_axes, round_up, spread
-from orchestrator.viewer.draw_differences import around
-from orchestrator.viewer.draw_estimates import ranking_table
-from orchestrator.viewer.events import MessageEvent, TakenBackEvent
-from orchestrator.viewer.leaders import LEADERS, leading_sources, telling_tone
-from orchestrator.viewer.marks import drawable
-from orchestrator.viewer.outline import outline
-from orchestrator.viewer.palette import TARGET, Palette
-from orchestrator.viewer.picture import screenshot
-from orchestrator.viewer.rerun_program import rerun_environment, rerun_program
-from orchestrator.viewer.show import open_native
-from orchestrator.viewer.writer import RerunWriter
-from shared.chordal import chordal_distance
-from shared.errors import InvalidInputError, NufleetError
+from nufleet.orchestrator.viewer.draw.axes import (
+    HEIGHT,
+    WIDTH,
+    Axes,
+    fitting_axes,
+    round_up,
+    spread,
+)
+from nufleet.orchestrator.viewer.draw.differences import around
+from nufleet.orchestrator.viewer.draw.estimates import ranking_table
+from nufleet.orchestrator.viewer.draw.leaders import LEADERS, leading_sources, telling_tone
+from nufleet.orchestrator.viewer.draw.marks import drawable
+from nufleet.orchestrator.viewer.draw.outline import outline
+from nufleet.orchestrator.viewer.draw.palette import TARGET, Palette
+from nufleet.orchestrator.viewer.events import MessageEvent, TakenBackEvent
+from nufleet.orchestrator.viewer.server.open import open_native
+from nufleet.orchestrator.viewer.server.picture import screenshot
+from nufleet.orchestrator.viewer.server.rerun_program import rerun_environment, rerun_program
+from nufleet.orchestrator.viewer.writer import RerunWriter
+from nufleet.shared.distance.chordal import chordal_distance
+from nufleet.shared.errors import InvalidInputError, NufleetError
 
 EVERY_GLYPH = "".join(c for c in map(chr, range(0x20, 0x3000)) if drawable(c) == c)
 

@@ -10,9 +10,9 @@ import pytest
 from recording_reader import column, entities, scalars
 from study_events import SAMPLE_TIME_S, iteration_event, samples_event, state_event
 
-from orchestrator.viewer.events import MessageEvent, ViewerEvent
-from orchestrator.viewer.writer import RerunWriter
-from shared.errors import InvalidInputError
+from nufleet.orchestrator.viewer.events import MessageEvent, ViewerEvent
+from nufleet.orchestrator.viewer.writer import RerunWriter
+from nufleet.shared.errors import InvalidInputError
 
 
 def record(path: Path, *events: ViewerEvent) -> Path:

@@ -11,9 +11,9 @@ from recording_reader import column, entities, scalars
 from study_events import iteration_event
 from tracking_events import SAMPLE_TIME_S, flight, parts
 
-from orchestrator.viewer.events import MessageEvent, TakenBackEvent, ViewerEvent
-from orchestrator.viewer.stream import RerunSink
-from orchestrator.viewer.writer import RerunWriter
+from nufleet.orchestrator.viewer.events import MessageEvent, TakenBackEvent, ViewerEvent
+from nufleet.orchestrator.viewer.rerun_sink import RerunSink
+from nufleet.orchestrator.viewer.writer import RerunWriter
 
 LATE_MM = 1e3 * 2 * np.sin(np.pi * 0.1 / 10)
 """How far the robot of `flight` is from its path, a circle of 1 m, when 0.1 s late."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from orchestrator.viewer.events import TrackingSamplesEvent
-from shared.arrays import FloatArray
+from nufleet.orchestrator.viewer.events import TrackingSamplesEvent
+from nufleet.shared.arrays import FloatArray
 
 SAMPLE_TIME_S = 0.02
 SAMPLES = 500

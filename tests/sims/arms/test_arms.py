@@ -10,16 +10,16 @@ import pytest
 from pydantic import ValidationError
 from scipy.signal import cont2discrete
 
-from robot_agent.robot import Robot
-from shared.arrays import FloatArray
-from shared.drivers import RobotDriver
-from shared.errors import RobotError
-from shared.fleet_file import FleetFile
-from shared.linear_model import LinearModel
-from sims.arms.driver import DRIVER
-from sims.arms.mechanism import STEPS_PER_SAMPLE, nominal_inertia_kg_m2
-from sims.arms.robot import Arm
-from sims.arms.settings import ArmSettings, EncoderNoise
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotError
+from nufleet.shared.models.linear_model import LinearModel
+from nufleet.shared.robots.drivers import RobotDriver
+from nufleet.shared.robots.fleet_file import FleetFile
+from nufleet.sims.arms.driver import DRIVER
+from nufleet.sims.arms.mechanism import STEPS_PER_SAMPLE, nominal_inertia_kg_m2
+from nufleet.sims.arms.robot import Arm
+from nufleet.sims.arms.settings import ArmSettings, EncoderNoise
 
 Respond = Callable[[Robot, float, int], complex]
 Chordal = Callable[[complex, complex], float]

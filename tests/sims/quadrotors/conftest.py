@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_agent.robot import Robot
-from shared.drivers import RobotDriver
-from shared.fleet_file import FleetFile
-from sims.quadrotors.driver import DRIVER
-from sims.quadrotors.settings import QuadrotorSettings, SensorNoise
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.robots.drivers import RobotDriver
+from nufleet.shared.robots.fleet_file import FleetFile
+from nufleet.sims.quadrotors.driver import DRIVER
+from nufleet.sims.quadrotors.settings import QuadrotorSettings, SensorNoise
 
 
 @pytest.fixture(scope="session")

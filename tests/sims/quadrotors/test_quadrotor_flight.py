@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
-from robot_agent.robot import Robot
-from shared.arrays import ComplexArray, FloatArray
-from shared.linear_model import LinearModel
-from sims.quadrotors.controllers import GRAVITY_M_S2
-from sims.quadrotors.robot import Quadrotor
-from sims.quadrotors.settings import AttitudeVehicle, QuadrotorSettings
-from sims.quadrotors.simulator import Hangar
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import ComplexArray, FloatArray
+from nufleet.shared.models.linear_model import LinearModel
+from nufleet.sims.quadrotors.controllers import GRAVITY_M_S2
+from nufleet.sims.quadrotors.robot import Quadrotor
+from nufleet.sims.quadrotors.settings import AttitudeVehicle, QuadrotorSettings
+from nufleet.sims.quadrotors.simulator import Hangar
 
 
 def wandering(samples: int, seed: int = 5) -> FloatArray:

@@ -9,15 +9,15 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from robot_agent.robot import Robot
-from shared.arrays import FloatArray
-from shared.drivers import RobotDriver
-from shared.errors import InvalidInputError, RobotError
-from sims.quadrotors.driver import DRIVER
-from sims.quadrotors.environment import environment
-from sims.quadrotors.flight import CHUNK_SAMPLES
-from sims.quadrotors.robot import Quadrotor
-from sims.quadrotors.settings import QuadrotorSettings
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import InvalidInputError, RobotError
+from nufleet.shared.robots.drivers import RobotDriver
+from nufleet.sims.quadrotors.driver import DRIVER
+from nufleet.sims.quadrotors.environment import environment
+from nufleet.sims.quadrotors.flight import CHUNK_SAMPLES
+from nufleet.sims.quadrotors.robot import Quadrotor
+from nufleet.sims.quadrotors.settings import QuadrotorSettings
 
 Respond = Callable[[Robot, float, int], complex]
 Chordal = Callable[[complex, complex], float]

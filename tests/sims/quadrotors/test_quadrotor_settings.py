@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from shared.fleet_file import FleetFile
-from sims.quadrotors.settings import AttitudeVehicle, MellingerVehicle, QuadrotorSettings
+from nufleet.shared.robots.fleet_file import FleetFile
+from nufleet.sims.quadrotors.settings import AttitudeVehicle, MellingerVehicle, QuadrotorSettings
 
 BEBOP = {
     "controller": "offboard_pd",

@@ -1,0 +1,135 @@
+"""What responses of stable loops are made of: a second-order loop with delay, modes, a residual.
+
+z(ω) = e^{−jωτ} [loop(ω) + Σ modes(ω)] + residual(ω), with x = ω/ω₀ and D = 1 + 2jζx − x²:
+a loop is (b₀ + j b₁x)/D, a mode 2ζ(c₀ + j c₁x)/D, so that |c₀ + j c₁| is its height, and the
+residual Σ h_k e^{−jωkΔ} is a causal impulse response whose prior variance decays (the diagonal
+kernel of Chen, Ohlsson and Ljung, Automatica 48, 2012).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nufleet.shared.arrays import ComplexArray, FloatArray
+
+LOOP_PARAMETERS = 5
+"""b₀, b₁, ln ω₀, ln ζ, τ."""
+
+MODE_PARAMETERS = 4
+"""c₀, c₁, ln ω₀, ln ζ of each mode."""
+
+TAPS = 24
+TAPS_BANDWIDTH = 1.2
+"""The residual's impulse response has so many taps; it repeats beyond this multiple of the band."""
+
+MODE_DECAYS = 5
+MODE_DAMPING_MIN = 0.02
+
+
+@dataclass(frozen=True)
+class ResponsePrior:
+    """What is believed of any robot's loop before its first test.
+
+    Feedback loops that follow a reference have a gain near 1 at low frequency, a bandwidth near the
+    band they are operated in, and a delay that does not turn the phase much more than once. A mode
+    decays no slower than the robot says that its transients do: `decay_min_1_s`.
+    """
+
+    omega_max_rad_s: float
+    decay_min_1_s: float
+    gain_std: float = 0.5
+    lead_std: float = 1.5
+    log_bandwidth_std: float = 0.8
+    log_damping_std: float = 1.0
+    mode_height_std: float = 0.3
+
+    def loop(self) -> tuple[FloatArray, FloatArray]:
+        """Return mean and standard deviation of the loop's parameters, shape (5,)."""
+        mean = [1.0, 0.0, np.log(0.7 * self.omega_max_rad_s), np.log(0.5), 0.0]
+        std = [
+            self.gain_std,
+            self.lead_std,
+            self.log_bandwidth_std,
+            self.log_damping_std,
+            2.0 / self.omega_max_rad_s,
+        ]
+        return np.array(mean), np.array(std)
+
+    def mode(self, omega_rad_s: float, damping: float) -> tuple[FloatArray, FloatArray]:
+        """Return mean and standard deviation of a mode's parameters near a point of the grid."""
+        mean = np.array([0.0, 0.0, np.log(omega_rad_s), np.log(damping)])
+        return mean, np.array([self.mode_height_std, self.mode_height_std, 0.2, 0.7])
+
+    def mode_grid(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return ω₀, ζ and log prior weight of the modes looked for, each of shape (modes,).
+
+        For each decay σ = ζω₀ they are σ apart, which is half the width of the resonance. There
+        are none when the slowest decay is faster than any mode of the band: its modes are gone
+        before they could be seen.
+        """
+        top = 1.3 * self.omega_max_rad_s
+        slowest = max(self.decay_min_1_s, MODE_DAMPING_MIN * 0.5 * top)
+        decays = np.geomspace(slowest, max(0.25 * top, 1.5 * slowest), MODE_DECAYS)
+        decays = decays[decays < top]
+        omegas = [np.arange(max(decay, 0.05 * top), top, decay) for decay in decays]
+        counts = np.array([len(omega) for omega in omegas], dtype=np.int64)
+        omega = np.concatenate([np.empty(0), *omegas])
+        damping = np.minimum(np.repeat(decays, counts) / omega, 1.0)
+        return omega, damping, -np.log(np.repeat(counts, counts) * len(decays))
+
+
+def response(theta: FloatArray, omega_rad_s: FloatArray) -> ComplexArray:
+    """Return z of a loop and its modes without residual; θ (…, 5 + 4m) to (…, frequencies)."""
+    return response_and_slope(theta, omega_rad_s)[0]
+
+
+def response_and_slope(
+    theta: FloatArray, omega_rad_s: FloatArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """Return z, shape (…, frequencies), and ∂z/∂θ, shape (…, frequencies, parameters)."""
+    delay = np.exp(-1j * omega_rad_s * theta[..., 4:5])
+    total = np.zeros(delay.shape, dtype=np.complex128)
+    columns: list[ComplexArray] = []
+    for first in (0, *range(LOOP_PARAMETERS, theta.shape[-1], MODE_PARAMETERS)):
+        n_0, n_1, log_omega, log_damping = (theta[..., first + i, None] for i in range(4))
+        x = omega_rad_s * np.exp(-log_omega)
+        damping = np.exp(log_damping)
+        height = 1.0 if first == 0 else 2 * damping
+        inverse = delay * height / (1 + 2j * damping * x - x**2)
+        part = (n_0 + 1j * n_1 * x) * inverse
+        bare = inverse / (delay * height)
+        by_damping = -part * 2j * damping * x * bare + (0.0 if first == 0 else part)
+        by_omega = -1j * n_1 * x * inverse + part * (2j * damping * x - 2 * x**2) * bare
+        columns += [inverse, 1j * x * inverse, by_omega, by_damping]
+        total += part
+    by_delay = -1j * omega_rad_s * total
+    return total, np.stack([*columns[:4], by_delay, *columns[4:]], axis=-1)
+
+
+def mode_columns(
+    omega_0_rad_s: FloatArray, damping: FloatArray, delay_s: float, omega_rad_s: FloatArray
+) -> ComplexArray:
+    """Return what c₀ = 1 and c₁ = 1 give of each mode, shape (modes, frequencies, 2)."""
+    x = omega_rad_s / omega_0_rad_s[:, None]
+    bare = 2 * damping[:, None] / (1 + 2j * damping[:, None] * x - x**2)
+    late = bare * np.exp(-1j * omega_rad_s * delay_s)
+    return np.stack([late, 1j * x * late], axis=-1)
+
+
+def tap_columns(omega_max_rad_s: float, omega_rad_s: FloatArray) -> ComplexArray:
+    """Return e^{−jωkΔ} of the residual's taps, shape (frequencies, taps)."""
+    times_s = np.arange(TAPS) * tap_spacing_s(omega_max_rad_s)
+    return np.exp(-1j * np.outer(omega_rad_s, times_s))
+
+
+def tap_spacing_s(omega_max_rad_s: float) -> float:
+    """Return Δ, the time between the residual's taps."""
+    return float(np.pi / (TAPS_BANDWIDTH * omega_max_rad_s))
+
+
+def tap_std(size: float, memory_s: float, omega_max_rad_s: float) -> FloatArray:
+    """Return the prior deviations of the taps, shape (taps,): of a residual of E|·|² = `size`²."""
+    share = np.exp(-np.arange(TAPS) * tap_spacing_s(omega_max_rad_s) / memory_s)
+    return np.asarray(size * share / np.linalg.norm(share))

@@ -1,0 +1,84 @@
+"""Maximum a posteriori parameters of a loop and its modes, from many starts at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nufleet.orchestrator.belief.loop_features import response_and_slope
+from nufleet.shared.arrays import ComplexArray, FloatArray
+
+ITERATIONS = 40
+CONVERGED = 1e-6
+"""Ends the search when no start lowers its cost by this share any more."""
+
+
+@dataclass(frozen=True)
+class Tones:
+    """All that was measured of a robot: frequencies, ẑ and E|ẑ − z|², each of shape (tones,)."""
+
+    omega_rad_s: FloatArray
+    z: ComplexArray
+    variance: FloatArray
+
+    def whiten(self, values: ComplexArray) -> FloatArray:
+        """Return real and imaginary parts over their deviation; (…, tones) to (…, 2 tones)."""
+        scaled = values / np.sqrt(self.variance / 2)
+        return np.concatenate([scaled.real, scaled.imag], axis=-1)
+
+
+def fit_from(
+    starts: FloatArray, tones: Tones, prior_mean: FloatArray, prior_std: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Descend from every start by Levenberg and Marquardt's method.
+
+    Args:
+        starts: shape (starts, parameters).
+        tones: the measurements.
+        prior_mean: of the parameters, shape (parameters,) or (starts, parameters).
+        prior_std: the same.
+
+    Returns:
+        The parameters found, shape (starts, parameters), and their costs, shape (starts,): half the
+        squared deviations from measurements and prior, in standard deviations.
+    """
+    theta = starts.copy()
+    damping = np.full(len(starts), 1e-2)
+    residual, slope = _deviations(theta, tones, prior_mean, prior_std)
+    cost = 0.5 * np.sum(residual**2, axis=1)
+    for _ in range(ITERATIONS):
+        normal = np.einsum("sij,sik->sjk", slope, slope)
+        gradient = np.einsum("sij,si->sj", slope, residual)
+        diagonal = np.einsum("sjj->sj", normal)
+        damped = normal + np.eye(theta.shape[1]) * (damping[:, None] * diagonal)[:, None, :]
+        trial = theta - np.linalg.solve(damped, gradient[..., None])[..., 0]
+        # Farther than this from the prior no robot is, and exp() would overflow.
+        trial = np.clip(trial, prior_mean - 8 * prior_std, prior_mean + 8 * prior_std)
+        trial_residual, trial_slope = _deviations(trial, tones, prior_mean, prior_std)
+        trial_cost = 0.5 * np.sum(trial_residual**2, axis=1)
+        better = trial_cost < cost
+        worth = (cost - trial_cost)[better] > CONVERGED * cost[better]
+        theta[better], cost[better] = trial[better], trial_cost[better]
+        residual[better], slope[better] = trial_residual[better], trial_slope[better]
+        damping = np.clip(np.where(better, damping / 5, damping * 5), 1e-9, 1e9)
+        if better.any() and not worth.any():
+            break
+    return theta, cost
+
+
+def _deviations(
+    theta: FloatArray, tones: Tones, prior_mean: FloatArray, prior_std: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return deviations from measurements and prior, and their slopes in θ."""
+    z, by_theta = response_and_slope(theta, tones.omega_rad_s)
+    misfit = tones.whiten(z - tones.z)
+    from_prior = (theta - prior_mean) / prior_std
+    slope = np.swapaxes(tones.whiten(np.swapaxes(by_theta, -1, -2)), -1, -2)
+    identity = np.broadcast_to(
+        np.eye(theta.shape[1]) / prior_std[..., None], (len(theta), *[theta.shape[1]] * 2)
+    )
+    return (
+        np.concatenate([misfit, from_prior], axis=1),
+        np.concatenate([slope, identity], axis=1),
+    )

@@ -1,0 +1,249 @@
+"""One belief per robot about its response z(ω) over the band, from all its tests.
+
+A mixture of Gaussians. Each component linearises a second-order loop with delay (and none, one or
+two modes) about a maximum a posteriori fit, adds a causal residual of some size and memory, and
+perhaps one more narrow mode somewhere, which the tones have neither shown nor excluded. Weights are
+marginal likelihoods, so that the data choose the complexity, and what hides between the tones stays
+believed in proportion to how well it can hide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from nufleet.orchestrator.belief.loop_features import (
+    LOOP_PARAMETERS,
+    ResponsePrior,
+    mode_columns,
+    response_and_slope,
+    tap_columns,
+    tap_std,
+)
+from nufleet.orchestrator.belief.loop_fit import Tones, fit_from
+from nufleet.shared.arrays import ComplexArray, FloatArray
+
+STARTS_BANDWIDTH = (0.35, 0.6, 1.0, 1.7)
+STARTS_DAMPING = (0.1, 0.7)
+MODE_CANDIDATES = 4
+
+
+@dataclass(frozen=True)
+class ModelSettings:
+    """What the mixture is made of.
+
+    `residual_sizes` are prior deviations of the residual, with their prior weights, and
+    `residual_memories` its memories in units of 1/ω_max. `fit_floor` is a deviation added to every
+    measurement while fitting, since no loop is exactly of second order. `one_more_mode` is the
+    prior probability of a mode beyond those fitted, of which there are at most `modes_max`.
+    """
+
+    residual_sizes: tuple[float, ...] = (3e-4, 3e-3, 1e-2, 3e-2, 0.1)
+    residual_size_weights: tuple[float, ...] = (0.3, 0.3, 0.2, 0.15, 0.05)
+    residual_memories: tuple[float, ...] = (4.0, 16.0)
+    fit_floor: float = 2e-3
+    one_more_mode: float = 0.3
+    modes_max: int = 2
+
+
+@dataclass(frozen=True)
+class _Expansion:
+    """A fit with 0, 1 or 2 modes that components linearise about."""
+
+    theta: FloatArray
+    mean: FloatArray
+    std: FloatArray
+    log_prior: float
+
+
+@dataclass(frozen=True)
+class _Component:
+    """All components that share expansion and residual: without another mode, and with each."""
+
+    expansion: _Expansion
+    tap_std: FloatArray
+    factor: FloatArray  # Cholesky factor of A = I + ΦᵀΦ
+    half: FloatArray  # L⁻¹ Φᵀ r
+    cross: FloatArray  # L⁻¹ Φᵀ X of each mode: (size, 2 modes)
+    mode_precision: FloatArray  # S: (modes, 2, 2)
+    mode_mean: FloatArray  # S⁻¹ u: (modes, 2)
+    log_weights: FloatArray  # (1 + modes,): first without another mode
+
+
+class ResponseModel:
+    """What is believed of one robot's response after its tests."""
+
+    def __init__(
+        self, tones: Tones, prior: ResponsePrior, settings: ModelSettings | None = None
+    ) -> None:
+        """Fit everything.
+
+        Args:
+            tones: all measurements, at least one.
+            prior: what is believed before.
+            settings: what the mixture is made of.
+        """
+        self.tones = tones
+        self._settings = settings or ModelSettings()
+        self._prior = prior
+        self._grid_omega, self._grid_damping, self._grid_log_weight = prior.mode_grid()
+        self._components: list[_Component] = []
+        self._build()
+        weights = np.concatenate([c.log_weights for c in self._components])
+        self._weights = np.exp(weights - weights.max())
+        self._weights /= self._weights.sum()
+
+    def draw(self, omega_rad_s: FloatArray, count: int, rng: np.random.Generator) -> ComplexArray:
+        """Return samples of z at these frequencies, shape (count, frequencies)."""
+        chosen = np.sort(rng.choice(len(self._weights), size=count, p=self._weights))
+        per_component = 1 + len(self._grid_omega)
+        parts = []
+        for index, component in enumerate(self._components):
+            mine = chosen[
+                (chosen >= index * per_component) & (chosen < (index + 1) * per_component)
+            ]
+            if len(mine):
+                modes = mine - index * per_component - 1
+                parts.append(self._draw_component(component, modes, omega_rad_s, rng))
+        samples = np.concatenate(parts)
+        return samples[rng.permutation(count)]
+
+    def _build(self) -> None:
+        floored = Tones(
+            self.tones.omega_rad_s, self.tones.z, self.tones.variance + self._settings.fit_floor**2
+        )
+        expansion = self._fit_loop(floored)
+        for modes in range(self._settings.modes_max + 1):
+            components = self._components_about(expansion)
+            self._components += components
+            if modes == self._settings.modes_max or not len(self._grid_omega):
+                break
+            expansion = self._fit_mode(expansion, components, floored)
+
+    def _fit_loop(self, floored: Tones) -> _Expansion:
+        mean, std = self._prior.loop()
+        starts = np.tile(mean, (len(STARTS_BANDWIDTH) * len(STARTS_DAMPING), 1))
+        for start, (bandwidth, damping) in zip(
+            starts, product(STARTS_BANDWIDTH, STARTS_DAMPING), strict=True
+        ):
+            start[2:4] = np.log(bandwidth * self._prior.omega_max_rad_s), np.log(damping)
+        theta, cost = fit_from(starts, floored, mean, std)
+        return _Expansion(theta[np.argmin(cost)], mean, std, 0.0)
+
+    def _fit_mode(
+        self, before: _Expansion, components: Sequence[_Component], floored: Tones
+    ) -> _Expansion:
+        """Add the mode that the grid finds most likely, and refine everything."""
+        best = max(components, key=lambda c: float(c.log_weights[1:].max()))
+        ranked = np.argsort(best.log_weights[1:])[::-1][:MODE_CANDIDATES]
+        starts, means, stds = [], [], []
+        for mode in ranked:
+            mean, std = self._prior.mode(self._grid_omega[mode], self._grid_damping[mode])
+            start = mean.copy()
+            start[:2] = best.mode_mean[mode] * self._prior.mode_height_std
+            starts.append(np.concatenate([before.theta, start]))
+            means.append(np.concatenate([before.mean, mean]))
+            stds.append(np.concatenate([before.std, std]))
+        theta, cost = fit_from(np.array(starts), floored, np.array(means), np.array(stds))
+        chosen = int(np.argmin(cost))
+        log_prior = before.log_prior + np.log(self._settings.one_more_mode)
+        return _Expansion(theta[chosen], means[chosen], stds[chosen], log_prior)
+
+    def _components_about(self, expansion: _Expansion) -> list[_Component]:
+        tones, settings = self.tones, self._settings
+        z, slope = response_and_slope(expansion.theta, tones.omega_rad_s)
+        # δ = θ − prior mean has mean 0, so the linearised z(δ = 0) is taken off the data.
+        at_prior = z + slope @ (expansion.mean - expansion.theta)
+        residual = tones.whiten(tones.z - at_prior)
+        loop = tones.whiten((slope * expansion.std).T).T
+        taps = tones.whiten(tap_columns(self._prior.omega_max_rad_s, tones.omega_rad_s).T).T
+        modes = self._mode_columns(expansion, tones.omega_rad_s)
+        extra = tones.whiten(np.moveaxis(modes, -1, 0)).transpose(2, 1, 0)
+        extra = extra.reshape(len(residual), -1)  # (2 tones, 2 modes)
+        gram = np.einsum("imc,imd->mcd", *[extra.reshape(len(residual), -1, 2)] * 2)
+        toward = (residual @ extra).reshape(-1, 2)
+        found = []
+        for (size, weight), memory in product(
+            zip(settings.residual_sizes, settings.residual_size_weights, strict=True),
+            settings.residual_memories,
+        ):
+            memory_s = memory / self._prior.omega_max_rad_s
+            deviations = tap_std(size, memory_s, self._prior.omega_max_rad_s)
+            columns = np.concatenate([loop, taps * deviations], axis=1)
+            factor = np.linalg.cholesky(np.eye(columns.shape[1]) + columns.T @ columns)
+            half = solve_triangular(factor, columns.T @ residual, lower=True)
+            log_evidence = (
+                expansion.log_prior
+                + np.log(weight / len(settings.residual_memories))
+                + 0.5 * (half @ half - residual @ residual)
+                - np.sum(np.log(np.diag(factor)))
+            )
+            cross = solve_triangular(factor, columns.T @ extra, lower=True)
+            by_mode = cross.reshape(len(half), -1, 2)
+            precision = np.eye(2) + gram - np.einsum("imc,imd->mcd", by_mode, by_mode)
+            u = toward - (half @ cross).reshape(-1, 2)
+            determinant = precision[:, 0, 0] * precision[:, 1, 1] - precision[:, 0, 1] ** 2
+            mean = (
+                np.stack(
+                    [
+                        precision[:, 1, 1] * u[:, 0] - precision[:, 0, 1] * u[:, 1],
+                        precision[:, 0, 0] * u[:, 1] - precision[:, 0, 1] * u[:, 0],
+                    ],
+                    axis=1,
+                )
+                / determinant[:, None]
+            )
+            gain = 0.5 * np.sum(u * mean, axis=1) - 0.5 * np.log(determinant)
+            with_mode = np.log(settings.one_more_mode) + self._grid_log_weight + gain
+            log_weights = log_evidence + np.concatenate(
+                [[np.log1p(-settings.one_more_mode)], with_mode]
+            )
+            found.append(
+                _Component(expansion, deviations, factor, half, cross, precision, mean, log_weights)
+            )
+        return found
+
+    def _mode_columns(self, expansion: _Expansion, omega_rad_s: FloatArray) -> ComplexArray:
+        delay_s = float(expansion.theta[LOOP_PARAMETERS - 1])
+        columns = mode_columns(self._grid_omega, self._grid_damping, delay_s, omega_rad_s)
+        return self._prior.mode_height_std * columns
+
+    def _draw_component(
+        self,
+        component: _Component,
+        modes: NDArray[np.int64],
+        omega_rad_s: FloatArray,
+        rng: np.random.Generator,
+    ) -> ComplexArray:
+        expansion, count = component.expansion, len(modes)
+        z, slope = response_and_slope(expansion.theta, omega_rad_s)
+        at_prior = z + slope @ (expansion.mean - expansion.theta)
+        taps = tap_columns(self._prior.omega_max_rad_s, omega_rad_s)
+        columns = np.concatenate([slope * expansion.std, taps * component.tap_std], axis=1)
+        with_mode = modes >= 0
+        heights = np.zeros((count, 2))
+        mine = modes[with_mode]
+        spread = np.linalg.cholesky(np.linalg.inv(component.mode_precision[mine]))
+        noise = rng.standard_normal((len(mine), 2, 1))
+        heights[with_mode] = component.mode_mean[mine] + (spread @ noise)[..., 0]
+        by_mode = component.cross.reshape(len(component.half), -1, 2)
+        shifted = np.tile(component.half[:, None], count)
+        shifted[:, with_mode] -= np.einsum("imc,mc->im", by_mode[:, mine], heights[with_mode])
+        shifted += rng.standard_normal(shifted.shape)
+        weights = solve_triangular(component.factor, shifted, lower=True, trans="T")
+        samples = at_prior + (columns @ weights).T
+        if len(mine):
+            kinds, which = np.unique(mine, return_inverse=True)
+            shapes = self._prior.mode_height_std * mode_columns(
+                self._grid_omega[kinds],
+                self._grid_damping[kinds],
+                float(expansion.theta[LOOP_PARAMETERS - 1]),
+                omega_rad_s,
+            )
+            samples[with_mode] += np.einsum("mfc,mc->mf", shapes[which], heights[with_mode])
+        return samples

@@ -1,0 +1,140 @@
+"""All that is known of one robot's response: its tests, a model of them, and whether they agree."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import chi2
+
+from nufleet.orchestrator.belief.loop_features import ResponsePrior
+from nufleet.orchestrator.belief.loop_fit import Tones
+from nufleet.orchestrator.belief.noise_pooling import pooled_variance
+from nufleet.orchestrator.belief.response_belief import ResponseModel
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.robots.spec import RobotSpec
+
+DECAYS_UNTIL_SETTLED = 3.0
+"""A robot's settling time holds at least so many time constants of its slowest mode."""
+
+NONLINEAR_DEVIATION = 0.02
+"""What a response that is not linear may be off, relative to itself, at another amplitude."""
+
+CHANGE_SIGNIFICANCE = 1e-3
+CHECK_SAMPLES = 400
+VARIANCE_MIN = 1e-10
+"""No response is known better than to 1e-5; smaller variances would only be rounded away."""
+
+
+class RobotKnowledge:
+    """What the tests of one robot have taught so far."""
+
+    def __init__(self, robot: str, spec: RobotSpec, omega_max_rad_s: float) -> None:
+        self.robot = robot
+        self.spec = spec
+        self.prior = ResponsePrior(
+            omega_max_rad_s, DECAYS_UNTIL_SETTLED / max(spec.settling_time_s, 1e-3)
+        )
+        self.responses: list[FrequencyResponse] = []
+        self.findings: tuple[str, ...] = ()
+        self._tones: list[Tones] = []
+        self._noise: list[FloatArray] = []
+        self._model: ResponseModel | None = None
+
+    def learn(
+        self, response: FrequencyResponse, rng: np.random.Generator, *, check: bool = True
+    ) -> None:
+        """Take in a test's usable estimates; what contradicts earlier tests becomes a finding.
+
+        Args:
+            response: the test's response.
+            rng: draws what was expected of the test.
+            check: whether to look for contradictions, which takes as long as a fit of the model.
+
+        Raises:
+            InvalidInputError: the test has no usable estimate.
+        """
+        known = np.isfinite(response.z) & np.isfinite(response.variance)
+        if not known.any():
+            raise InvalidInputError(
+                f"{self.robot}: a test of it holds no finite estimate: leave that test out, or "
+                "repeat it"
+            )
+        first = not self.responses
+        self.responses.append(response)
+        omega, z = response.omega_rad_s[known], response.z[known]
+        degrees = response.degrees_of_freedom[known]
+        variance = pooled_variance(omega, response.variance[known], degrees)
+        variance = np.maximum(variance, VARIANCE_MIN)
+        self._noise.append(np.stack([omega, variance / len(omega)]))
+        for finding in response.quality.warnings:
+            if finding.code == "nonlinear":
+                self._find(finding.text)
+                variance = variance + (NONLINEAR_DEVIATION * np.abs(z)) ** 2
+        new = Tones(omega, z, variance)
+        doubt = self._contradiction(new, rng) if check and not first else 0.0
+        # Which of the tests is right is not known, so none is believed as before.
+        self._tones = [Tones(t.omega_rad_s, t.z, t.variance + doubt) for t in (*self._tones, new)]
+        self._model = None
+
+    @property
+    def tests(self) -> int:
+        """How many tests there are of it."""
+        return len(self.responses)
+
+    @property
+    def omega_rad_s(self) -> FloatArray:
+        """Every frequency tested, in the order of the tests."""
+        return np.concatenate([tones.omega_rad_s for tones in self._tones])
+
+    @property
+    def model(self) -> ResponseModel:
+        """The belief after all tests; there has to be one."""
+        if self._model is None:
+            self._model = ResponseModel(
+                Tones(
+                    self.omega_rad_s,
+                    np.concatenate([tones.z for tones in self._tones]),
+                    np.concatenate([tones.variance for tones in self._tones]),
+                ),
+                self.prior,
+            )
+        return self._model
+
+    def expected_variance(self, omega_rad_s: FloatArray, times_as_long: float) -> FloatArray:
+        """Return what the variance of a test will be, from those before it.
+
+        Power is shared by a test's tones and gathers with time, so variances are in proportion to
+        their number and against the time.
+
+        Args:
+            omega_rad_s: the test's tones.
+            times_as_long: how long it measures, relative to the first test.
+        """
+        omega, density = np.concatenate(self._noise, axis=1)
+        nearest = np.argmin(np.abs(omega - omega_rad_s[:, None]), axis=1)
+        return np.asarray(density[nearest] * len(omega_rad_s) / times_as_long)
+
+    def _contradiction(self, new: Tones, rng: np.random.Generator) -> float:
+        """Return the variance to add when a test is not what all before it made of the robot."""
+        expected = self.model.draw(new.omega_rad_s, CHECK_SAMPLES, rng)
+        parts = np.concatenate([expected.real, expected.imag], axis=1)
+        noise = np.concatenate([new.variance, new.variance]) / 2
+        covariance = np.cov(parts.T) + np.diag(noise)
+        miss = np.concatenate([new.z.real, new.z.imag]) - parts.mean(axis=0)
+        distance = float(miss @ np.linalg.solve(covariance, miss))
+        limit = float(chi2.isf(CHANGE_SIGNIFICANCE, len(miss)))
+        if distance <= limit:
+            return 0.0
+        excess = np.abs(new.z - expected.mean(axis=0)) ** 2
+        worst = int(np.argmax(excess / (new.variance + np.var(expected, axis=0))))
+        self._find(
+            f"its response changed between tests, by {np.sqrt(excess[worst]):.3g} at "
+            f"{new.omega_rad_s[worst]:.4g} rad/s: it depends on the amplitude or on time"
+        )
+        return float(np.mean(excess))
+
+    def _find(self, text: str) -> None:
+        finding = f"{self.robot}: {text}"
+        if finding not in self.findings:
+            self.findings = (*self.findings, finding)

@@ -1,0 +1,1 @@
+"""A study on a real fleet: leases, tests, stores, retries and resumption."""

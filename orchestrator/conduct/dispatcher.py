@@ -1,0 +1,208 @@
+"""Runs one round of tests on many robots at once, with retries, and says what came of each."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+from nufleet.orchestrator.conduct.attempts import Attempts, Settled
+from nufleet.orchestrator.conduct.replay import OpenTest
+from nufleet.orchestrator.conduct.trial_log import TrialLog
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.fleet.goal_events import Ended
+from nufleet.orchestrator.fleet.goal_loop import GoalLoop
+from nufleet.orchestrator.fleet.goal_runner import GoalRunner, Interrupted
+from nufleet.orchestrator.study.outcomes import TestOutcome
+from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.wire.messages import GoalAccepted
+
+OnAttempt = Callable[[str, int, str], None]
+
+STORING_AT_ONCE = 32
+"""How many robots' answers are judged and stored together: they share one commit."""
+
+
+class Dispatcher:
+    """Sends tests to robots; `interrupt` ends a round from another thread with robots at rest.
+
+    What is sent is stored before, what comes of it before anything else is sent to that robot.
+    """
+
+    def __init__(
+        self,
+        fleet: Fleet,
+        log: TrialLog,
+        specs: Mapping[str, RobotSpec],
+        *,
+        on_attempt_failed: OnAttempt,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            fleet: whose robots are tested; it holds their leases.
+            log: where everything that is sent and measured is stored.
+            specs: what each robot says of itself; a longer test than it accepts is not sent.
+            on_attempt_failed: is told robot, attempt and reason, from other threads.
+        """
+        self._goals = GoalRunner(fleet)
+        self._log = log
+        self._specs = specs
+        self._on_attempt_failed = on_attempt_failed
+
+    def run(self, tests: Sequence[OpenTest]) -> dict[str, TestOutcome]:
+        """Run one test on every robot named, all at the same time.
+
+        Args:
+            tests: of different robots. One that an earlier orchestrator sent already is sent again
+                under its id, so that it stays one motion.
+
+        Returns:
+            What came of each test, by robot.
+
+        Raises:
+            Interrupted: `interrupt` was called; every robot that answers is at rest.
+            RepositoryError: something could not be stored; every robot that answers is at rest.
+        """
+        self._log.intend(tests)
+        attempts = Attempts(self._log, self._specs)
+        storing_at_once = min(STORING_AT_ONCE, len(tests) + (os.cpu_count() or 1))
+        with (
+            self._goals.pursuing() as loop,
+            ThreadPoolExecutor(storing_at_once, thread_name_prefix="store") as stores,
+        ):
+            tested = _Round(self._goals, loop, stores, self._log, attempts, self._on_attempt_failed)
+            loop.post(lambda: tested.open(tests))
+            self._goals.wait_for(loop, tested.over)
+        if tested.failure is not None:
+            raise tested.failure
+        if self._goals.interrupted:
+            raise Interrupted
+        return {test.robot: tested.outcomes[test.robot] for test in tests}
+
+    def interrupt(self) -> None:
+        """End the round: cancel every goal at once, so that the robots come to rest."""
+        self._goals.interrupt()
+
+    def acknowledge_all(self) -> None:
+        """Tell every robot that its last results arrived."""
+        self._goals.acknowledge_all()
+
+
+class _Round:
+    """One round. Its methods run on the loop's thread; storing, which takes time, does not."""
+
+    def __init__(
+        self,
+        goals: GoalRunner,
+        loop: GoalLoop,
+        stores: ThreadPoolExecutor,
+        log: TrialLog,
+        attempts: Attempts,
+        on_attempt_failed: OnAttempt,
+    ) -> None:
+        self._goals, self._loop, self._stores = goals, loop, stores
+        self._log, self._attempts = log, attempts
+        self._on_attempt_failed = on_attempt_failed
+        self._open = 0
+        self._storing: dict[str, deque[_Job]] = {}
+        self.outcomes: dict[str, TestOutcome] = {}
+        self.failure: BaseException | None = None
+        self.over = threading.Event()
+
+    def open(self, tests: Sequence[OpenTest]) -> None:
+        """Pursue the first attempts."""
+        self._open = len(tests)
+        for test in tests:
+            self._pursue(test)
+
+    def _pursue(self, test: OpenTest) -> None:
+        self._loop.begin(
+            self._goals.errand(
+                test.robot,
+                test.goal_id,
+                test.excitation,
+                on_accepted=lambda accepted: self._accepted(test, accepted),
+                on_ended=lambda ended: self._ended(test, ended),
+                taken_before=test.accepted_by is not None,
+            )
+        )
+
+    def _accepted(self, test: OpenTest, accepted: GoalAccepted) -> None:
+        self._store(_Job(test.robot, lambda: self._log.accepted(test, accepted)))
+
+    def _ended(self, test: OpenTest, ended: Ended) -> None:
+        interrupted = self._goals.interrupted
+
+        def settle() -> Callable[[], None]:
+            settled = self._attempts.settle(test, ended, interrupted=interrupted)
+            return lambda: self._settled(test, settled)
+
+        self._store(_Job(test.robot, settle, decides=True))
+
+    def _settled(self, test: OpenTest, settled: Settled) -> None:
+        following = settled.following
+        if self._goals.interrupted:
+            self._close_one()
+            return
+        if settled.failure is not None:
+            self._on_attempt_failed(test.robot, test.attempt, settled.failure)
+        if settled.outcome is not None:
+            self.outcomes[test.robot] = settled.outcome
+        if following is None:
+            self._close_one()
+            return
+
+        def intend() -> Callable[[], None]:
+            self._log.intend([following])
+            return lambda: self._pursue(following)
+
+        self._store(_Job(test.robot, intend, decides=True))
+
+    def _store(self, job: _Job) -> None:
+        """Do a job on a thread that may wait for the disk, after all earlier ones of its robot."""
+        waiting = self._storing.setdefault(job.robot, deque())
+        waiting.append(job)
+        if len(waiting) == 1:
+            self._begin(job)
+
+    def _begin(self, job: _Job) -> None:
+        done = self._stores.submit(job.work)
+        done.add_done_callback(lambda _: self._loop.post(lambda: self._stored(job, done)))
+
+    def _stored(self, job: _Job, done: Future[Callable[[], None] | None]) -> None:
+        waiting = self._storing[job.robot]
+        waiting.popleft()
+        if waiting:
+            self._begin(waiting[0])
+        error = done.exception()
+        if error is not None:
+            # What cannot be stored must not be done.
+            self.failure = self.failure or error
+            self._goals.interrupt()
+            if job.decides:
+                self._close_one()
+            return
+        then = done.result()
+        if then is not None:
+            then()
+
+    def _close_one(self) -> None:
+        self._open -= 1
+        if self._open == 0:
+            self.over.set()
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What waits for the disk; `work` returns what is done on the loop's thread afterwards.
+
+    One that `decides` says what becomes of its robot in this round, so that its failure ends it.
+    """
+
+    robot: str
+    work: Callable[[], Callable[[], None] | None]
+    decides: bool = False

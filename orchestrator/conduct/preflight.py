@@ -1,0 +1,84 @@
+"""What is checked of a study before any robot moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from nufleet.orchestrator.study.interface import StudyPlan
+from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.robots.spec import AxisSpec
+from nufleet.shared.wire.messages import Description
+
+
+def check_band(band_rad_s: tuple[float, float]) -> None:
+    """Raise InvalidInputError for a band that no robot could be tested over."""
+    low, high = band_rad_s
+    if not (math.isfinite(low) and math.isfinite(high)):
+        raise InvalidInputError(f"the band must be two finite frequencies, got {low} {high}")
+    if low <= 0:
+        raise InvalidInputError(
+            f"the band must begin above 0 rad/s, got {low:g}: a test at 0 rad/s would never end, "
+            "since its period is infinite. Use the lowest frequency that your trajectories contain"
+        )
+    if low >= high:
+        raise InvalidInputError(
+            f"the band is {'empty' if low == high else 'reversed'}: got {low:g} to {high:g} rad/s; "
+            "give the lower frequency first"
+        )
+
+
+def check_names(target: str, sources: tuple[str, ...], there: tuple[str, ...]) -> None:
+    """Raise InvalidInputError unless target and sources are different robots that are there."""
+    check_robots((target, *sources), there)
+    if target in sources:
+        raise InvalidInputError(f"the target {target!r} is among the sources; take it out of them")
+    if len(set(sources)) != len(sources):
+        raise InvalidInputError("a source is named twice")
+    if not sources:
+        raise InvalidInputError(f"there is no source besides the target {target!r}")
+
+
+def check_robots(robots: tuple[str, ...], there: tuple[str, ...]) -> None:
+    """Raise InvalidInputError unless there are robots, and all of them are there."""
+    for robot in robots:
+        if robot not in there:
+            raise InvalidInputError(
+                f"no robot {robot!r} in this fleet; there are {', '.join(there) or 'none'}"
+            )
+    if not robots:
+        raise InvalidInputError("no robot is there; start some with `nufleet fleet up FLEET`")
+
+
+def chosen_axis(axis: str | None, target: Description) -> str:
+    """Return the axis to test: the one asked for, or the target's first."""
+    return target.spec.axes[0].name if axis is None else axis
+
+
+def check_plan(plan: StudyPlan, descriptions: Mapping[str, Description]) -> None:
+    """Raise InvalidInputError unless every robot can be tested on the axis over the whole band."""
+    check_band(plan.band_rad_s)
+    low, high = plan.band_rad_s
+    units: dict[str, str] = {}
+    for robot in (plan.target, *plan.sources):
+        spec = descriptions[robot].spec
+        if low < spec.omega_min_rad_s or high > spec.omega_max_rad_s:
+            raise InvalidInputError(
+                f"the band {low:g} to {high:g} rad/s is outside what robot {robot} can be tested "
+                f"at: {spec.omega_min_rad_s:g} to {spec.omega_max_rad_s:g} rad/s"
+            )
+        units[robot] = _axis(plan.axis, robot, descriptions[robot]).unit
+    for robot, unit in units.items():
+        if unit != units[plan.target]:
+            raise InvalidInputError(
+                f"axis {plan.axis} of robot {robot} is in {unit}, of the target {plan.target} in "
+                f"{units[plan.target]}: their responses cannot be compared"
+            )
+
+
+def _axis(axis: str, robot: str, description: Description) -> AxisSpec:
+    try:
+        return description.spec.axis(axis)
+    except KeyError as error:
+        names = ", ".join(a.name for a in description.spec.axes)
+        raise InvalidInputError(f"robot {robot} has no axis {axis!r}; it has {names}") from error

@@ -1,0 +1,314 @@
+"""One `nufleet rank` from the request to the stored result, on a fleet that is already reached."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from nufleet.orchestrator.conduct.archive import Archive
+from nufleet.orchestrator.conduct.conductor import Conclusion, RankingObserver, conduct
+from nufleet.orchestrator.conduct.desired_motion import TimedPath, desired_motion
+from nufleet.orchestrator.conduct.dispatcher import Dispatcher
+from nufleet.orchestrator.conduct.preflight import (
+    check_band,
+    check_names,
+    check_plan,
+    check_robots,
+    chosen_axis,
+)
+from nufleet.orchestrator.conduct.recipe import make_study, recipe_of
+from nufleet.orchestrator.conduct.reuse import stored_responses
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.repository.records import StudyRecord, StudyStatus
+from nufleet.orchestrator.runs.folder import RunFolder
+from nufleet.orchestrator.runs.rank_result import ClosedForm, IterationRecord, RankResult, RunRecord
+from nufleet.orchestrator.runs.report import write_plots, write_report
+from nufleet.orchestrator.runs.response_record import ResponseRecord
+from nufleet.orchestrator.study.interface import Curve, Question, Report, StudyPlan
+from nufleet.orchestrator.study.outcomes import Measured, TestOutcome
+from nufleet.orchestrator.study.transfer_verdicts import (
+    Judgement,
+    by_predicted_error,
+    judge_transfers,
+)
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.distance.chordal import chordal_distance, worst_case_chordal_distance
+from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.wire.messages import Description
+
+Algorithm = Literal["adaptive", "paper"]
+
+
+@dataclass(frozen=True)
+class RankRequest:
+    """What to rank; None leaves the choice to what the fleet says of itself."""
+
+    target: str
+    sources: tuple[str, ...] | None
+    band_rad_s: tuple[float, float] | None
+    iterations: int
+    seed: int
+    axis: str | None
+    drawing: TimedPath | None = None
+
+
+@dataclass(frozen=True)
+class ReadyStudy:
+    """A study that passed every check, and the robots' own descriptions."""
+
+    plan: StudyPlan
+    descriptions: Mapping[str, Description]
+    closed_form: Mapping[str, ClosedForm]
+
+
+def prepare(
+    fleet: Fleet,
+    request: RankRequest,
+    there: tuple[str, ...],
+    known: Mapping[str, RobotSpec] | None = None,
+) -> ReadyStudy:
+    """Check a request against the fleet before anything moves.
+
+    Args:
+        fleet: the fleet, reached.
+        request: what to rank.
+        there: the robots that are there.
+        known: what sources said of themselves that need not be there.
+
+    Raises:
+        InvalidInputError: what is asked cannot be done with these robots.
+        NoReplyError: a robot does not answer.
+    """
+    if request.band_rad_s is not None:
+        check_band(request.band_rad_s)
+    sources = request.sources
+    if sources is None:
+        sources = tuple(robot for robot in there if robot != request.target)
+    away = {robot: spec for robot, spec in (known or {}).items() if robot not in there}
+    check_names(request.target, sources, (*there, *away))
+    check_robots((request.target,), there)
+    descriptions = fleet.describe_all(
+        tuple(robot for robot in (request.target, *sources) if robot not in away)
+    )
+    for robot, spec in away.items():
+        if robot in sources:
+            descriptions[robot] = Description(robot=robot, boot_id="away", spec=spec)
+    axis = chosen_axis(request.axis, descriptions[request.target])
+    at_target = descriptions[request.target].spec
+    plan = StudyPlan(
+        target=request.target,
+        sources=sources,
+        band_rad_s=request.band_rad_s or _common_band(descriptions.values()),
+        iterations=request.iterations,
+        axis=axis,
+        motion=None
+        if request.drawing is None
+        else desired_motion(request.drawing, at_target, axis),
+    )
+    check_plan(plan, descriptions)
+    return ReadyStudy(plan, descriptions, _closed_form(plan, descriptions))
+
+
+def prepare_again(fleet: Fleet, study: StudyRecord, gone: Collection[str]) -> ReadyStudy:
+    """Check that a study can go on: its robots are there, and what they were when it began.
+
+    Args:
+        fleet: the fleet, reached.
+        study: as it is stored.
+        gone: the robots that are not tested any more.
+
+    Raises:
+        InvalidInputError: a robot has changed since.
+        NoReplyError: a robot does not answer.
+    """
+    specs = recipe_of(study).specs
+    needed = tuple(robot for robot in specs if robot not in gone)
+    descriptions = fleet.describe_all(needed)
+    for robot in needed:
+        if descriptions[robot].spec != specs[robot]:
+            raise InvalidInputError(
+                f"robot {robot} is not what it was when study {study.study_id} began; begin anew"
+            )
+    for robot in gone:
+        descriptions[robot] = Description(robot=robot, boot_id="gone", spec=specs[robot])
+    return ReadyStudy(study.plan, descriptions, _closed_form(study.plan, descriptions))
+
+
+def run_study(
+    fleet: Fleet,
+    ready: ReadyStudy,
+    study: StudyRecord,
+    archive: Archive,
+    *,
+    folder: RunFolder,
+    observers: Sequence[RankingObserver],
+) -> RunRecord:
+    """Run a study that has begun, from where it stands, with what it learns kept in the folder.
+
+    Raises:
+        StudyError: it cannot go on, since the target or every source is gone.
+        ResumeError: what is stored of it does not belong to it.
+        LeaseLostError: another orchestrator has taken a robot over; all are at rest.
+        RepositoryError: something could not be stored; all robots are at rest.
+    """
+    began_s = time.monotonic()
+    recorder = _Recorder(folder)
+    everyone = _Together([recorder, *observers])
+    log = archive.log(study.study_id)
+    specs = {robot: description.spec for robot, description in ready.descriptions.items()}
+    dispatcher = Dispatcher(fleet, log, specs, on_attempt_failed=everyone.attempt_failed)
+    seed, studies = study.seed, archive.repository.studies
+    with archive.conducting(study.study_id, dispatcher.interrupt):
+        conclusion = conduct(make_study(study, studies), log, dispatcher, everyone)
+    judgement = judge_transfers(
+        ready.plan, conclusion.ranking, specs, conclusion.responses, np.random.default_rng(seed)
+    )
+    record = RunRecord(
+        result=_result(ready.plan, conclusion, judgement, folder).model_copy(
+            update={"stored": stored_responses(studies, recipe_of(study).stored) or None}
+        ),
+        axis=ready.plan.axis,
+        seed=seed,
+        history=tuple(recorder.history),
+        dropped=dict(conclusion.dropped),
+        closed_form=dict(ready.closed_form),
+        wall_time_s=time.monotonic() - began_s,
+        responses={
+            robot: tuple(map(ResponseRecord.of, tests))
+            for robot, tests in conclusion.responses.items()
+        },
+    )
+    folder.write_record(record)
+    write_plots(folder.path, record, recorder.curves, _true_psi(ready, recorder.curves))
+    write_report(folder.path, record)
+    why = conclusion.stopped_because or f"selected {record.result.selected}"
+    studies.end(study.study_id, StudyStatus.COMPLETE, why, json.loads(record.result.document()))
+    return record
+
+
+def _common_band(descriptions: Any) -> tuple[float, float]:
+    specs = [description.spec for description in descriptions]
+    return max(s.omega_min_rad_s for s in specs), min(s.omega_max_rad_s for s in specs)
+
+
+def _closed_form(plan: StudyPlan, descriptions: Mapping[str, Description]) -> dict[str, ClosedForm]:
+    """Return the true distances of the sources whose model, like the target's, is known."""
+    at_target = descriptions[plan.target].spec.axis(plan.axis).model
+    known: dict[str, ClosedForm] = {}
+    for source in plan.sources:
+        model = descriptions[source].spec.axis(plan.axis).model
+        if at_target is not None and model is not None:
+            psi, omega = worst_case_chordal_distance(at_target, model, plan.band_rad_s)
+            known[source] = ClosedForm(psi=psi, omega_rad_s=omega)
+    return known
+
+
+def _true_psi(ready: ReadyStudy, curves: tuple[Curve, ...]) -> dict[str, FloatArray]:
+    """Return ψ_n(ω) on each curve's grid, for the sources whose closed form is known."""
+    axis = ready.plan.axis
+    at_target = ready.descriptions[ready.plan.target].spec.axis(axis).model
+    true_psi: dict[str, FloatArray] = {}
+    for curve in curves:
+        model = ready.descriptions[curve.source].spec.axis(axis).model
+        if at_target is not None and model is not None:
+            omega = curve.omega_rad_s
+            true_psi[curve.source] = chordal_distance(
+                at_target.frequency_response(omega), model.frequency_response(omega)
+            )
+    return true_psi
+
+
+def configuration(ready: ReadyStudy, seed: int) -> dict[str, Any]:
+    """Return what a study is made from, in full, for its run's folder."""
+    return {
+        "kind": "rank",
+        "plan": asdict(ready.plan),
+        "seed": seed,
+        "robots": {
+            robot: description.model_dump(mode="json")
+            for robot, description in ready.descriptions.items()
+        },
+    }
+
+
+def _result(
+    plan: StudyPlan, conclusion: Conclusion, judgement: Judgement, folder: RunFolder
+) -> RankResult:
+    ranking = conclusion.ranking
+    if plan.motion is not None:
+        # The paper's algorithm knows of no trajectory; the other one has selected for it.
+        selected = None if conclusion.confidence is None else conclusion.selected
+        ranking = by_predicted_error(ranking, judgement.verdicts, first=selected)
+    return RankResult(
+        target=plan.target,
+        band_rad_s=plan.band_rad_s,
+        selected=ranking[0].robot,
+        ranking=ranking,
+        iterations=conclusion.iterations,
+        robot_time_s=conclusion.robot_time_s,
+        run=str(folder.path),
+        confidence=conclusion.confidence,
+        eliminated=dict(conclusion.eliminated) if conclusion.confidence is not None else None,
+        stopped_because=conclusion.stopped_because,
+        trajectory=None if plan.motion is None else plan.motion.name,
+        verdicts=dict(judgement.verdicts),
+        findings=tuple(dict.fromkeys([*conclusion.findings, *judgement.findings])),
+    )
+
+
+class _Recorder:
+    """Keeps what each round gave in the run's folder and for its record."""
+
+    def __init__(self, folder: RunFolder) -> None:
+        self._folder = folder
+        self.history: list[IterationRecord] = []
+        self.curves: tuple[Curve, ...] = ()
+
+    def asked(self, question: Question) -> None:
+        """Nothing is known yet."""
+
+    def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
+        """What failed for good is in the report that follows."""
+
+    def told(self, question: Question, outcomes: Mapping[str, TestOutcome], report: Report) -> None:
+        """Store samples and beliefs."""
+        for outcome in outcomes.values():
+            if isinstance(outcome, Measured):
+                self._folder.write_samples(question.iteration, outcome)
+        self.curves = report.curves
+        self.history.append(
+            IterationRecord(
+                iteration=question.iteration,
+                omega_rad_s=question.omega_rad_s,
+                sampled_psi=dict(report.sampled_psi),
+                ranking=report.ranking,
+            )
+        )
+
+
+class _Together:
+    """Several observers as one."""
+
+    def __init__(self, observers: Sequence[RankingObserver]) -> None:
+        self._observers = observers
+
+    def asked(self, question: Question) -> None:
+        """Tell all."""
+        for observer in self._observers:
+            observer.asked(question)
+
+    def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
+        """Tell all."""
+        for observer in self._observers:
+            observer.attempt_failed(robot, attempt, reason)
+
+    def told(self, question: Question, outcomes: Mapping[str, TestOutcome], report: Report) -> None:
+        """Tell all."""
+        for observer in self._observers:
+            observer.told(question, outcomes, report)

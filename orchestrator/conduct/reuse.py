@@ -1,0 +1,132 @@
+"""Which sources need not fly, since what was measured of them is stored and still holds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from typing import TYPE_CHECKING
+
+from nufleet.orchestrator.conduct.recipe import recipe_of
+from nufleet.orchestrator.repository.records import ResponseRecord
+from nufleet.orchestrator.runs.rank_result import StoredResponses
+from nufleet.orchestrator.study.interface import StudyPlan
+from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.robots.spec import RobotSpec
+
+if TYPE_CHECKING:
+    from nufleet.orchestrator.repository.repository import Repository
+    from nufleet.orchestrator.repository.study_store import StudyStore
+
+
+@dataclass(frozen=True)
+class Reuse:
+    """What of a fleet is taken from the repository: `known` by source, `unusable` with reasons."""
+
+    known: Mapping[str, tuple[str, ...]]
+    unusable: Mapping[str, str]
+
+
+def find_stored(
+    repository: Repository,
+    fleet: str,
+    plan: StudyPlan,
+    specs: Mapping[str, RobotSpec],
+    *,
+    newer_than: datetime,
+) -> Reuse:
+    """Find the sources whose stored responses can stand for tests of them.
+
+    Those of a robot that says today what it said then count, on the same axis, from studies whose
+    band contains this one's. The target is always tested: it is what the ranking is for.
+
+    Args:
+        repository: where to look.
+        fleet: the robots'.
+        plan: what is to be found out.
+        specs: what each source says of itself now, or said last if it is not there.
+        newer_than: what was measured before counts no more.
+
+    Returns:
+        The goals of the responses, oldest first, and for every other source why there are none.
+    """
+    known: dict[str, tuple[str, ...]] = {}
+    unusable: dict[str, str] = {}
+    for source in plan.sources:
+        stored = repository.studies.responses(fleet, source, plan.axis)
+        young = [one for one in stored if one.measured_at >= newer_than]
+        fitting = [one for one in young if _fits(one, repository.studies, plan, specs[source])]
+        if fitting:
+            known[source] = tuple(one.goal_id for one in fitting)
+        elif young:
+            unusable[source] = "it is not what it was then, or was tested over another band"
+        elif stored:
+            unusable[source] = f"the latest was measured {_day(stored[-1].measured_at)}"
+        else:
+            unusable[source] = "nothing of it is stored"
+    return Reuse(known, unusable)
+
+
+def check_absent(absent: Sequence[str], reuse: Reuse, fleet: str) -> None:
+    """Raise InvalidInputError unless those that are not there need not fly."""
+    for robot in absent:
+        if robot not in reuse.known:
+            raise InvalidInputError(
+                f"robot {robot} of fleet {fleet} is not there, and no stored response can stand "
+                f"for it: {reuse.unusable[robot]}; start it, or leave it out with --sources"
+            )
+
+
+def oldest_reused(days: float, now: datetime) -> datetime:
+    """Return the time before which responses count no more."""
+    return now - timedelta(days=days)
+
+
+def stored_responses(
+    studies: StudyStore, goals: Mapping[str, tuple[str, ...]]
+) -> dict[str, StoredResponses]:
+    """Return what stood for tests, by source; raises RepositoryError."""
+    found = {robot: [studies.response(goal) for goal in ids] for robot, ids in goals.items()}
+    return {
+        robot: StoredResponses(
+            tests=len(records),
+            measured_from=_iso(min(one.measured_at for one in records)),
+            measured_to=_iso(max(one.measured_at for one in records)),
+            studies=tuple(dict.fromkeys(one.study_id for one in records)),
+        )
+        for robot, records in found.items()
+    }
+
+
+def said_of(robot: str, stored: StoredResponses, now: datetime) -> str:
+    """Return in a sentence that a robot did not fly, and how old its data are."""
+    measured = (stored.measured_to, stored.measured_from)
+    ages = dict.fromkeys(_age(now - datetime.fromisoformat(when)) for when in measured)
+    tests = "1 stored test stands" if stored.tests == 1 else f"{stored.tests} stored tests stand"
+    return (
+        f"{robot} did not fly: {tests} for it, measured {' to '.join(ages)} ago "
+        f"({', '.join(stored.studies)})"
+    )
+
+
+def _fits(one: ResponseRecord, studies: StudyStore, plan: StudyPlan, spec: RobotSpec) -> bool:
+    study = studies.study(one.study_id)
+    (low, high), (wanted_low, wanted_high) = study.plan.band_rad_s, plan.band_rad_s
+    if not low <= wanted_low < wanted_high <= high:
+        return False
+    return recipe_of(study).specs.get(one.robot) == spec
+
+
+def _iso(when: datetime) -> str:
+    return when.astimezone(UTC).isoformat(timespec="seconds")
+
+
+def _day(when: datetime) -> str:
+    return f"on {when.astimezone(UTC):%Y-%m-%d}"
+
+
+def _age(age: timedelta) -> str:
+    minutes = max(0.0, age.total_seconds() / 60)
+    if minutes < 120:
+        return f"{minutes:.0f} min"
+    return f"{minutes / 60:.0f} h" if minutes < 48 * 60 else f"{minutes / 60 / 24:.0f} days"

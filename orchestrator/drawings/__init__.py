@@ -1,0 +1,1 @@
+"""Drawings for people: a page to draw on, a picture, a report."""

@@ -1,0 +1,120 @@
+"""What is said of a drawing: its shape, how long it takes, and which robots may fly it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+from pydantic import Field
+from rich.table import Table
+
+from nufleet.orchestrator.flights.legs import trajectory
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.paths.shape import DrawingShape, shape_of
+from nufleet.shared.paths.trajectories import travel
+from nufleet.shared.strict import Positive, Strict
+from nufleet.shared.wire.messages import Description
+
+SPEEDS = (0.3, 0.6, 0.9)
+"""The paper's, Section VI-D, in m/s."""
+
+ACCELERATION_MAX_M_S2 = 1.6
+SAMPLE_TIME_S = 0.02
+"""Of the simulated quadrotors, where no robot is named."""
+
+
+class Duration(Strict):
+    """How long a drawing takes at a speed; None, with the reason, where a robot may not fly it."""
+
+    robot: str | None
+    speed: Positive
+    duration_s: Positive | None
+    reason: str | None = None
+
+
+class DrawingReport(Strict):
+    """What `nufleet drawing import --json` and `show --json` print."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    drawing: str
+    file: str
+    shape: DrawingShape
+    durations: tuple[Duration, ...]
+
+    def document(self) -> str:
+        """Return the JSON that other programs read."""
+        return self.model_dump_json(by_alias=True)
+
+
+def report_of(
+    drawing: str,
+    file: str,
+    points: FloatArray,
+    robots: Sequence[Description],
+    speeds: Sequence[float] = SPEEDS,
+) -> DrawingReport:
+    """Look at a drawing, (n, 2) in m; with robots, by the limits of each.
+
+    Raises:
+        InvalidInputError: the points are no path.
+    """
+    shape = shape_of(points)
+    durations = [_duration(points, speed, robot) for robot in robots for speed in speeds]
+    if not robots:
+        durations = [
+            Duration(
+                robot=None,
+                speed=speed,
+                duration_s=SAMPLE_TIME_S
+                * len(travel(points, speed, ACCELERATION_MAX_M_S2, SAMPLE_TIME_S)),
+            )
+            for speed in speeds
+        ]
+    return DrawingReport(drawing=drawing, file=file, shape=shape, durations=tuple(durations))
+
+
+def _duration(points: FloatArray, speed: float, robot: Description) -> Duration:
+    try:
+        path = trajectory(points, speed, robot.spec, robot.robot)
+    except InvalidInputError as error:
+        return Duration(robot=robot.robot, speed=speed, duration_s=None, reason=str(error))
+    return Duration(robot=robot.robot, speed=speed, duration_s=len(path) * robot.spec.sample_time_s)
+
+
+def shape_text(shape: DrawingShape) -> str:
+    """Return the shape in a line."""
+    bend = (
+        "straight"
+        if shape.tightest_radius_m is None
+        else f"tightest curve of radius {shape.tightest_radius_m:.3f} m"
+    )
+    return (
+        f"{shape.length_m:.2f} m long, {shape.width_m:.2f} m × {shape.height_m:.2f} m, up to "
+        f"{shape.furthest_m:.2f} m from the origin, {bend}, {shape.points} points"
+    )
+
+
+def durations_table(report: DrawingReport) -> Table:
+    """Return how long each robot takes at each speed, or why it may not."""
+    speeds = sorted({duration.speed for duration in report.durations})
+    table = Table(title=f"{report.drawing}: duration", title_justify="left")
+    table.add_column("robot")
+    for speed in speeds:
+        table.add_column(f"{speed:g} m/s", justify="right")
+    for robot in dict.fromkeys(duration.robot for duration in report.durations):
+        of = {d.speed: d for d in report.durations if d.robot == robot}
+        table.add_row(
+            robot or f"any with {ACCELERATION_MAX_M_S2:g} m/s²",
+            *(_cell(of[speed]) for speed in speeds),
+        )
+    return table
+
+
+def _cell(duration: Duration) -> str:
+    return "[red]no[/]" if duration.duration_s is None else f"{duration.duration_s:.1f} s"
+
+
+def refusals(report: DrawingReport) -> tuple[str, ...]:
+    """Return why robots may not fly it, each reason once."""
+    return tuple(dict.fromkeys(d.reason for d in report.durations if d.reason is not None))

@@ -1,0 +1,1 @@
+"""Whether the prediction holds: every source flown on every path, and the figures."""

@@ -1,0 +1,139 @@
+"""The whole job on one drawing: rank, learn, transfer, track, compare with the prediction."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from typing import Annotated, Literal
+
+from pydantic import Field
+from rich.table import Table
+
+from nufleet.orchestrator.evaluation.fly_target import FlightObserver, Psi, fly_target, summarise
+from nufleet.orchestrator.evaluation.results import EvaluationResult
+from nufleet.orchestrator.experience.train import train_robots
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.flights.legs import Leg
+from nufleet.orchestrator.flights.pilot import Pilot
+from nufleet.orchestrator.runs.folder import RunFolder
+from nufleet.orchestrator.runs.rank_result import RankResult
+from nufleet.shared.experience.layout import Architecture
+from nufleet.shared.strict import Strict
+from nufleet.shared.wire.messages import Description
+
+DEMONSTRATION = "demo.json"
+
+
+class DemoResult(Strict):
+    """What `nufleet demo --json` prints: the ranking, and the flights with the best and worst."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    ranking: RankResult
+    flights: EvaluationResult
+    run: str
+
+    def document(self) -> str:
+        """Return the JSON that other programs read: the documents of `rank` and `evaluate`."""
+        parts = {
+            "ranking": json.loads(self.ranking.document()),
+            "flights": json.loads(self.flights.document()),
+        }
+        return json.dumps({"schema": self.schema_version, **parts, "run": self.run})
+
+
+def demonstrate(
+    fleet: Fleet,
+    pilot: Pilot,
+    target: Description,
+    ranking: RankResult,
+    legs: Sequence[Leg],
+    architecture: Architecture,
+    folder: RunFolder,
+    *,
+    seed: int,
+    flight_s: float,
+    say: Callable[[str], None],
+    observers: Sequence[FlightObserver],
+) -> DemoResult:
+    """Let the closest and the furthest source learn, and fly the target with each of them.
+
+    Args:
+        fleet: the fleet, reached.
+        pilot: flies.
+        target: who needs experience.
+        ranking: of the sources, by tests.
+        legs: what is flown.
+        architecture: of the experiences.
+        folder: where all is kept.
+        seed: draws flights and first weights.
+        flight_s: of the flights to learn from.
+        say: prints a line.
+        observers: are told of each flight along a path.
+    """
+    best, worst = ranking.ranking[0], ranking.ranking[-1]
+    chosen = list(dict.fromkeys((best.robot, worst.robot)))
+    say(f"{target.robot} and {' and '.join(chosen)} fly for {flight_s:.0f} s to learn")
+    pilot.rich(target.robot, duration_s=flight_s, seed=seed)
+    train_robots(
+        fleet,
+        pilot,
+        [fleet.describe(source) for source in chosen],
+        (architecture,),
+        folder.path / "experiences",
+        seed=seed,
+        duration_s=flight_s,
+        say=lambda robot, what: None,
+        on_trained=lambda done: say(
+            f"  {done.lesson.robot} offers its experience: a network with a horizon of "
+            f"{done.lesson.choice.layout.horizon_s:.2f} s, trained in {done.training_time_s:.1f} s"
+        ),
+    )
+    say(f"{target.robot} tracks a drawing with each of them as its prior")
+    flights = fly_target(
+        fleet, pilot, target, chosen, legs, architecture, guarded=True, observers=observers
+    )
+    result = DemoResult(
+        ranking=ranking,
+        flights=summarise(
+            target.robot,
+            flights,
+            {estimate.robot: Psi(estimate.psi, estimate.psi_std) for estimate in (best, worst)},
+            architecture,
+            unit=target.spec.axes[0].unit,
+            guarded=True,
+            run=str(folder.path),
+        ),
+        run=str(folder.path),
+    )
+    folder.write_document(DEMONSTRATION, result)
+    return result
+
+
+def demo_table(result: EvaluationResult) -> Table:
+    """Return the four errors, in the order that was predicted."""
+    table = Table(title="what the transfer did, in the order predicted", title_justify="left")
+    table.add_column("prior")
+    for heading in ("predicted ψ*", f"RMS error, m{result.unit}", "less error"):
+        table.add_column(heading, justify="right")
+    for place, source in enumerate(result.sources):
+        table.add_row(
+            f"{source.robot} ({'closest' if place == 0 else 'furthest'})",
+            f"{source.psi:.4f}",
+            _milli(source.rms_m),
+            _percent(source.reduction_percent),
+            style="bold green" if place == 0 else None,
+        )
+    none = result.no_prior
+    table.add_row(
+        "none: learns in flight", "", _milli(none.rms_m), _percent(none.reduction_percent)
+    )
+    table.add_row("baseline controller alone", "", _milli(result.baseline.rms_m), "")
+    return table
+
+
+def _milli(value: float | None) -> str:
+    return "not finished" if value is None else f"{1000 * value:.1f}"
+
+
+def _percent(value: float | None) -> str:
+    return "" if value is None else f"{value:.1f} %"

@@ -1,0 +1,102 @@
+"""Algorithm 1 repeated with several seeds: how its estimates scatter (the paper's Fig. 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nufleet.orchestrator.conduct.archive import Archive
+from nufleet.orchestrator.conduct.conductor import conduct
+from nufleet.orchestrator.conduct.dispatcher import Dispatcher
+from nufleet.orchestrator.conduct.rank_run import ReadyStudy
+from nufleet.orchestrator.conduct.recipe import make_study
+from nufleet.orchestrator.evaluation.fly_target import Psi
+from nufleet.orchestrator.evaluation.results import StudyEstimates
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.repository.records import StudyStatus
+from nufleet.orchestrator.study.interface import Question, Report
+from nufleet.orchestrator.study.outcomes import TestOutcome
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+
+
+@dataclass(frozen=True)
+class RepeatedStudies:
+    """What each study believed, and every response that any of them measured of a robot."""
+
+    estimates: tuple[StudyEstimates, ...]
+    responses: Mapping[str, Sequence[FrequencyResponse]]
+
+
+def repeat_study(
+    fleet: Fleet,
+    ready: ReadyStudy,
+    seeds: Sequence[int],
+    run_id: str,
+    archive: Archive,
+    *,
+    on_study: Callable[[StudyEstimates], None] = lambda estimates: None,
+) -> RepeatedStudies:
+    """Rank the sources once for every seed.
+
+    Each is kept as study `{run_id}.{target}.s{seed}`.
+
+    Raises:
+        StudyError: a study cannot go on, since the target or every source is gone.
+    """
+    specs = {robot: description.spec for robot, description in ready.descriptions.items()}
+    studies = []
+    responses: dict[str, list[FrequencyResponse]] = {}
+    for seed in seeds:
+        recorder = _Recorder()
+        study_id = f"{run_id}.{ready.plan.target}.s{seed}"
+        begun = archive.begin(study_id, "paper", ready.plan, seed, ready.descriptions)
+        log = archive.log(begun.study_id)
+        dispatcher = Dispatcher(fleet, log, specs, on_attempt_failed=recorder.attempt_failed)
+        kept = archive.repository.studies
+        with archive.conducting(begun.study_id, dispatcher.interrupt):
+            conclusion = conduct(make_study(begun, kept), log, dispatcher, recorder)
+        kept.end(begun.study_id, StudyStatus.COMPLETE, f"selected {conclusion.selected}")
+        for robot, measured in conclusion.responses.items():
+            responses.setdefault(robot, []).extend(measured)
+        beliefs = recorder.beliefs
+        estimates = StudyEstimates(
+            seed=seed,
+            iterations=len(beliefs),
+            second=beliefs[min(1, len(beliefs) - 1)],
+            last=beliefs[-1],
+        )
+        studies.append(estimates)
+        on_study(estimates)
+    return RepeatedStudies(tuple(studies), responses)
+
+
+def psi_of(studies: Sequence[StudyEstimates]) -> dict[str, Psi]:
+    """Return each source's mean and spread over the studies' last iterations."""
+    last = [study.last for study in studies]
+    sources = [source for source in last[0] if all(source in study for study in last)]
+    return {
+        source: Psi(
+            mean=float(np.mean([study[source] for study in last])),
+            std=float(np.std([study[source] for study in last])),
+        )
+        for source in sources
+    }
+
+
+class _Recorder:
+    """Keeps what each round of one study led to."""
+
+    def __init__(self) -> None:
+        self.beliefs: list[dict[str, float]] = []
+
+    def asked(self, question: Question) -> None:
+        """Nothing is known yet."""
+
+    def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
+        """What failed for good is in the report that follows."""
+
+    def told(self, question: Question, outcomes: Mapping[str, TestOutcome], report: Report) -> None:
+        """Keep the estimates."""
+        self.beliefs.append({estimate.robot: estimate.psi for estimate in report.ranking})

@@ -1,0 +1,216 @@
+"""The tables and figures of an evaluation, beside the paper's own numbers."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+
+from nufleet.orchestrator.evaluation.pairs import PairsResult, transfer_pairs
+from nufleet.orchestrator.evaluation.plots import fig4, fig7, paths, scatter
+from nufleet.orchestrator.evaluation.results import (
+    EvaluationRecord,
+    EvaluationResult,
+    InverseResult,
+)
+from nufleet.orchestrator.evaluation.values import FlightError, FlownPath, StudyEstimate
+from nufleet.orchestrator.flight_labels import flight_label, path_label
+from nufleet.shared.arrays import FloatArray
+
+PAPER_TABLE_I = {
+    "source-1": (0.07, 0.09, 67.2),
+    "source-2": (0.19, 0.10, 66.2),
+    "source-3": (0.44, 0.12, 57.9),
+    "source-4": (0.48, 0.14, 52.1),
+    "source-5": (0.52, 0.25, 12.3),
+}
+"""ψ̂*, e_rms in m and the reduction in % that Sorocky, Zhou and Schoellig (2020) measured."""
+
+
+def evaluation_table(result: EvaluationResult) -> Table:
+    """Return what each inverse did, the closest source first."""
+    unit = f"m{result.unit}"
+    table = Table(title=f"{result.target}, {result.architecture} inverses", title_justify="left")
+    table.add_column("prior", no_wrap=True)
+    for heading in (
+        "ψ̂*",
+        "± σ",
+        f"expected {unit}",
+        f"RMS {unit}",
+        "less error",
+        "worst / baseline",
+        "taken back",
+    ):
+        table.add_column(heading, justify="right")
+    own = result.baseline
+    table.add_row(
+        "baseline", "", "", _predicted(own.predicted_rms_m), _milli(own.rms_m), "", "", ""
+    )
+    table.add_row("none", "", "", "", *_cells(result.no_prior))
+    for place, source in enumerate(result.sources):
+        table.add_row(
+            source.robot,
+            f"{source.psi:.3f}",
+            f"{source.psi_std:.3f}",
+            _predicted(source.predicted_rms_m),
+            *_cells(source),
+            style="bold green" if place == 0 else None,
+        )
+    table.caption = (
+        f"Kendall's τ with the error: {_or_dash(result.kendall_tau)} of ψ̂*, "
+        f"{_or_dash(result.kendall_tau_trajectory)} of the error predicted for these paths"
+    )
+    table.caption_justify = "left"
+    return table
+
+
+def paper_table(result: EvaluationResult) -> Table:
+    """Return this evaluation beside the paper's Table I, for a fleet that stands for its own."""
+    table = Table(title="beside Table I of the paper", title_justify="left")
+    table.add_column("prior", no_wrap=True)
+    for heading in ("ψ̂*", "paper", "RMS, mm", "paper", "less error", "paper"):
+        table.add_column(
+            heading, justify="right", no_wrap=True, style="dim" if heading == "paper" else None
+        )
+    for source in result.sources:
+        if source.robot in PAPER_TABLE_I:
+            psi, rms_m, less = PAPER_TABLE_I[source.robot]
+            reduction = source.reduction_percent
+            table.add_row(
+                source.robot,
+                f"{source.psi:.2f}",
+                f"{psi:.2f}",
+                _milli(source.rms_m),
+                f"{1000 * rms_m:.0f}",
+                "" if reduction is None else f"{reduction:.1f} %",
+                f"{less:.1f} %",
+            )
+    return table
+
+
+def pairs_table(result: PairsResult) -> Table:
+    """Return the errors of all pairs as a share of the target's baseline, and what they say."""
+    targets = [target.target for target in result.targets]
+    table = Table(title="error over the baseline's (ψ̂*)", title_justify="left")
+    table.add_column("target")
+    for robot in targets:
+        table.add_column(f"from {robot}", justify="right")
+    cells = {
+        (pair.target, pair.source): f"{'-' if pair.ratio is None else f'{pair.ratio:.2f}'} "
+        f"({pair.psi:.2f})"
+        for pair in result.pairs
+    }
+    for target in targets:
+        table.add_row(target, *(cells.get((target, source), "") for source in targets))
+    table.caption = (
+        f"Kendall's τ of ψ̂*, mean over targets: {_or_dash(result.kendall_tau)}, over all pairs: "
+        f"{_or_dash(result.kendall_tau_pooled)}; of the error predicted for the paths: "
+        f"{_or_dash(result.kendall_tau_trajectory)} and "
+        f"{_or_dash(result.kendall_tau_trajectory_pooled)}; best source selected for "
+        f"{result.best_selected} of {len(targets)} targets; {_regret(result)}worse than the "
+        f"baseline on some path: {result.harmful} of {len(result.pairs)} pairs"
+    )
+    table.caption_justify = "left"
+    return table
+
+
+def write_figures(folder: Path, record: EvaluationRecord, flights: Path) -> None:
+    """Draw the paper's Figs. 4 and 7 from this evaluation, and the paths.
+
+    Args:
+        folder: the run's folder.
+        record: its results.
+        flights: the table of all samples.
+    """
+    plots = folder / "plots"
+    plots.mkdir(exist_ok=True)
+    estimates = [
+        StudyEstimate(study.seed, iteration, source, psi)
+        for study in record.studies
+        for iteration, beliefs in ((2, study.second), (study.iterations, study.last))
+        for source, psi in beliefs.items()
+    ]
+    fig4(plots / "fig4_psi_over_studies.png", estimates)
+    errors = [
+        FlightError(
+            prior=flight.inverse,
+            drawing=flight.drawing,
+            speed_m_s=flight.speed_m_s,
+            rms_error_m=math.inf if flight.rms_m is None else flight.rms_m,
+            taken_back=flight.taken_back is not None,
+        )
+        for flight in record.flights
+    ]
+    fig7(plots / "fig7_errors.png", errors)
+    flown = _flown(flights, errors, record.result.unit)
+    if flown:
+        paths(plots / "paths.png", flown)
+
+
+def write_scatter(folder: Path, result: PairsResult) -> None:
+    """Draw what was predicted of all pairs against what they flew."""
+    plots = folder / "plots"
+    plots.mkdir(exist_ok=True)
+    scatter(plots / "pairs.png", transfer_pairs(result.pairs))
+
+
+def _flown(table: Path, errors: list[FlightError], unit: str) -> list[FlownPath]:
+    """Return the paths of two axes at the fastest speed, from the table of samples."""
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+
+    if not table.exists():
+        return []
+    rows = pq.read_table(table)
+    axes = rows["axis"].unique().to_pylist()
+    fastest = max(error.speed_m_s for error in errors)
+    flown = []
+    for error in (e for e in errors if e.speed_m_s == fastest):
+        label = flight_label(error.prior, path_label(error.drawing, error.speed_m_s, unit))
+        mine = rows.filter(pc.equal(pc.cast(rows["flight"], "string"), label))
+        columns: dict[str, list[FloatArray]] = {"desired": [], "actual": []}
+        for axis in axes[:2]:
+            one = mine.filter(pc.equal(pc.cast(mine["axis"], "string"), axis))
+            for name, values in columns.items():
+                values.append(np.asarray(one[name]))
+        if len(axes) >= 2 and len(columns["desired"][0]):
+            flown.append(
+                FlownPath(
+                    error=error,
+                    desired_m=np.stack(columns["desired"], axis=1),
+                    actual_m=np.stack(columns["actual"], axis=1),
+                )
+            )
+    return flown
+
+
+def _cells(result: InverseResult) -> tuple[str, str, str, str]:
+    less = result.reduction_percent
+    worst = result.worst_ratio
+    return (
+        _milli(result.rms_m),
+        "" if less is None else f"{less:.1f} %",
+        "" if worst is None else f"{worst:.2f}",
+        str(result.taken_back),
+    )
+
+
+def _milli(value: float | None) -> str:
+    return "not finished" if value is None else f"{1000 * value:.1f}"
+
+
+def _predicted(value: float | None) -> str:
+    return "" if value is None else f"{1000 * value:.1f}"
+
+
+def _regret(result: PairsResult) -> str:
+    regret = result.regret
+    if regret is None:
+        return ""
+    return f"regret {regret.selected:.3f} of the baseline's error, at random {regret.random:.3f}; "
+
+
+def _or_dash(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"

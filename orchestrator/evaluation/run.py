@@ -1,0 +1,162 @@
+"""One `nufleet evaluate` on a fleet that is reached: learn, rank, fly, compare, report."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from nufleet.orchestrator.conduct.archive import Archive
+from nufleet.orchestrator.conduct.rank_run import ReadyStudy
+from nufleet.orchestrator.evaluation.fly_target import FlightObserver, fly_target, summarise
+from nufleet.orchestrator.evaluation.repeated_studies import psi_of, repeat_study
+from nufleet.orchestrator.evaluation.results import EvaluationRecord
+from nufleet.orchestrator.experience.learning import FLIGHT_S
+from nufleet.orchestrator.experience.train import train_robots
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.flights.legs import Leg
+from nufleet.orchestrator.flights.pilot import Pilot
+from nufleet.orchestrator.runs.folder import RunFolder
+from nufleet.orchestrator.study.predicted_errors import predict_rms
+from nufleet.shared.experience.layout import Architecture
+from nufleet.shared.wire.messages import Description
+
+EVALUATION = "evaluation.json"
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class EvaluationPlan:
+    """What is evaluated: `legs` are flown with every inverse, `seeds` are those of the studies."""
+
+    ready: ReadyStudy
+    legs: Sequence[Leg]
+    architecture: Architecture
+    seeds: Sequence[int]
+    seed: int
+    guarded: bool = True
+    flight_s: float = FLIGHT_S
+
+
+def run_evaluation(
+    fleet: Fleet,
+    pilot: Pilot,
+    plan: EvaluationPlan,
+    folder: RunFolder,
+    archive: Archive,
+    *,
+    say: Say,
+    observers: Sequence[FlightObserver],
+) -> EvaluationRecord:
+    """Evaluate one target; experiences that sources do not have yet are trained first.
+
+    Raises:
+        StudyError, RobotError, RefusedError: see `train_robots`, `repeat_study`, `fly_target`.
+    """
+    began_s = time.monotonic()
+    study = plan.ready.plan
+    prepare_robots(fleet, pilot, plan, folder, say=say)
+    run_id = folder.path.name.lower()
+    studies = repeat_study(
+        fleet,
+        plan.ready,
+        plan.seeds,
+        run_id,
+        archive,
+        on_study=lambda study: say(f"study {study.seed}: " + ranking_line(study.last)),
+    )
+    psi = psi_of(studies.estimates)
+    order = sorted(psi, key=lambda source: psi[source].mean)
+    predicted = predict_rms(
+        study.target,
+        order,
+        {robot: description.spec for robot, description in plan.ready.descriptions.items()},
+        studies.responses,
+        [leg.desired for leg in plan.legs],
+        np.random.default_rng(plan.seed),
+        omega_max_rad_s=study.band_rad_s[1],
+    )
+    target = fleet.describe(study.target)
+    flights = fly_target(
+        fleet,
+        pilot,
+        target,
+        order,
+        plan.legs,
+        plan.architecture,
+        guarded=plan.guarded,
+        observers=observers,
+    )
+    pilot.acknowledge_all()
+    result = summarise(
+        study.target,
+        flights,
+        psi,
+        plan.architecture,
+        predicted=predicted,
+        unit=target.spec.axis(study.axis).unit,
+        guarded=plan.guarded,
+        run=str(folder.path),
+    )
+    record = EvaluationRecord(
+        result=result,
+        studies=studies.estimates,
+        flights=flights,
+        wall_time_s=time.monotonic() - began_s,
+    )
+    folder.write_document(EVALUATION, record)
+    return record
+
+
+def prepare_robots(
+    fleet: Fleet, pilot: Pilot, plan: EvaluationPlan, folder: RunFolder, *, say: Say
+) -> None:
+    """Train the experiences that sources lack, and let the target learn its own baseline."""
+    study = plan.ready.plan
+    with ThreadPoolExecutor(8, thread_name_prefix="describe") as pool:
+        sources = tuple(pool.map(fleet.describe, study.sources))
+    lacking = [source for source in sources if not _has(source, plan.architecture)]
+    target = fleet.describe(study.target)
+
+    def learn_baseline() -> None:
+        if not target.baseline_known:
+            say(f"{target.robot} flies for {plan.flight_s:.0f} s to know its own baseline")
+            pilot.rich(target.robot, duration_s=plan.flight_s, seed=plan.seed)
+
+    with ThreadPoolExecutor(1, thread_name_prefix="baseline") as pool:
+        baseline = pool.submit(learn_baseline)
+        if lacking:
+            names = ", ".join(source.robot for source in lacking)
+            say(f"{names}: experiences are flown and trained")
+            train_robots(
+                fleet,
+                pilot,
+                lacking,
+                (plan.architecture,),
+                folder.path / "experiences",
+                seed=plan.seed,
+                duration_s=plan.flight_s,
+                say=lambda robot, what: None,
+                on_trained=lambda trained: say(
+                    f"  {trained.lesson.robot}: horizon "
+                    f"{trained.lesson.choice.layout.horizon_s:.2f} s, "
+                    f"trained in {trained.training_time_s:.1f} s"
+                ),
+            )
+        baseline.result()
+
+
+def ranking_line(psi: dict[str, float]) -> str:
+    """Return an order of sources in one line, the closest first."""
+    ordered = sorted(psi.items(), key=lambda item: item[1])
+    return ", ".join(f"{source} {value:.3f}" for source, value in ordered)
+
+
+def _has(description: Description, architecture: Architecture) -> bool:
+    return any(
+        offer.manifest.layout.architecture == architecture for offer in description.experiences
+    )

@@ -1,0 +1,94 @@
+"""The figure that tells whether similar robots' experience helped more."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nufleet.orchestrator.evaluation.summaries import mean_kendall_tau, pooled_kendall_tau
+from nufleet.orchestrator.evaluation.values import TransferPair
+from nufleet.orchestrator.figures import COLOURS, label_places, new_figure, plain, save
+from nufleet.shared.errors import InvalidInputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+def scatter(png: Path, pairs: Sequence[TransferPair]) -> None:
+    """Draw ψ̂* against the error over the baseline's, of ordered pairs, with Kendall's τ.
+
+    τ is given over all pairs, and averaged over the targets, each by itself.
+
+    Raises:
+        InvalidInputError: fewer than two pairs.
+    """
+    if len(pairs) < 2:
+        raise InvalidInputError(f"a rank correlation needs two pairs at least, got {len(pairs)}")
+    targets = sorted({pair.target for pair in pairs})
+    figure = new_figure(8.0, 5.5)
+    axes = figure.add_subplot()
+    finite = [p.ratio for p in pairs if math.isfinite(p.ratio)]
+    top = max(1.1, 1.06 * max(finite, default=1.0))
+    for k, target in enumerate(targets):
+        some = [p for p in pairs if p.target == target]
+        for mark, unfinished in (("o", False), ("^", True)):
+            kept = [p for p in some if math.isinf(p.ratio) == unfinished]
+            axes.plot(
+                [p.psi for p in kept],
+                [min(p.ratio, top) for p in kept],
+                mark,
+                color=COLOURS[k % len(COLOURS)],
+                ms=5,
+            )
+    plain(axes)
+    axes.set_xlim(0.0, 1.1 * max(p.psi for p in pairs))
+    axes.set_ylim(0.0, 1.04 * top)
+    axes.set_xlabel(r"estimate $\hat{\psi}^*$ of the worst-case chordal distance")
+    axes.axhline(1.0, color="0.5", lw=0.8, ls="--")
+    axes.set_ylabel("RMS tracking error over the baseline's")
+    title = (
+        f"target→source, {len(pairs)} pairs: Kendall's τ = {_rounded(pooled_kendall_tau(pairs))}"
+    )
+    if len(targets) > 1:
+        title += f"; for the same target on average {_rounded(mean_kendall_tau(pairs))}"
+    axes.set_title(title, loc="left", fontsize=10)
+    _label(
+        figure, axes, pairs, [COLOURS[targets.index(p.target) % len(COLOURS)] for p in pairs], top
+    )
+    save(figure, png)
+
+
+def _rounded(tau: float | None) -> str:
+    return "undefined" if tau is None else f"{tau:.2f}".replace("-", "−")
+
+
+def _label(
+    figure: Figure, axes: Axes, pairs: Sequence[TransferPair], colours: list[str], top: float
+) -> None:
+    """Write the names of the pairs beside their points."""
+    # The axes get their place when the figure is drawn.
+    figure.canvas.draw()
+    origin, corner = axes.transAxes.transform([(0.0, 0.0), (1.0, 1.0)])
+    points = [(p.psi, min(p.ratio, top)) for p in pairs]
+    places = axes.transData.transform(points) - origin
+    texts = [f"{p.target}→{p.source}" for p in pairs]
+    labels = [axes.text(0, 0, text, fontsize=6.5) for text in texts]
+    boxes = [label.get_window_extent() for label in labels]
+    sizes = np.array([(box.width, box.height) for box in boxes])
+    corners = label_places(places, sizes, tuple(corner - origin)) + origin
+    inverse = axes.transData.inverted()
+    for label, box, place, colour in zip(
+        labels, np.column_stack([corners, corners + sizes]), points, colours, strict=True
+    ):
+        label.set_position(tuple(inverse.transform(box[:2])))
+        label.set_verticalalignment("bottom")
+        label.set_color(colour)
+        # A line to those that stand apart from their points.
+        end = np.clip(axes.transData.transform(place), box[:2], box[2:])
+        x, y = zip(place, inverse.transform(end), strict=True)
+        axes.plot(x, y, color=colour, lw=0.5, alpha=0.6, zorder=1)

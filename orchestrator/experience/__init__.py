@@ -1,0 +1,1 @@
+"""Learning an experience from flights, training it, and handing it to another robot."""

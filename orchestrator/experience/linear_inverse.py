@@ -1,0 +1,49 @@
+"""A linear inverse as an experience: what a flight gives at once, without training."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nufleet.orchestrator.experience.training import Origin, TrainingData, data_sha256, ridge
+from nufleet.shared.experience.file import Experience
+from nufleet.shared.experience.layout import InverseLayout
+from nufleet.shared.experience.manifest import ExperienceManifest
+
+_RIDGE = 1e-4
+
+
+def linear_experience(
+    data: TrainingData, layout: InverseLayout, origin: Origin, *, gain: float = 1.0
+) -> Experience:
+    """Fit γ = gain · inputs · w by ridge regression on inputs scaled to their spread.
+
+    `validation_rms` is the error on the data themselves, with a gain of one.
+    """
+    scale = np.maximum(data.inputs.std(axis=0), 1e-12)
+    scaled = data.inputs / scale
+    weights = ridge(scaled, data.gamma, _RIDGE)
+    left = data.gamma - scaled @ weights
+    manifest = ExperienceManifest(
+        robot=origin.robot,
+        robot_kind=origin.robot_kind,
+        axes=origin.axes,
+        unit=origin.unit,
+        layout=layout,
+        inputs=layout.input_names,
+        relative_degree=origin.relative_degree,
+        hidden=(),
+        input_mean=(0.0,) * len(scale),
+        input_scale=tuple(scale.tolist()),
+        output_mean=0.0,
+        output_scale=1.0,
+        points=len(data.gamma),
+        validation_rms=float(np.sqrt(np.mean(left**2))),
+        data_sha256=data_sha256(data),
+        seed=0,
+        training_version="linear",
+    )
+    arrays = {
+        "weight_0": (gain * weights[:, np.newaxis]).astype(np.float32),
+        "bias_0": np.zeros(1, np.float32),
+    }
+    return Experience(manifest, arrays)

@@ -1,0 +1,129 @@
+"""Hands an experience to a target, from a source or a file: checked, installed, read back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from nufleet.orchestrator.experience.prior_custody import install
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.shared.errors import InvalidInputError, MalformedMessageError
+from nufleet.shared.experience.file import EXPERIENCE_BYTES_MAX, decode_experience
+from nufleet.shared.experience.layout import Architecture
+from nufleet.shared.experience.manifest import ExperienceManifest, Needs, misfit, unmet
+from nufleet.shared.wire.messages import Description
+
+
+@dataclass(frozen=True)
+class Transferred:
+    """An experience that a target flies with now."""
+
+    source: str
+    target: str
+    sha256: str
+    manifest: ExperienceManifest
+
+
+def transfer(
+    fleet: Fleet, source: str, target: str, architecture: Architecture | None = None
+) -> Transferred:
+    """Transfer an experience over the network.
+
+    Args:
+        fleet: both robots' fleet.
+        source: whose experience.
+        target: who flies with it from now on.
+        architecture: which of the source's experiences; None takes the only one it offers.
+
+    Raises:
+        InvalidInputError: the source offers none or several, or it does not fit the target.
+        MalformedMessageError: it was altered on its way.
+        RefusedError: the target does not take it.
+    """
+    offers = {o.manifest.layout.architecture: o for o in fleet.describe(source).experiences}
+    if architecture is None and len(offers) == 1:
+        architecture = next(iter(offers))
+    if architecture is None or architecture not in offers:
+        there = f"it offers {' and '.join(offers)}" if offers else "it offers none"
+        raise InvalidInputError(
+            f"which experience of {source}? {there}; train one with "
+            f"`nufleet train --robot {source}`, or name one with --architecture"
+        )
+    offer = offers[architecture]
+    into = fleet.describe(target)
+    check_fit(offer.manifest, into)  # before anything large is sent
+    payload = fleet.fetch(source, offer.sha256)
+    try:
+        manifest = decode_experience(payload, offer.sha256).manifest
+    except MalformedMessageError as error:
+        raise MalformedMessageError(
+            f"robot {source} did not send the experience that it offers: {error}; transfer again"
+        ) from error
+    return _installed(fleet, manifest, payload, into)
+
+
+def read_experience(path: Path) -> bytes:
+    """Return an experience's file, checked to be one, as `nufleet train` leaves it in a run.
+
+    Raises:
+        InvalidInputError: it cannot be read, or is truncated, altered or of another type.
+    """
+    try:
+        with path.open("rb") as file:
+            payload = file.read(EXPERIENCE_BYTES_MAX + 1)
+    except OSError as error:
+        raise InvalidInputError(f"{path}: cannot be read: {error.strerror}") from error
+    try:
+        decode_experience(payload)
+    except MalformedMessageError as error:
+        raise InvalidInputError(
+            f"{path}: {error}; choose a file that `nufleet train` left in its run's experiences"
+        ) from error
+    return payload
+
+
+def transfer_file(fleet: Fleet, payload: bytes, target: str) -> Transferred:
+    """Transfer an experience that was read from a file; raises as `transfer` does."""
+    manifest = decode_experience(payload).manifest
+    return _installed(fleet, manifest, payload, fleet.describe(target))
+
+
+def _installed(
+    fleet: Fleet, manifest: ExperienceManifest, payload: bytes, target: Description
+) -> Transferred:
+    check_fit(manifest, target)
+    installed = install(fleet, target.robot, "prior", payload)
+    return Transferred(manifest.robot, target.robot, installed.sha256, manifest)
+
+
+def check_fit(manifest: ExperienceManifest, target: Description) -> None:
+    """Raise InvalidInputError unless an experience fits a robot."""
+    for axis in manifest.axes:
+        reason = misfit(manifest, target.spec, target.state_names, axis)
+        if reason is not None:
+            raise InvalidInputError(
+                f"the experience of {manifest.robot} does not fit {target.robot}: {reason}; choose "
+                "a source of its kind"
+            )
+
+
+def check_would_fit(source: Description, target: Description, architecture: Architecture) -> None:
+    """Raise InvalidInputError unless what a source would learn fits a target.
+
+    So that nobody learns for minutes what nobody can use.
+    """
+    states = source.state_names if architecture == "state" else source.state_names[:1]
+    needs = Needs(
+        robot_kind=source.spec.kind,
+        axes=tuple(axis.name for axis in source.spec.axes),
+        unit=source.spec.axes[0].unit,
+        sample_time_s=source.spec.sample_time_s,
+        states=states,
+    )
+    for axis in needs.axes:
+        reason = unmet(needs, target.spec, target.state_names, axis)
+        if reason is not None:
+            raise InvalidInputError(
+                f"an experience of {source.robot} would not fit {target.robot}: {reason}; leave "
+                f"{source.robot} out of the sources"
+            )

@@ -1,0 +1,1 @@
+"""A fleet from the orchestrator's side: reaching it, asking it, starting it."""

@@ -1,0 +1,312 @@
+"""The fleet as an orchestrator sees it: who is there, what each robot does, and requests to it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Literal, TypeVar
+
+from nufleet.orchestrator.fleet.robot_watch import RobotWatch
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import MalformedMessageError, NoReplyError, RefusedError, RobotLostError
+from nufleet.shared.wire.codec import Message, decode, encode
+from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.messages import (
+    AcknowledgeRequest,
+    CancelRequest,
+    DescribeRequest,
+    Description,
+    Done,
+    ExperienceFile,
+    ExperienceOffer,
+    FetchRequest,
+    GoalAccepted,
+    GoalRequest,
+    GoalResult,
+    InstallRequest,
+    Prediction,
+    PredictRequest,
+    Refusal,
+    ReleaseRequest,
+    RemovePriorRequest,
+    ResultRequest,
+    RobotState,
+    StopRequest,
+    Telemetry,
+    TrackingTelemetry,
+)
+from nufleet.shared.wire.transport import Session
+
+QUERY_TIMEOUT_S = 3.0
+RESULT_TIMEOUT_S = 20.0
+TELEMETRY_MAX_BYTES = 4 * 2**20
+"""Of one batch: what a simulated robot without a pace plays in a tenth of a second."""
+
+_log = logging.getLogger(__name__)
+R = TypeVar("R", bound=Message)
+
+
+class Fleet:
+    """A client of all robots of one fleet, alive under its own id as long as its session is.
+
+    Observers are called on network threads, in order per robot; they must return at once. Requests
+    that command a robot carry the epoch of the lease under which that is done; see `hold`.
+    """
+
+    def __init__(self, session: Session, keys: FleetKeys, orchestrator_id: str) -> None:
+        self.orchestrator_id = orchestrator_id
+        self._session = session
+        self._keys = keys
+        self._epochs: Mapping[str, int] = {}
+        self._lock = threading.Lock()
+        self._watches: dict[str, RobotWatch] = {}
+        self._state_observers: list[Callable[[RobotState], None]] = []
+        self._telemetry_observers: list[Callable[[str, Telemetry], None]] = []
+        self._tracking_observers: list[Callable[[str, TrackingTelemetry], None]] = []
+        session.declare_alive(keys.orchestrator_alive(orchestrator_id))
+        session.watch_alive(keys.every_robot("alive"), self._on_presence)
+        session.subscribe_state(keys.every_robot("state"), self._on_state)
+
+    def hold(self, epochs: Mapping[str, int]) -> None:
+        """Command robots under leases of these epochs from now on, all others without one."""
+        self._epochs = dict(epochs)
+
+    def epoch(self, robot: str) -> int:
+        """Return the epoch of the lease under which a robot is commanded; 0 without one."""
+        return self._epochs.get(robot, 0)
+
+    # Who is there.
+
+    def watch(self, robot: str) -> RobotWatch:
+        """Return the latest that is known of a robot, updated as it changes."""
+        with self._lock:
+            return self._watches.setdefault(robot, RobotWatch(robot))
+
+    def robots(self) -> tuple[str, ...]:
+        """Return the names of the robots whose agents are alive now."""
+        with self._lock:
+            watches = list(self._watches.values())
+        return tuple(sorted(watch.robot for watch in watches if watch.alive))
+
+    def wait_for(self, robots: tuple[str, ...], *, timeout_s: float) -> None:
+        """Wait until all these robots are alive; raises RobotLostError naming who is not."""
+        deadline = time.monotonic() + timeout_s
+        for robot in robots:
+            left_s = max(0.0, deadline - time.monotonic())
+            if not self.watch(robot).wait_until(lambda w: w.alive, timeout_s=left_s):
+                there = ", ".join(self.robots()) or "none"
+                raise RobotLostError(
+                    f"robot {robot} did not appear within {timeout_s:g} s; robots there: {there}"
+                )
+
+    def is_alive(self, orchestrator_id: str) -> bool:
+        """Return whether an orchestrator is there; raises TransportError."""
+        key = self._keys.orchestrator_alive(orchestrator_id)
+        return bool(self._session.alive(key, timeout_s=QUERY_TIMEOUT_S))
+
+    def observe_states(self, observer: Callable[[RobotState], None]) -> None:
+        """Call an observer with every state that arrives."""
+        self._state_observers.append(observer)
+
+    def observe_telemetry(self, observer: Callable[[str, Telemetry], None]) -> None:
+        """Call an observer with every batch of samples that arrives, and the robot it is of."""
+        if not self._telemetry_observers:
+            key = self._keys.every_robot("telemetry/motion")
+            self._session.subscribe(
+                key,
+                partial(self._on_telemetry, Telemetry, self._telemetry_observers),
+                max_bytes=TELEMETRY_MAX_BYTES,
+            )
+        self._telemetry_observers.append(observer)
+
+    def observe_tracking(self, observer: Callable[[str, TrackingTelemetry], None]) -> None:
+        """Call an observer with every batch of samples along a path, and the robot it is of."""
+        if not self._tracking_observers:
+            key = self._keys.every_robot("telemetry/tracking")
+            self._session.subscribe(
+                key,
+                partial(self._on_telemetry, TrackingTelemetry, self._tracking_observers),
+                max_bytes=TELEMETRY_MAX_BYTES,
+            )
+        self._tracking_observers.append(observer)
+
+    # Requests.
+
+    def describe(self, robot: str) -> Description:
+        """Return what a robot is.
+
+        Raises:
+            NoReplyError: it does not answer.
+            RobotLostError: two agents answer under this name.
+        """
+        try:
+            return self._ask(robot, "describe", DescribeRequest(), Description)
+        except NoReplyError as error:
+            raise NoReplyError(
+                f"robot {robot} does not answer: is its agent running? "
+                "`nufleet fleet status` shows who is there"
+            ) from error
+
+    def describe_all(self, robots: tuple[str, ...]) -> dict[str, Description]:
+        """Return what each of some robots is, asked at the same time; raises as `describe`."""
+        with ThreadPoolExecutor(min(32, len(robots)), thread_name_prefix="describe") as pool:
+            return dict(zip(robots, pool.map(self.describe, robots), strict=True))
+
+    def submit(self, robot: str, request: GoalRequest) -> GoalAccepted:
+        """Ask for a motion; the same request may be sent again at any time."""
+        return self._ask(robot, "goal", request, GoalAccepted)
+
+    def cancel(self, robot: str, goal_id: str) -> None:
+        """Ask a robot to end a goal early."""
+        sender, epoch = self.orchestrator_id, self.epoch(robot)
+        request = CancelRequest(sender=sender, epoch=epoch, goal_id=goal_id)
+        self._ask(robot, "cancel", request, Done)
+
+    def result(self, robot: str, goal_id: str) -> GoalResult:
+        """Return how a goal ended, with its samples."""
+        request = ResultRequest(goal_id=goal_id)
+        return self._ask(robot, "result", request, GoalResult, timeout_s=RESULT_TIMEOUT_S)
+
+    def acknowledge(self, robot: str, goal_ids: tuple[str, ...]) -> None:
+        """Tell a robot that these results arrived."""
+        sender, epoch = self.orchestrator_id, self.epoch(robot)
+        request = AcknowledgeRequest(sender=sender, epoch=epoch, goal_ids=goal_ids)
+        self._ask(robot, "acknowledge", request, Done)
+
+    def fetch(self, robot: str, sha256: str) -> bytes:
+        """Return the file of an experience or prior of a robot; the caller checks what is in it."""
+        request = FetchRequest(sha256=sha256)
+        file = self._ask(robot, "experience", request, ExperienceFile, timeout_s=RESULT_TIMEOUT_S)
+        return file.payload
+
+    def install(
+        self,
+        robot: str,
+        slot: Literal["experience", "prior"],
+        payload: bytes,
+        sha256: str,
+    ) -> ExperienceOffer:
+        """Give a robot an experience: as its own, or as the prior that it flies with."""
+        sender, epoch = self.orchestrator_id, self.epoch(robot)
+        request = InstallRequest(sender=sender, epoch=epoch, sha256=sha256, payload=payload)
+        leaf = f"{slot}/install"
+        return self._ask(robot, leaf, request, ExperienceOffer, timeout_s=RESULT_TIMEOUT_S)
+
+    def remove_prior(self, robot: str) -> None:
+        """Take a robot's prior away."""
+        request = RemovePriorRequest(sender=self.orchestrator_id, epoch=self.epoch(robot))
+        self._ask(robot, "prior/remove", request, Done)
+
+    def predict(self, robot: str, sha256: str, inputs: FloatArray) -> FloatArray:
+        """Return what an experience of a robot makes of inputs (m, inputs): γ in unit/s, (m,)."""
+        request = PredictRequest(sha256=sha256, inputs=inputs)
+        return self._ask(robot, "predict", request, Prediction).gamma
+
+    def stop(self, robot: str, reason: str) -> None:
+        """Stop a robot; returns when it says that it has, else raises."""
+        request = StopRequest(sender=self.orchestrator_id, reason=reason)
+        self._session.put_urgent(self._keys.robot(robot, "stop"), encode(request))
+        self._ask(robot, "stop", request, Done)
+
+    def stop_everyone(self, reason: str) -> None:
+        """Send one stop to the whole fleet; who heard it is found out with `stop` on each."""
+        request = StopRequest(sender=self.orchestrator_id, reason=reason)
+        self._session.put_urgent(self._keys.stop, encode(request))
+
+    def release(self, robot: str) -> None:
+        """Let a stopped robot move again."""
+        self._ask(robot, "release", ReleaseRequest(sender=self.orchestrator_id), Done)
+
+    def _ask(
+        self,
+        robot: str,
+        leaf: str,
+        request: Message,
+        expected: type[R],
+        *,
+        timeout_s: float = QUERY_TIMEOUT_S,
+    ) -> R:
+        key = self._keys.robot(robot, leaf)
+        began_s = time.monotonic()
+        replies = self._session.ask_all(key, encode(request), timeout_s=timeout_s)
+        if not replies:
+            gone = time.monotonic() - began_s < timeout_s
+            raise NoReplyError(_no_reply(robot, leaf, request, None if gone else timeout_s))
+        if len(replies) > 1:
+            raise RobotLostError(
+                f"{len(replies)} agents answer as {robot}: stop all but one of them"
+            )
+        try:
+            reply = decode(replies[0], expected, Refusal)
+        except MalformedMessageError as error:
+            raise type(error)(f"robot {robot} answered {leaf!r} with no answer: {error}") from error
+        if isinstance(reply, Refusal):
+            raise RefusedError(reply.code, reply.reason, robot)
+        if not isinstance(reply, expected):
+            raise MalformedMessageError(f"robot {robot} answered with {type(reply).__name__}")
+        return reply
+
+    # Network threads.
+
+    def _on_presence(self, key: str, alive: bool) -> None:
+        robot = self._robot_of(key)
+        if robot is not None:
+            self.watch(robot).set_alive(alive)
+
+    def _on_state(self, key: str, payload: bytes) -> None:
+        robot = self._robot_of(key)
+        if robot is None:
+            return
+        try:
+            state = decode(payload, RobotState)
+        except MalformedMessageError as error:
+            _log.warning("ignoring a malformed state on %s: %s", key, error)
+            return
+        if state.robot != robot:
+            _log.warning("ignoring a state of %s on %s", state.robot, key)
+            return
+        self.watch(robot).set_state(state)
+        for observer in self._state_observers:
+            _tell(partial(observer, state))
+
+    def _on_telemetry(
+        self, kind: type[R], observers: list[Callable[[str, R], None]], key: str, payload: bytes
+    ) -> None:
+        robot = self._robot_of(key)
+        if robot is None:
+            return
+        try:
+            telemetry = decode(payload, kind)
+        except MalformedMessageError as error:
+            _log.warning("ignoring malformed telemetry on %s: %s", key, error)
+            return
+        for observer in observers:
+            _tell(partial(observer, robot, telemetry))
+
+    def _robot_of(self, key: str) -> str | None:
+        robot = self._keys.robot_of(key)
+        if robot is None:
+            _log.warning("ignoring %r, which names no robot", key)
+        return robot
+
+
+def _no_reply(robot: str, leaf: str, request: Message, waited_s: float | None) -> str:
+    """Say who did not answer what; `waited_s` is None when nobody was there to answer."""
+    goal_id = getattr(request, "goal_id", None)
+    asked = repr(leaf) if goal_id is None else f"{leaf!r} about goal {goal_id}"
+    if waited_s is None:
+        return f"robot {robot} is not there, or went away when it was asked {asked}"
+    return (
+        f"robot {robot} did not answer {asked} within {waited_s:g} s; it may be cut off or frozen"
+    )
+
+
+def _tell(observer: Callable[[], None]) -> None:
+    try:
+        observer()
+    except Exception:  # noqa: BLE001 - one observer's mistake must not blind the others
+        _log.exception("an observer failed")

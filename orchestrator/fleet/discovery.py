@@ -1,0 +1,23 @@
+"""Who is at a router, found without joining any fleet; light enough for a stop."""
+
+from __future__ import annotations
+
+from nufleet.shared.wire.keys import EVERY_FLEETS_ROBOTS_ALIVE, FleetKeys, fleet_of
+from nufleet.shared.wire.transport import Session
+
+DISCOVERY_TIMEOUT_S = 3.0
+
+
+def robots_at(session: Session) -> tuple[tuple[str, str], ...]:
+    """Return fleet and name of every robot that is alive at a router, sorted.
+
+    Tokens whose names cannot be any are passed over. Ask before the session watches tokens.
+    """
+    keys = session.alive(EVERY_FLEETS_ROBOTS_ALIVE, timeout_s=DISCOVERY_TIMEOUT_S)
+    found = set()
+    for key in keys:
+        fleet = fleet_of(key)
+        robot = None if fleet is None else FleetKeys(fleet).robot_of(key)
+        if fleet is not None and robot is not None:
+            found.add((fleet, robot))
+    return tuple(sorted(found))

@@ -1,0 +1,244 @@
+"""Runs the pursuits of many goals: one thread takes their events, others wait for answers.
+
+This is the shell around `goal_pursuit`; it decides nothing.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from types import TracebackType
+
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.fleet.goal_events import (
+    Accepted,
+    Ask,
+    CancelTaken,
+    Ended,
+    Event,
+    Fetched,
+    InterruptAsked,
+    Passed,
+    Question,
+    Refused,
+    Unanswered,
+)
+from nufleet.orchestrator.fleet.goal_pursuit import Pursuit
+from nufleet.orchestrator.fleet.robot_watch import RobotWatch
+from nufleet.shared.errors import NufleetError, RefusedError
+from nufleet.shared.wire.messages import GoalAccepted, GoalRequest
+
+TICK_S = 0.05
+"""How often the pursuits are looked at for which time alone matters."""
+
+_LOOK_S = 0.2
+
+ASKING_AT_ONCE = 256
+"""Questions that may wait for their answers at the same time."""
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class Errand:
+    """A goal to be pursued.
+
+    `on_accepted` is told once when the robot has taken it, `on_ended` how it ended; both are called
+    on the loop's thread and must return at once.
+    """
+
+    robot: str
+    request: GoalRequest
+    on_accepted: Callable[[GoalAccepted], None]
+    on_ended: Callable[[Ended], None]
+    taken_before: bool = False
+    abandoned: Iterable[str] = ()
+
+
+class GoalLoop:
+    """Pursues errands; a context manager, whose exit waits for no robot."""
+
+    def __init__(self, fleet: Fleet) -> None:
+        self._fleet = fleet
+        self._inbox: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._askers = ThreadPoolExecutor(ASKING_AT_ONCE, thread_name_prefix="ask")
+        self._running: dict[Errand, _Run] = {}
+        self._interrupted = False
+        self._crash: BaseException | None = None
+        self._thread = threading.Thread(target=self._work, name="goals", daemon=True)
+
+    def __enter__(self) -> GoalLoop:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._inbox.put(None)
+        self._thread.join()
+        self._askers.shutdown(wait=False, cancel_futures=True)
+
+    def begin(self, errand: Errand) -> None:
+        """Pursue an errand from now on; after an interrupt it ends before it is sent."""
+        self.post(lambda: self._begin(errand))
+
+    def interrupt(self) -> None:
+        """Have every errand end with its robot at rest, and those that follow not begin."""
+        self.post(self._interrupt)
+
+    @property
+    def is_interrupted(self) -> bool:
+        """Whether the end of all errands was asked for."""
+        return self._interrupted
+
+    def post(self, job: Callable[[], None]) -> None:
+        """Have the loop's thread do something."""
+        self._inbox.put(job)
+
+    def wait_for(self, done: threading.Event) -> None:
+        """Wait until an event is set by what errands call.
+
+        An error on the loop's thread, which nobody foresaw, is raised once all robots are at rest.
+        """
+        while not done.wait(_LOOK_S):
+            if self._crash is not None and not self._running:
+                break
+        if self._crash is not None:
+            raise self._crash
+
+    # The loop's thread.
+
+    def _work(self) -> None:
+        tick_s = -math.inf
+        while True:
+            left_s = tick_s - time.monotonic()
+            job: Callable[[], None] | None = self._tick
+            if left_s > 0:
+                try:
+                    job = self._inbox.get(timeout=left_s)
+                except queue.Empty:
+                    continue
+            else:
+                tick_s = time.monotonic() + TICK_S
+            if job is None:
+                break
+            try:
+                job()
+            except Exception as error:  # noqa: BLE001 - no robot may fly on alone for it
+                _log.exception("pursuing goals")
+                self._crash = self._crash or error
+                self._interrupt()
+        for run in self._running.values():
+            run.leave()
+
+    def _tick(self) -> None:
+        now_s = time.monotonic()
+        self._have_taken(Passed(), (r for r in self._running.values() if r.pursuit.wake_s <= now_s))
+
+    def _begin(self, errand: Errand) -> None:
+        run = self._running[errand] = _Run(self, self._fleet, errand, self._askers)
+        run.begin()
+        if self._interrupted:
+            run.take(InterruptAsked())
+
+    def _interrupt(self) -> None:
+        self._interrupted = True
+        self._have_taken(InterruptAsked(), self._running.values())
+
+    def _have_taken(self, event: Event, runs: Iterable[_Run]) -> None:
+        # Each in a job of its own: an error about one robot must not keep it from the others.
+        for run in runs:
+            self.post(partial(run.take, event))
+
+    def ended(self, errand: Errand, ended: Ended) -> None:
+        """Say how an errand ended, and let it go."""
+        try:
+            errand.on_ended(ended)
+        finally:
+            del self._running[errand]
+
+
+class _Run:
+    """One pursuit and its effects."""
+
+    def __init__(
+        self, loop: GoalLoop, fleet: Fleet, errand: Errand, askers: ThreadPoolExecutor
+    ) -> None:
+        self._loop = loop
+        self._fleet = fleet
+        self._errand = errand
+        self._askers = askers
+        self._watch: RobotWatch = fleet.watch(errand.robot)
+        self._unfollow: Callable[[], None] = lambda: None
+        self._accepted = False
+        self.pursuit: Pursuit
+
+    def begin(self) -> None:
+        errand = self._errand
+        sighting, self._unfollow = self._watch.follow(
+            lambda event: self._loop.post(lambda: self.take(event))
+        )
+        self.pursuit = Pursuit(
+            errand.robot,
+            errand.request.goal_id,
+            sighting,
+            time.monotonic(),
+            taken_before=errand.taken_before,
+            abandoned=errand.abandoned,
+        )
+        if not self._loop.is_interrupted:
+            self.take(Passed())
+
+    def leave(self) -> None:
+        """Follow the robot no more."""
+        self._unfollow()
+
+    def take(self, event: Event) -> None:
+        """Take in an event, and ask what follows from it."""
+        if self.pursuit.ended is not None:
+            return
+        # Asked first: an error in what is told must not lose a question.
+        for ask in self.pursuit.take(event, time.monotonic()):
+            self._askers.submit(self._ask, ask)
+        if self.pursuit.accepted is not None and not self._accepted:
+            self._accepted = True
+            self._errand.on_accepted(self.pursuit.accepted)
+        if self.pursuit.ended is not None:
+            self.leave()
+            self._loop.ended(self._errand, self.pursuit.ended)
+
+    # The askers' threads.
+
+    def _ask(self, ask: Ask) -> None:
+        event = self._answer(ask)
+        self._loop.post(lambda: self.take(event))
+
+    def _answer(self, ask: Ask) -> Event:
+        robot = self._errand.robot
+        try:
+            match ask.question:
+                case Question.GOAL:
+                    return Accepted(self._fleet.submit(robot, self._errand.request))
+                case Question.RESULT:
+                    return Fetched(self._fleet.result(robot, ask.goal_id))
+                case Question.CANCEL:
+                    self._fleet.cancel(robot, ask.goal_id)
+                    return CancelTaken()
+        except RefusedError as error:
+            return Refused(ask.question, error)
+        except NufleetError as error:
+            _log.info("%s: asking again", error)
+            return Unanswered(ask.question, error)
+        except Exception as error:  # noqa: BLE001 - a question always has an end
+            _log.exception("asking %s about %s", robot, ask.goal_id)
+            return Unanswered(ask.question, NufleetError(f"asking {robot}: {error!r}"))

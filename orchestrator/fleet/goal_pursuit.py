@@ -1,0 +1,360 @@
+"""One goal on one robot, as its orchestrator pursues it: a pure state machine.
+
+It holds no socket, thread or clock. `take` is given what happened and the time, and returns what is
+to be asked of the robot; `wake_s` says when time alone will matter; `ended` is set once.
+
+Every rule follows from four facts about the network and the robot:
+
+- A question may be lost, and so may its answer. Asking again is always safe: a goal id moves its
+  robot at most once, a result is kept until it is acknowledged.
+- States may be lost or late. So a state is only ever a reason to *ask* how the goal stands; what
+  the robot answers decides. A robot that is heard, by whatever message, is not given up.
+- A goal that was asked for may arrive late. So nobody may assume that it will not begin before
+  the robot has confirmed that it is cancelled; the robot remembers that by the goal's id.
+- A robot that was given up may return, moving still. So a goal that ended without its robot's word
+  is abandoned, not over: before the next goal is sent it is cancelled until the robot confirms.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+
+from nufleet.orchestrator.fleet.goal_events import (
+    Accepted,
+    Ask,
+    CancelTaken,
+    Ended,
+    Event,
+    Fetched,
+    Heard,
+    InterruptAsked,
+    Passed,
+    Question,
+    Refused,
+    Sighting,
+    TokenBack,
+    TokenLost,
+    Unanswered,
+)
+from nufleet.orchestrator.fleet.overdue import Overdue
+from nufleet.orchestrator.fleet.robot_watch import HEARTBEAT_LOST_S
+from nufleet.shared.errors import NufleetError, RefusedError, RobotLostError
+from nufleet.shared.wire.messages import GoalAccepted, Outcome, RobotState
+
+RETURN_PATIENCE_S = 10.0
+"""A robot that is not heard for this long is given up."""
+
+ANSWER_PATIENCE_S = 300.0
+"""A robot that is heard, and answers none of the questions asked in this time, is given up."""
+
+ANSWER_TRIES = 10
+"""But not before this many questions in a row stayed without an answer."""
+
+REFUSAL_PATIENCE_S = 10.0
+"""How long a refusal may last that says nothing about the goal itself."""
+
+REST_PATIENCE_S = 90.0
+"""How long a robot may take to come to rest after a cancel; longer than any driver's `rest`."""
+
+ASK_AGAIN_S = 0.05
+LOOK_AGAIN_S = 0.5
+"""How long to wait before asking how a goal stands that was running still: one heartbeat."""
+
+PASSING = frozenset({"owner-not-alive", "overloaded", "shutting-down", "two-agents", "frozen"})
+"""Refusals that say nothing about the goal. After a restart of the router a robot may hear of it
+before its owner; an agent that restarts or was frozen takes it a little later."""
+
+NEVER_BEGINS = frozenset({"goal-ended", "stale-epoch"})
+"""Refusals to cancel a goal that say as much as a yes: it moves its robot no more."""
+
+
+class Pursuit:
+    """Pursues one goal until it has ended; see the module for its rules."""
+
+    def __init__(
+        self,
+        robot: str,
+        goal_id: str,
+        sighting: Sighting,
+        now_s: float,
+        *,
+        taken_before: bool = False,
+        abandoned: Iterable[str] = (),
+    ) -> None:
+        """Begin; `take(Passed(), now_s)` gives the first questions.
+
+        Args:
+            robot: who is to do it.
+            goal_id: the goal's.
+            sighting: what is known of the robot now.
+            now_s: the time, of the clock that all later times are of.
+            taken_before: an earlier orchestrator knows that the robot took this goal. Then it is
+                never sent again; only what became of it is asked.
+            abandoned: goals of this robot that may be moving it still; they are cancelled first.
+        """
+        self.robot = robot
+        self.goal_id = goal_id
+        self.ended: Ended | None = None
+        self.accepted: GoalAccepted | None = None
+        self._alive = sighting.alive
+        self._heard_s = sighting.heard_s
+        self._lost_s = now_s
+        self._lost = ""
+        self._running_id: str | None = None
+        self._progress = 0.0
+        self._abandoned = list(abandoned)
+        self._rest_patience_s = REST_PATIENCE_S if self._abandoned else REFUSAL_PATIENCE_S
+        self._open: set[Question] = set()
+        self._not_before_s: dict[Question, float] = {}
+        self._unanswered: tuple[int, float] | None = None
+        self._refused_since_s: dict[Question, float] = {}
+        self._sent = False
+        self._unsure = False
+        self._taken = taken_before
+        self._fetch = taken_before
+        self._over = False
+        self._overdue = Overdue(0.0, now_s)
+        self._interrupted = False
+        self._given_up: NufleetError | None = None
+        self._cancelled_s: float | None = None
+
+    @property
+    def wake_s(self) -> float:
+        """When `take` is to be called with `Passed`, should nothing happen before."""
+        if self.ended is not None:
+            return math.inf
+        times = [self._give_up_s, *self._not_before_s.values()]
+        if self._taken and not self._fetch:
+            times.append(self._heard_s + HEARTBEAT_LOST_S)
+        if self._may_be_overdue:
+            times.append(self._overdue.deadline_s)
+        if self._cancelled_s is not None:
+            times.append(self._cancelled_s + REST_PATIENCE_S)
+        return min(times)
+
+    def take(self, event: Event, now_s: float) -> tuple[Ask, ...]:
+        """Take in what happened; return what is to be asked now.
+
+        Args:
+            event: what happened. An answer belongs to the open question of its kind; one too many
+                says nothing.
+            now_s: the time; it never goes back.
+        """
+        if self.ended is None:
+            self._note(event, now_s)
+        if self.ended is None:
+            self._note_time(now_s)
+        return () if self.ended is not None else tuple(self._questions(now_s))
+
+    # What happened.
+
+    def _note(self, event: Event, now_s: float) -> None:
+        match event:
+            case Heard(state):
+                self._heard_s = now_s
+                self._note_state(state)
+            case Unanswered(question, error):
+                self._note_silence(question, error, now_s)
+            case TokenLost():
+                self._alive = False
+                self._lost_s = now_s
+                self._lost = f"robot {self.robot} disappeared during {self.goal_id}"
+            case TokenBack():
+                self._alive = True
+                self._heard_s = now_s
+                # The goal may have ended meanwhile, in a state that nobody heard.
+                self._fetch = self._taken
+            case InterruptAsked():
+                self._interrupted = True
+                self._end_if_never_sent()
+            case Passed():
+                for question, at_s in tuple(self._not_before_s.items()):
+                    if at_s <= now_s:
+                        del self._not_before_s[question]
+            case _:
+                self._note_answer(event, now_s)
+
+    def _note_answer(
+        self, answer: Accepted | Fetched | CancelTaken | Refused, now_s: float
+    ) -> None:
+        if answer.question not in self._open:
+            return
+        self._heard_s = now_s
+        self._unanswered = None
+        self._open.discard(answer.question)
+        match answer:
+            case Accepted(accepted):
+                if not self._taken:
+                    self._taken, self.accepted = True, accepted
+                    self._overdue = Overdue(accepted.wall_duration_s, now_s)
+            case Fetched(result):
+                if self._given_up is None or result.outcome is Outcome.COMPLETED:
+                    self.ended = Ended(result=result)
+                else:
+                    self.ended = Ended(error=self._given_up, interrupted=self._interrupted)
+            case CancelTaken():
+                self._note_cancelled(now_s)
+            case Refused(question, error):
+                self._note_refusal(question, error, now_s)
+
+    def _note_state(self, state: RobotState) -> None:
+        self._running_id = state.goal_id
+        if state.goal_id == self.goal_id:
+            self._progress = state.progress
+        elif self._taken:
+            # The goal has ended, or this state is from before it: the robot's answer decides.
+            self._fetch = True
+            if state.last_goal_id == self.goal_id:
+                self._over = True
+                self._not_before_s.pop(Question.RESULT, None)
+
+    def _note_cancelled(self, now_s: float) -> None:
+        self._refused_since_s.pop(Question.CANCEL, None)
+        if self._abandoned:
+            self._abandoned.pop(0)
+            if self._interrupted:
+                self._end_if_never_sent()
+        elif self._cancelled_s is None:
+            self._cancelled_s = now_s
+            self._fetch = True
+
+    def _note_refusal(self, question: Question, error: RefusedError, now_s: float) -> None:
+        match question:
+            case Question.CANCEL if error.code in NEVER_BEGINS:
+                self._note_cancelled(now_s)
+            case Question.CANCEL if self._outlasts(question, REFUSAL_PATIENCE_S, now_s):
+                self._give_up(error)
+            case Question.RESULT if error.code == "not-finished":
+                self._fetch = self._cancelled_s is not None
+                self._not_before_s[question] = now_s + LOOK_AGAIN_S
+            case Question.RESULT if error.code not in PASSING and not self._may_begin_yet:
+                self._end_without_result(error)
+            case Question.GOAL if not self._taken and not self._interrupted:
+                self._note_goal_refused(error, now_s)
+            case _:
+                self._not_before_s[question] = now_s + ASK_AGAIN_S
+
+    def _note_goal_refused(self, error: RefusedError, now_s: float) -> None:
+        patience_s = {"busy": self._rest_patience_s}.get(
+            error.code, REFUSAL_PATIENCE_S if error.code in PASSING else 0.0
+        )
+        if self._outlasts(Question.GOAL, patience_s, now_s):
+            self.ended = Ended(error=error, abandoned=(self.goal_id,) if self._unsure else ())
+        else:
+            self._not_before_s[Question.GOAL] = now_s + ASK_AGAIN_S
+
+    def _outlasts(self, question: Question, patience_s: float, now_s: float) -> bool:
+        """Return whether a question has been refused for that long."""
+        return now_s >= self._refused_since_s.setdefault(question, now_s) + patience_s
+
+    def _note_silence(self, question: Question, error: NufleetError, now_s: float) -> None:
+        if question not in self._open:
+            return
+        self._open.discard(question)
+        self._unsure |= question is Question.GOAL
+        self._not_before_s[question] = now_s + ASK_AGAIN_S
+        tries, since_s = self._unanswered or (0, now_s)
+        self._unanswered = (tries + 1, since_s)
+        if tries + 1 >= ANSWER_TRIES and now_s - since_s >= ANSWER_PATIENCE_S:
+            self._give_up(error)
+
+    # What time says.
+
+    @property
+    def _give_up_s(self) -> float:
+        return max(self._heard_s, self._lost_s) + RETURN_PATIENCE_S
+
+    def _note_time(self, now_s: float) -> None:
+        overdue, cancelled_s = self._overdue, self._cancelled_s
+        if now_s >= self._give_up_s:
+            self._give_up(RobotLostError(self._silent(now_s)))
+        elif cancelled_s is not None and now_s >= cancelled_s + REST_PATIENCE_S:
+            reason = (
+                f"robot {self.robot} was told to end {self.goal_id} and is not at rest after "
+                f"{REST_PATIENCE_S:g} s; stop it, and see whether its driver hangs"
+            )
+            self._give_up(RobotLostError(reason))
+        elif self._may_be_overdue and overdue.is_late(self._progress, now_s):
+            # It is heard, so it can be brought to rest before it is given up.
+            self._given_up = RobotLostError(
+                f"robot {self.robot} is overdue with {self.goal_id}: for {overdue.grace_s:.0f} s "
+                f"it got no further than {overdue.progress:.0%}; see whether its agent hangs"
+            )
+        if self._taken and now_s >= self._heard_s + HEARTBEAT_LOST_S:
+            # Its states do not arrive; perhaps its answers do.
+            self._fetch = True
+
+    def _silent(self, now_s: float) -> str:
+        if not self._sent and not self._taken:
+            return (
+                f"robot {self.robot} is gone and did not return for goal {self.goal_id} within "
+                f"{RETURN_PATIENCE_S:g} s; is its agent running?"
+            )
+        if self._lost and not self._alive:
+            return f"{self._lost}, and it did not return"
+        return (
+            f"robot {self.robot} went silent during {self.goal_id}: nothing was heard of it for "
+            f"{now_s - max(self._heard_s, self._lost_s):.1f} s"
+        )
+
+    # How it ends.
+
+    def _end_if_never_sent(self) -> None:
+        if not self._sent and not self._taken and not self._abandoned:
+            self.ended = Ended(interrupted=True)
+
+    def _end_without_result(self, error: RefusedError) -> None:
+        if self._interrupted or self._given_up is not None:
+            self.ended = Ended(error=self._given_up, interrupted=self._interrupted)
+        else:
+            lost = self._lost or (
+                f"robot {self.robot} had taken {self.goal_id}; its agent may have restarted since"
+            )
+            self.ended = Ended(error=RobotLostError(f"{lost}: {error.reason}"))
+
+    def _give_up(self, error: NufleetError) -> None:
+        own = (self.goal_id,) if self._sent or self._taken else ()
+        self.ended = Ended(
+            error=self._given_up or error,
+            interrupted=self._interrupted,
+            abandoned=(*self._abandoned, *own),
+        )
+
+    # What is to be asked.
+
+    @property
+    def _may_be_overdue(self) -> bool:
+        return self._taken and not self._over and not self._cancelling
+
+    @property
+    def _cancelling(self) -> bool:
+        return self._interrupted or self._given_up is not None
+
+    @property
+    def _may_begin_yet(self) -> bool:
+        """Whether the goal is to be cancelled, and the robot has not confirmed that it is."""
+        return self._cancelling and self._cancelled_s is None
+
+    def _questions(self, now_s: float) -> Iterator[Ask]:
+        is_there = self._alive or self._heard_s > self._lost_s
+        if self._may_begin_yet and not self._abandoned:
+            yield from self._ask(Question.CANCEL, self.goal_id, now_s)
+        if not is_there:
+            return
+        if self._abandoned:
+            yield from self._ask(Question.CANCEL, self._abandoned[0], now_s)
+            return
+        if not self._taken and not self._cancelling:
+            for ask in self._ask(Question.GOAL, self.goal_id, now_s):
+                self._sent = True
+                yield ask
+        if self._fetch:
+            yield from self._ask(Question.RESULT, self.goal_id, now_s)
+
+    def _ask(self, question: Question, goal_id: str, now_s: float) -> Iterator[Ask]:
+        if question in self._open or now_s < self._not_before_s.get(question, -math.inf):
+            return
+        self._open.add(question)
+        self._not_before_s.pop(question, None)
+        yield Ask(question, goal_id)

@@ -1,0 +1,203 @@
+"""Starts a router and the agents of a fleet file as processes, and ends them all, always."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+from nufleet.shared.errors import EndpointInUseError, NufleetError
+from nufleet.shared.interrupts import Interrupts
+from nufleet.shared.robots.drivers import load_driver
+from nufleet.shared.robots.fleet_file import FleetFile
+from nufleet.shared.wire.transport import open_client
+
+GRACE_S = 90.0
+"""How long a process may take to leave its robots at rest before it is killed.
+
+Longer than an agent takes to find that a driver hangs, so that it can say so itself."""
+
+ROUTER = "router"
+LANDING = "landing: the robots of this fleet are coming to rest, and then it ends by itself"
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass
+class _Child:
+    what: str
+    process: subprocess.Popen[bytes]
+    log: IO[bytes]
+
+    def last_words(self) -> str:
+        """The end of what the process printed."""
+        # The child writes at the same file offset, so it is read without moving that.
+        size = os.fstat(self.log.fileno()).st_size
+        start = max(0, size - 4000)
+        return os.pread(self.log.fileno(), 4000, start).decode(errors="replace").strip()
+
+
+class FleetProcesses:
+    """A router and agents as child processes; a context manager that leaves none behind.
+
+    Each child holds the other end of a pipe and ends when that closes, so even a killed parent
+    leaves nothing running.
+    """
+
+    def __init__(self) -> None:
+        self._children: list[_Child] = []
+
+    def __enter__(self) -> FleetProcesses:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+    def start_router(self, endpoint: str, *, timeout_s: float = 20.0) -> None:
+        """Start a router and wait until it answers; raises EndpointInUseError when it cannot."""
+        child = self._start(ROUTER, ["router"], {"NUFLEET_LISTEN": endpoint})
+        deadline = time.monotonic() + timeout_s
+        while "router listening on" not in child.last_words():
+            if child.process.poll() is not None:
+                raise EndpointInUseError(child.last_words().removeprefix("error: "))
+            if time.monotonic() > deadline:
+                raise NufleetError(f"the router did not start within {timeout_s:g} s")
+            time.sleep(0.01)
+        with open_client(endpoint, timeout_s=timeout_s):
+            pass
+
+    def start_agents(
+        self,
+        path: Path,
+        groups: list[tuple[str, ...]],
+        endpoint: str,
+        realtime: float | None,
+        *,
+        state_folder: Path | None = None,
+    ) -> None:
+        """Start one process for each group of robots; they appear when they are ready.
+
+        What they have to remember lies in `state_folder`, or where agents keep it by themselves.
+        """
+        for group in groups:
+            arguments = ["agent", str(path)]
+            arguments += [part for robot in group for part in ("--robot", robot)]
+            if realtime is not None:
+                arguments += ["--realtime", str(realtime)]
+            if state_folder is not None:
+                arguments += ["--state", str(state_folder)]
+            reached = {"NUFLEET_ROUTER": endpoint}
+            self._start(f"agent of {', '.join(group)}", arguments, reached)
+
+    def dead(self) -> list[str]:
+        """Say of each process that ended on its own what it was and what it said."""
+        return [
+            f"{child.what} ended with exit code {child.process.returncode}: {child.last_words()}"
+            for child in self._children
+            if child.process.poll() is not None
+        ]
+
+    def pids(self) -> dict[str, int]:
+        """Return the process id of each child, by what it is."""
+        return {child.what: child.process.pid for child in self._children}
+
+    def stop(self) -> None:
+        """End all processes: agents first, so that robots rest while the router still is there.
+
+        Whoever interrupts this is told that the robots are landing; it goes on all the same.
+        """
+        with Interrupts(LANDING, held=True):
+            self._stop()
+
+    def _stop(self) -> None:
+        agents = [child for child in self._children if child.what != ROUTER]
+        routers = [child for child in self._children if child.what == ROUTER]
+        try:
+            for children in (agents, routers):
+                _end(children)
+        finally:
+            for child in self._children:
+                child.process.kill()  # does nothing to one that has ended
+                child.process.wait()
+                child.log.close()
+            self._children.clear()
+
+    def _start(self, what: str, arguments: list[str], environment: dict[str, str]) -> _Child:
+        """Start a process; what other users may not see is in its environment."""
+        log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "nufleet", *arguments, "--until-stdin-closes"],
+            stdin=subprocess.PIPE,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            env={**os.environ, **environment},
+            start_new_session=True,  # a Ctrl-C is for the parent, which ends the children in order
+        )
+        child = _Child(what, process, log)
+        self._children.append(child)
+        return child
+
+
+def _end(children: list[_Child]) -> None:
+    """Ask processes to end, all at once, and kill those that do not within `GRACE_S`."""
+    for child in children:
+        if child.process.stdin is not None:
+            child.process.stdin.close()
+    deadline = time.monotonic() + GRACE_S
+    for child in children:
+        try:
+            child.process.wait(max(0.0, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            _log.warning(
+                "%s did not end within %g s and is killed; its robots may not be at rest",
+                child.what,
+                GRACE_S,
+            )
+            child.process.kill()
+            child.process.wait()
+
+
+def grouped(fleet: FleetFile, *, processes: int) -> list[tuple[str, ...]]:
+    """Deal a fleet's robots to at most so many processes, keeping together what must share one.
+
+    Raises:
+        ValueError: for no processes at all.
+    """
+    if processes < 1:
+        raise ValueError(f"a fleet needs at least one process, got {processes}")
+    together: dict[str, list[str]] = {}
+    alone: list[str] = []
+    drivers = {entry.driver for entry in fleet.robots.values()}
+    shares = {driver: load_driver(driver).shares_process for driver in drivers}
+    for robot, entry in fleet.robots.items():
+        if shares[entry.driver]:
+            together.setdefault(entry.driver, []).append(robot)
+        else:
+            alone.append(robot)
+    dealt = [tuple(alone[start::processes]) for start in range(min(processes, len(alone)))]
+    return [tuple(members) for members in together.values()] + dealt
+
+
+@contextmanager
+def private_folder() -> Iterator[Path]:
+    """Yield a folder that no other process knows, for as long as it is needed."""
+    folder = tempfile.mkdtemp(prefix="nufleet-")
+    try:
+        yield Path(folder)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,86 @@
+"""The latest that is known of one robot, and waiting for it to change."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from nufleet.orchestrator.fleet.goal_events import Heard, Sighting, TokenBack, TokenLost
+from nufleet.shared.wire.messages import RobotState
+
+OnSign = Callable[[Heard | TokenBack | TokenLost], None]
+
+HEARTBEAT_LOST_S = 2.5
+"""A robot that is silent for longer is lost: five heartbeats."""
+
+
+class RobotWatch:
+    """Set from network threads, read and waited on from others."""
+
+    def __init__(self, robot: str) -> None:
+        self.robot = robot
+        self._changed = threading.Condition()
+        self._alive = False
+        self._state: RobotState | None = None
+        self._heard_s = 0.0
+        self._followers: list[OnSign] = []
+
+    @property
+    def alive(self) -> bool:
+        """Whether the robot's liveliness token is there."""
+        return self._alive
+
+    @property
+    def state(self) -> RobotState | None:
+        """The last state heard; None before the first."""
+        return self._state
+
+    @property
+    def silent_s(self) -> float:
+        """Seconds since the robot was last heard of (its own clock plays no part)."""
+        return time.monotonic() - self._heard_s
+
+    def set_alive(self, alive: bool) -> None:
+        """Note that the token appeared or disappeared."""
+        with self._changed:
+            self._alive = alive
+            self._heard_s = time.monotonic()
+            self._tell(TokenBack() if alive else TokenLost())
+
+    def set_state(self, state: RobotState) -> None:
+        """Note a state; one that is older than the last of the same boot is passed over."""
+        with self._changed:
+            last = self._state
+            same_boot = last is not None and last.boot_id == state.boot_id
+            if last is not None and same_boot and state.sequence <= last.sequence:
+                return
+            self._state = state
+            self._heard_s = time.monotonic()
+            self._tell(Heard(state))
+
+    def wait_until(self, condition: Callable[[RobotWatch], bool], *, timeout_s: float) -> bool:
+        """Wait until a condition on this watch holds; return whether it does."""
+        with self._changed:
+            return self._changed.wait_for(lambda: condition(self), timeout_s)
+
+    def follow(self, follower: OnSign) -> tuple[Sighting, Callable[[], None]]:
+        """Tell a follower, on network threads, what happens from now on.
+
+        Returns:
+            What is known now, and what ends the following.
+        """
+        with self._changed:
+            self._followers.append(follower)
+            sighting = Sighting(self._alive, self._heard_s)
+        return sighting, lambda: self._unfollow(follower)
+
+    def _unfollow(self, follower: OnSign) -> None:
+        with self._changed:
+            if follower in self._followers:
+                self._followers.remove(follower)
+
+    def _tell(self, sign: Heard | TokenBack | TokenLost) -> None:
+        self._changed.notify_all()
+        for follower in self._followers:
+            follower(sign)

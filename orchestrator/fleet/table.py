@@ -1,0 +1,38 @@
+"""The table of a fleet's robots and what each of them does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rich.table import Table
+
+from nufleet.orchestrator.fleet.robot_watch import HEARTBEAT_LOST_S, RobotWatch
+
+_COLOURS = {"idle": "green", "running": "cyan", "resting": "blue", "stopped": "red", "fault": "red"}
+
+
+def fleet_table(fleet: str, watches: Iterable[RobotWatch]) -> Table:
+    """Return one row per robot: status, progress of its goal, flown time, and why it is so."""
+    table = Table(title=f"fleet {fleet}", title_justify="left")
+    for heading in ("robot", "status", "goal"):
+        table.add_column(heading)
+    for heading in ("progress", "moved, s", "heard, s ago"):
+        table.add_column(heading, justify="right")
+    table.add_column("reason")
+    for watch in watches:
+        state = watch.state
+        if state is None or not watch.alive:
+            table.add_row(watch.robot, "[red]gone[/]" if state else "not heard yet")
+            continue
+        silent = watch.silent_s > HEARTBEAT_LOST_S
+        colour = "red" if silent else _COLOURS[state.status]
+        table.add_row(
+            watch.robot,
+            f"[{colour}]{'silent' if silent else state.status}[/]",
+            state.goal_id or "",
+            f"{100 * state.progress:.0f} %" if state.goal_id else "",
+            f"{state.robot_time_s:.1f}",
+            f"{watch.silent_s:.1f}",
+            state.reason,
+        )
+    return table

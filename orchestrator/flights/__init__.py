@@ -1,0 +1,1 @@
+"""Flying paths: legs between them, the pilot, and the table of flights."""

@@ -1,0 +1,147 @@
+"""Drawings as trajectories of a robot, and the path that candidates practise on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nufleet.orchestrator.flight_labels import flight_label, path_label
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.paths.files import read_drawing
+from nufleet.shared.paths.installed import find_drawing
+from nufleet.shared.paths.trajectories import check_trajectory, travel
+from nufleet.shared.robots.spec import RobotSpec, TrackingLimits
+from nufleet.shared.wire.messages import Description
+
+ACCELERATION_SHARE = 0.8
+"""Of the limit: what is left is for the corrections of the path."""
+
+
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """One path to be flown with every inverse; `desired` has shape (samples, axes), in `unit`."""
+
+    drawing: str
+    speed: float
+    unit: str
+    desired: FloatArray
+
+    def label(self, inverse: str) -> str:
+        """Return what tells a flight along this path from others."""
+        return flight_label(inverse, path_label(self.drawing, self.speed, self.unit))
+
+
+def tracking_limits(spec: RobotSpec, robot: str) -> TrackingLimits:
+    """Return a robot's tracking limits; raises InvalidInputError when it does not track."""
+    if spec.tracking is None:
+        raise InvalidInputError(
+            f"robot {robot} has no tracking limits in its spec: it cannot track; choose another "
+            "robot, or give its driver's spec `tracking`"
+        )
+    return spec.tracking
+
+
+def trajectory(points: FloatArray, speed: float, spec: RobotSpec, robot: str) -> FloatArray:
+    """Return a drawing (n, 2) as the path of a robot, shape (samples, axes), from rest to rest.
+
+    A robot with one axis follows the drawing's x; axes beyond the second stay at zero. Angles of a
+    joint robot take the drawing's numbers as rad.
+
+    Raises:
+        InvalidInputError: the drawing leaves the workspace, or is faster than the robot may go.
+    """
+    limits = tracking_limits(spec, robot)
+    unit = spec.axes[0].unit
+    if speed > limits.speed_max:
+        raise InvalidInputError(
+            f"{speed:g} {unit}/s is faster than robot {robot} may go along a path: choose a speed "
+            f"of at most {limits.speed_max:g} {unit}/s"
+        )
+    axes = len(spec.axes)
+    columns = np.zeros((len(points), axes))
+    columns[:, : min(2, axes)] = points[:, : min(2, axes)]
+    acceleration = ACCELERATION_SHARE * limits.acceleration_max
+    try:
+        path = travel(columns, speed, acceleration, spec.sample_time_s)
+        _check_workspace(path, limits.position_max, unit)
+        check_trajectory(path, spec.sample_time_s, limits)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"robot {robot} cannot fly it: {error}") from error
+    return path
+
+
+def _check_workspace(path: FloatArray, position_max: float, unit: str) -> None:
+    furthest = float(np.abs(path).max())
+    if furthest > position_max:
+        percent = math.floor(100 * position_max / furthest)
+        raise InvalidInputError(
+            f"it goes {furthest:.3g} {unit} from the origin, outside the workspace of "
+            f"±{position_max:g} {unit}: move it, or make it at most {percent} % as large (--scale)"
+        )
+
+
+def read_drawings(drawings: Sequence[str]) -> dict[str, FloatArray]:
+    """Return the points of drawings given by path or name, (n, 2) each, by what they are called.
+
+    Raises:
+        InvalidInputError: a drawing cannot be read, or two are called the same.
+    """
+    points: dict[str, FloatArray] = {}
+    for drawing in drawings:
+        file = find_drawing(drawing)
+        if file.stem in points:
+            raise InvalidInputError(
+                f"two drawings are called {file.stem}: name each once, or rename one, so that "
+                "their flights can be told apart"
+            )
+        points[file.stem] = read_drawing(file)
+    return points
+
+
+def legs_of(
+    drawings: Mapping[str, FloatArray],
+    speeds: Sequence[float],
+    target: Description,
+    *,
+    scale: float = 1.0,
+) -> tuple[Leg, ...]:
+    """Return every drawing, (n, 2) by its name, at every speed, as paths of a robot.
+
+    Raises:
+        InvalidInputError: the robot cannot fly one, or a speed is named twice.
+    """
+    if len(set(speeds)) != len(speeds):
+        raise InvalidInputError("a speed is named twice: name each once")
+    return tuple(
+        Leg(
+            drawing=name,
+            speed=speed,
+            unit=target.spec.axes[0].unit,
+            desired=_named(name, scale * points, speed, target),
+        )
+        for name, points in drawings.items()
+        for speed in speeds
+    )
+
+
+def _named(name: str, points: FloatArray, speed: float, target: Description) -> FloatArray:
+    try:
+        return trajectory(points, speed, target.spec, target.robot)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{name}: {error}") from error
+
+
+def practice_path(spec: RobotSpec, robot: str) -> FloatArray:
+    """Return a Lissajous figure through most of the workspace, shape (samples, axes).
+
+    No drawing is ever practised on: what is measured on drawings stays unseen.
+    """
+    limits = tracking_limits(spec, robot)
+    phase = np.linspace(0.0, 2 * np.pi, 400)
+    points = np.stack([np.sin((i + 2) * phase) for i in range(len(spec.axes))], axis=1)
+    speed, acceleration = 0.7 * limits.speed_max, ACCELERATION_SHARE * limits.acceleration_max
+    return travel(0.6 * limits.position_max * points, speed, acceleration, spec.sample_time_s)

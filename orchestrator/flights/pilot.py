@@ -1,0 +1,164 @@
+"""Has robots fly what is not a frequency test, one flight after another, under ids of one run."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.fleet.goal_runner import GoalRunner, Interrupted
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import MalformedMessageError, RobotError, RobotLostError
+from nufleet.shared.experience.layout import InverseLayout
+from nufleet.shared.wire.messages import GoalResult, Outcome
+from nufleet.shared.wire.motions import (
+    Flight,
+    RichFlight,
+    RichFlightDetails,
+    StepTest,
+    Tracking,
+    TrackingDetails,
+)
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class PathFlight:
+    """One flight along a path; arrays as in `TrackingDetails`.
+
+    `failure` is why the path was not flown to its end; None when it was.
+    """
+
+    robot: str
+    label: str
+    sample_time_s: float
+    reference: FloatArray
+    actual: FloatArray
+    details: TrackingDetails
+    failure: str | None
+
+    @property
+    def rms_error(self) -> float:
+        """The root mean square of the distance to the path; infinite if it was not finished."""
+        if self.failure is not None:
+            return math.inf
+        away = self.actual - self.details.desired
+        return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
+
+    @property
+    def deadline_misses(self) -> int:
+        """How many references took longer to choose than a sample lasts."""
+        return int((self.details.step_time_s > self.sample_time_s).sum())
+
+
+class Pilot:
+    """Flies robots of a fleet; `interrupt` ends all flights from another thread, robots at rest."""
+
+    def __init__(self, fleet: Fleet, run_id: str) -> None:
+        self._fleet = fleet
+        self._goals = GoalRunner(fleet)
+        self._run_id = run_id
+        self._flights: dict[str, int] = {}
+
+    def interrupt(self) -> None:
+        """Bring all robots that fly to rest; what flies or would fly raises `Interrupted`."""
+        self._goals.interrupt()
+
+    def acknowledge_all(self) -> None:
+        """Tell every robot that its last results arrived."""
+        self._goals.acknowledge_all()
+
+    def steps(self, robot: str, axis: str) -> GoalResult:
+        """Fly the steps of one axis; raises RobotError when that did not work."""
+        return self._completed(robot, StepTest(axis=axis))
+
+    def rich(
+        self, robot: str, *, duration_s: float, seed: int
+    ) -> tuple[GoalResult, RichFlightDetails]:
+        """Fly richly; the robot knows its baseline afterwards. Raises RobotError."""
+        result = self._completed(robot, RichFlight(duration_s=duration_s, seed=seed))
+        if not isinstance(result.details, RichFlightDetails):
+            raise MalformedMessageError(f"robot {robot} returned a rich flight without its states")
+        return result, result.details
+
+    def baseline(self, robot: str, desired: FloatArray, label: str) -> PathFlight:
+        """Fly a path (samples, axes) by the baseline controller alone."""
+        return self._path(robot, Tracking(desired=desired, inverse="baseline"), label)
+
+    def zero_prior(
+        self,
+        robot: str,
+        desired: FloatArray,
+        label: str,
+        layout: InverseLayout,
+        *,
+        guarded: bool = True,
+    ) -> PathFlight:
+        """Fly a path with an online process that begins with nothing."""
+        motion = Tracking(desired=desired, inverse="zero-prior", layout=layout, guarded=guarded)
+        return self._path(robot, motion, label)
+
+    def with_prior(
+        self,
+        robot: str,
+        desired: FloatArray,
+        label: str,
+        sha256: str,
+        *,
+        guarded: bool = True,
+        learn: bool = True,
+    ) -> PathFlight:
+        """Fly a path with the prior that was installed on the robot."""
+        motion = Tracking(
+            desired=desired, inverse="prior", prior_sha256=sha256, guarded=guarded, learn=learn
+        )
+        return self._path(robot, motion, label)
+
+    def _path(self, robot: str, motion: Tracking, label: str) -> PathFlight:
+        result = self._fly(robot, motion)
+        details = result.details
+        if details is None and result.outcome is Outcome.FAILED:
+            nothing, none = np.empty((0, motion.desired.shape[1])), np.empty(0)
+            details = TrackingDetails(
+                desired=nothing,
+                prior=nothing,
+                mean=nothing,
+                variance=nothing,
+                share=none,
+                limited=none,
+                step_time_s=none,
+                dropped_pairs=0,
+                taken_back=None,
+            )
+        if not isinstance(details, TrackingDetails):
+            raise MalformedMessageError(f"robot {robot} returned a path without its details")
+        return PathFlight(
+            robot=robot,
+            label=label,
+            sample_time_s=result.plan.sample_time_s,
+            reference=result.reference,
+            actual=result.response,
+            details=details,
+            failure=None if result.outcome is Outcome.COMPLETED else result.reason,
+        )
+
+    def _completed(self, robot: str, motion: Flight) -> GoalResult:
+        result = self._fly(robot, motion)
+        if result.outcome is not Outcome.COMPLETED:
+            raise RobotError(f"robot {robot} did not finish its {motion.kind}: {result.reason}")
+        return result
+
+    def _fly(self, robot: str, motion: Flight) -> GoalResult:
+        flight = self._flights[robot] = self._flights.get(robot, 0) + 1
+        result = self._goals.run(robot, f"{self._run_id}.{robot}.f{flight}", motion)
+        if self._goals.interrupted:
+            raise Interrupted
+        if result.outcome in (Outcome.ABORTED, Outcome.CANCELLED, Outcome.LOST):
+            raise RobotLostError(f"robot {robot} ended {motion.kind} early: {result.reason}")
+        if result.outcome is Outcome.FAILED:
+            _log.info("%s of %s failed: %s", motion.kind, robot, result.reason)
+        return result

@@ -1,0 +1,67 @@
+"""The file in a run's folder that holds every sample of every flight along a path."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nufleet.orchestrator.flights.pilot import PathFlight
+
+if TYPE_CHECKING:
+    import pyarrow.parquet
+
+FLIGHTS = "flights.parquet"
+
+
+class FlightTable:
+    """Appends flights; close it (or leave its `with`) so that the file is complete."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / FLIGHTS
+        self._writer: pyarrow.parquet.ParquetWriter | None = None
+
+    def __enter__(self) -> FlightTable:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Complete the file."""
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            writer.close()
+
+    def write(self, flight: PathFlight, axes: tuple[str, ...]) -> None:
+        """Append a flight: one row for each sample and axis, in the axis's unit (γ in unit/s)."""
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        samples, details = len(flight.actual), flight.details
+
+        def repeated(name: str) -> pa.DictionaryArray:
+            # With its type, since a flight may have no samples to tell that from.
+            return pa.array([name] * samples, pa.string()).dictionary_encode()
+
+        for column, axis in enumerate(axes):
+            table = pa.table(
+                {
+                    "robot": repeated(flight.robot),
+                    "flight": repeated(flight.label),
+                    "axis": repeated(axis),
+                    "sample": np.arange(samples, dtype=np.int32),
+                    "t_s": np.arange(samples) * flight.sample_time_s,
+                    "desired": details.desired[:, column],
+                    "reference": flight.reference[:, column],
+                    "actual": flight.actual[:, column],
+                    "prior": details.prior[:, column],
+                    "mean": details.mean[:, column],
+                    "variance": details.variance[:, column],
+                    "share": details.share,
+                }
+            )
+            if self._writer is None:
+                self._writer = pq.ParquetWriter(self.path, table.schema, compression="zstd")
+            self._writer.write_table(table)

@@ -1,0 +1,1 @@
+"""Models and measured responses in files, and the ν-gap between them."""

@@ -1,0 +1,185 @@
+"""What `nufleet gap` found out, for programs and for people."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field
+from rich.markup import escape
+from rich.table import Table
+
+from nufleet.orchestrator.gap.measured_response import MeasuredResponse, band_distance
+from nufleet.orchestrator.gap.model_files import ModelFileError, read_model
+from nufleet.shared.distance.nu_gap import NuGap, chordal_peak_in_band, nu_gap
+from nufleet.shared.distance.stability_margin import stability_guarantee, stability_margin
+from nufleet.shared.models.transfer_models import StateSpace
+from nufleet.shared.strict import Strict
+
+
+class WindingCondition(Strict):
+    """wno det(I + P₂*P₁) + η(P₁) − η(P₂) − η₀(P₂) = 0, and each term of it."""
+
+    holds: bool
+    winding_number: int | None
+    poles_unstable: tuple[int, int]
+    poles_on_axis: tuple[int, int]
+    reason: str
+
+
+class BandReport(Strict):
+    """The largest chordal distance over a band, and how sure it is where responses are measured.
+
+    `band_rad_s` is the measured part of what was asked for.
+    """
+
+    band_rad_s: tuple[float, float]
+    band_asked_rad_s: tuple[float, float] | None
+    omega_max_rad_s: float
+    standard_deviation: float | None
+
+
+class ControllerReport(Strict):
+    """Margins b_{P,C} of both loops, and what the ν-gap alone promised for the second."""
+
+    controller: str
+    margin_first: float
+    margin_second: float
+    guaranteed: bool
+    margin_second_at_least: float
+
+
+class GapReport(Strict):
+    """The document of `nufleet gap --json`; a frequency is null where it is infinite.
+
+    `nu_gap` is null where a response was measured: there is then no ν-gap, only
+    `chordal_max_in_band`.
+    """
+
+    schema_version: Literal[1] = Field(default=1, alias="schema")
+    first: str
+    second: str
+    nu_gap: float | None = None
+    chordal_peak: float | None = None
+    omega_peak_rad_s: float | None = None
+    winding_condition: WindingCondition | None = None
+    guarantee: str | None = None
+    chordal_max_in_band: float | None = None
+    band: BandReport | None = None
+    controller: ControllerReport | None = None
+
+
+def gap_report(
+    first: Path, second: Path, band_rad_s: tuple[float, float] | None, controller: Path | None
+) -> GapReport:
+    """Read the files and compare what is in them.
+
+    Raises:
+        InvalidInputError: a bad file, models that cannot be compared, a band with nothing in it, or
+            a controller together with a measured response.
+    """
+    p1, p2 = read_model(first), read_model(second)
+    if isinstance(p1, MeasuredResponse) or isinstance(p2, MeasuredResponse):
+        if controller is not None:
+            raise ModelFileError(
+                f"{first if isinstance(p1, MeasuredResponse) else second}: a measured response has"
+                " no ν-gap, so nothing follows for a controller; give a model instead"
+            )
+        found = band_distance(p1, p2, band_rad_s)
+        band = BandReport(
+            band_rad_s=found.band_rad_s,
+            band_asked_rad_s=band_rad_s,
+            omega_max_rad_s=found.omega_rad_s,
+            standard_deviation=found.standard_deviation,
+        )
+        return GapReport(
+            first=str(first), second=str(second), chordal_max_in_band=found.value, band=band
+        )
+    gap = nu_gap(p1, p2)
+    in_band = None if band_rad_s is None else chordal_peak_in_band(p1, p2, band_rad_s)
+    return GapReport(
+        first=str(first),
+        second=str(second),
+        nu_gap=gap.value,
+        chordal_peak=gap.chordal_peak,
+        omega_peak_rad_s=gap.omega_peak_rad_s if math.isfinite(gap.omega_peak_rad_s) else None,
+        winding_condition=WindingCondition(
+            holds=gap.winding_ok,
+            winding_number=gap.winding_number,
+            poles_unstable=gap.poles_unstable,
+            poles_on_axis=gap.poles_on_axis,
+            reason=gap.reason,
+        ),
+        guarantee=gap.guarantee,
+        chordal_max_in_band=None if in_band is None else in_band.value,
+        band=None
+        if in_band is None or band_rad_s is None
+        else BandReport(
+            band_rad_s=band_rad_s,
+            band_asked_rad_s=band_rad_s,
+            omega_max_rad_s=in_band.omega_rad_s,
+            standard_deviation=None,
+        ),
+        controller=None if controller is None else _controller_report(p1, p2, gap, controller),
+    )
+
+
+def gap_table(report: GapReport) -> Table:
+    """Return the report as a table of two columns."""
+    title = escape(f"{report.first} and {report.second}")
+    table = Table(title=title, title_justify="left", show_header=False)
+    if report.nu_gap is not None and report.winding_condition is not None:
+        table.add_row("ν-gap", f"{report.nu_gap:.6f}", style="bold")
+        omega = (
+            "ω → ∞" if report.omega_peak_rad_s is None else f"{report.omega_peak_rad_s:.6g} rad/s"
+        )
+        table.add_row("largest chordal distance", f"{report.chordal_peak:.6f} at {omega}")
+        table.add_row("why", report.winding_condition.reason)
+        table.add_row("promises", report.guarantee)
+    else:
+        table.add_row("ν-gap", "unknown: it needs models, and at least one response was measured")
+    if report.band is not None:
+        deviation = report.band.standard_deviation
+        spread = f" ± {deviation:.2g}" if deviation else ""
+        if report.band.band_asked_rad_s not in (None, report.band.band_rad_s):
+            asked = "{:.6g} to {:.6g}".format(*report.band.band_asked_rad_s)
+            table.add_row("not the whole band", f"of {asked} rad/s only a part was measured")
+        table.add_row(
+            f"largest chordal distance from {report.band.band_rad_s[0]:.6g}"
+            f" to {report.band.band_rad_s[1]:.6g} rad/s",
+            f"{report.chordal_max_in_band:.6f}{spread} at {report.band.omega_max_rad_s:.6g} rad/s"
+            " (a lower bound of the ν-gap)",
+        )
+    if report.controller is not None:
+        _add_controller(table, report.controller)
+    return table
+
+
+def _add_controller(table: Table, found: ControllerReport) -> None:
+    for ordinal, margin in (("first", found.margin_first), ("second", found.margin_second)):
+        said = f"{margin:.6f}" if margin > 0 else "0: it does not stabilise it"
+        table.add_row(escape(f"margin of {found.controller} with the {ordinal}"), said)
+    table.add_row(
+        "the ν-gap alone promises",
+        f"a margin of at least {found.margin_second_at_least:.6f} with the second"
+        if found.guaranteed
+        else "nothing: it is not below the margin with the first",
+    )
+
+
+def _controller_report(
+    first: StateSpace, second: StateSpace, gap: NuGap, path: Path
+) -> ControllerReport:
+    controller = read_model(path)
+    if isinstance(controller, MeasuredResponse):
+        raise ModelFileError(f"{path}: a controller must be a model, not a measured response")
+    margins = [stability_margin(plant, controller).value for plant in (first, second)]
+    promise = stability_guarantee(margins[0], gap.value)
+    return ControllerReport(
+        controller=str(path),
+        margin_first=margins[0],
+        margin_second=margins[1],
+        guaranteed=promise.holds,
+        margin_second_at_least=promise.margin_at_least,
+    )

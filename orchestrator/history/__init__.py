@@ -1,0 +1,1 @@
+"""What earlier runs left: a catalogue, tables and exports."""

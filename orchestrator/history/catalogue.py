@@ -1,0 +1,200 @@
+"""What earlier runs of every kind left behind: which they are, and what each came to in a line."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from pydantic import ValidationError
+
+from nufleet.orchestrator.evaluation.demonstration import DEMONSTRATION, DemoResult
+from nufleet.orchestrator.evaluation.flight_documents import (
+    TRACKING,
+    TRAINING,
+    TrackResult,
+    TrainResult,
+)
+from nufleet.orchestrator.evaluation.pairs import PAIRS, PairsResult
+from nufleet.orchestrator.evaluation.results import EvaluationRecord, EvaluationResult
+from nufleet.orchestrator.evaluation.run import EVALUATION
+from nufleet.orchestrator.runs.folder import CONFIGURATION, RESULTS, list_runs, read_record
+from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord
+from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.strict import Strict, describe_validation
+
+D = TypeVar("D", bound=Strict)
+
+_STAMP = re.compile(r"^(\d{8}T\d{6}Z)-")
+
+
+@dataclass(frozen=True)
+class Kind(Generic[D]):
+    """A kind of run: the file that it ends with, what that holds, and how to say it in a line."""
+
+    document: str
+    type: type[D]
+    headline: Callable[[D], str]
+
+    def read(self, folder: Path) -> D | None:
+        """Return what a run came to; None when it did not end. Raises InvalidInputError."""
+        path = folder / self.document
+        try:
+            return self.type.model_validate_json(path.read_bytes())
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            raise InvalidInputError(f"{path} cannot be read: {error.strerror}") from error
+        except ValidationError as error:
+            raise InvalidInputError(f"{path}: {describe_validation(error)}") from error
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run's folder: of which kind and fleet, when it began, and what it came to.
+
+    `result` is None for a run that has not ended, or was interrupted.
+    """
+
+    folder: Path
+    kind: str
+    fleet: str
+    began: datetime | None
+    result: Strict | None
+
+    @property
+    def headline(self) -> str:
+        """What it came to, in one line."""
+        if self.result is None:
+            return ""
+        said: str = KINDS[self.kind].headline(self.result)
+        return said
+
+
+@dataclass(frozen=True)
+class Damaged:
+    """A run's folder that cannot be read, and why."""
+
+    folder: Path
+    reason: str
+
+
+def read_run(folder: Path) -> Run:
+    """Return what a run left behind.
+
+    Raises:
+        InvalidInputError: its files are not what a run of this version writes.
+    """
+    configuration = _configuration(folder)
+    kind = configuration.get("kind", "rank")
+    if kind not in KINDS:
+        raise InvalidInputError(
+            f"{folder / CONFIGURATION}: a run of kind {kind!r}; expected {', '.join(KINDS)}. Was "
+            "it written by a newer nufleet?"
+        )
+    stamp = _STAMP.match(folder.name)
+    began = None
+    if stamp is not None:
+        began = datetime.strptime(stamp[1], "%Y%m%dT%H%M%SZ").replace(tzinfo=UTC)
+    fleet = configuration.get("fleet") or (folder.name[stamp.end() :] if stamp else "")
+    return Run(folder, kind, str(fleet), began, KINDS[kind].read(folder))
+
+
+def read_runs(root: Path) -> list[Run | Damaged]:
+    """Return all runs, oldest first; where one is damaged, what is wrong with it."""
+    found: list[Run | Damaged] = []
+    for folder in list_runs(root):
+        try:
+            found.append(read_run(folder))
+        except InvalidInputError as error:
+            found.append(Damaged(folder, str(error)))
+    return found
+
+
+def latest_ranking(root: Path, fleet: str, target: str) -> tuple[Path, RunRecord] | None:
+    """Return the newest completed ranking of a target of a fleet, and its folder.
+
+    None if there is none. Robots of another fleet may have the same names.
+
+    Raises:
+        InvalidInputError: a newer run cannot be read, which may be that ranking.
+    """
+    for folder in reversed(list_runs(root)):
+        if (folder / RESULTS).exists() and _configuration(folder).get("fleet") == fleet:
+            record = read_record(folder)
+            if record.result.target == target:
+                return folder, record
+    return None
+
+
+def _configuration(folder: Path) -> dict[str, Any]:
+    path = folder / CONFIGURATION
+    try:
+        document = json.loads(path.read_bytes())
+    except OSError as error:
+        raise InvalidInputError(f"{path} cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise InvalidInputError(f"{path}: not JSON: {error}") from error
+    if not isinstance(document, dict):
+        raise InvalidInputError(f"{path}: expected an object")
+    return document
+
+
+def _ranked(result: RankResult) -> str:
+    psi = result.ranking[0]
+    return f"{result.selected} for {result.target}, ψ* {psi.psi:.4f} ± {psi.psi_std:.4f}"
+
+
+def _demonstrated(result: DemoResult) -> str:
+    return f"{_ranked(result.ranking)}; {_reduction(result.flights)}"
+
+
+def _evaluated(result: EvaluationResult) -> str:
+    return f"{result.selected} for {result.target}; {_reduction(result)}"
+
+
+def _reduction(result: EvaluationResult) -> str:
+    first = next(source for source in result.sources if source.robot == result.selected)
+    if first.reduction_percent is None:
+        return "not all paths were finished with it"
+    return f"{first.reduction_percent:.0f} % less error than the baseline"
+
+
+def _paired(result: PairsResult) -> str:
+    tau = "–" if result.kendall_tau is None else f"{result.kendall_tau:.2f}"
+    return (
+        f"best source selected for {result.best_selected} of {len(result.targets)} targets, "
+        f"τ {tau} over {len(result.pairs)} pairs"
+    )
+
+
+def _tracked(result: TrackResult) -> str:
+    flights = result.flights
+    errors = [flight.rms_m for flight in flights if flight.rms_m is not None]
+    paths = "1 path" if len(flights) == 1 else f"{len(flights)} paths"
+    who = f"{flights[0].target} with {flights[0].inverse} on {paths}" if flights else "no path"
+    if len(errors) < len(flights):
+        return f"{who}: {len(flights) - len(errors)} not finished"
+    return f"{who}: RMS error {1000 * sum(errors) / len(errors):.1f} mm" if errors else who
+
+
+def _trained(result: TrainResult) -> str:
+    robots = dict.fromkeys(one.robot for one in result.experiences)
+    return f"{', '.join(robots)} {'offers' if len(robots) == 1 else 'offer'} experience"
+
+
+KINDS: dict[str, Kind[Any]] = {
+    "rank": Kind[RunRecord](RESULTS, RunRecord, lambda record: _ranked(record.result)),
+    "demo": Kind[DemoResult](DEMONSTRATION, DemoResult, _demonstrated),
+    "train": Kind[TrainResult](TRAINING, TrainResult, _trained),
+    "track": Kind[TrackResult](TRACKING, TrackResult, _tracked),
+    "evaluate": Kind[EvaluationRecord](
+        EVALUATION, EvaluationRecord, lambda record: _evaluated(record.result)
+    ),
+    "pairs": Kind[PairsResult](PAIRS, PairsResult, _paired),
+}
+"""By what a run's configuration says that it is."""

@@ -1,0 +1,94 @@
+"""The tables of a run that has ended, for `nufleet runs show`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import UTC, datetime
+
+from rich.console import RenderableType
+from rich.table import Table
+
+from nufleet.orchestrator.conduct.reuse import said_of
+from nufleet.orchestrator.evaluation.demonstration import DemoResult, demo_table
+from nufleet.orchestrator.evaluation.flight_documents import TrackResult, TrainResult
+from nufleet.orchestrator.evaluation.pairs import PairsResult
+from nufleet.orchestrator.evaluation.report import evaluation_table, pairs_table
+from nufleet.orchestrator.evaluation.results import EvaluationRecord, FlightRecord
+from nufleet.orchestrator.history.catalogue import Run
+from nufleet.orchestrator.runs.console import ranking_table
+from nufleet.orchestrator.runs.rank_result import RunRecord
+from nufleet.orchestrator.runs.verdict_table import verdict_parts
+
+
+def run_tables(run: Run) -> Iterator[RenderableType]:
+    """Yield what a run came to: tables, and lines in between."""
+    match run.result:
+        case RunRecord() as record:
+            yield from _ranking(record)
+        case DemoResult() as demo:
+            yield ranking_table(demo.ranking.ranking, {})
+            yield from verdict_parts(demo.ranking)
+            yield demo_table(demo.flights)
+        case EvaluationRecord() as evaluation:
+            yield evaluation_table(evaluation.result)
+            yield flights_table(evaluation.flights)
+        case PairsResult() as pairs:
+            for target in pairs.targets:
+                yield evaluation_table(target)
+            yield pairs_table(pairs)
+        case TrackResult() as tracking:
+            yield flights_table(tracking.flights)
+        case TrainResult() as training:
+            yield experiences_table(training)
+
+
+def _ranking(record: RunRecord) -> Iterator[RenderableType]:
+    result = record.result
+    low, high = result.band_rad_s
+    yield (
+        f"target {result.target}, axis {record.axis}, band {low:g} to {high:g} rad/s, "
+        f"seed {record.seed}"
+    )
+    yield ranking_table(result.ranking, record.closed_form)
+    for robot, stored in (result.stored or {}).items():
+        yield f"[yellow]{said_of(robot, stored, datetime.now(UTC))}[/]"
+    yield from verdict_parts(result)
+    for robot, reason in record.dropped.items():
+        yield f"[red]without {robot}: {reason}[/]"
+
+
+def flights_table(flights: tuple[FlightRecord, ...]) -> Table:
+    """Return each flight along a drawing and how far from it the robot was."""
+    table = Table(title="flights along drawings", title_justify="left")
+    for heading in ("robot", "drawing", "prior"):
+        table.add_column(heading, no_wrap=True)
+    for heading in ("m/s", "RMS, mm"):
+        table.add_column(heading, justify="right")
+    table.add_column("")
+    for flight in flights:
+        rms = "not finished" if flight.rms_m is None else f"{1000 * flight.rms_m:.1f}"
+        event = flight.failure or (flight.taken_back and f"taken back: {flight.taken_back}") or ""
+        table.add_row(
+            *(flight.target, flight.drawing, flight.inverse, f"{flight.speed_m_s:g}", rms, event)
+        )
+    return table
+
+
+def experiences_table(result: TrainResult) -> Table:
+    """Return what robots offer since a training."""
+    table = Table(title="experiences on offer", title_justify="left")
+    for heading in ("robot", "architecture"):
+        table.add_column(heading)
+    for heading in ("horizon, s", "relative degree", "error held back", "s"):
+        table.add_column(heading, justify="right")
+    for one in result.experiences:
+        manifest = one.manifest
+        table.add_row(
+            one.robot,
+            manifest.layout.architecture,
+            f"{manifest.layout.horizon_s:.2f}",
+            str(manifest.relative_degree),
+            f"{100 * manifest.validation_rms / manifest.output_scale:.1f} %",
+            f"{one.training_time_s:.1f}",
+        )
+    return table

@@ -1,0 +1,123 @@
+"""What `nufleet doctor` looks at."""
+
+from __future__ import annotations
+
+import os
+import platform
+import socket
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, entry_points, requires, version
+from pathlib import Path
+from typing import Any, Literal
+
+from packaging.requirements import Requirement
+
+from nufleet.orchestrator.fleet.connection import running_fleet
+from nufleet.orchestrator.viewer.server.ports import GRPC_PORT, WEB_PORT
+from nufleet.orchestrator.viewer.server.rerun_program import rerun_program
+from nufleet.shared.errors import NufleetError
+from nufleet.shared.redaction import without_secrets
+from nufleet.shared.robots.drivers import ENTRY_POINT_GROUP
+from nufleet.shared.wire.transport import open_router
+
+ROUTER_PORT = 7447
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at, what was found, and whether that is in order."""
+
+    what: str
+    verdict: Literal["ok", "note", "missing"]
+    found: str
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the finding as a JSON object."""
+        return asdict(self)
+
+
+def checkup(endpoint: str, fleet_name: str | None) -> list[Finding]:
+    """Look at everything and return what was found."""
+    return [
+        _python(),
+        *_packages(),
+        _drivers(),
+        _viewer(),
+        _own_router(),
+        *_ports(),
+        _fleet(endpoint, fleet_name),
+    ]
+
+
+def _python() -> Finding:
+    right = sys.version_info >= (3, 11)
+    found = f"{platform.python_version()} on {platform.platform(terse=True)}"
+    return Finding(
+        "python", "ok" if right else "missing", found + ("" if right else "; 3.11 needed")
+    )
+
+
+def _packages() -> Iterator[Finding]:
+    for line in requires("nufleet") or ():
+        requirement = Requirement(line)
+        if requirement.marker is not None and not requirement.marker.evaluate({"extra": ""}):
+            continue
+        try:
+            installed = version(requirement.name)
+        except PackageNotFoundError:
+            yield Finding(requirement.name, "missing", f"not installed; {requirement} is needed")
+            continue
+        right = requirement.specifier.contains(installed, prereleases=True)
+        found = installed if right else f"{installed}; {requirement} is needed"
+        yield Finding(requirement.name, "ok" if right else "missing", found)
+
+
+def _drivers() -> Finding:
+    names = sorted(entry.name for entry in entry_points(group=ENTRY_POINT_GROUP))
+    return Finding("robot drivers", "ok" if names else "missing", ", ".join(names) or "none")
+
+
+def _viewer() -> Finding:
+    try:
+        binary = rerun_program()
+    except NufleetError as error:
+        return Finding("viewer", "missing", str(error))
+    display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    note = "" if display else "; no display here: use --web or --screenshot"
+    return Finding("viewer", "ok" if display else "note", f"{Path(binary).name}{note}")
+
+
+def _own_router() -> Finding:
+    try:
+        with open_router(["tcp/127.0.0.1:0"]) as session:
+            where = ", ".join(session.listening_on())
+    except NufleetError as error:
+        return Finding("zenoh", "missing", str(error))
+    return Finding("zenoh", "ok", f"a router could be opened ({where})")
+
+
+def _ports() -> Iterator[Finding]:
+    for port, purpose in (
+        (ROUTER_PORT, "router"),
+        (GRPC_PORT, "live recording"),
+        (WEB_PORT, "web viewer"),
+    ):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind(("127.0.0.1", port))
+            except OSError as error:
+                yield Finding(f"port {port}", "note", f"{purpose}: taken ({error.strerror})")
+                continue
+        yield Finding(f"port {port}", "ok", f"{purpose}: free")
+
+
+def _fleet(endpoint: str, fleet_name: str | None) -> Finding:
+    try:
+        with running_fleet(endpoint, fleet_name) as connection:
+            found = f"{connection.name}: {', '.join(connection.robots)}"
+    except NufleetError as error:
+        return Finding(f"fleet at {without_secrets(endpoint)}", "note", str(error))
+    return Finding(f"fleet at {without_secrets(endpoint)}", "ok", found)

@@ -1,0 +1,184 @@
+"""What `nufleet runs resume` does: find an interrupted run and go on where it was."""
+
+from __future__ import annotations
+
+import json
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+from pydantic import ValidationError
+from rich.console import Console
+
+from nufleet.orchestrator.conduct.archive import Archive
+from nufleet.orchestrator.conduct.leases import lease_robots
+from nufleet.orchestrator.conduct.rank_run import prepare_again
+from nufleet.orchestrator.conduct.recipe import recipe_of
+from nufleet.orchestrator.fleet.reach import REACH, Reach
+from nufleet.orchestrator.jobs.storage import Storage
+from nufleet.orchestrator.jobs.study import show_study
+from nufleet.orchestrator.repository.errors import LeaseHeldError, UnknownRecordError
+from nufleet.orchestrator.repository.records import (
+    StudyRecord,
+    StudyStatus,
+    TrialRecord,
+    TrialStatus,
+)
+from nufleet.orchestrator.repository.repository import Repository
+from nufleet.orchestrator.runs.console import stderr_console
+from nufleet.orchestrator.runs.folder import (
+    CONFIGURATION,
+    RunFolder,
+    find_run,
+    list_runs,
+    study_id_of,
+)
+from nufleet.orchestrator.runs.rank_result import RunRecord
+from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.strict import describe_validation
+
+LATEST = "latest"
+
+
+@dataclass(frozen=True)
+class ResumeCommand:
+    """The command line of a resumption; `latest` is the latest run that can go on."""
+
+    runs_root: Path
+    run: str = LATEST
+    repository: str | None = None
+    connect: str | None = None
+    wait_s: float = 0.0
+    live: bool = False
+    as_json: bool = False
+
+
+def resume_and_print(command: ResumeCommand) -> None:
+    """Go on with a run, with progress on stderr and, when asked for, the document on stdout."""
+    record = resume_run(command, stderr_console())
+    if command.as_json:
+        click.echo(record.result.document())
+
+
+def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
+    """Go on with a run and return its stored record."""
+    storage = Storage(command.runs_root, command.repository)
+    with ExitStack() as stack:
+        repository = stack.enter_context(storage.open())
+        path = _interrupted_run(command, repository)
+        study = _open_study(path, repository)
+        reach = reach_of(path)
+        if command.connect is not None:
+            reach = reach.model_copy(update={"connect": command.connect})
+        trials = repository.studies.trials(study.study_id)
+        gone = {*recipe_of(study).stored, *_given_up(trials)}
+        needed = tuple(robot for robot in recipe_of(study).specs if robot not in gone)
+        console.print(f"going on with {path.name}")
+        fleet, _, there = stack.enter_context(
+            reach.connection(console, needed, wait_s=command.wait_s)
+        )
+        _check_there(needed, there, study)
+        ready = prepare_again(fleet, study, gone)
+        leases = stack.enter_context(
+            lease_robots(
+                repository.leases,
+                fleet,
+                reach.lease_scope(study.fleet, study.study_id),
+                needed,
+                patient=True,
+                on_wait=lambda held: console.print(_waiting(held)),
+            )
+        )
+        folder = stack.enter_context(RunFolder(path.parent, path.name, goes_on=True))
+        stack.enter_context(storage.saying_how_to_resume(console, path.name))
+        return show_study(
+            fleet,
+            ready,
+            # Whoever held the robots may have ended it.
+            lambda: _open_study(path, repository),
+            Archive(repository, study.fleet, leases),
+            folder=folder,
+            live=command.live,
+            console=console,
+        )
+
+
+def can_reach_again(folder: Path) -> bool:
+    """Return whether a run's folder says how it reached its fleet, as those of rankings do."""
+    try:
+        reach_of(folder)
+    except InvalidInputError:
+        return False
+    return True
+
+
+def reach_of(folder: Path) -> Reach:
+    """Return how a run reached its fleet; raises InvalidInputError."""
+    path = folder / CONFIGURATION
+    try:
+        document = json.loads(path.read_bytes())
+        return Reach.model_validate_json(json.dumps(document[REACH]))
+    except ValidationError as error:
+        raise InvalidInputError(f"{path}: {REACH}: {describe_validation(error)}") from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InvalidInputError(
+            f"{path} does not say how the run reached its fleet: {error!r}; it cannot be resumed"
+        ) from error
+
+
+def _interrupted_run(command: ResumeCommand, repository: Repository) -> Path:
+    if command.run != LATEST:
+        return find_run(command.runs_root, command.run)
+    resumable = {study.study_id for study in repository.studies.studies(StudyStatus.OPEN)}
+    runs = [
+        path
+        for path in list_runs(command.runs_root)
+        if study_id_of(path) in resumable and can_reach_again(path)
+    ]
+    if not runs:
+        raise InvalidInputError(
+            f"no run in {command.runs_root} was interrupted; name one that `nufleet runs list` "
+            f"shows, or the repository that keeps it (this is {repository.name})"
+        )
+    return runs[-1]
+
+
+def _open_study(path: Path, repository: Repository) -> StudyRecord:
+    try:
+        study = repository.studies.study(study_id_of(path))
+    except UnknownRecordError as error:
+        raise InvalidInputError(
+            f"{repository.name} keeps nothing of {path.name}: it ended before anything moved, so "
+            "run it again; or name its repository with --repository"
+        ) from error
+    if study.status is StudyStatus.COMPLETE:
+        raise InvalidInputError(f"{path.name} is complete: `nufleet runs show {path.name}`")
+    if study.status is StudyStatus.FAILED:
+        raise InvalidInputError(f"{path.name} could not go on: {study.reason}; begin anew")
+    return study
+
+
+def _given_up(trials: tuple[TrialRecord, ...]) -> set[str]:
+    """Return the robots that the study goes on without."""
+    return {
+        trial.intent.robot
+        for trial in trials
+        if trial.status in (TrialStatus.FAILED, TrialStatus.LOST) and trial.retry is None
+    }
+
+
+def _check_there(needed: tuple[str, ...], there: tuple[str, ...], study: StudyRecord) -> None:
+    missing = [robot for robot in needed if robot not in there]
+    if missing:
+        raise InvalidInputError(
+            f"{', '.join(missing)} of fleet {study.fleet} must be there to go on; start what is "
+            "missing, or wait for it with --wait"
+        )
+
+
+def _waiting(held: LeaseHeldError) -> str:
+    return (
+        f"{held.owner} held {held.robot} when it was last heard of; "
+        f"its lease runs out in {held.remaining_s:.1f} s"
+    )

@@ -1,0 +1,126 @@
+"""What `nufleet runs list`, `show` and `export` do."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.table import Table
+
+from nufleet.orchestrator.history.catalogue import KINDS, Damaged, Run, read_run, read_runs
+from nufleet.orchestrator.history.export import export_responses, run_responses
+from nufleet.orchestrator.history.tables import run_tables
+from nufleet.orchestrator.jobs.resume import can_reach_again
+from nufleet.orchestrator.jobs.storage import Storage
+from nufleet.orchestrator.repository.database import FILE_NAME
+from nufleet.orchestrator.repository.records import StudyStatus
+from nufleet.orchestrator.runs.console import stderr_console
+from nufleet.orchestrator.runs.folder import RECORDING, find_run, study_id_of
+from nufleet.shared.command_line import invocation
+
+INTERRUPTED = "interrupted, or not over yet"
+
+
+def list_and_print(runs_root: Path, *, as_json: bool) -> None:
+    """List all runs, the newest last."""
+    runs = read_runs(runs_root)
+    if as_json:
+        documents = [_document(run) for run in runs]
+        click.echo(json.dumps({"schema": 1, "runs": documents}))
+        return
+    if not runs:
+        click.echo(f"no runs in {runs_root}", err=True)
+        return
+    table = Table()
+    # A run's name says its fleet. The name is what other commands take, so it is shown whole.
+    table.add_column("run", no_wrap=True, min_width=42)
+    table.add_column("kind", no_wrap=True)
+    table.add_column("what it came to", min_width=20)
+    open_runs = [run for run in runs if isinstance(run, Run) and run.result is None]
+    unfinished = _unfinished(runs_root, open_runs)
+    for run in runs:
+        if isinstance(run, Damaged):
+            table.add_row(run.folder.name, "", f"[red]{run.reason}[/]")
+        else:
+            said = run.headline or f"[yellow]{unfinished[run.folder]}[/]"
+            table.add_row(run.folder.name, run.kind, said)
+    stderr_console().print(table)
+
+
+def show_and_print(runs_root: Path, name: str, *, as_json: bool) -> None:
+    """Show one run: its tables, its files, and how to go on with it or look at it."""
+    run = read_run(find_run(runs_root, name))
+    if as_json:
+        click.echo(json.dumps(_full(run)))
+        return
+    console = stderr_console()
+    began = "" if run.began is None else f", begun {run.began:%Y-%m-%d %H:%M} UTC"
+    console.print(f"[bold]{run.folder.name}[/]: {run.kind} of fleet {run.fleet}{began}")
+    for part in run_tables(run):
+        console.print(part)
+    if run.result is None:
+        why = _unfinished(runs_root, [run])[run.folder]
+        console.print(f"[yellow]{why}[/]")
+        if can_reach_again(run.folder) and why == INTERRUPTED:
+            command = Storage(runs_root).resume_command(run.folder.name)
+            console.print(f"it can go on where it was:  {command}")
+    console.print(f"files: {', '.join(sorted(p.name for p in run.folder.iterdir()))}")
+    if (run.folder / RECORDING).exists():
+        console.print(f"open the recording with:  {invocation()} view {run.folder}")
+
+
+def export_and_print(
+    runs_root: Path,
+    name: str,
+    to: Path | None,
+    suffix: str,
+    repository: str | None,
+    *,
+    as_json: bool,
+) -> None:
+    """Write the responses of a run to files, and name these."""
+    folder = find_run(runs_root, name)
+    responses = run_responses(folder, Storage(runs_root, repository).open)
+    written = export_responses(responses, to or folder / "responses", suffix)
+    if as_json:
+        paths = {robot: str(path) for robot, path in written.items()}
+        click.echo(json.dumps({"schema": 1, "responses": paths}))
+        return
+    for robot, path in written.items():
+        stderr_console().print(f"{robot}: {path}")
+
+
+def _unfinished(runs_root: Path, runs: list[Run]) -> dict[Path, str]:
+    """Return why runs have no result, as far as the repository beside them knows."""
+    found = {run.folder: INTERRUPTED for run in runs}
+    if runs and (runs_root / FILE_NAME).exists():
+        with Storage(runs_root).open() as repository:
+            failed = repository.studies.studies(StudyStatus.FAILED)
+        reasons = {study.study_id: f"failed: {study.reason}" for study in failed}
+        found |= {f: reasons[study_id_of(f)] for f in found if study_id_of(f) in reasons}
+    return found
+
+
+def _document(run: Run | Damaged) -> dict[str, Any]:
+    """Return what a list says of a run; what a ranking printed is its result."""
+    if isinstance(run, Damaged):
+        return {"run": str(run.folder), "result": None, "error": run.reason}
+    full = _full(run)
+    return {
+        "run": str(run.folder),
+        "kind": run.kind,
+        "fleet": run.fleet,
+        "began": None if run.began is None else run.began.isoformat(),
+        "headline": run.headline,
+        "result": full.get("result", full) if run.result is not None else None,
+    }
+
+
+def _full(run: Run) -> dict[str, Any]:
+    """Return the document that a run left; without a result where it did not end."""
+    if run.result is None:
+        return {"run": str(run.folder), "result": None}
+    document: dict[str, Any] = json.loads((run.folder / KINDS[run.kind].document).read_bytes())
+    return document

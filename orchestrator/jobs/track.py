@@ -1,0 +1,159 @@
+"""What `nufleet track` does: check the paths, fly them, say how well."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+import click
+
+from nufleet.orchestrator.evaluation.flight_documents import TRACKING, TrackResult
+from nufleet.orchestrator.evaluation.fly_target import flight_record
+from nufleet.orchestrator.evaluation.results import FlightRecord
+from nufleet.orchestrator.experience.learning import FLIGHT_S
+from nufleet.orchestrator.fleet.reach import Reach
+from nufleet.orchestrator.flight_labels import BASELINE, NO_PRIOR
+from nufleet.orchestrator.flights.legs import Leg, legs_of, read_drawings
+from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
+from nufleet.orchestrator.jobs.flying import KeptFlights, OpenRun, flying
+from nufleet.orchestrator.jobs.storage import Storage
+from nufleet.orchestrator.runs.console import stderr_console
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import InvalidInputError, RobotError
+from nufleet.shared.experience.layout import HORIZON_SAMPLES_MAX, InverseLayout
+from nufleet.shared.wire.messages import Description
+
+
+@dataclass(frozen=True)
+class TrackCommand:
+    """The command line of one tracking."""
+
+    connect: str
+    fleet_name: str | None
+    target: str
+    drawings: tuple[str, ...]
+    speed: float
+    scale: float
+    inverse: Literal["auto", "prior", "zero-prior", "baseline"]
+    horizon_s: float
+    learn: bool
+    guarded: bool
+    live: bool
+    runs_root: Path
+    repository: str | None
+    as_json: bool
+
+
+def track_and_print(command: TrackCommand) -> None:
+    """Track, with progress on stderr and, when asked for, the document on stdout."""
+    console = stderr_console()
+    drawings = read_drawings(command.drawings)
+    reach = Reach(connect=command.connect, fleet_name=command.fleet_name)
+    storage = Storage(command.runs_root, command.repository)
+    with flying(
+        reach,
+        "track",
+        storage,
+        console,
+        live=command.live,
+        robots=lambda there: (command.target,),
+    ) as session:
+        target = session.connection.fleet.describe(command.target)
+        legs = legs_of(drawings, (command.speed,), target, scale=command.scale)
+        inverse = _inverse(command, target)
+        configuration = asdict(command) | storage.document()
+        session.folder.write_configuration(
+            {"kind": "track", "fleet": session.connection.name, **configuration}
+        )
+        _learn_baseline(inverse, command, session, target)
+        records = [_flown(session, target, inverse, leg) for leg in legs]
+        result = TrackResult(flights=tuple(records), run=str(session.folder.path))
+        session.folder.write_document(TRACKING, result)
+    if command.as_json:
+        click.echo(result.document())
+    failed = next((record for record in records if record.failure is not None), None)
+    if failed is not None:
+        raise RobotError(f"{command.target} did not finish {failed.drawing}: {failed.failure}")
+
+
+@dataclass(frozen=True)
+class _Inverse:
+    """What gives the prior, whether it acts in front of the baseline, and how it flies a path."""
+
+    name: str
+    corrects: bool
+    fly: Callable[[Pilot, FloatArray, str], PathFlight]
+
+
+def _flown(session: OpenRun, target: Description, inverse: _Inverse, leg: Leg) -> FlightRecord:
+    kept, label = KeptFlights(session), leg.label(inverse.name)
+    kept.begins(target.robot, label, target.spec)
+    flight = inverse.fly(session.pilot, leg.desired, label)
+    kept.ended(flight)
+    return flight_record(flight, inverse.name, leg)
+
+
+def _learn_baseline(
+    inverse: _Inverse, command: TrackCommand, session: OpenRun, target: Description
+) -> None:
+    """Let a robot learn what its guard has to know, unless it does or nothing is guarded."""
+    if not inverse.corrects or not command.guarded or target.baseline_known:
+        return
+    session.console.print(
+        f"{target.robot} flies for {FLIGHT_S:.0f} s first, so that its guard knows its baseline"
+    )
+    session.pilot.rich(target.robot, duration_s=FLIGHT_S, seed=0)
+
+
+def _inverse(command: TrackCommand, target: Description) -> _Inverse:
+    """Return what flies; raises InvalidInputError where the target lacks it."""
+    robot, guarded = target.robot, command.guarded
+    wanted = command.inverse
+    if wanted == "auto":
+        wanted = "baseline" if target.prior is None else "prior"
+    if wanted == "baseline":
+        return _Inverse(BASELINE, False, lambda pilot, *path: pilot.baseline(robot, *path))
+    if wanted == "zero-prior":
+        layout = _layout(command.horizon_s, target)
+        return _Inverse(
+            NO_PRIOR,
+            True,
+            lambda pilot, *path: pilot.zero_prior(robot, *path, layout, guarded=guarded),
+        )
+    prior = target.prior
+    if prior is None:
+        raise InvalidInputError(
+            f"{robot} has no prior; give it one with `nufleet transfer --target {robot} "
+            "--source best`"
+        )
+    return _Inverse(
+        prior.manifest.robot,
+        True,
+        lambda pilot, *path: pilot.with_prior(
+            robot, *path, prior.sha256, guarded=guarded, learn=command.learn
+        ),
+    )
+
+
+def _layout(horizon_s: float, target: Description) -> InverseLayout:
+    """Return the layout of a feedback that aims so far ahead."""
+    if not target.state_names:
+        raise InvalidInputError(
+            f"robot {target.robot} measures no states, so that nothing can be learned in flight; "
+            "fly it with --inverse baseline"
+        )
+    sample_time_s = target.spec.sample_time_s
+    longest_s = HORIZON_SAMPLES_MAX * sample_time_s
+    if horizon_s > longest_s:
+        raise InvalidInputError(
+            f"a horizon of {horizon_s:g} s is too long for robot {target.robot}, whose sample is "
+            f"{sample_time_s:g} s: choose at most {longest_s:g} s"
+        )
+    return InverseLayout(
+        architecture="state",
+        states=target.state_names,
+        sample_time_s=sample_time_s,
+        horizon_samples=max(1, round(horizon_s / sample_time_s)),
+    )

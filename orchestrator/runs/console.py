@@ -1,0 +1,112 @@
+"""What a person sees on stderr while a study runs, and the tables at its end."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from rich.console import Console
+from rich.table import Table
+
+from nufleet.orchestrator.study.outcomes import Measured, TestOutcome
+from nufleet.orchestrator.runs.rank_result import ClosedForm
+from nufleet.orchestrator.study.interface import Question, Report, SourceEstimate
+
+
+def stderr_console() -> Console:
+    """Return the console that progress and tables go to, so that stdout stays for documents."""
+    return Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+class ConsoleObserver:
+    """Prints what was asked, what was learned and how sure that is."""
+
+    def __init__(self, console: Console, iterations: int) -> None:
+        self._console = console
+        self._iterations = iterations
+        self._dropped: set[str] = set()
+        self._eliminated: set[str] = set()
+
+    def asked(self, question: Question) -> None:
+        """Say what the robots play now."""
+        played = question.omega_rad_s
+        tones = ", ".join(f"{omega:.3f}" for omega in played)
+        if len(played) > 3:
+            tones = f"{len(played)} tones from {played[0]:.3f} to {played[-1]:.3f}"
+        self._console.print(
+            f"[bold]iteration {question.iteration}/{self._iterations}[/]  "
+            f"{len(question.robots)} robots play {tones} rad/s"
+        )
+
+    def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
+        """Say that a test has to be repeated or given up."""
+        self._console.print(f"  [yellow]{robot}, attempt {attempt}: {reason}[/]")
+
+    def told(self, question: Question, outcomes: Mapping[str, TestOutcome], report: Report) -> None:
+        """Say what the round taught."""
+        for robot, reason in report.dropped.items():
+            if robot not in self._dropped:
+                self._dropped.add(robot)
+                self._console.print(f"  [red]going on without {robot}: {reason}[/]")
+        for outcome in outcomes.values():
+            if isinstance(outcome, Measured):
+                for warning in outcome.response.quality.warnings:
+                    self._console.print(f"  [yellow]{outcome.robot}: {warning}[/]")
+        self._print_ranking(report)
+        self._print_confidence(report)
+
+    def _print_confidence(self, report: Report) -> None:
+        for robot, reason in report.eliminated.items():
+            if robot not in self._eliminated:
+                self._eliminated.add(robot)
+                self._console.print(f"  {robot} is not tested any more: {reason}")
+        for finding in report.findings:
+            self._console.print(f"  [yellow]{finding}[/]")
+        if report.confidence is not None:
+            self._console.print(f"  right with probability {report.confidence:.3f}")
+        if report.stopped_because is not None:
+            self._console.print(f"  done: {report.stopped_because}")
+
+    def _print_ranking(self, report: Report) -> None:
+        for estimate in report.ranking:
+            sample = report.sampled_psi.get(estimate.robot)
+            measured = "" if sample is None else f"ψ = {sample:.4f}"
+            leader = "  [green]← closest[/]" if estimate.robot == report.selected else ""
+            self._console.print(
+                f"  {estimate.robot:<16} {measured:<12}  "
+                f"ψ* = {estimate.psi:.4f} ± {_deviation(estimate.psi_std)} "
+                f"at {estimate.omega_rad_s:.3f} rad/s{leader}"
+            )
+
+
+def _deviation(std: float) -> str:
+    """Return a standard deviation to four places, and not as nothing where it is less."""
+    return f"{std:.4f}" if std >= 5e-5 else "<0.0001"
+
+
+def ranking_table(
+    ranking: tuple[SourceEstimate, ...], closed_form: Mapping[str, ClosedForm]
+) -> Table:
+    """Return the final table, beside the closed form where robots know their models."""
+    table = Table(title="worst-case chordal distance to the target", title_justify="left")
+    table.add_column("source")
+    for heading in ("ψ*", "± σ", "at ω, rad/s", "tests"):
+        table.add_column(heading, justify="right")
+    if closed_form:
+        table.add_column("closed form", justify="right")
+        table.add_column("error", justify="right")
+    for place, estimate in enumerate(ranking):
+        row = [
+            estimate.robot,
+            f"{estimate.psi:.4f}",
+            _deviation(estimate.psi_std),
+            f"{estimate.omega_rad_s:.3f}",
+            str(estimate.tests),
+        ]
+        if closed_form:
+            exact = closed_form.get(estimate.robot)
+            if exact is None:
+                row += ["", ""]
+            else:
+                row += [f"{exact.psi:.4f}", f"{100 * (estimate.psi / exact.psi - 1):+.2f} %"]
+        table.add_row(*row, style="bold green" if place == 0 else None)
+    return table

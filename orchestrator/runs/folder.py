@@ -1,0 +1,210 @@
+"""The folder that a run leaves: configuration, results, samples, recording, plots and report.
+
+Nobody but its user may look into it.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import shutil
+import sys
+import tempfile
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ValidationError
+
+from nufleet.orchestrator.study.outcomes import Measured
+from nufleet.orchestrator.runs.rank_result import RunRecord
+from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.private_files import write_privately
+from nufleet.shared.redaction import without_secrets
+from nufleet.shared.strict import Strict, describe_validation
+
+if TYPE_CHECKING:
+    import pyarrow.parquet
+
+RECORDING = "run.rrd"
+RESULTS = "results.json"
+CONFIGURATION = "config.json"
+_PACKAGES = ("nufleet", "eclipse-zenoh", "numpy", "scipy", "numba", "pydantic", "rerun-sdk")
+
+
+class RunFolder:
+    """Writes one run's folder; close it (or leave its `with`) so that the samples are complete."""
+
+    def __init__(
+        self, root: Path, name: str, *, now: datetime | None = None, goes_on: bool = False
+    ) -> None:
+        """Create the folder in a root that is there, or open that of a run that goes on.
+
+        Of that one the samples and the recording are written anew, from what is stored of the run.
+
+        Args:
+            root: where.
+            name: what the run is of; of a run that goes on, the folder's.
+            now: the time in the folder's name.
+            goes_on: whether the folder is there.
+
+        Raises:
+            InvalidInputError: the folder cannot be created, or not be written.
+        """
+        stamp = (now or datetime.now(UTC)).strftime("%Y%m%dT%H%M%SZ")
+        self.path = _reopened(root / name) if goes_on else _create(root, f"{stamp}-{name}")
+        self._samples: pyarrow.parquet.ParquetWriter | None = None
+
+    def __enter__(self) -> RunFolder:
+        return self
+
+    def __exit__(self, _type: object, error: BaseException | None, _traceback: object) -> None:
+        self.close()
+        if error is not None and not (self.path / CONFIGURATION).exists():
+            # It was refused before it began.
+            shutil.rmtree(self.path)
+
+    @property
+    def recording(self) -> Path:
+        """Where the Rerun recording goes."""
+        return self.path / RECORDING
+
+    def close(self) -> None:
+        """Complete the file of samples."""
+        samples, self._samples = self._samples, None
+        if samples is not None:
+            samples.close()
+
+    @property
+    def study_id(self) -> str:
+        """The id of the study that the run is, in the repository and in front of its goals."""
+        return study_id_of(self.path)
+
+    def write_configuration(self, configuration: Mapping[str, Any]) -> None:
+        """Write what was asked for, in full, and the versions that answer it."""
+        document = {
+            **configuration,
+            "versions": {
+                "python": platform.python_version(),
+                **{package: version(package) for package in _PACKAGES},
+            },
+            "command": [without_secrets(word) for word in sys.argv[1:]],
+        }
+        self._write(CONFIGURATION, json.dumps(document, indent=2, default=str))
+
+    def write_samples(self, iteration: int, measured: Measured) -> None:
+        """Append one test's samples: raw, so that a better estimator can be run on them later."""
+        import numpy as np
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        result = measured.result
+        count = len(result.reference)
+        table = pa.table(
+            {
+                "robot": pa.array([measured.robot] * count).dictionary_encode(),
+                "goal_id": pa.array([result.goal_id] * count).dictionary_encode(),
+                "iteration": np.full(count, iteration, dtype=np.int32),
+                "sample": np.arange(count, dtype=np.int32),
+                "t_s": np.arange(count) * result.plan.sample_time_s,
+                "reference": result.reference,
+                "response": result.response,
+            }
+        )
+        if self._samples is None:
+            self._samples = pq.ParquetWriter(
+                self.path / "telemetry.parquet", table.schema, compression="zstd"
+            )
+        self._samples.write_table(table)
+
+    def write_record(self, record: RunRecord) -> None:
+        """Write the results, and the report of them."""
+        self._write(RESULTS, record.model_dump_json(indent=2, by_alias=True, exclude_none=True))
+
+    def write_document(self, name: str, document: Strict) -> None:
+        """Write what a run that is no ranking came to."""
+        self._write(name, document.model_dump_json(indent=2, by_alias=True))
+
+    def _write(self, name: str, text: str) -> None:
+        """Write a file as a whole: who reads it finds all of it, or none."""
+        write_privately(self.path / name, (text + "\n").encode())
+
+
+def study_id_of(folder: Path) -> str:
+    """Return the id of the study of a run's folder."""
+    return folder.name.lower()
+
+
+def read_record(folder: Path) -> RunRecord:
+    """Return the results in a run's folder; raises InvalidInputError when there are none."""
+    path = folder / RESULTS
+    try:
+        return RunRecord.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise InvalidInputError(
+            f"{path} cannot be read: {error.strerror}; was the run interrupted?"
+        ) from error
+    except ValidationError as error:
+        raise InvalidInputError(f"{path}: {describe_validation(error)}") from error
+
+
+def list_runs(root: Path) -> list[Path]:
+    """Return the folders of all runs, oldest first."""
+    return sorted(path.parent for path in root.glob(f"*/{CONFIGURATION}"))
+
+
+def find_run(root: Path, run: str) -> Path:
+    """Return the folder of a run: given as a path, as a name in the root, or as `latest`."""
+    runs = list_runs(root)
+    if run == "latest" and runs:
+        return runs[-1]
+    for candidate in (Path(run), root / run):
+        if (candidate / CONFIGURATION).is_file():
+            return candidate
+    raise InvalidInputError(
+        f"no run {run!r}: expected a run's folder, its name in {root}, or `latest`; "
+        "`nufleet runs list` shows what there is"
+    )
+
+
+def make_runs_root(root: Path) -> None:
+    """Make sure that runs can be stored there; raises InvalidInputError.
+
+    A root that is made here is its user's alone, as each run's folder is; one that is there stays
+    as open as it was made.
+    """
+    try:
+        root.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=root):
+            pass
+    except OSError as error:
+        raise InvalidInputError(
+            f"runs cannot be stored in {root}: {error.strerror}; choose another place with --runs"
+        ) from error
+
+
+def _reopened(path: Path) -> Path:
+    try:
+        (path / RECORDING).unlink(missing_ok=True)
+    except OSError as error:
+        raise InvalidInputError(f"{path} cannot be written: {error.strerror}") from error
+    return path
+
+
+def _create(root: Path, name: str) -> Path:
+    try:
+        for attempt in range(1, 1000):
+            path = root / (name if attempt == 1 else f"{name}-{attempt}")
+            try:
+                path.mkdir(mode=0o700)
+            except FileExistsError:
+                continue
+            return path
+    except OSError as error:
+        raise InvalidInputError(
+            f"the run's folder cannot be created in {root}: {error.strerror}; "
+            "choose another place with --runs"
+        ) from error
+    raise InvalidInputError(f"{root} holds too many runs named {name}")

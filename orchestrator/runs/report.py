@@ -1,0 +1,157 @@
+"""The plots and the report in a run's folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from nufleet.orchestrator.figures import COLOURS, new_figure, plain, save
+from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord
+from nufleet.orchestrator.study.interface import Curve
+from nufleet.orchestrator.runs.verdict_table import verdict_markdown
+from nufleet.shared.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+CURVES_DRAWN = 8
+"""Curves and lines of more sources than this would hide each other; the closest are drawn."""
+
+
+def write_plots(
+    folder: Path,
+    record: RunRecord,
+    curves: tuple[Curve, ...],
+    true_psi: Mapping[str, FloatArray],
+) -> None:
+    """Draw the distance curves as in the paper's Fig. 2, and the estimates over the iterations.
+
+    Args:
+        folder: the run's folder.
+        record: its results.
+        curves: what was believed at the end.
+        true_psi: the closed form of ψ_n on the curve's grid, for the sources where it is known.
+    """
+    plots = folder / "plots"
+    plots.mkdir(exist_ok=True)
+    drawn = [estimate.robot for estimate in record.result.ranking[:CURVES_DRAWN]]
+    colours = dict(zip(drawn, COLOURS, strict=False))
+    drawings: dict[str, Callable[[Axes], None]] = {
+        "psi_over_frequency.png": lambda axes: _draw_curves(axes, curves, true_psi, colours),
+        "psi_over_iterations.png": lambda axes: _draw_history(axes, record, colours),
+    }
+    for name, draw in drawings.items():
+        figure = new_figure()
+        axes = figure.add_subplot()
+        draw(axes)
+        plain(axes)
+        axes.legend(frameon=False, fontsize=9)
+        save(figure, plots / name)
+
+
+def _draw_curves(
+    axes: Axes,
+    curves: tuple[Curve, ...],
+    true_psi: Mapping[str, FloatArray],
+    colours: Mapping[str, str],
+) -> None:
+    for curve in curves:
+        if curve.source not in colours:
+            continue
+        colour, omega = colours[curve.source], curve.omega_rad_s
+        low, high = curve.mean - 2 * curve.std, curve.mean + 2 * curve.std
+        axes.fill_between(omega, low, high, color=colour, alpha=0.15, linewidth=0)
+        axes.plot(omega, curve.mean, color=colour, label=curve.source)
+        axes.plot(curve.sampled_omega_rad_s, curve.sampled_psi, "o", color=colour, markersize=5)
+        if curve.source in true_psi:
+            axes.plot(omega, true_psi[curve.source], "--", color="black", linewidth=0.9)
+    if true_psi:
+        axes.plot([], [], "--", color="black", linewidth=0.9, label="closed form")
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("ω [rad/s]")
+    axes.set_ylabel("chordal distance ψ to the target")
+    axes.set_title("posterior mean, ± 2σ, and the tests", loc="left", fontsize=10)
+
+
+def _draw_history(axes: Axes, record: RunRecord, colours: Mapping[str, str]) -> None:
+    for source, colour in colours.items():
+        points = [
+            (entry.iteration, estimate.psi, estimate.psi_std)
+            for entry in record.history
+            for estimate in entry.ranking
+            if estimate.robot == source
+        ]
+        iterations, psi, psi_std = zip(*points, strict=True)
+        axes.errorbar(
+            iterations, psi, yerr=[2 * s for s in psi_std], color=colour, label=source, capsize=3
+        )
+        if source in record.closed_form:
+            axes.axhline(record.closed_form[source].psi, color=colour, linestyle=":", linewidth=1)
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("iteration")
+    axes.set_ylabel("estimate ψ* ± 2σ")
+    title = "worst-case chordal distance"
+    if record.closed_form:
+        title += " (dotted: closed form)"
+    axes.set_title(title, loc="left", fontsize=10)
+    axes.set_xticks([entry.iteration for entry in record.history])
+
+
+def _certainty(result: RankResult) -> list[str]:
+    """Return how sure an algorithm is that knows it, and of whom it was sure early."""
+    if result.confidence is None:
+        return []
+    why = f": {result.stopped_because}" if result.stopped_because else ""
+    out = [f"- {source}: {reason}" for source, reason in (result.eliminated or {}).items()]
+    told = ["", f"Right with probability {result.confidence:.3f}{why}."]
+    return [*told, "", "Out of the contest:", "", *out] if out else told
+
+
+def write_report(folder: Path, record: RunRecord) -> None:
+    """Write `report.md`: what was asked, what came out, in words and one table."""
+    result = record.result
+    low, high = result.band_rad_s
+    lines = [
+        f"# {folder.name}",
+        "",
+        (
+            f"Target **{result.target}**, axis {record.axis}, band {low:g} to {high:g} rad/s, "
+            f"{result.iterations} iterations, seed {record.seed}."
+        ),
+        "",
+        (
+            f"Selected source: **{result.selected}**, after {result.robot_time_s:.0f} robot-seconds"
+            f" and {record.wall_time_s:.1f} s on the clock."
+        ),
+        *_certainty(result),
+        "",
+        "| source | ψ* | σ | at ω [rad/s] | tests | closed form |",
+        "|---|---|---|---|---|---|",
+    ]
+    for estimate in result.ranking:
+        exact = record.closed_form.get(estimate.robot)
+        lines.append(
+            f"| {estimate.robot} | {estimate.psi:.4f} | {estimate.psi_std:.4f} "
+            f"| {estimate.omega_rad_s:.3f} | {estimate.tests} "
+            f"| {'' if exact is None else f'{exact.psi:.4f}'} |"
+        )
+    lines += [f"\nWithout {robot}: {reason}" for robot, reason in record.dropped.items()]
+    lines += [
+        f"\n{robot} did not fly: {stored.tests} stored tests stand for it, measured from "
+        f"{stored.measured_from} to {stored.measured_to}."
+        for robot, stored in (result.stored or {}).items()
+    ]
+    lines += ["", *verdict_markdown(result)]
+    lines += [f"\n{finding}" for finding in result.findings]
+    lines += [
+        "",
+        "![ψ over frequency](plots/psi_over_frequency.png)",
+        "![ψ over iterations](plots/psi_over_iterations.png)",
+        "",
+        (
+            "Raw samples: `telemetry.parquet`. Recording: `run.rrd`. Resolved configuration and "
+            "versions: `config.json`."
+        ),
+    ]
+    (folder / "report.md").write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -1,0 +1,1 @@
+"""What to test next, which source is closest, and whether a transfer will help."""

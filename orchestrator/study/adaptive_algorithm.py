@@ -1,0 +1,305 @@
+"""The default algorithm: multi-tone tests, one response model per robot, and an end when sure.
+
+Every robot without stored responses is tested once, over the whole band. From then on a test is
+chosen by what it is expected to take off the probability of a wrong selection, per second of robot
+time; sources that cannot win any more are not tested again; and the study is complete when the
+source selected is, with probability 1 − δ, within ε of the closest (the stopping rule of
+Garivier and Kaufmann, COLT 2016, with ε as a difference that does not matter).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
+from nufleet.orchestrator.study.interface import (
+    Curve,
+    Question,
+    Report,
+    Responses,
+    SourceEstimate,
+    StudyPlan,
+)
+from nufleet.orchestrator.study.selection_belief import SelectionBelief
+from nufleet.orchestrator.study.tone_choice import ToneChoice, closer_looks, first_look
+from nufleet.orchestrator.study.trajectory_spectrum import Spectrum
+from nufleet.orchestrator.study.value_of_tests import expected_gain
+from nufleet.shared.arrays import ComplexArray, FloatArray
+from nufleet.shared.distance.chordal import chordal_distance
+from nufleet.shared.errors import StudyError
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.robots.spec import RobotSpec
+
+
+@dataclass(frozen=True)
+class AdaptiveSettings:
+    """When to stop, and what a test may look like.
+
+    `delta` is the probability of a wrong selection that is accepted, `epsilon` the difference of
+    two distances that does not matter. The first test measures for `first_periods` periods of the
+    band's upper end or for `share_of_settling` of the robot's settling time, whichever is longer;
+    later ones for `lengths` times that. A simulated robot's time costs `simulated_cost` of a real
+    one's.
+    """
+
+    delta: float = 0.05
+    epsilon: float = 0.01
+    first_periods: int = 11
+    share_of_settling: float = 0.7
+    lengths: tuple[float, ...] = (1.0, 1.7, 3.0)
+    window_tones: int = 5
+    contenders: int = 4
+    together: float = 0.5
+    simulated_cost: float = 0.01
+    samples: int = 600
+    grid_points: int = 256
+
+
+class AdaptiveStudy:
+    """The default algorithm in the middle of its work."""
+
+    def __init__(
+        self,
+        plan: StudyPlan,
+        specs: Mapping[str, RobotSpec],
+        rng: np.random.Generator,
+        *,
+        stored: Mapping[str, Sequence[FrequencyResponse]] | None = None,
+        settings: AdaptiveSettings | None = None,
+    ) -> None:
+        """Begin a study.
+
+        Args:
+            plan: what is to be found out; `iterations` is the most rounds there may be.
+            specs: what the target and every source say of themselves.
+            rng: draws the samples of the belief.
+            stored: responses of earlier tests; a source with some is not tested.
+            settings: when to stop, and what a test may look like.
+        """
+        self._plan = plan
+        self._settings = settings or AdaptiveSettings()
+        self._rng = rng
+        low, high = plan.band_rad_s
+        self._grid = np.linspace(low, high, self._settings.grid_points)
+        self._spectrum = None if plan.motion is None else Spectrum.of_motion(plan.motion)
+        self._drawn = self._grid
+        if self._spectrum is not None:
+            self._drawn = np.concatenate([self._grid, self._spectrum.omega_rad_s])
+        self._robots = {
+            name: RobotKnowledge(name, specs[name], high) for name in (plan.target, *plan.sources)
+        }
+        self._stored = tuple(name for name, tests in (stored or {}).items() if tests)
+        for name in self._stored:
+            for response in (stored or {})[name]:
+                self._robots[name].learn(response, rng)
+        self._dropped: dict[str, str] = {}
+        self._grounded: dict[str, str] = {}
+        self._first: dict[str, ToneChoice] = {
+            name: first_look(
+                plan.band_rad_s,
+                robot.spec,
+                self._settings.first_periods,
+                self._settings.share_of_settling,
+            )
+            for name, robot in self._robots.items()
+        }
+        self._next: dict[str, ToneChoice] = {
+            name: self._first[name]
+            for name in (plan.target, *plan.sources)
+            if name == plan.target or name not in self._stored
+        }
+        self._asked = 0
+        self._open: Question | None = None
+
+    @property
+    def responses(self) -> dict[str, list[FrequencyResponse]]:
+        """Every response known of each robot that was ever tested."""
+        return {name: robot.responses for name, robot in self._robots.items() if robot.tests}
+
+    def ask(self) -> Question | None:
+        """Return the next round of tests; None when the study is complete."""
+        if self._open is not None:
+            return self._open
+        if not self._next:
+            return None
+        self._asked += 1
+        tests = {n: choice.excitation(self._plan.axis) for n, choice in self._next.items()}
+        self._open = Question(self._asked, tests)
+        return self._open
+
+    def tell(self, responses: Responses, failed: Mapping[str, str]) -> Report:
+        """Take in the answers to the last question; see `Study`."""
+        question = self._open
+        if question is None:
+            raise ValueError("nothing was asked")
+        self._open = None
+        for name in question.tests:
+            if name in responses:
+                self._robots[name].learn(responses[name], self._rng)
+            else:
+                self._lose(name, failed.get(name, "it gave no response"))
+        sources = self._remaining()
+        draws = {
+            name: self._robots[name].model.draw(self._drawn, self._settings.samples, self._rng)
+            for name in (self._plan.target, *sources)
+        }
+        target = draws[self._plan.target]
+        belief = SelectionBelief.of(
+            self._grid, target, {n: draws[n] for n in sources}, self._spectrum
+        )
+        leader, confidence = belief.leader(self._settings.epsilon, self._settings.delta)
+        hopeless = belief.hopeless(leader, self._settings.delta)
+        stopped = self._stop(belief, leader, confidence)
+        self._next = {} if stopped else self._choose(belief, draws, leader, hopeless)
+        if not self._next and stopped is None:
+            stopped = f"no test that is left tells more; P(correct selection) = {confidence:.3f}"
+        return Report(
+            iteration=question.iteration,
+            omega_rad_s=question.omega_rad_s,
+            responses=responses,
+            sampled_psi=self._sampled(responses),
+            curves=tuple(self._curve(n, source, belief) for n, source in enumerate(sources)),
+            ranking=self._ranking(belief, leader),
+            dropped=dict(self._dropped),
+            confidence=confidence,
+            eliminated=hopeless,
+            findings=tuple(f for robot in self._robots.values() for f in robot.findings),
+            stopped_because=stopped,
+        )
+
+    def _remaining(self) -> tuple[str, ...]:
+        return tuple(source for source in self._plan.sources if source not in self._dropped)
+
+    def _lose(self, name: str, reason: str) -> None:
+        """A robot that was tested before keeps what is known of it and is not tested again."""
+        if self._robots[name].tests:
+            self._grounded[name] = reason
+        elif name == self._plan.target:
+            raise StudyError(f"the target {name} cannot be tested: {reason}")
+        else:
+            self._dropped[name] = reason
+        if not self._remaining():
+            lost = "; ".join(f"{source}: {why}" for source, why in self._dropped.items())
+            raise StudyError(f"every source is gone: {lost}")
+
+    def _stop(self, belief: SelectionBelief, leader: str, confidence: float) -> str | None:
+        if confidence >= 1 - self._settings.delta:
+            best = "is the closest" if self._spectrum is None else "leaves the smallest error"
+            alone = float(belief.probability_best()[belief.sources.index(leader)])
+            if alone >= 1 - self._settings.delta:
+                return f"{leader} {best} with probability {alone:.3f}"
+            return (
+                f"{leader} {best}, or within {self._settings.epsilon:g} of it, with probability "
+                f"{confidence:.3f}"
+            )
+        if self._asked >= self._plan.iterations:
+            return f"all {self._asked} rounds are used up; P(correct selection) = {confidence:.3f}"
+        return None
+
+    def _choose(
+        self,
+        belief: SelectionBelief,
+        draws: Mapping[str, ComplexArray],
+        leader: str,
+        hopeless: Mapping[str, str],
+    ) -> dict[str, ToneChoice]:
+        """Return the next tests: each robot's best one, where it is worth its time."""
+        chances = belief.probability_best()
+        rivals = sorted(
+            (s for s in belief.sources if s not in hopeless and s != leader),
+            key=lambda s: -chances[belief.sources.index(s)],
+        )[: self._settings.contenders]
+        centres = self._contested(belief, leader, rivals)
+        rates: dict[str, float] = {}
+        choices: dict[str, ToneChoice] = {}
+        for name in (self._plan.target, leader, *rivals):
+            if name in self._grounded or name in self._stored:
+                continue
+            rate, choice = self._best_test(name, draws[name], belief, leader, centres)
+            if choice is not None:
+                rates[name], choices[name] = rate, choice
+        best = max(rates.values(), default=0.0)
+        enough = self._settings.together * best
+        return {name: choice for name, choice in choices.items() if rates[name] >= enough}
+
+    def _best_test(
+        self,
+        name: str,
+        z: ComplexArray,
+        belief: SelectionBelief,
+        leader: str,
+        centres_rad_s: Sequence[float],
+    ) -> tuple[float, ToneChoice | None]:
+        robot, first_s = self._robots[name], self._first[name].measure_s
+        price = self._settings.simulated_cost if robot.spec.simulated else 1.0
+        best: tuple[float, ToneChoice | None] = (0.0, None)
+        for choice in closer_looks(
+            self._plan.band_rad_s,
+            first_s,
+            self._settings.lengths,
+            centres_rad_s,
+            self._settings.window_tones,
+        ):
+            cost_s = choice.duration_s(robot.spec)
+            if cost_s > robot.spec.duration_max_s:
+                continue
+            gain = expected_gain(
+                belief.loss,
+                belief.sources.index(leader),
+                z[:, np.searchsorted(self._grid, choice.omega_rad_s).clip(0, len(self._grid) - 1)],
+                robot.expected_variance(choice.omega_rad_s, choice.measure_s / first_s),
+                self._settings.epsilon,
+            )
+            rate = max(gain, 1e-6) / (price * cost_s)
+            if rate > best[0]:
+                best = (rate, choice)
+        return best
+
+    def _contested(
+        self, belief: SelectionBelief, leader: str, rivals: Sequence[str]
+    ) -> tuple[float, ...]:
+        """Return where it is decided how good those in the contest are."""
+        found = [belief.decisive_omega_rad_s(source) for source in (leader, *rivals[:2])]
+        return tuple(dict.fromkeys(found))
+
+    def _sampled(self, responses: Responses) -> dict[str, float]:
+        """Return each source's largest ψ̂ at the tones that it and the target both played now."""
+        at_target = responses.get(self._plan.target)
+        found: dict[str, float] = {}
+        for source in self._remaining():
+            if at_target is None or source not in responses:
+                continue
+            at_source = responses[source]
+            _, i, j = np.intersect1d(
+                at_target.omega_rad_s, at_source.omega_rad_s, return_indices=True
+            )
+            if len(i):
+                found[source] = float(np.max(chordal_distance(at_target.z[i], at_source.z[j])))
+        return found
+
+    def _curve(self, n: int, source: str, belief: SelectionBelief) -> Curve:
+        psi = belief.psi[n]
+        sampled = np.sort(self._robots[source].omega_rad_s)
+        sampled = sampled[(sampled >= self._grid[0]) & (sampled <= self._grid[-1])]
+        mean: FloatArray = psi.mean(axis=0)
+        return Curve(
+            source, self._grid, mean, psi.std(axis=0), sampled, np.interp(sampled, self._grid, mean)
+        )
+
+    def _ranking(self, belief: SelectionBelief, leader: str) -> tuple[SourceEstimate, ...]:
+        """Return the leader first, the others by what they are ranked by."""
+        estimates = []
+        for n, source in enumerate(belief.sources):
+            top = int(np.argmax(belief.psi[n].mean(axis=0)))
+            estimate = SourceEstimate(
+                robot=source,
+                psi=float(belief.psi_star[n].mean()),
+                psi_std=float(belief.psi_star[n].std()),
+                omega_rad_s=float(self._grid[top]),
+                tests=self._robots[source].tests,
+            )
+            estimates.append((source != leader, float(belief.typical_loss[n]), estimate))
+        return tuple(estimate for _, _, estimate in sorted(estimates, key=lambda e: e[:2]))

@@ -1,0 +1,226 @@
+"""Algorithm 1 of Sorocky, Zhou and Schoellig (ICRA 2020): multi-source Bayesian optimisation.
+
+One zero-mean Gaussian process with a Matérn 3/2 kernel models ψ_n(ω), the chordal distance of each
+source n to the target. All robots are tested at the ω that maximises max_n EI_n(ω) / ψ̂*_n over the
+band: where a source that looks close may yet turn out to be far.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+from nufleet.orchestrator.study.interface import (
+    Curve,
+    Question,
+    Report,
+    Responses,
+    SourceEstimate,
+    StudyPlan,
+)
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.distance.chordal import chordal_distance, chordal_variance
+from nufleet.shared.errors import StudyError
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.gaussian_process.exact import Batch, Bounds, Hyperparameters, fit, posterior
+
+GRID_POINTS = 1001
+
+SEGMENTS = 4
+SEGMENT_MIN_S = 2.0
+"""A measuring segment is at least this long, so that fast tones are averaged over many periods."""
+
+
+@dataclass(frozen=True)
+class PaperSettings:
+    """What the paper leaves open.
+
+    `exploration` is ξ of the expected improvement (eq. 7). `psi_floor` keeps the acquisition's
+    divisor ψ̂*_n (eq. 9) from zero, which a posterior mean can reach or cross while there are few
+    points. The lengthscale is searched between these fractions of the band's width: a longer one
+    cannot be told from a constant, a shorter one would call for more tests than anybody runs.
+    `noise_variance` is what responses scatter beyond their measured uncertainty.
+    """
+
+    exploration: float = 1e-3
+    psi_floor: float = 1e-3
+    lengthscale_fractions: tuple[float, float] = (0.05, 1.0)
+    signal_variance: tuple[float, float] = (1e-6, 10.0)
+    noise_variance: tuple[float, float] = (1e-10, 1e-6)
+
+
+class PaperStudy:
+    """Algorithm 1 in the middle of its work."""
+
+    def __init__(
+        self, plan: StudyPlan, rng: np.random.Generator, settings: PaperSettings | None = None
+    ) -> None:
+        """Begin a study.
+
+        Args:
+            plan: what is to be found out.
+            rng: draws the first frequency, uniform over the band; nothing else is random.
+            settings: what the paper leaves open.
+        """
+        self._plan = plan
+        self._settings = settings or PaperSettings()
+        low, high = plan.band_rad_s
+        self._grid = np.linspace(low, high, GRID_POINTS)
+        self._next_omega = float(rng.uniform(low, high))
+        self._samples: dict[str, list[tuple[float, float, float]]] = {s: [] for s in plan.sources}
+        self._responses: dict[str, list[FrequencyResponse]] = {}
+        self._dropped: dict[str, str] = {}
+        self._asked = 0
+        self._open: Question | None = None
+
+    @property
+    def responses(self) -> dict[str, list[FrequencyResponse]]:
+        """Every response that the study was told of each robot."""
+        return self._responses
+
+    def ask(self) -> Question | None:
+        """Return the next round of tests; None when the study is complete."""
+        if self._open is not None:
+            return self._open
+        if self._asked == self._plan.iterations:
+            return None
+        self._asked += 1
+        test = Excitation(
+            axis=self._plan.axis,
+            tones=(Tone(omega_rad_s=self._next_omega),),
+            segments=SEGMENTS,
+            segment_min_s=SEGMENT_MIN_S,
+        )
+        robots = (self._plan.target, *self._remaining())
+        self._open = Question(self._asked, dict.fromkeys(robots, test))
+        return self._open
+
+    def tell(self, responses: Responses, failed: Mapping[str, str]) -> Report:
+        """Take in the answers to the last question; see `Study`."""
+        question = self._open
+        if question is None:
+            raise ValueError("nothing was asked")
+        if self._plan.target not in responses:
+            reason = failed.get(self._plan.target, "it gave no response")
+            raise StudyError(f"the target {self._plan.target} cannot be tested: {reason}")
+        self._open = None
+        for robot, response in responses.items():
+            self._responses.setdefault(robot, []).append(response)
+        omega = question.omega_rad_s[0]
+        at_target = responses[self._plan.target]
+        sampled_psi: dict[str, float] = {}
+        for source in self._remaining():
+            if source not in responses:
+                self._dropped[source] = failed.get(source, "it gave no response")
+                continue
+            at_source = responses[source]
+            psi = float(chordal_distance(at_target.z, at_source.z)[0])
+            variance = chordal_variance(
+                at_target.z, at_target.variance, at_source.z, at_source.variance
+            )
+            sampled_psi[source] = psi
+            self._samples[source].append((omega, psi, float(variance[0])))
+        if not self._remaining():
+            lost = "; ".join(f"{source}: {reason}" for source, reason in self._dropped.items())
+            raise StudyError(f"every source is gone: {lost}")
+        curves, improvements = self._believe()
+        ranking = tuple(sorted((_estimate(curve) for curve in curves), key=lambda e: e.psi))
+        psi_stars = {estimate.robot: estimate.psi for estimate in ranking}
+        acquisition = np.max(
+            [
+                improvement / max(psi_stars[curve.source], self._settings.psi_floor)
+                for curve, improvement in zip(curves, improvements, strict=True)
+            ],
+            axis=0,
+        )
+        self._next_omega = float(self._grid[int(np.argmax(acquisition))])
+        return Report(
+            iteration=question.iteration,
+            omega_rad_s=question.omega_rad_s,
+            responses=responses,
+            sampled_psi=sampled_psi,
+            curves=curves,
+            ranking=ranking,
+            dropped=dict(self._dropped),
+        )
+
+    def _remaining(self) -> tuple[str, ...]:
+        return tuple(source for source in self._plan.sources if source not in self._dropped)
+
+    def _believe(self) -> tuple[tuple[Curve, ...], FloatArray]:
+        """Fit every remaining source's surrogate; return its curve and expected improvement."""
+        sources = self._remaining()
+        samples = [np.array(self._samples[source]) for source in sources]
+        batch = Batch.ragged(
+            [s[:, 0] for s in samples], [s[:, 1] for s in samples], [s[:, 2] for s in samples]
+        )
+        width = float(self._grid[-1] - self._grid[0])
+        shortest, longest = self._settings.lengthscale_fractions
+        bounds = Bounds(
+            signal_variance=self._settings.signal_variance,
+            lengthscale=(shortest * width, longest * width),
+            noise_variance=self._settings.noise_variance,
+        )
+        start = Hyperparameters(
+            signal_variance=[max(float(np.mean(s[:, 1] ** 2)), 1e-6) for s in samples],
+            lengthscale=0.2 * width,
+            noise_variance=self._settings.noise_variance[0],
+        )
+        found = fit(batch, bounds.starts(start, 3), bounds)
+        mean, variance = posterior(batch, found.hyperparameters, self._grid)
+        std = np.sqrt(np.maximum(variance, 0.0))
+        curves = tuple(
+            Curve(source, self._grid, mean[n], std[n], samples[n][:, 0], samples[n][:, 1])
+            for n, source in enumerate(sources)
+        )
+        improvements = np.stack(
+            [
+                expected_improvement(
+                    curve.mean,
+                    curve.std,
+                    float(curve.sampled_psi.max()),
+                    self._settings.exploration,
+                )
+                for curve in curves
+            ]
+        )
+        return curves, improvements
+
+
+def expected_improvement(
+    mean: FloatArray, std: FloatArray, best: float, exploration: float
+) -> FloatArray:
+    """Return EI(ω) = (ψ̂ − ψ_max − ξ) Φ(Z) + σ̂ φ(Z), Z = (ψ̂ − ψ_max − ξ) / σ̂ (paper, eq. 7).
+
+    Args:
+        mean: posterior mean ψ̂, shape (grid,).
+        std: posterior standard deviation σ̂, shape (grid,).
+        best: the largest sample ψ_max.
+        exploration: ξ ≥ 0.
+
+    Returns:
+        Shape (grid,), never negative; 0 where σ̂ is 0.
+    """
+    gain = mean - best - exploration
+    certain = std <= 0.0
+    z = gain / np.where(certain, 1.0, std)
+    density = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
+    improvement = gain * ndtr(z) + std * density
+    # Far in the tail the two terms cancel to rounding error of either sign.
+    return np.asarray(np.where(certain, 0.0, np.maximum(improvement, 0.0)))
+
+
+def _estimate(curve: Curve) -> SourceEstimate:
+    """Return ψ̂*_n, the maximum of the posterior mean, with the deviation there (eq. 8, Fig. 4)."""
+    top = int(np.argmax(curve.mean))
+    return SourceEstimate(
+        robot=curve.source,
+        psi=float(curve.mean[top]),
+        psi_std=float(curve.std[top]),
+        omega_rad_s=float(curve.omega_rad_s[top]),
+        tests=len(curve.sampled_psi),
+    )

@@ -1,0 +1,123 @@
+"""Whether each source's experience will help the target, from all tests, however chosen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
+from nufleet.orchestrator.study.interface import SourceEstimate, StudyPlan
+from nufleet.orchestrator.study.trajectory_spectrum import Spectrum
+from nufleet.orchestrator.study.verdict import TransferPrediction, predict_transfer
+from nufleet.orchestrator.study.verdict_document import TransferVerdict, verdict_document
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.robots.spec import RobotSpec
+
+SAMPLES = 600
+CURVE_POINTS = 33
+
+JUDGED_MAX = 64
+"""Judging takes up to a third of a second per robot; nobody transfers from the hundredth."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The verdicts by source, in the ranking's order, and what the tests revealed of the robots."""
+
+    verdicts: Mapping[str, TransferVerdict]
+    findings: tuple[str, ...]
+
+
+def judge_transfers(
+    plan: StudyPlan,
+    ranking: Sequence[SourceEstimate],
+    specs: Mapping[str, RobotSpec],
+    responses: Mapping[str, Sequence[FrequencyResponse]],
+    rng: np.random.Generator,
+    *,
+    delta: float = 0.05,
+) -> Judgement:
+    """Judge the transfer from the sources that were tested to the target.
+
+    Args:
+        plan: of the study; with a `motion` the verdicts are for that, otherwise for a motion with
+            all frequencies of the band alike.
+        ranking: what the study came to; of a large fleet without a `motion` only the first
+            `JUDGED_MAX` are judged.
+        specs: what each robot says of itself.
+        responses: all usable tests of each robot, in the order of the tests.
+        rng: draws the samples of what is believed.
+        delta: probability of a wrong verdict that is accepted.
+    """
+    flat = Spectrum.flat(plan.band_rad_s, CURVE_POINTS)
+    spectrum = flat if plan.motion is None else Spectrum.of_motion(plan.motion)
+    omega = np.concatenate([flat.omega_rad_s, spectrum.omega_rad_s])
+    known: dict[str, RobotKnowledge] = {}
+    sources = [estimate.robot for estimate in ranking]
+    if plan.motion is None:
+        sources = sources[:JUDGED_MAX]
+    for robot in (plan.target, *sources):
+        if responses.get(robot):
+            known[robot] = RobotKnowledge(robot, specs[robot], plan.band_rad_s[1])
+            for response in responses[robot]:
+                known[robot].learn(response, rng)
+    if plan.target not in known:
+        return Judgement({}, ())
+    drawn = {robot: it.model.draw(omega, SAMPLES, rng) for robot, it in known.items()}
+
+    def predict(source: str, part: slice, motion: Spectrum) -> TransferPrediction:
+        at_source, at_target = drawn[source][:, part], drawn[plan.target][:, part]
+        return predict_transfer(
+            (source, at_source), (plan.target, at_target), motion, plan.band_rad_s, delta=delta
+        )
+
+    verdicts = {}
+    for source in sources:
+        if source in known:
+            curve = predict(source, slice(0, CURVE_POINTS), flat)
+            found = predict(source, slice(CURVE_POINTS, None), spectrum)
+            verdicts[source] = verdict_document(found, curve)
+    findings = [f for it in known.values() for f in it.findings]
+    findings += [f for s in sources if s in known for f in _gaps(known[s], known[plan.target])]
+    return Judgement(verdicts, tuple(dict.fromkeys(findings)))
+
+
+def _gaps(source: RobotKnowledge, target: RobotKnowledge) -> Iterator[str]:
+    """Yield what the tests of two robots leave to their models alone."""
+    bands = []
+    for known in (source, target):
+        omega = known.omega_rad_s
+        bands.append((float(omega.min()), float(omega.max())))
+        if bands[-1][0] == bands[-1][1]:
+            yield (
+                f"{known.robot}: it was tested at {bands[-1][0]:.4g} rad/s only: elsewhere nothing "
+                "but what is usual is known of it; test it at more frequencies"
+            )
+    low, high = max(low for low, _ in bands), min(high for _, high in bands)
+    if low > high:
+        (low_s, high_s), (low_t, high_t) = bands
+        yield (
+            f"{source.robot}: it was tested from {low_s:.4g} to {high_s:.4g} rad/s and "
+            f"{target.robot} from {low_t:.4g} to {high_t:.4g} rad/s: how far apart they are is "
+            "measured nowhere; test both over one band"
+        )
+
+
+def by_predicted_error(
+    ranking: tuple[SourceEstimate, ...],
+    verdicts: Mapping[str, TransferVerdict],
+    *,
+    first: str | None = None,
+) -> tuple[SourceEstimate, ...]:
+    """Return a ranking with the smallest predicted error first.
+
+    With `first` that source leads: the one that is most surely good need not have the smallest
+    median.
+    """
+
+    def place(estimate: SourceEstimate) -> tuple[bool, float]:
+        return estimate.robot != first, verdicts[estimate.robot].error_with.median
+
+    return tuple(sorted(ranking, key=place))

@@ -1,0 +1,1 @@
+"""What is drawn on Rerun, one kind of picture per file."""

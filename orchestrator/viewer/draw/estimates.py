@@ -1,0 +1,76 @@
+"""Draws the estimates ψ̂*_n after each round and the ranking they give. Imports Rerun."""
+
+from __future__ import annotations
+
+import rerun as rr
+
+from nufleet.orchestrator.study.interface import SourceEstimate
+from nufleet.orchestrator.viewer.draw.palette import Palette
+from nufleet.orchestrator.viewer.events import IterationEvent
+
+TONES_NAMED = 6
+
+
+class Estimates:
+    """ψ̂*_n with one standard deviation over time, and the ranking as a table."""
+
+    def __init__(self, stream: rr.RecordingStream, palette: Palette) -> None:
+        self._stream = stream
+        self._palette = palette
+
+    def draw(self, event: IterationEvent) -> None:
+        """Draw one round; the time is set."""
+        for row in event.ranking:
+            self._stream.log(
+                f"psi/worst/{row.robot}",
+                rr.Measurements(
+                    values=[row.psi],
+                    variances=[row.psi_std**2],
+                    colors=[self._palette.of(row.robot)],
+                    widths=[2.0],
+                    names=[row.robot],
+                ),
+            )
+        self._stream.log(
+            "ranking", rr.TextDocument(ranking_table(event), media_type=rr.MediaType.MARKDOWN)
+        )
+
+
+def ranking_table(event: IterationEvent) -> str:
+    """Return the ranking as Markdown, best source first."""
+    lines = [
+        f"**Iteration {event.iteration}**, tested at {_tones(event)}, target **{event.target}**",
+        "",
+        "| | source | worst ψ | ± σ | at ω [rad/s] | tests |",
+        "|---:|:---|---:|---:|---:|---:|",
+        *(_line(place, row) for place, row in enumerate(event.ranking, start=1)),
+    ]
+    return "\n".join(lines)
+
+
+def summary(event: IterationEvent) -> str:
+    """Return what a round taught, in a line for the log."""
+    said = f"round {event.iteration} at {_tones(event)}"
+    if not event.ranking:
+        return said
+    best = event.ranking[0]
+    return f"{said}: {best.robot} is closest, worst ψ = {best.psi:.4f} ± {_deviation(best)}"
+
+
+def _tones(event: IterationEvent) -> str:
+    some = ", ".join(f"{omega:.3g}" for omega in event.omega_rad_s[:TONES_NAMED])
+    if len(event.omega_rad_s) > TONES_NAMED:
+        some += f", … ({len(event.omega_rad_s)} tones)"
+    return f"ω = {some} rad/s"
+
+
+def _line(place: int, row: SourceEstimate) -> str:
+    mark = "**" if place == 1 else ""
+    return (
+        f"| {place} | {mark}{row.robot}{mark} | {mark}{row.psi:.4f}{mark} | {_deviation(row)} "
+        f"| {row.omega_rad_s:.3g} | {row.tests} |"
+    )
+
+
+def _deviation(row: SourceEstimate) -> str:
+    return f"{row.psi_std:.4f}" if row.psi_std >= 0.00005 else "< 0.0001"

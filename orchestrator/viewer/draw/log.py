@@ -1,0 +1,27 @@
+"""Writes the log. Imports Rerun."""
+
+from __future__ import annotations
+
+import rerun as rr
+
+from nufleet.orchestrator.viewer.draw.marks import drawable
+from nufleet.orchestrator.viewer.events import MessageLevel
+
+_LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR"}
+
+
+class Log:
+    """Sentences with their times; the view's own column of times is too narrow to be read."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
+
+    def say(self, t_s: float, level: MessageLevel, text: str) -> None:
+        """Write a sentence."""
+        self._stream.send_columns(
+            "log",
+            indexes=[rr.TimeColumn("t", duration=[t_s])],
+            columns=rr.TextLog.columns(
+                text=[drawable(f"{t_s:7.1f} s  {text}")], level=[_LEVELS[level]]
+            ),
+        )

@@ -1,0 +1,239 @@
+"""Draws the flights along one path, seen from above: who keeps closer to it. Imports Rerun."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+
+from nufleet.orchestrator.viewer.draw.axes import WIDTH
+from nufleet.orchestrator.viewer.draw.marks import labels_2d, lines_2d, screen_points
+from nufleet.orchestrator.viewer.draw.outline import thinned
+from nufleet.orchestrator.viewer.draw.palette import GROUND, TEXT, WANTED, Colour, Palette, subdued
+from nufleet.orchestrator.viewer.draw.path_axes import METRES, PLOT, draw_axes
+from nufleet.orchestrator.viewer.draw.path_frame import PathAxes, axes_around
+from nufleet.orchestrator.viewer.flights import Flight
+from nufleet.shared.arrays import FloatArray
+
+FRAME_S, TRAIL_S = 0.25, 2.0
+"""How often the flight in progress is drawn, and how much of its recent past is bright."""
+
+BODY_FRAME_S = 1.0
+"""How often what lies before the bright part is drawn."""
+
+TRAIL_POINTS, BODY_POINTS = 60, 400
+
+BODY, EARLIER = 0.75, 0.45
+"""How bright the flight in progress is before its recent past, and how bright earlier ones."""
+
+EARLIER_MAX = 12
+"""Earlier flights along the same path that stay in the picture."""
+
+FOLLOW_S = 10.0
+"""Of several robots that fly at once one is shown, until it has been still for so long."""
+
+
+class Paths:
+    """The path, the flight in progress, those before it, and where a prior was taken back."""
+
+    def __init__(self, stream: rr.RecordingStream, palette: Palette) -> None:
+        self._stream = stream
+        self._palette = palette
+        self._axes: PathAxes | None = None
+        self._earlier: list[Flight] = []
+        self._flight: Flight | None = None
+        self._longest: FloatArray = np.empty((0, 2))
+        self._drawn = 0
+        self._begun = False
+
+    def draw(self, flight: Flight) -> None:
+        """Draw what is new of a flight of a robot with two axes or more."""
+        if self._flight is not flight:
+            if self._waits_for_another(flight):
+                return
+            self._begin(flight)
+        first, self._drawn = self._drawn, len(flight.time_s)
+        self._draw_path(flight)
+        self._draw_trail(flight, _frames(flight.time_s, first, FRAME_S, and_last=True))
+        body = _frames(flight.time_s, first, BODY_FRAME_S, and_last=False)
+        self._draw_body(flight, body)
+        if body or flight.taken_back_s is not None or self._whole(flight):
+            self._draw_names(flight)
+        self._draw_places(flight)
+
+    def _waits_for_another(self, flight: Flight) -> bool:
+        shown = self._flight
+        if shown is None or shown.robot == flight.robot:
+            return False
+        return bool(flight.time_s[-1] < shown.time_s[-1] + FOLLOW_S)
+
+    def _begin(self, flight: Flight) -> None:
+        if not self._begun:
+            self._begun = True
+            self._draw_once()
+        before, self._flight = self._flight, flight
+        self._drawn = 0
+        if before is not None and (before.robot, before.path) == (flight.robot, flight.path):
+            # What is flown, or sent, again replaces what was.
+            others = [f for f in (*self._earlier, before) if f.label != flight.label]
+            self._earlier = others[-EARLIER_MAX:]
+        else:
+            self._earlier, self._longest, self._axes = [], np.empty((0, 2)), None
+        self._stream.set_time("t", duration=flight.time_s[0])
+        try:
+            self._draw_earlier()
+            for what in ("actual", "places", "taken_back"):
+                self._stream.log(f"{METRES}/{what}", rr.Clear(recursive=False))
+        finally:
+            self._stream.reset_time()
+
+    def _draw_once(self) -> None:
+        """Put the parts on top of one another in a fixed order."""
+        for order, part in enumerate(("earlier", "desired", "actual", "trail"), start=40):
+            self._stream.log(
+                f"{METRES}/{part}", rr.LineStrips2D.from_fields(draw_order=order), static=True
+            )
+        for order, part in enumerate(("trail", "places"), start=60):
+            self._stream.log(
+                f"{METRES}/{part}", rr.Points2D.from_fields(draw_order=order), static=True
+            )
+
+    def _draw_path(self, flight: Flight) -> None:
+        """Draw the path as far as any of its flights came, and axes that fit it."""
+        if len(flight.desired) <= len(self._longest):
+            return
+        self._longest = flight.desired[:, :2]
+        axes = axes_around(self._longest)
+        self._stream.set_time("t", duration=flight.time_s[-1])
+        try:
+            self._stream.log(
+                f"{METRES}/desired",
+                lines_2d([thinned(self._longest, BODY_POINTS)], [WANTED], 0.5),
+            )
+            if axes != self._axes:
+                self._axes = axes
+                draw_axes(self._stream, axes, flight.axes[:2], flight.unit)
+        finally:
+            self._stream.reset_time()
+
+    def _draw_trail(self, flight: Flight, frames: list[int]) -> None:
+        """Draw the recent past up to each frame, and the robot."""
+        if not frames:
+            return
+        colour = self._palette.of_prior(flight.prior)
+        trails = []
+        for frame in frames:
+            begin = flight.at(flight.time_s[frame] - TRAIL_S)
+            trails.append(thinned(flight.actual[begin : frame + 1, :2], TRAIL_POINTS))
+        self._stream.send_columns(
+            f"{METRES}/trail",
+            indexes=[rr.TimeColumn("t", duration=flight.time_s[frames])],
+            columns=[
+                *rr.LineStrips2D.columns(
+                    strips=trails,
+                    colors=[colour] * len(frames),
+                    radii=screen_points(*[1.8] * len(frames)),
+                ),
+                *rr.Points2D.columns(
+                    positions=flight.actual[frames, :2],
+                    colors=[colour] * len(frames),
+                    radii=screen_points(*[5.0] * len(frames)),
+                ),
+            ],
+        )
+
+    def _draw_body(self, flight: Flight, frames: list[int]) -> None:
+        if not frames:
+            return
+        colour = subdued(self._palette.of_prior(flight.prior), BODY)
+        self._stream.send_columns(
+            f"{METRES}/actual",
+            indexes=[rr.TimeColumn("t", duration=flight.time_s[frames])],
+            columns=rr.LineStrips2D.columns(
+                strips=[thinned(flight.actual[: frame + 1, :2], BODY_POINTS) for frame in frames],
+                colors=[colour] * len(frames),
+                radii=screen_points(*[1.2] * len(frames)),
+            ),
+        )
+
+    def _draw_earlier(self) -> None:
+        """Draw what flew before, the better over the worse."""
+        flights = sorted(self._earlier, key=lambda flight: -flight.rms_error)
+        self._stream.log(
+            f"{METRES}/earlier",
+            lines_2d(
+                [thinned(flight.actual[:, :2], BODY_POINTS) for flight in flights],
+                [subdued(self._palette.of_prior(flight.prior), EARLIER) for flight in flights],
+                0.6,
+            ),
+        )
+
+    def _draw_places(self, flight: Flight) -> None:
+        """Draw a ring where a prior was taken back; the one of this flight gets a label."""
+        taken = [f for f in (*self._earlier, flight) if f.taken_back_s is not None]
+        if not taken:
+            return
+        colours = [self._palette.of_prior(f.prior) for f in taken]
+        dim = [
+            c if f is flight else subdued(c, EARLIER) for c, f in zip(colours, taken, strict=True)
+        ]
+        places = np.array([f.actual[f.at(f.taken_back_s or 0.0), :2] for f in taken])
+        self._stream.set_time("t", duration=flight.time_s[-1])
+        try:
+            self._stream.log(
+                f"{METRES}/places",
+                rr.Points2D(
+                    np.concatenate([places, places]),
+                    colors=[*dim, *[GROUND] * len(taken)],
+                    radii=screen_points(*[6.0] * len(taken), *[3.5] * len(taken)),
+                ),
+            )
+            if flight.taken_back_s is not None:
+                self._stream.log(
+                    f"{METRES}/taken_back",
+                    labels_2d(places[-1:], ["prior taken back"], colours[-1:]),
+                )
+        finally:
+            self._stream.reset_time()
+
+    def _whole(self, flight: Flight) -> bool:
+        """Whether a flight went as far along the path as any before it."""
+        lengths = [len(earlier.time_s) for earlier in self._earlier]
+        return bool(lengths) and len(flight.time_s) >= max(lengths)
+
+    def _draw_names(self, flight: Flight) -> None:
+        """Name the flights at the right, the better the higher, the one in progress below."""
+        done = sorted(self._earlier, key=lambda f: f.rms_error)
+        whole = self._whole(flight)
+        if whole:
+            done = sorted([*done, flight], key=lambda f: f.rms_error)
+        rows: list[tuple[str, Colour]] = [
+            (flight.path, TEXT),
+            (f"RMS error [m{flight.unit}]", TEXT),
+            *((_result(f), self._palette.of_prior(f.prior)) for f in done),
+        ]
+        if not whole:
+            rows.append((_result(flight, " so far"), self._palette.of_prior(flight.prior)))
+        places = [[WIDTH + 26.0, 8.0 * k] for k in range(len(rows))]
+        self._stream.set_time("t", duration=flight.time_s[-1])
+        try:
+            self._stream.log(
+                f"{PLOT}/names",
+                labels_2d(places, [text for text, _ in rows], [colour for _, colour in rows]),
+            )
+        finally:
+            self._stream.reset_time()
+
+
+def _result(flight: Flight, so_far: str = "") -> str:
+    taken_back = "" if flight.taken_back_s is None else ", taken back"
+    return f"{flight.prior}  {flight.rms_error * 1e3:.1f}{so_far}{taken_back}"
+
+
+def _frames(time_s: FloatArray, first: int, every_s: float, *, and_last: bool) -> list[int]:
+    """Return the samples from `first` on at which a new frame begins."""
+    frame = np.floor((time_s - time_s[0]) / every_s + 1e-9)
+    new = np.flatnonzero(np.diff(frame, prepend=0.0) > 0)
+    frames = [int(k) for k in new if k >= first]
+    if and_last and len(time_s) - 1 not in frames and len(time_s) > first:
+        frames.append(len(time_s) - 1)
+    return frames

@@ -1,0 +1,180 @@
+"""Draws a flight over time: error, what the inverse model says, its share. Imports Rerun."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from nufleet.orchestrator.viewer.draw.outline import outline
+from nufleet.orchestrator.viewer.draw.palette import ALARM, REFERENCE, Palette
+from nufleet.orchestrator.viewer.events import TrackingSamplesEvent
+from nufleet.orchestrator.viewer.flights import Flight
+from nufleet.shared.arrays import FloatArray
+
+POINTS_PER_S = 40.0
+"""Points drawn of one second of a signal; its view shows a minute or two."""
+
+BAND_DEVIATIONS = 2.0
+"""Rerun draws one standard deviation around a measurement; it is told so many of them."""
+
+
+class Signals:
+    """Time series whose colours say who gave the prior; between flights the lines are broken."""
+
+    def __init__(self, stream: rr.RecordingStream, palette: Palette) -> None:
+        self._stream = stream
+        self._palette = palette
+        self._styled: set[str] = set()
+        self._open: dict[str, set[str]] = {}
+        self._marked: dict[str, float] = {}
+
+    def draw(self, flight: Flight) -> None:
+        """Draw what is new of a flight, one message for each signal."""
+        new, flight.new = flight.new, []
+        if new:
+            time_s = flight.time_s[-sum(len(event.actual) for event in new) :]
+            self._draw_error(flight, time_s, new)
+            if len(flight.axes) == 1:
+                self._draw_position(flight, time_s, new)
+            # Where no inverse is at work, there is nothing to say of one.
+            if any(event.variance.any() for event in new):
+                self._draw_inverse(flight, time_s, new)
+                self._draw_share(flight, time_s, new)
+        self._mark(flight)
+
+    def end(self, flight: Flight) -> None:
+        """Break the lines of a flight, so that the next one's are not joined to them."""
+        after_s = float(flight.time_s[-1]) + flight.sample_time_s / 2
+        for path in sorted(self._open.pop(flight.robot, set())):
+            self._stream.send_columns(
+                path,
+                indexes=[rr.TimeColumn("t", duration=[after_s])],
+                columns=rr.Clear.columns(is_recursive=[False]),
+            )
+
+    def _draw_error(
+        self, flight: Flight, time_s: FloatArray, new: list[TrackingSamplesEvent]
+    ) -> None:
+        error = 1e3 * np.linalg.norm(_joined(new, "actual") - _joined(new, "desired"), axis=1)
+        # By prior and not only by colour, so that the viewer can name the lines.
+        path = f"tracking/error/{flight.robot}/{flight.prior}"
+        self._line(flight, path, f"{flight.prior} [m{flight.unit}]", 1.5)
+        self._send(path, time_s, error, _kept(error, flight))
+
+    def _draw_position(
+        self, flight: Flight, time_s: FloatArray, new: list[TrackingSamplesEvent]
+    ) -> None:
+        for signal, width in (("desired", 1.0), ("actual", 1.5)):
+            path = f"tracking/{signal}/{flight.robot}"
+            values = _joined(new, signal)[:, 0]
+            grey = signal == "desired"
+            self._line(flight, path, f"{signal} [{flight.unit}]", width, grey=grey)
+            self._send(path, time_s, values, _kept(values, flight))
+
+    def _draw_inverse(
+        self, flight: Flight, time_s: FloatArray, new: list[TrackingSamplesEvent]
+    ) -> None:
+        prior, mean, variance = (_joined(new, name) for name in ("prior", "mean", "variance"))
+        for column, axis in enumerate(flight.axes):
+            path = f"tracking/prior/{axis}/{flight.robot}"
+            self._line(flight, path, f"prior {axis} [{flight.unit}/s]", 1.0, grey=True)
+            self._send(path, time_s, prior[:, column], _kept(prior[:, column], flight))
+            path = f"tracking/gp/{axis}/{flight.robot}"
+            kept = _kept(mean[:, column], flight)
+            first = self._opened(flight, path)
+            self._stream.send_columns(
+                path,
+                indexes=[rr.TimeColumn("t", duration=time_s[kept])],
+                columns=rr.Measurements.columns(
+                    values=mean[kept, column],
+                    variances=BAND_DEVIATIONS**2 * variance[kept, column],
+                ),
+            )
+            if first:
+                self._stream.send_columns(
+                    path,
+                    indexes=[rr.TimeColumn("t", duration=[flight.time_s[0]])],
+                    columns=rr.Measurements.columns(
+                        colors=[self._palette.of_prior(flight.prior)],
+                        widths=[1.5],
+                        names=[f"GP {axis} ± 2σ [{flight.unit}/s]"],
+                    ),
+                )
+
+    def _draw_share(
+        self, flight: Flight, time_s: FloatArray, new: list[TrackingSamplesEvent]
+    ) -> None:
+        share = np.concatenate([event.share for event in new])
+        path = f"tracking/share/{flight.robot}"
+        self._line(flight, path, "share", 1.5)
+        change = np.flatnonzero(np.diff(share))
+        kept = np.unique(np.concatenate([[0, len(share) - 1], change, change + 1]))
+        self._send(path, time_s, share, kept)
+
+    def _mark(self, flight: Flight) -> None:
+        """Mark where the guard took the prior back, once the samples have come."""
+        at_s = flight.taken_back_s
+        if at_s is None or at_s > flight.time_s[-1] or self._marked.get(flight.robot) == at_s:
+            return
+        self._marked[flight.robot] = at_s
+        k = flight.at(at_s)
+        error = 1e3 * float(np.linalg.norm(flight.actual[k] - flight.desired[k]))
+        for signal, value in (("error", error), ("share", 1.0)):
+            path = f"tracking/taken_back/{signal}/{flight.robot}"
+            if path not in self._styled:
+                self._styled.add(path)
+                style = rr.SeriesPoints(
+                    colors=[ALARM], markers=["cross"], marker_sizes=[5.0], names=["taken back"]
+                )
+                self._stream.log(path, style, static=True)
+            self._send(path, flight.time_s[k : k + 1], np.array([value]), np.array([0]))
+
+    def _line(
+        self, flight: Flight, path: str, name: str, width: float, *, grey: bool = False
+    ) -> None:
+        """Give a line its style, and its colour for this flight."""
+        if path not in self._styled:
+            self._styled.add(path)
+            style = rr.SeriesLines.from_fields(
+                names=[name],
+                widths=[width],
+                aggregation_policy=rr.components.AggregationPolicy.Off,
+            )
+            self._stream.log(path, style, static=True)
+        if self._opened(flight, path):
+            self._stream.send_columns(
+                path,
+                indexes=[rr.TimeColumn("t", duration=[flight.time_s[0]])],
+                columns=rr.SeriesLines.columns(
+                    colors=[REFERENCE if grey else self._palette.of_prior(flight.prior)]
+                ),
+            )
+
+    def _opened(self, flight: Flight, path: str) -> bool:
+        """Whether this is the first that is drawn of a signal of this flight."""
+        paths = self._open.setdefault(flight.robot, set())
+        if path in paths:
+            return False
+        paths.add(path)
+        return True
+
+    def _send(
+        self, path: str, time_s: FloatArray, values: FloatArray, kept: NDArray[np.intp]
+    ) -> None:
+        self._stream.send_columns(
+            path,
+            indexes=[rr.TimeColumn("t", duration=time_s[kept])],
+            columns=rr.Scalars.columns(scalars=values[kept]),
+        )
+
+
+def _joined(events: list[TrackingSamplesEvent], name: str) -> FloatArray:
+    return np.concatenate([getattr(event, name) for event in events])
+
+
+def _kept(values: FloatArray, flight: Flight) -> NDArray[np.intp]:
+    seconds = len(values) * flight.sample_time_s
+    return outline(values, 2 * math.ceil(seconds * POINTS_PER_S / 2))

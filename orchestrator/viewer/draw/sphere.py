@@ -1,0 +1,172 @@
+"""Draws the responses on the Riemann sphere, with the chords whose lengths are ψ. Imports Rerun."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+
+from nufleet.orchestrator.viewer.draw.leaders import leading_sources, responses_at, telling_tone
+from nufleet.orchestrator.viewer.draw.marks import labels_3d, lines_3d, screen_points
+from nufleet.orchestrator.viewer.draw.palette import GRID, QUIET, TEXT, Colour, Palette
+from nufleet.orchestrator.viewer.events import IterationEvent
+from nufleet.shared.arrays import ComplexArray, FloatArray
+from nufleet.shared.distance.chordal import chordal_distance, riemann_sphere
+
+CENTRE = np.array([0.0, 0.0, 0.5])
+
+GAINS = (0.2, 0.5, 2.0, 5.0)
+"""Circles of latitude of the grid besides |z| = 1: responses of equal gain."""
+
+PHASES = 12
+"""Meridians of the grid: responses of equal phase."""
+
+EYE = (0.5, -1.25, 0.85)
+"""Where the view looks from at first: over the responses, whose phases are mostly lags."""
+
+LABELS_HIGH, LABELS_LOW, LABEL_GAP = 0.32, -0.04, 0.06
+"""Where the chords' labels begin, above or below the sources, and how far apart they stand."""
+
+
+class Sphere:
+    """The sphere (radius ½, standing on the plane at z = 0), the robots on it and the chords.
+
+    A round is drawn at its most telling tone; behind it the responses of all rounds, joined in
+    the order of frequency, show each robot's whole frequency response as far as it is known.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, palette: Palette) -> None:
+        self._stream = stream
+        self._palette = palette
+        self._points: set[str] = set()
+        self._chords: set[str] = set()
+        self._known: dict[str, dict[float, complex]] = {}
+
+    def begin(self) -> None:
+        """Draw the sphere itself."""
+        self._stream.log(
+            "sphere/grid",
+            lines_3d(_grid(), [GRID], 0.6),
+            static=True,
+        )
+        around = np.exp(1j * np.linspace(-np.pi, np.pi, 181))
+        self._stream.log(
+            "sphere/unit_gain",
+            lines_3d([riemann_sphere(around)], [QUIET], 1.0),
+            static=True,
+        )
+        body = _body()
+        self._stream.log(
+            "sphere/body",
+            rr.Mesh3D(
+                vertex_positions=body[0],
+                triangle_indices=body[1],
+                albedo_factor=[120, 140, 180, 16],
+            ),
+            static=True,
+        )
+        marks = {"0°": 1.0, "−90°": -1j, "±180°": -1.0, "90°": 1j}
+        places = [CENTRE + 1.07 * (riemann_sphere(np.array(z)) - CENTRE) for z in marks.values()]
+        self._stream.log(
+            "sphere/phases",
+            labels_3d([*places, [0, 0, -0.04], [0, 0, 1.04]], [*marks, "z = 0", "z = ∞"], [TEXT]),
+            static=True,
+        )
+
+    def draw(self, event: IterationEvent) -> None:
+        """Draw one round; the time is set."""
+        for robot, tones in event.responses.items():
+            self._known.setdefault(robot, {}).update(zip(event.omega_rad_s, tones, strict=False))
+        leaders = leading_sources(event)
+        now = {r: np.array(z) for r, z in responses_at(event, telling_tone(event)).items()}
+        for robot, z in now.items():
+            in_full = robot == event.target or robot in leaders
+            self._draw_robot(robot, z, self._palette.of(robot) if in_full else QUIET)
+        self._clear("points", self._points - now.keys())
+        self._points = set(now)
+        chords = [s for s in leaders if s in now] if event.target in now else []
+        if chords:
+            self._draw_chords(chords, np.array([now[s] for s in chords]), now[event.target])
+        self._clear("chords", self._chords - set(chords))
+        self._chords = set(chords)
+
+    def _draw_robot(self, robot: str, z: ComplexArray, colour: Colour) -> None:
+        self._stream.log(
+            f"sphere/points/{robot}",
+            rr.Points3D(
+                [riemann_sphere(z)],
+                colors=[colour],
+                radii=screen_points(4.0 if colour != QUIET else 2.5),
+                labels=[robot],
+                show_labels=False,
+            ),
+        )
+        known = self._known[robot]
+        path = np.array([known[omega] for omega in sorted(known)])
+        self._stream.log(
+            f"sphere/response/{robot}",
+            lines_3d([riemann_sphere(_refined(path))], [colour], 0.8),
+        )
+
+    def _draw_chords(self, sources: list[str], z: ComplexArray, target: ComplexArray) -> None:
+        start, ends = riemann_sphere(target), riemann_sphere(z)
+        labels = _label_column(ends)
+        for source, end, label, psi in zip(
+            sources, ends, labels, chordal_distance(z, target), strict=True
+        ):
+            colour = self._palette.of(source)
+            self._stream.log(
+                f"sphere/chords/{source}",
+                lines_3d([[start, end], [end, label]], [colour], 2.0, 0.5),
+                labels_3d([label], [f"{source}  ψ = {psi:.3f}"], [colour]),
+            )
+
+    def _clear(self, what: str, robots: set[str]) -> None:
+        for robot in robots:
+            self._stream.log(f"sphere/{what}/{robot}", rr.Clear(recursive=False))
+
+
+def _label_column(sources: FloatArray) -> FloatArray:
+    """Return places for labels before the sphere, one below the other, in the sources' order.
+
+    Labels at the chords themselves would cover one another, and what they name.
+    """
+    forward = (np.array(EYE) - CENTRE) / np.linalg.norm(np.array(EYE) - CENTRE)
+    right = np.cross([0.0, 0.0, 1.0], forward) / np.hypot(*forward[:2])
+    up = np.cross(forward, right)
+    height = (sources - CENTRE) @ up
+    rank = np.argsort(np.argsort(-height, kind="stable"))
+    top = LABELS_HIGH if height.mean() < 0 else LABELS_LOW
+    return np.asarray(
+        CENTRE + 0.5 * forward - 0.12 * right + (top - LABEL_GAP * rank[:, None]) * up
+    )
+
+
+def _refined(path: ComplexArray) -> ComplexArray:
+    """Put points between those of a path, so that it follows the sphere instead of cutting it."""
+    places = np.linspace(0, len(path) - 1, 12 * (len(path) - 1) + 1)
+    return np.asarray(np.interp(places, np.arange(len(path)), path), dtype=np.complex128)
+
+
+def _grid() -> list[FloatArray]:
+    around = np.linspace(-np.pi, np.pi, 97)
+    latitudes = [riemann_sphere(gain * np.exp(1j * around)) for gain in GAINS]
+    gains = np.tan(np.linspace(0, np.pi / 2, 49)[:-1])
+    phases = np.arange(PHASES) * 2 * np.pi / PHASES
+    return latitudes + [riemann_sphere(gains * np.exp(1j * phase)) for phase in phases]
+
+
+def _body() -> tuple[FloatArray, FloatArray]:
+    """Vertices and triangles of the sphere, a little inside its grid."""
+    rows, columns = 24, 48
+    height = np.linspace(0, np.pi, rows + 1)[:, None]
+    turn = np.linspace(0, 2 * np.pi, columns + 1)[None, :]
+    unit = np.stack(
+        [np.sin(height) * np.cos(turn), np.sin(height) * np.sin(turn), np.cos(height) + 0 * turn],
+        axis=-1,
+    )
+    corner = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).ravel()
+    below = corner + columns + 1
+    triangles = np.concatenate(
+        [np.stack([corner, corner + 1, below], 1), np.stack([corner + 1, below + 1, below], 1)]
+    )
+    return CENTRE + 0.497 * unit.reshape(-1, 3), triangles

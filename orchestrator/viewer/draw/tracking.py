@@ -1,0 +1,77 @@
+"""Draws flights along paths: where the robot goes and what its model does. Imports Rerun."""
+
+from __future__ import annotations
+
+import rerun as rr
+
+from nufleet.orchestrator.viewer.draw.palette import Palette
+from nufleet.orchestrator.viewer.draw.paths import Paths
+from nufleet.orchestrator.viewer.draw.signals import Signals
+from nufleet.orchestrator.viewer.events import TakenBackEvent, TrackingSamplesEvent
+from nufleet.orchestrator.viewer.flights import Flight, Outcomes
+from nufleet.orchestrator.viewer.shown import Shown
+
+TABLE_EVERY_S = 1.0
+"""How often the table of errors is written, in the time of the flights."""
+
+
+class Tracking:
+    """The flights of a robot one after another, or of several robots."""
+
+    def __init__(self, stream: rr.RecordingStream, palette: Palette, shown: Shown) -> None:
+        self._stream = stream
+        self._shown = shown
+        self._paths = Paths(stream, palette)
+        self._signals = Signals(stream, palette)
+        self._outcomes = Outcomes()
+        self._tabled_s: float | None = None
+        self._waiting: list[TrackingSamplesEvent | TakenBackEvent] = []
+        self._flights: dict[str, Flight] = {}
+
+    def add(self, event: TrackingSamplesEvent | TakenBackEvent) -> None:
+        """Keep a part of a flight, or the guard's event, for the next `draw`."""
+        self._waiting.append(event)
+
+    def draw(self) -> None:
+        """Draw what was kept, one message for each signal of each flight."""
+        waiting, self._waiting = self._waiting, []
+        for event in waiting:
+            if isinstance(event, TakenBackEvent):
+                flight = self._flights.get(event.robot)
+                if flight is not None and flight.label == event.flight:
+                    flight.taken_back_s = event.t_s
+            elif len(event.actual):
+                self._take(event)
+        for robot in {event.robot: None for event in waiting if event.robot in self._flights}:
+            self._draw_new(self._flights[robot])
+
+    def _take(self, event: TrackingSamplesEvent) -> None:
+        flight = self._flights.get(event.robot)
+        if flight is not None and flight.continued_by(event):
+            flight.add(event)
+            return
+        if flight is not None:
+            self._draw_new(flight)
+            self._signals.end(flight)
+            self._table(flight)
+        self._shown.tracking(event.axes, event.unit, event.t_s)
+        self._flights[event.robot] = Flight.begun_by(event)
+
+    def _draw_new(self, flight: Flight) -> None:
+        if len(flight.axes) > 1:
+            self._paths.draw(flight)
+        self._signals.draw(flight)
+        now_s = float(flight.time_s[-1])
+        if self._tabled_s is None or abs(now_s - self._tabled_s) >= TABLE_EVERY_S:
+            self._table(flight)
+
+    def _table(self, flight: Flight) -> None:
+        self._tabled_s = float(flight.time_s[-1])
+        self._outcomes.note(flight)
+        self._stream.send_columns(
+            "tracking/flights",
+            indexes=[rr.TimeColumn("t", duration=[self._tabled_s])],
+            columns=rr.TextDocument.columns(
+                text=[self._outcomes.table()], media_type=[rr.MediaType.MARKDOWN]
+            ),
+        )

@@ -1,0 +1,107 @@
+"""Shows flights along paths as they happen: turns samples into a viewer's events."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.flights.pilot import PathFlight
+from nufleet.orchestrator.viewer.clock import ViewerClock
+from nufleet.orchestrator.viewer.events import (
+    MessageEvent,
+    TakenBackEvent,
+    TrackingSamplesEvent,
+    ViewerEvent,
+)
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.wire.messages import TrackingTelemetry
+from nufleet.shared.wire.motions import TrackingDetails
+
+
+@dataclass(frozen=True)
+class _Current:
+    """The flight that is drawn, and when it began; its goal is known from its first samples."""
+
+    robot: str
+    label: str
+    spec: RobotSpec
+    began_s: float
+    goal_id: str | None = None
+
+
+class PathView:
+    """Draws one flight after another; `emit` must never block or raise."""
+
+    def __init__(self, clock: ViewerClock, emit: Callable[[ViewerEvent], None]) -> None:
+        self._clock, self._emit = clock, emit
+        self._lock = threading.Lock()
+        self._current: _Current | None = None
+        self._drawn = 0
+
+    def watch(self, fleet: Fleet) -> None:
+        """Draw what robots stream from now on."""
+        fleet.observe_tracking(self._on_telemetry)
+
+    def begins(self, robot: str, label: str, spec: RobotSpec) -> None:
+        """Say that a robot begins a flight; `label` tells it from others."""
+        with self._lock:
+            self._current = _Current(robot, label, spec, self._clock.now_s())
+            self._drawn = 0
+
+    def ended(self, flight: PathFlight) -> None:
+        """Draw the flight whole if not all of it arrived while it was flown, and how it ended."""
+        with self._lock:
+            current, drawn = self._current, self._drawn
+            self._current = None
+        if current is None:
+            return
+        samples, step_s, details = len(flight.actual), flight.sample_time_s, flight.details
+        if drawn < samples:
+            self._emit(_event(current, 0, step_s, details, flight.actual))
+        if details.taken_back is not None:
+            taken_s = current.began_s + details.taken_back.sample * step_s
+            reason = details.taken_back.reason
+            self._emit(TakenBackEvent(taken_s, current.robot, current.label, reason))
+        end_s = current.began_s + samples * step_s
+        if flight.failure is not None:
+            self._emit(MessageEvent(end_s, "error", f"{current.label}: {flight.failure}"))
+        self._clock.advance_to(end_s + 1.0)
+
+    def _on_telemetry(self, robot: str, telemetry: TrackingTelemetry) -> None:
+        with self._lock:
+            current = self._current
+            if current is None or robot != current.robot:
+                return
+            if current.goal_id is None and telemetry.first_sample == 0:
+                current = self._current = replace(current, goal_id=telemetry.goal_id)
+            if telemetry.goal_id != current.goal_id:
+                return  # late, of a flight before this one
+            self._drawn += len(telemetry.desired)
+        step_s = telemetry.sample_time_s
+        self._emit(_event(current, telemetry.first_sample, step_s, telemetry, telemetry.actual))
+
+
+def _event(
+    current: _Current,
+    first_sample: int,
+    sample_time_s: float,
+    signals: TrackingTelemetry | TrackingDetails,
+    actual: FloatArray,
+) -> TrackingSamplesEvent:
+    return TrackingSamplesEvent(
+        t_s=current.began_s + first_sample * sample_time_s,
+        robot=current.robot,
+        flight=current.label,
+        axes=tuple(axis.name for axis in current.spec.axes),
+        unit=current.spec.axes[0].unit,
+        sample_time_s=sample_time_s,
+        desired=signals.desired,
+        actual=actual,
+        prior=signals.prior,
+        mean=signals.mean,
+        variance=signals.variance,
+        share=signals.share,
+    )

@@ -1,0 +1,239 @@
+"""Which views a recording opens with, for studies and for flights along paths."""
+
+from __future__ import annotations
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from nufleet.orchestrator.viewer.draw.axes import HEIGHT, WIDTH
+from nufleet.orchestrator.viewer.draw.differences import RADIUS
+from nufleet.orchestrator.viewer.draw.palette import GROUND
+from nufleet.orchestrator.viewer.draw.path_axes import PLOT
+from nufleet.orchestrator.viewer.draw.sphere import EYE
+from nufleet.orchestrator.viewer.draw.surrogates import CAMERA, FULL_PARTS
+from nufleet.orchestrator.viewer.shown import COMPARED_S, Kind, Shown
+
+MODEL_WINDOW_S = 30.0
+"""How much of the latest flights the views of the inverse model show."""
+
+AXES_BESIDE_MAX = 3
+"""Inverse models of more axes than this are shown one at a time."""
+
+TESTS_WINDOW_S = 20.0
+"""How much of the latest tests is shown; zoom out for the rest."""
+
+EVERYTHING = rr.TimeRange(
+    start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
+)
+
+
+def tracking(shown: Shown, log: rrb.View) -> rrb.Container:
+    """Return the views: at the left how well it goes, at the right what the inverse model does."""
+    places = [_paths()] if shown.in_plane else []
+    places += [_position(shown)] if shown.on_line else []
+    inverse: list[rrb.View | rrb.Container] = [_inverse(axis, shown.unit) for axis in shown.axes]
+    if len(inverse) > AXES_BESIDE_MAX:
+        inverse = [rrb.Tabs(*inverse)]
+    return rrb.Horizontal(
+        rrb.Vertical(*places, _error(shown), row_shares=[*[64 / len(places)] * len(places), 36]),
+        rrb.Vertical(
+            *inverse,
+            _share(),
+            _flights(),
+            log,
+            row_shares=[*[52 / len(inverse)] * len(inverse), 11, 20, 17],
+        ),
+        column_shares=[50, 50],
+        name="Tracking",
+    )
+
+
+def _paths() -> rrb.View:
+    return rrb.Spatial2DView(
+        origin=f"/{PLOT}",
+        name="Path: wanted (thin), flown now (bright) and before",
+        background=GROUND,
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=[-16.0, WIDTH + 58.0], y_range=[-14.0, HEIGHT + 20.0]
+        ),
+    )
+
+
+def _position(shown: Shown) -> rrb.View:
+    return _series(
+        f"Position [{shown.unit}]: wanted (grey) and flown",
+        "/tracking",
+        ["/tracking/desired/**", "/tracking/actual/**"],
+    )
+
+
+def _error(shown: Shown) -> rrb.View:
+    return _series(
+        f"Tracking error |e| [m{shown.unit}], by who gave the prior",
+        "/tracking/error",
+        ["/tracking/error/**", "/tracking/taken_back/error/**"],
+        # Beside the paths stand the names in their colours.
+        legend=not shown.in_plane,
+        # All flights while they are few, then the latest: empty space says nothing.
+        start=(
+            rr.TimeRangeBoundary.cursor_relative(seconds=-COMPARED_S)
+            if shown.long
+            else rr.TimeRangeBoundary.absolute(seconds=shown.since_s)
+        ),
+    )
+
+
+def _inverse(axis: str, unit: str) -> rrb.View:
+    return _series(
+        f"Inverse model, {axis} [{unit}/s]: prior (grey) and online GP ± 2σ",
+        "/tracking",
+        [f"/tracking/prior/{axis}/**", f"/tracking/gp/{axis}/**"],
+    )
+
+
+def _share() -> rrb.View:
+    return _series(
+        "Share of the correction that acts (× the guard took the prior back)",
+        "/tracking/share",
+        ["/tracking/share/**", "/tracking/taken_back/share/**"],
+        axis_y=rrb.ScalarAxis(range=(-0.1, 1.1), zoom_lock=True),
+    )
+
+
+def _flights() -> rrb.View:
+    return rrb.TextDocumentView(origin="/tracking/flights", name="Flights")
+
+
+def _series(
+    name: str,
+    origin: str,
+    contents: list[str],
+    *,
+    legend: bool = False,
+    start: rr.TimeRangeBoundary | None = None,
+    axis_y: rrb.ScalarAxis | None = None,
+) -> rrb.View:
+    if start is None:
+        start = rr.TimeRangeBoundary.cursor_relative(seconds=-MODEL_WINDOW_S)
+    end = rr.TimeRangeBoundary.cursor_relative()
+    return rrb.TimeSeriesView(
+        origin=origin,
+        contents=contents,
+        name=name,
+        axis_x=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
+        axis_y=axis_y,
+        plot_legend=rrb.PlotLegend(visible=legend),
+        background=rrb.archetypes.PlotBackground(color=GROUND),
+        time_ranges=rrb.VisibleTimeRange("t", start=start, end=end),
+    )
+
+
+def layout(shown: Shown) -> rrb.Blueprint:
+    """Return the layout, for any fleet: a study, flights, or both as tabs, the latest in front."""
+    parts: dict[Kind, rrb.Container] = {}
+    if "ranking" in shown.kinds:
+        parts["ranking"] = _study()
+    if "tracking" in shown.kinds:
+        parts["tracking"] = tracking(shown, _log())
+    in_front = list(parts).index(shown.kinds[-1])
+    return rrb.Blueprint(
+        rrb.Tabs(*parts.values(), active_tab=in_front) if len(parts) > 1 else parts[shown.kinds[0]],
+        rrb.TimePanel(state="collapsed", timeline="t", play_state="following"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+        auto_views=False,
+    )
+
+
+def _study() -> rrb.Container:
+    """From left to right where, how far, and what happens."""
+    return rrb.Horizontal(
+        rrb.Vertical(_sphere(), _differences(), row_shares=[1, 1]),
+        rrb.Vertical(_surrogates(), _estimates(), row_shares=[6, 4]),
+        rrb.Vertical(_ranking(), _tests(), _robots(), _log(), row_shares=[28, 26, 24, 22]),
+        column_shares=[30, 42, 34],
+        name="Ranking",
+    )
+
+
+def _sphere() -> rrb.View:
+    return rrb.Spatial3DView(
+        origin="/sphere",
+        name="Responses on the Riemann sphere",
+        background=GROUND,
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            kind=rrb.Eye3DKind.Orbital,
+            position=EYE,
+            look_target=[0.0, 0.0, 0.47],
+            eye_up=[0.0, 0.0, 1.0],
+        ),
+    )
+
+
+def _differences() -> rrb.View:
+    return rrb.Spatial2DView(
+        origin="/difference",
+        name="Sources around the target, at the latest frequency",
+        background=GROUND,
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=[-RADIUS * 1.25, RADIUS * 2.2], y_range=[-RADIUS * 1.15, RADIUS * 1.15]
+        ),
+    )
+
+
+def _surrogates() -> rrb.View:
+    return rrb.Spatial2DView(
+        origin=f"/{CAMERA}",
+        contents=[f"/{part}/**" for part in (CAMERA, "psi/mean", *FULL_PARTS)],
+        name="Chordal distance ψ(ω) to the target: belief ± 1σ, 2σ and tests",
+        background=GROUND,
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=[-16.0, WIDTH + 40.0], y_range=[-12.0, HEIGHT + 20.0]
+        ),
+    )
+
+
+def _estimates() -> rrb.View:
+    return rrb.TimeSeriesView(
+        origin="/psi/worst",
+        name="Worst ψ over the band, as believed after each round (± 1σ)",
+        axis_x=rrb.TimeAxis(view_range=EVERYTHING),
+        plot_legend=rrb.PlotLegend(visible=False),
+        background=rrb.archetypes.PlotBackground(color=GROUND),
+    )
+
+
+def _ranking() -> rrb.View:
+    return rrb.TextDocumentView(origin="/ranking", name="Ranking")
+
+
+def _tests() -> rrb.View:
+    return rrb.TimeSeriesView(
+        origin="/tests",
+        name="Running tests: references (grey) and responses",
+        plot_legend=rrb.PlotLegend(visible=False),
+        background=rrb.archetypes.PlotBackground(color=GROUND),
+        time_ranges=rrb.VisibleTimeRange(
+            "t",
+            start=rr.TimeRangeBoundary.cursor_relative(seconds=-TESTS_WINDOW_S),
+            end=rr.TimeRangeBoundary.cursor_relative(),
+        ),
+    )
+
+
+def _robots() -> rrb.View:
+    return rrb.StateTimelineView(
+        origin="/state", name="Robots", time_view=rrb.TimeAxis(view_range=EVERYTHING)
+    )
+
+
+def _log() -> rrb.View:
+    return rrb.TextLogView(
+        origin="/log",
+        name="Log",
+        columns=rrb.TextLogColumns(
+            timeline_columns=[rrb.encodings.TimelineColumn("t", visible=False)],
+            text_log_columns=["LogLevel", "Body"],
+        ),
+    )

@@ -1,0 +1,103 @@
+"""A Rerun stream to a file or to the viewers' server, and what is drawn on it. Imports Rerun."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from copy import deepcopy
+from functools import partial
+from pathlib import Path
+
+import rerun as rr
+
+from nufleet.orchestrator.viewer.events import ViewerEvent
+from nufleet.orchestrator.viewer.layout import layout
+from nufleet.orchestrator.viewer.scene import Scene
+from nufleet.orchestrator.viewer.shown import Shown
+from nufleet.shared.errors import InvalidInputError, NufleetError
+
+APPLICATION = "nufleet"
+
+CONNECT_S = 10.0
+
+STUDY = Shown(kinds=["ranking"])
+"""What is expected to come, until something else does."""
+
+log = logging.getLogger(__name__)
+
+
+class RerunSink:
+    """Draws events on one Rerun stream; any call may block for as long as its other end does."""
+
+    def __init__(self, stream: rr.RecordingStream, before_write: Callable[[], None]) -> None:
+        self._stream = stream
+        self._before_write = before_write
+        self._drawing = Scene(stream)
+        self._drawing.begin()
+        self._laid_out = STUDY
+
+    @staticmethod
+    def to_file(run_id: str, path: Path) -> RerunSink:
+        """Write to a file; raises InvalidInputError when that fails."""
+        stream = _stream(run_id)
+        try:
+            stream.set_sinks(rr.FileSink(path), default_blueprint=layout(STUDY))
+            # So a recording that is cut off by a power failure misses a quarter of a second, and
+            # a full disk is noticed: then this raises.
+            sink = RerunSink(stream, stream.flush)
+            stream.flush()
+        except RuntimeError as error:
+            raise InvalidInputError(f"cannot record to {path}: {error}") from error
+        return sink
+
+    @staticmethod
+    def to_server(run_id: str, url: str, alive: Callable[[], bool]) -> RerunSink:
+        """Write to a server; raises NufleetError when it does not answer."""
+
+        def check() -> None:
+            # Rerun itself would drop everything from then on and say nothing.
+            if not alive():
+                raise NufleetError("the viewer's server is gone")
+
+        stream = _stream(run_id)
+        stream.set_sinks(rr.GrpcSink(url), default_blueprint=layout(STUDY))
+        sink = RerunSink(stream, check)
+        try:
+            stream.flush(timeout_sec=CONNECT_S)
+        except RuntimeError as error:
+            raise NufleetError(f"the viewer's server does not answer: {error}") from error
+        return sink
+
+    def write(self, events: Sequence[ViewerEvent]) -> None:
+        """Draw events; raises when the file or the server is gone."""
+        self._before_write()
+        draws: list[Callable[[], None]] = [partial(self._drawing.draw, event) for event in events]
+        for draw in [*draws, *self._drawing.rest]:
+            try:
+                draw()
+            except Exception:
+                # What cannot be drawn must not cost the study the rest of its recording.
+                log.exception("the viewer cannot draw something")
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        """Send the views that what has come needs; the viewer opens what began last."""
+        shown = self._drawing.shown
+        if shown.kinds and shown != self._laid_out:
+            self._laid_out = deepcopy(shown)
+            self._stream.send_blueprint(layout(shown))
+
+    def close(self) -> None:
+        """Hand everything over and let go; a file gets its footer."""
+        try:
+            self._before_write()
+            self._stream.flush()
+        finally:
+            self._stream.disconnect()
+
+
+def _stream(run_id: str) -> rr.RecordingStream:
+    stream = rr.RecordingStream(APPLICATION, recording_id=run_id)
+    # Otherwise whatever is logged without a time gets the wall time instead of being static.
+    stream.set_log_time_enabled(False)
+    return stream

@@ -1,0 +1,91 @@
+"""Draws each kind of event in the views that show it. Imports Rerun."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import rerun as rr
+
+from nufleet.orchestrator.viewer.draw.differences import Differences
+from nufleet.orchestrator.viewer.draw.estimates import Estimates, summary
+from nufleet.orchestrator.viewer.draw.leaders import leading_sources
+from nufleet.orchestrator.viewer.draw.log import Log
+from nufleet.orchestrator.viewer.draw.palette import Palette
+from nufleet.orchestrator.viewer.draw.robots import RobotStates
+from nufleet.orchestrator.viewer.draw.samples import TestSamples
+from nufleet.orchestrator.viewer.draw.sphere import Sphere
+from nufleet.orchestrator.viewer.draw.surrogates import Surrogates
+from nufleet.orchestrator.viewer.draw.tracking import Tracking
+from nufleet.orchestrator.viewer.events import (
+    IterationEvent,
+    MessageEvent,
+    RobotStateEvent,
+    TakenBackEvent,
+    TestSamplesEvent,
+    TrackingSamplesEvent,
+    ViewerEvent,
+)
+from nufleet.orchestrator.viewer.shown import Shown
+
+
+class Scene:
+    """Everything that is drawn of one study on one stream."""
+
+    def __init__(self, stream: rr.RecordingStream) -> None:
+        self._stream = stream
+        self._palette = Palette()
+        self.shown = Shown()
+        self._sphere = Sphere(stream, self._palette)
+        self._differences = Differences(stream, self._palette)
+        self._surrogates = Surrogates(stream, self._palette)
+        self._estimates = Estimates(stream, self._palette)
+        self._log = Log(stream)
+        self._robots = RobotStates(stream, self._log)
+        self._samples = TestSamples(stream, self._palette)
+        self._tracking = Tracking(stream, self._palette, self.shown)
+
+    def begin(self) -> None:
+        """Draw what never changes."""
+        self._sphere.begin()
+        self._surrogates.begin()
+
+    def draw(self, event: ViewerEvent) -> None:
+        """Draw an event, or keep it for the rest of its batch."""
+        match event:
+            case RobotStateEvent():
+                self._robots.add(event)
+            case TestSamplesEvent():
+                self.shown.ranking()
+                self._samples.add(event)
+            case IterationEvent():
+                self.shown.ranking()
+                self._draw_iteration(event)
+            case TrackingSamplesEvent():
+                self._tracking.add(event)
+            case TakenBackEvent():
+                self._tracking.add(event)
+                text = f"{event.flight}: prior taken back: {event.reason}"
+                self._log.say(event.t_s, "warning", text)
+            case MessageEvent():
+                self._log.say(event.t_s, event.level, event.text)
+
+    @property
+    def rest(self) -> tuple[Callable[[], None], ...]:
+        """What draws the events of a batch that were kept to be drawn at once."""
+        return self._robots.draw, self._samples.draw, self._tracking.draw
+
+    def _draw_iteration(self, event: IterationEvent) -> None:
+        leaders = leading_sources(event)
+        self._palette.assign(event.target, sorted(leaders))
+        self._samples.show(event.target, leaders)
+        self._stream.set_time("t", duration=event.t_s)
+        self._stream.set_time("iteration", sequence=event.iteration)
+        try:
+            self._sphere.draw(event)
+            self._differences.draw(event)
+            self._surrogates.draw(event)
+            self._estimates.draw(event)
+        finally:
+            self._stream.reset_time()
+        for text in (summary(event), *event.messages):
+            self._log.say(event.t_s, "info", text)

@@ -1,0 +1,49 @@
+"""Checks that a file can be written and a port listened on, before a study relies on it."""
+
+from __future__ import annotations
+
+import socket
+from pathlib import Path
+
+from nufleet.shared.errors import EndpointInUseError, InvalidInputError
+
+
+def claim_recording(path: Path) -> Path:
+    """Create an empty recording; raises InvalidInputError where it cannot be, or where one is."""
+    try:
+        with path.open("xb"):
+            return path
+    except FileExistsError:
+        raise InvalidInputError(
+            f"{path} exists already; name another file for the recording"
+        ) from None
+    except OSError as error:
+        raise InvalidInputError(
+            f"the recording cannot be written to {path}: {error.strerror}"
+        ) from error
+
+
+def claim_port(bind_ip: str, port: int) -> int:
+    """Return the port to listen on, a free one for 0; raises EndpointInUseError when taken."""
+    family = socket.AF_INET6 if ":" in bind_ip else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((bind_ip, port))
+            probe.listen()
+        except (OSError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
+            raise EndpointInUseError(
+                f"the viewer cannot listen on {bind_ip}:{port}: {reason}; choose another port"
+            ) from error
+        return int(probe.getsockname()[1])
+
+
+def reachable(bind_ip: str) -> str:
+    """Return the address under which this machine reaches what listens on `bind_ip`."""
+    return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(bind_ip, bind_ip)  # noqa: S104 - compared only
+
+
+def host_in_url(ip: str) -> str:
+    """Return an address as URLs write it."""
+    return f"[{ip}]" if ":" in ip else ip

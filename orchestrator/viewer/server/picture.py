@@ -1,0 +1,147 @@
+"""Takes a picture of a recording, without a display."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, TYPE_CHECKING
+
+import numpy as np
+
+from nufleet.orchestrator.viewer.server.claims import claim_port
+from nufleet.orchestrator.viewer.server.open import LOCALHOST, checked_source
+from nufleet.orchestrator.viewer.server.rerun_program import rerun_environment, rerun_program
+from nufleet.shared.errors import InvalidInputError, NufleetError
+
+if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient, ViewerState
+
+TIMEOUT_S = 60.0
+POLL_S = 0.1
+
+NO_GRAPHICS = "No graphics adapter was found"
+"""What the viewer says where no graphics driver is installed."""
+
+
+def screenshot(
+    recording: Path, png: Path, *, size: tuple[int, int] = (1800, 1100), at_s: float | None = None
+) -> tuple[str, ...]:
+    """Save a picture of a recording as the viewer shows it.
+
+    Args:
+        recording: a file that a study left.
+        png: the file to write.
+        size: width and height in pixels.
+        at_s: the moment of the study; None for its end.
+
+    Returns:
+        What the viewer could not draw, in its words; empty when all went well.
+
+    Raises:
+        InvalidInputError: the recording cannot be read or the picture not written.
+        NufleetError: no graphics driver is installed, or the viewer failed.
+    """
+    source = checked_source(recording)
+    deadline = time.monotonic() + TIMEOUT_S
+    with _headless_viewer(size, deadline) as viewer:
+        viewer.open(source)
+        state = _when_loaded(viewer, deadline)
+        _go_to(viewer, state, at_s)
+        picture = _when_still(viewer, deadline)
+        problems = tuple(
+            f"{view.name}: {report.summary}"
+            for view in viewer.get_state().views
+            for report in view.reports
+        )
+    try:
+        png.write_bytes(picture)
+    except OSError as error:
+        raise InvalidInputError(f"cannot write the picture {png}: {error.strerror}") from error
+    return problems
+
+
+@contextmanager
+def _headless_viewer(size: tuple[int, int], deadline: float) -> Iterator[ViewerClient]:
+    from rerun.experimental import ViewerClient
+
+    port = claim_port(LOCALHOST, 0)
+    with (
+        tempfile.TemporaryFile() as output,
+        subprocess.Popen(
+            [
+                *(str(rerun_program()), "--headless", "--bind", LOCALHOST, "--port", str(port)),
+                *("--window-size", f"{size[0]}x{size[1]}"),
+            ],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            # What is logged at lower levels would pop up in the picture.
+            env={**rerun_environment(), "RUST_LOG": "error"},
+        ) as process,
+    ):
+        try:
+            _when_listening(port, process, output, deadline)
+            yield ViewerClient.connect(f"rerun+http://{LOCALHOST}:{port}/proxy")
+        except (ConnectionError, TimeoutError) as error:
+            raise _viewer_error(output, str(error)) from error
+        finally:
+            process.kill()
+
+
+def _when_listening(
+    port: int, process: subprocess.Popen[bytes], output: IO[bytes], deadline: float
+) -> None:
+    while True:
+        if process.poll() is not None:
+            raise _viewer_error(output, "it ended at once")
+        try:
+            with socket.create_connection((LOCALHOST, port), timeout=1.0):
+                return
+        except OSError:
+            _wait(deadline, "it does not listen")
+
+
+def _when_loaded(viewer: ViewerClient, deadline: float) -> ViewerState:
+    while (state := viewer.get_state()).loading or not (state.recordings and state.views):
+        _wait(deadline, "the recording is not loaded")
+    return state
+
+
+def _go_to(viewer: ViewerClient, state: ViewerState, at_s: float | None) -> None:
+    for timeline in state.recordings[0].timelines:
+        if timeline.name == "t" and timeline.end is not None:
+            time_ns = timeline.end if at_s is None else round(at_s * 1e9)
+            viewer.set_time("t", duration=np.timedelta64(time_ns, "ns"), play_state="paused")
+
+
+def _when_still(viewer: ViewerClient, deadline: float) -> bytes:
+    """Return the picture once two in a row are equal: views load and move into place."""
+    before = viewer.take_screenshot()
+    while True:
+        _wait(deadline, "the picture does not come to rest")
+        now = viewer.take_screenshot()
+        if now == before:
+            return now
+        before = now
+
+
+def _wait(deadline: float, complaint: str) -> None:
+    if time.monotonic() > deadline:
+        raise TimeoutError(f"{complaint} after {TIMEOUT_S:g} s")
+    time.sleep(POLL_S)
+
+
+def _viewer_error(output: IO[bytes], complaint: str) -> NufleetError:
+    said = os.pread(output.fileno(), 20_000, 0).decode(errors="replace")
+    if NO_GRAPHICS in said:
+        return NufleetError(
+            "the viewer found no graphics driver; install one that needs no graphics card: "
+            "the package mesa-vulkan-drivers on Debian and Ubuntu"
+        )
+    return NufleetError(f"the viewer failed: {complaint}: {said.strip()[-500:]}")

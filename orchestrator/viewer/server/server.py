@@ -1,0 +1,184 @@
+"""Rerun's server, as a process of its own: what viewers connect to, and the page for browsers."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from types import TracebackType
+from typing import IO
+from urllib.parse import quote, urlsplit
+
+from nufleet.orchestrator.viewer.server.claims import claim_port, host_in_url, reachable
+from nufleet.orchestrator.viewer.server.rerun_program import rerun_environment, rerun_program
+from nufleet.shared.errors import EndpointInUseError
+
+START_TIMEOUT_S = 20.0
+END_TIMEOUT_S = 5.0
+
+MEMORY = "256MB"
+"""A viewer that connects late gets at most so much of the history."""
+
+# What the program prints once it listens.
+_SERVING = "Listening for gRPC connections"
+_HOSTING = "Hosting a web-viewer"
+
+log = logging.getLogger(__name__)
+
+
+class ViewerServer:
+    """Takes data from one writer, or from a recording, and serves it; a context manager.
+
+    It ends with this process, however that ends. Rerun could also serve from within our process,
+    but then a viewer that hangs makes the study's process keep what it does not read, and the
+    page is served on every network interface.
+    """
+
+    def __init__(
+        self, source: str | None = None, *, bind_ip: str, data_port: int = 0, web_port: int | None
+    ) -> None:
+        """Prepare a server.
+
+        Args:
+            source: a recording's path, or the URL of another server, for which only the page is
+                served; None to serve what is written to `live_url`.
+            bind_ip: the network interface to listen on, by the address under which browsers reach
+                the page: no other page may read the data.
+            data_port: what viewers connect to; 0 for any free one.
+            web_port: of the page; 0 for any free one, None for no page.
+        """
+        self._source = source
+        self._bind_ip = bind_ip
+        self._data_port = data_port
+        self._web_port = web_port
+        self._process: subprocess.Popen[bytes] | None = None
+        self._output: IO[bytes] | None = None
+
+    @property
+    def live_url(self) -> str:
+        """What native viewers, and who writes, connect to."""
+        if self._source is not None and "://" in self._source:
+            return self._source
+        return f"rerun+http://{self._host}:{self._data_port}/proxy"
+
+    @property
+    def web_url(self) -> str | None:
+        """The page that shows it in a browser."""
+        if self._web_port is None:
+            return None
+        # It shows this alone, without what it remembers of the layout of earlier runs.
+        options = "hide_welcome_screen=true&persist=false&theme=dark"
+        return f"{self._origin}/?url={quote(self.live_url, safe='')}&{options}"
+
+    @property
+    def url(self) -> str:
+        """What to open: the page, or without one what native viewers connect to."""
+        return self.web_url or self.live_url
+
+    @property
+    def alive(self) -> bool:
+        """Whether it is being served."""
+        return self._process is not None and self._process.poll() is None
+
+    def open(self) -> None:
+        """Start to serve; returns when viewers can connect. Calling it twice does nothing more.
+
+        Raises:
+            EndpointInUseError: a port is taken, or may not be listened on.
+        """
+        if self._process is not None:
+            return
+        self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed in close
+        command, expected = self._command()
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "nufleet.orchestrator.viewer.server.tethered", *command],
+            stdin=subprocess.PIPE,
+            stdout=self._output,
+            stderr=subprocess.STDOUT,
+            env={**rerun_environment(), "RUST_LOG": "info"},
+            # The terminal's Ctrl-C is for this process: the viewers are to see how it ends.
+            start_new_session=True,
+        )
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while not all(phrase in (said := self._said()) for phrase in expected):
+            if not self.alive or time.monotonic() > deadline:
+                self.close()
+                raise EndpointInUseError(f"the viewer cannot listen on {self._bind_ip}: {said}")
+            time.sleep(0.01)
+
+    def wait(self) -> None:
+        """Wait until the server ends."""
+        if self._process is not None:
+            self._process.wait()
+
+    def close(self, *, timeout_s: float = END_TIMEOUT_S) -> None:
+        """Stop serving. Calling it twice does nothing more."""
+        if self._process is not None and self._process.stdin is not None:
+            self._process.stdin.close()
+            try:
+                self._process.wait(timeout_s)
+            except subprocess.TimeoutExpired:
+                log.warning("the viewer's server did not end; killing it")
+                self._process.kill()
+                self._process.wait()
+        self._process = None
+        if self._output is not None:
+            self._output.close()
+            self._output = None
+
+    def __enter__(self) -> ViewerServer:
+        self.open()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def _host(self) -> str:
+        return host_in_url(reachable(self._bind_ip))
+
+    @property
+    def _origin(self) -> str:
+        return f"http://{self._host}:{self._web_port}"
+
+    def _command(self) -> tuple[list[str], list[str]]:
+        """The arguments for `tethered`, and what Rerun prints when it serves."""
+        options = ["--bind", self._bind_ip]
+        command = [str(rerun_program()), "--bind", self._bind_ip]
+        expected = []
+        if self._web_port is not None:
+            self._web_port = claim_port(self._bind_ip, self._web_port)
+        if self._source is None or "://" not in self._source:
+            self._data_port = claim_port(self._bind_ip, self._data_port)
+            command += ["--port", str(self._data_port), "--server-memory-limit", MEMORY]
+            if self._web_port is not None:
+                # Pages from elsewhere, in the same browser, must not read what a fleet does. Those
+                # of this machine, by the names localhost and 127.0.0.1, Rerun always admits.
+                command += ["--cors-allow-origin", self._origin]
+            expected += [_SERVING]
+        if self._web_port is None:
+            command += ["--serve-grpc"]
+        else:
+            upstream_port = claim_port(self._bind_ip, 0)
+            command += ["--serve-web", "--web-viewer-port", str(upstream_port)]
+            expected += [_HOSTING]
+            data_port = urlsplit(self.live_url).port or 0
+            options += ["--page", str(self._web_port), "--upstream", str(upstream_port)]
+            options += ["--data", str(data_port)]
+        if self._source is not None:
+            command += [self._source]
+        return [*options, "--", *command], expected
+
+    def _said(self) -> str:
+        if self._output is None:
+            return ""
+        # The process writes at the same file offset, so it is read without moving that.
+        return os.pread(self._output.fileno(), 20_000, 0).decode(errors="replace").strip()

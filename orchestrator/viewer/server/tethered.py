@@ -1,0 +1,48 @@
+"""Runs Rerun's server for as long as standard input stays open, and its page beside it.
+
+Rerun knows nothing of its parent: without this it would live on when that dies.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+
+from nufleet.orchestrator.viewer.server.page import serve_page
+from nufleet.shared.lifeline import when_stdin_closes
+
+GRACE_S = 1.0
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command that follows the options to its end; returns its exit code."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--bind", required=True)
+    parser.add_argument("--page", type=int, help="serve the web viewer's page on this port")
+    parser.add_argument("--upstream", type=int, help="where the web viewer itself listens")
+    parser.add_argument("--data", type=int, help="the only other port the page may connect to")
+    parser.add_argument("command", nargs="+")
+    options = parser.parse_args(arguments)
+    if options.page is not None:
+        serve_page(
+            options.bind,
+            options.page,
+            upstream_port=options.upstream,
+            data_port=options.data,
+        )
+    with subprocess.Popen(options.command, stdin=subprocess.DEVNULL) as process:
+
+        def end() -> None:
+            process.terminate()
+            try:
+                process.wait(GRACE_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+        when_stdin_closes(end)
+        return process.wait()
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,155 @@
+"""Shows a study as it happens: turns what the fleet and the study say into a viewer's events."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.study.interface import Question, Report, Responses, StudyPlan
+from nufleet.orchestrator.study.outcomes import Measured, TestOutcome
+from nufleet.orchestrator.viewer.clock import ViewerClock
+from nufleet.orchestrator.viewer.events import (
+    IterationEvent,
+    MessageEvent,
+    RobotStateEvent,
+    TestSamplesEvent,
+    ViewerEvent,
+)
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.wire.messages import RobotState, Telemetry
+
+
+class LiveView:
+    """An observer of a study and its fleet; `emit` must never block or raise."""
+
+    def __init__(
+        self,
+        plan: StudyPlan,
+        unit: str,
+        clock: ViewerClock,
+        emit: Callable[[ViewerEvent], None],
+    ) -> None:
+        self._plan = plan
+        self._unit = unit
+        self._clock = clock
+        self._emit = emit
+        self._lock = threading.Lock()
+        self._asked_s = 0.0
+        self._omega_rad_s: tuple[float, ...] = ()
+        self._drawn: dict[str, int] = {}
+        self._watching = False
+
+    def watch(self, fleet: Fleet) -> None:
+        """Draw the states and running tests of the study's robots from now on."""
+        self._watching = True
+        fleet.observe_states(self._on_state)
+        fleet.observe_telemetry(self._on_telemetry)
+
+    def stop_watching(self) -> None:
+        """Draw nothing more of the fleet: the study is over, whatever its robots do next."""
+        self._watching = False
+
+    def asked(self, question: Question) -> None:
+        """A round begins: its samples are drawn from this time on."""
+        with self._lock:
+            self._asked_s = self._clock.now_s()
+            self._omega_rad_s = question.omega_rad_s
+            self._drawn.clear()
+
+    def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
+        """Log it."""
+        text = f"{robot}, attempt {attempt}: {reason}"
+        self._emit(MessageEvent(self._clock.now_s(), "warning", text))
+
+    def told(self, question: Question, outcomes: Mapping[str, TestOutcome], report: Report) -> None:
+        """Draw what the round taught, and the tests whose telemetry did not arrive whole."""
+        measured = [o for o in outcomes.values() if isinstance(o, Measured)]
+        for outcome in measured:
+            result = outcome.result
+            with self._lock:
+                missing = self._drawn.get(result.goal_id, 0) < len(result.reference)
+            if missing:
+                step_s = result.plan.sample_time_s
+                self._draw(outcome.robot, 0, step_s, result.reference, result.response)
+        omega_rad_s, responses = together(report.responses, self._plan.target)
+        longest_s = max((o.result.plan.duration_s for o in measured), default=0.0)
+        self._clock.advance_to(self._asked_s + longest_s)
+        self._emit(
+            IterationEvent(
+                t_s=self._clock.now_s(),
+                iteration=question.iteration,
+                omega_rad_s=omega_rad_s,
+                responses=responses,
+                target=self._plan.target,
+                curves=report.curves,
+                ranking=report.ranking,
+                messages=tuple(f"without {r}: {why}" for r, why in report.dropped.items()),
+            )
+        )
+
+    def _on_state(self, state: RobotState) -> None:
+        if self._watching and state.robot in (self._plan.target, *self._plan.sources):
+            self._emit(
+                RobotStateEvent(
+                    t_s=self._clock.now_s(),
+                    robot=state.robot,
+                    status=state.status.value,
+                    goal_id=state.goal_id,
+                    progress=state.progress,
+                    reason=state.reason,
+                )
+            )
+
+    def _on_telemetry(self, robot: str, telemetry: Telemetry) -> None:
+        if not self._watching or robot not in (self._plan.target, *self._plan.sources):
+            return
+        with self._lock:
+            drawn = self._drawn.get(telemetry.goal_id, 0) + len(telemetry.reference)
+            self._drawn[telemetry.goal_id] = drawn
+        first, step_s = telemetry.first_sample, telemetry.sample_time_s
+        self._draw(robot, first, step_s, telemetry.reference, telemetry.response)
+
+    def _draw(
+        self,
+        robot: str,
+        first_sample: int,
+        sample_time_s: float,
+        reference: FloatArray,
+        response: FloatArray,
+    ) -> None:
+        self._emit(
+            TestSamplesEvent(
+                t_s=self._asked_s + first_sample * sample_time_s,
+                robot=robot,
+                axis=self._plan.axis,
+                unit=self._unit,
+                omega_rad_s=self._omega_rad_s,
+                sample_time_s=sample_time_s,
+                reference=reference,
+                response=response,
+            )
+        )
+
+
+def together(
+    responses: Responses, target: str
+) -> tuple[tuple[float, ...], dict[str, tuple[complex, ...]]]:
+    """Return the frequencies of the target's test, and z there of every robot that played them.
+
+    Robots may play different tones in one round; only what was played by both is drawn together.
+    When the target rested, the first robot takes its place.
+    """
+    if not responses:
+        return (), {}
+    leader = responses[target] if target in responses else next(iter(responses.values()))
+    omega_rad_s = tuple(leader.omega_rad_s.tolist())
+    z = {
+        robot: dict(zip(response.omega_rad_s.tolist(), response.z.tolist(), strict=True))
+        for robot, response in responses.items()
+    }
+    return omega_rad_s, {
+        robot: tuple(values[omega] for omega in omega_rad_s)
+        for robot, values in z.items()
+        if all(omega in values for omega in omega_rad_s)
+    }

@@ -1,0 +1,230 @@
+"""Flies what is not a frequency test: steps, rich flights, and paths to be tracked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from nufleet.robot_agent.flight.baseline_model import (
+    check_explained,
+    identify_baseline,
+    needed_correction,
+)
+from nufleet.robot_agent.flight.guard import Guard
+from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.flight.online_gp import WINDOW_POINTS, OnlineGp
+from nufleet.robot_agent.flight.rich_flight import (
+    FlightRecord,
+    fly_record,
+    rich_references,
+    step_references,
+)
+from nufleet.robot_agent.flight.tracking import STOPPED, Learner, TrackingRecord, Watch, track
+from nufleet.robot_agent.motion.monitored_robot import MonitoredRobot
+from nufleet.robot_agent.motion.pace import HaltSwitch, Pace
+from nufleet.robot_agent.motion.paced_robot import PacedRobot
+from nufleet.robot_agent.motion.perform import Performance, Samples
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import NufleetError, RobotError
+from nufleet.shared.wire.messages import Outcome
+from nufleet.shared.wire.motions import (
+    Flight,
+    RichFlight,
+    RichFlightDetails,
+    StepTest,
+    Tracking,
+    TrackingDetails,
+)
+
+
+def performance_of(
+    motion: Flight,
+    robot: Robot,
+    memory: Memory,
+    *,
+    realtime: float | None,
+    switch: HaltSwitch,
+    on_played: Callable[[int], None],
+    watch: Watch,
+) -> Performance:
+    """Return what flies a motion that was accepted.
+
+    Args:
+        motion: what.
+        robot: connected and at rest.
+        memory: where priors come from and where the baseline of a rich flight goes.
+        realtime: the multiple of real time that a simulated robot keeps; None as fast as it can.
+        switch: ends the motion early.
+        on_played: is told how many samples have been played.
+        watch: sees every sample along a path.
+    """
+    monitored = MonitoredRobot(robot)
+    paced = PacedRobot(monitored, Pace(robot.spec, realtime, switch), switch, on_played)
+    match motion:
+        case StepTest(axis=axis):
+            return _Steps(paced, axis, monitored)
+        case RichFlight():
+            return _Rich(paced, motion, memory, monitored)
+        case Tracking():
+            return _Path(paced, motion, memory, watch, switch, monitored)
+
+
+class _Steps:
+    """Small steps on one axis."""
+
+    def __init__(self, robot: Robot, axis: str, monitored: MonitoredRobot) -> None:
+        self._robot, self._monitored = robot, monitored
+        column = [known.name for known in robot.spec.axes].index(axis)
+        self._references = step_references(robot.spec, column)
+        self._outputs = np.empty((0, len(robot.spec.axes)))
+
+    def play(self) -> tuple[Outcome, str]:
+        self._monitored.begin(self._references)
+        self._outputs = self._robot.run(self._references)
+        return Outcome.COMPLETED, ""
+
+    def measured(self) -> Samples:
+        return Samples(self._references[: len(self._outputs)], self._outputs)
+
+
+class _Rich:
+    """A flight that shows the whole dynamics; the robot learns its baseline from it."""
+
+    def __init__(
+        self, robot: Robot, motion: RichFlight, memory: Memory, monitored: MonitoredRobot
+    ) -> None:
+        self._robot, self._motion, self._memory = robot, motion, memory
+        self._monitored = monitored
+        axes, states = len(robot.spec.axes), max(1, len(robot.state_names))
+        self._record = FlightRecord(np.empty((0, axes)), np.empty((0, axes, states)))
+
+    def play(self) -> tuple[Outcome, str]:
+        spec = self._robot.spec
+        rng = np.random.default_rng(self._motion.seed)
+        references = rich_references(spec, self._motion.duration_s, rng)
+        self._monitored.begin(references)
+        self._record = fly_record(self._robot, references)
+        outputs = self._record.states[:, :, 0]
+        try:
+            models = {
+                axis.name: identify_baseline(
+                    [(references[:, i], outputs[:, i])], spec.sample_time_s, spec.settling_time_s
+                )
+                for i, axis in enumerate(spec.axes)
+            }
+            for i, axis in enumerate(spec.axes):
+                noise_std = float(self._monitored.noise_std[i])
+                check_explained(models[axis.name], references[:, i], noise_std, axis)
+            self._memory.keep_baseline(models)
+        except NufleetError as error:
+            # The robot is well and at rest: what failed is the disk, or the record is too short.
+            return Outcome.FAILED, f"its baseline was not learned: {error}"
+        return Outcome.COMPLETED, ""
+
+    def measured(self) -> Samples:
+        states = self._record.states
+        names = self._robot.state_names or ("output",)
+        details = RichFlightDetails(state_names=names, states=states)
+        return Samples(self._record.references, states[:, :, 0].copy(), details)
+
+
+class _Path:
+    """A path, by the baseline alone or with an inverse in front of it."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        motion: Tracking,
+        memory: Memory,
+        watch: Watch,
+        switch: HaltSwitch,
+        monitored: MonitoredRobot,
+    ) -> None:
+        self._robot, self._motion, self._monitored = robot, motion, monitored
+        self._watch, self._switch = watch, switch
+        self._learner = learner_for(motion, robot, memory)
+        self._guard = None
+        if self._learner is not None and motion.guarded:
+            self._guard = guard_for(motion.desired, robot, memory)
+        self._record: TrackingRecord | None = None
+
+    def play(self) -> tuple[Outcome, str]:
+        limits = self._robot.spec.tracking
+        if limits is None:
+            raise RobotError("the robot does not track")
+        # The way to the path's start begins at rest too.
+        origin = np.zeros((1, len(self._robot.spec.axes)))
+        self._monitored.begin(np.concatenate([origin, self._motion.desired]))
+        self._record = track(
+            self._robot,
+            self._motion.desired,
+            limits,
+            self._learner,
+            self._guard,
+            watch=self._watch,
+            stopped=lambda: self._switch.order is not None,
+        )
+        if self._record.failure is None:
+            return Outcome.COMPLETED, ""
+        if self._record.failure == STOPPED and self._switch.order is not None:
+            return self._switch.order
+        return Outcome.FAILED, self._record.failure
+
+    def measured(self) -> Samples:
+        record = self._record
+        if record is None:
+            nothing = np.empty((0, len(self._robot.spec.axes)))
+            return Samples(nothing, nothing)
+        details = TrackingDetails(
+            desired=record.desired,
+            prior=record.prior,
+            mean=record.mean,
+            variance=record.variance,
+            share=record.share,
+            limited=record.limited.astype(np.float64),
+            step_time_s=record.step_time_s,
+            dropped_pairs=record.dropped_pairs,
+            taken_back=record.taken_back,
+        )
+        return Samples(record.reference, record.actual, details)
+
+
+def learner_for(motion: Tracking, robot: Robot, memory: Memory) -> Learner | None:
+    """Return the inverse that a flight asks for, compiled and ready; None for the baseline.
+
+    Axes that the prior was not learned on begin with nothing.
+    """
+    if motion.inverse == "baseline":
+        return None
+    window = WINDOW_POINTS if motion.learn else 0
+    axes = robot.spec.axes
+    prior = memory.prior if motion.inverse == "prior" else None
+    if prior is None:
+        if motion.layout is None:
+            raise RobotError("the robot has no prior any more")
+        process = OnlineGp(motion.layout, (None,) * len(axes), window=window)
+        return Learner(motion.layout, process)
+    layout = prior.manifest.layout
+    inverses = tuple(prior.inverse if a.name in prior.manifest.axes else None for a in axes)
+    return Learner(layout, OnlineGp(layout, inverses, window=window))
+
+
+def guard_for(desired: FloatArray, robot: Robot, memory: Memory) -> Guard:
+    """Return the guard of one flight along a path (samples, axes)."""
+    models = [memory.baseline[axis.name] for axis in robot.spec.axes]
+    error = np.stack([m.error(desired[:, i]) for i, m in enumerate(models)], axis=1)
+    needed = np.stack([needed_correction(m, desired[:, i]) for i, m in enumerate(models)], axis=1)
+    noise_variance = sum(model.residual_std**2 for model in models)
+    limits = robot.spec.tracking
+    if limits is None:
+        raise RobotError("the robot does not track")
+    return Guard(
+        error,
+        noise_variance,
+        robot.spec.sample_time_s,
+        limits.acceleration_max,
+        needed,
+        correction_speed_max=limits.correction_speed_max,
+    )

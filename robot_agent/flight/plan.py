@@ -1,0 +1,134 @@
+"""Checks a flight that is asked for against the robot's limits and memory, before it moves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.flight.rich_flight import rich_references, step_references
+from nufleet.robot_agent.flight.tracking import approach
+from nufleet.shared.errors import InvalidInputError, RefusedError
+from nufleet.shared.experience.layout import InverseLayout
+from nufleet.shared.experience.manifest import misfit
+from nufleet.shared.paths.trajectories import check_trajectory
+from nufleet.shared.robots.spec import RobotSpec, TrackingLimits
+from nufleet.shared.wire.motions import Flight, FlightPlan, RichFlight, StepTest, Tracking
+
+
+def plan_flight(
+    motion: Flight,
+    spec: RobotSpec,
+    state_names: tuple[str, ...],
+    memory: Memory,
+    robot: str,
+    *,
+    allow_unguarded: bool = False,
+) -> FlightPlan:
+    """Say how long a flight takes, or refuse it.
+
+    Args:
+        motion: the request.
+        spec: the robot's description.
+        state_names: what the robot's `observe` measures.
+        memory: its prior and its baseline.
+        robot: its name, for the error.
+        allow_unguarded: whether it may fly with a learned inverse and no guard.
+
+    Raises:
+        RefusedError: with code `unknown-axis`, `no-tracking`, `trajectory`, `duration`, `layout`,
+            `baseline`, `no-prior`, `other-prior`, `misfit`, `unguarded`
+            or `no-baseline`.
+    """
+    match motion:
+        case StepTest(axis=axis):
+            columns = [known.name for known in spec.axes]
+            if axis not in columns:
+                reason = f"no axis {axis!r}; there are {', '.join(columns)}"
+                raise RefusedError("unknown-axis", reason, robot)
+            _tracking_limits(spec, robot)
+            samples = before = len(step_references(spec, columns.index(axis)))
+        case RichFlight():
+            _tracking_limits(spec, robot)
+            nobody = np.random.default_rng(motion.seed)
+            try:
+                samples = before = len(rich_references(spec, motion.duration_s, nobody))
+            except InvalidInputError as error:
+                raise RefusedError("baseline", str(error), robot) from error
+        case Tracking():
+            limits = _tracking_limits(spec, robot)
+            _check_path(motion, spec, limits, robot)
+            if motion.inverse != "baseline" and not (motion.guarded or allow_unguarded):
+                reason = (
+                    "it may not fly with a learned inverse and without a guard: ask for a guarded "
+                    "flight, or set allow_unguarded = true for it in its fleet file"
+                )
+                raise RefusedError("unguarded", reason, robot)
+            _check_inverse(motion, spec, state_names, memory, robot)
+            samples = len(motion.desired)
+            before = samples + len(approach(spec, motion.desired[0], limits))
+    duration_s = before * spec.sample_time_s + spec.settling_time_s
+    if duration_s > spec.duration_max_s:
+        raise RefusedError(
+            "duration",
+            f"the flight takes {duration_s:.0f} s; at most {spec.duration_max_s:g} s are accepted",
+            robot,
+        )
+    return FlightPlan(sample_time_s=spec.sample_time_s, samples=samples, duration_s=duration_s)
+
+
+def _tracking_limits(spec: RobotSpec, robot: str) -> TrackingLimits:
+    if spec.tracking is None:
+        raise RefusedError("no-tracking", "its spec has no tracking limits", robot)
+    return spec.tracking
+
+
+def _check_path(motion: Tracking, spec: RobotSpec, limits: TrackingLimits, robot: str) -> None:
+    desired = motion.desired
+    if desired.shape[1] != len(spec.axes):
+        reason = f"a path of {desired.shape[1]} columns for {len(spec.axes)} axes"
+        raise RefusedError("trajectory", reason, robot)
+    try:
+        check_trajectory(desired, spec.sample_time_s, limits)
+    except InvalidInputError as error:
+        raise RefusedError("trajectory", str(error), robot) from error
+
+
+def _check_inverse(
+    motion: Tracking, spec: RobotSpec, state_names: tuple[str, ...], memory: Memory, robot: str
+) -> None:
+    if motion.inverse == "baseline":
+        return
+    if motion.layout is not None:
+        _check_layout(motion.layout, spec, state_names, robot)
+    else:
+        prior = memory.prior
+        if prior is None:
+            reason = "no experience was transferred to it; see `nufleet transfer`"
+            raise RefusedError("no-prior", reason, robot)
+        if prior.sha256 != motion.prior_sha256:
+            reason = f"its prior is another one, of {prior.manifest.robot}; transfer it again"
+            raise RefusedError("other-prior", reason, robot)
+        for axis in prior.manifest.axes:
+            # It fitted when it was installed; the robot may have been configured anew since.
+            changed = misfit(prior.manifest, spec, state_names, axis)
+            if changed is not None:
+                reason = f"its prior does not fit it any more: {changed}; transfer another"
+                raise RefusedError("misfit", reason, robot)
+    missing = [axis.name for axis in spec.axes if axis.name not in memory.baseline]
+    if motion.guarded and missing:
+        reason = (
+            f"what its baseline does on {', '.join(missing)} is not known yet, so nothing could "
+            "guard the flight; it learns that from a rich flight"
+        )
+        raise RefusedError("no-baseline", reason, robot)
+
+
+def _check_layout(
+    layout: InverseLayout, spec: RobotSpec, state_names: tuple[str, ...], robot: str
+) -> None:
+    if abs(layout.sample_time_s - spec.sample_time_s) > 1e-9 * spec.sample_time_s:
+        reason = f"a layout of {layout.sample_time_s:g} s; its sample is {spec.sample_time_s:g} s"
+        raise RefusedError("layout", reason, robot)
+    if state_names[: len(layout.states)] != layout.states:
+        reason = f"a layout of {', '.join(layout.states)}; it measures {', '.join(state_names)}"
+        raise RefusedError("layout", reason, robot)

@@ -1,0 +1,148 @@
+"""References that show a robot's whole dynamics, under its limits, and its delay."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from nufleet.robot_agent.flight.baseline_model import samples_needed
+from nufleet.robot_agent.motion.excitation import HEADROOM
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotError
+from nufleet.shared.paths.trajectories import speeds_and_accelerations
+from nufleet.shared.robots.spec import RobotSpec, TrackingLimits
+
+_PIECE_RAD = 15.0  # of the slowest piece's highest tone; 15 s where that is 1 rad/s
+_FADE_RAD = 2.0
+_PIECE_SAMPLES_MIN = 16
+_PIECES_MIN = 4  # one of each band
+_OMEGA_MAX_RAD_S = 6.0  # drawings hold nothing faster
+_TONES = 8
+STEPS_UP_MIN, _STEPS_UP_MAX = 10, 20
+_STEPS_S = 100.0  # more than the fewest steps only as far as they fit into that time
+
+
+@dataclass(frozen=True, eq=False)
+class FlightRecord:
+    """References (samples, axes) and the states before each acted, (samples, axes, states)."""
+
+    references: FloatArray
+    states: FloatArray
+
+
+def rich_references(spec: RobotSpec, duration_s: float, rng: np.random.Generator) -> FloatArray:
+    """Return references on every axis, shape (samples, axes), from rest to rest.
+
+    Pieces, each a sum of eight sinusoids with random phases and a part of the robot's band: the
+    slow ones reach the bound on position or speed, the fast ones that on acceleration. A piece
+    lasts 15 s, and longer for a robot whose band ends below 2 rad/s.
+
+    Args:
+        spec: of the robot; its band and its tracking limits are kept to.
+        duration_s: how long at least; the baseline's fit may need longer.
+        rng: draws frequencies and phases.
+
+    Raises:
+        RobotError: the robot does not track.
+        InvalidInputError: the baseline of such a robot cannot be fitted.
+    """
+    limits = spec.tracking
+    if limits is None:
+        raise RobotError("a robot without tracking limits makes no rich flight")
+    top = min(spec.omega_max_rad_s, max(_OMEGA_MAX_RAD_S, 3 * spec.omega_min_rad_s))
+    # A robot that is slower needs as many periods, and softer ends, to stay in its band.
+    slow = min(1.0, top / 2)
+    piece_s = _PIECE_RAD / slow
+    samples = max(_PIECE_SAMPLES_MIN, round(piece_s / spec.sample_time_s))
+    needed = samples_needed(spec.sample_time_s, spec.settling_time_s)
+    pieces = max(_PIECES_MIN, math.ceil(duration_s / piece_s), math.ceil(needed / samples))
+    highest = np.geomspace(min(max(slow, 3 * spec.omega_min_rad_s), top), top, _PIECES_MIN)
+    return np.concatenate(
+        [
+            _piece(spec, limits, slow, float(highest[i % _PIECES_MIN]), samples, rng)
+            for i in range(pieces)
+        ]
+    )
+
+
+def _piece(
+    spec: RobotSpec,
+    limits: TrackingLimits,
+    slow_rad_s: float,
+    highest_rad_s: float,
+    samples: int,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return a piece of shape (samples, axes) that reaches one of the limits."""
+    lowest_rad_s = max(spec.omega_min_rad_s, 0.3 * min(slow_rad_s, highest_rad_s))
+    time_s: FloatArray = np.arange(samples, dtype=np.float64) * spec.sample_time_s
+    fade = np.minimum(1.0, np.minimum(time_s, time_s[::-1]) * slow_rad_s / _FADE_RAD)
+    fade = fade**3 * (10 - 15 * fade + 6 * fade**2)
+    columns = [fade * _wave(lowest_rad_s, highest_rad_s, time_s, rng) for _ in spec.axes]
+    waves = np.stack(columns, axis=1)
+    waves /= np.abs(np.diff(waves, axis=0)).max(axis=0)  # alike in speed
+    speeds, accelerations = speeds_and_accelerations(waves, spec.sample_time_s)
+    largest = min(
+        limits.position_max / np.abs(waves).max(),
+        limits.speed_max / speeds.max(),
+        limits.acceleration_max / accelerations.max(),
+    )
+    return np.asarray(waves * largest)
+
+
+def _wave(
+    lowest_rad_s: float, highest_rad_s: float, time_s: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    omegas = rng.uniform(lowest_rad_s, highest_rad_s, _TONES)
+    phases = rng.uniform(0, 2 * np.pi, _TONES)
+    weights = rng.uniform(0.5, 1.0, _TONES) / omegas
+    return np.asarray(weights @ np.sin(np.outer(omegas, time_s) + phases[:, np.newaxis]))
+
+
+def fly_record(robot: Robot, references: FloatArray) -> FlightRecord:
+    """Play references (samples, axes) step by step and keep every state; the robot ends at rest.
+
+    Raises:
+        RobotError: the robot failed, or measured a number that is not finite; it may be moving.
+    """
+    states = np.empty((*references.shape, max(1, len(robot.state_names))))
+    for k, reference in enumerate(references):
+        observed = robot.observe()
+        output = robot.step(reference)
+        states[k] = observed if observed.shape[1] else output[:, np.newaxis]
+        if not np.isfinite(states[k]).all():
+            raise RobotError(f"the sensor returned a number that is not finite at sample {k}")
+    robot.rest()
+    return FlightRecord(references, states)
+
+
+def step_references(spec: RobotSpec, column: int) -> FloatArray:
+    """Return steps up and down on one axis, shape (samples, axes), from rest to rest.
+
+    Ten to twenty of each, half of them followed by one the same way and half by one back: what is
+    left of one step then leaves no trace in the mean of the next. A step accelerates half of the
+    way and brakes the other half, as hard as the axis's limits allow; noise hides the answer to
+    smaller ones. Like every amplitude that a robot chooses itself it leaves a margin to the limits.
+    """
+    axis, step_s = spec.axes[column], spec.sample_time_s
+    settle_s = max(spec.settling_time_s, 0.5)
+    hold = max(4, math.ceil(settle_s / step_s))
+    amplitude, velocity, acceleration = (
+        HEADROOM * most for most in (axis.amplitude_max, axis.velocity_max, axis.acceleration_max)
+    )
+    longest_s = min(settle_s / 4, velocity / acceleration, math.sqrt(amplitude / acceleration))
+    half = max(1, math.floor(longest_s / step_s))
+    # Even a single sample of the largest acceleration may be beyond the other limits.
+    acceleration = min(acceleration, velocity / (half * step_s), amplitude / (half * step_s) ** 2)
+    velocities = acceleration * step_s * np.cumsum(np.repeat([1.0, -1.0], half))
+    rise = np.pad(np.cumsum(velocities) * step_s, (0, hold), mode="edge")
+    height = rise[-1]
+    fours = int(_STEPS_S / (4 * len(rise) * step_s))
+    fours = min(max(fours, STEPS_UP_MIN // 2), _STEPS_UP_MAX // 2)
+    column_references = np.concatenate([rise, height - rise, -rise, rise - height] * fours)
+    references = np.zeros((hold + len(column_references), len(spec.axes)))
+    references[hold:, column] = column_references
+    return references

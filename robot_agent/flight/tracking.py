@@ -1,0 +1,285 @@
+"""The control loop: a robot follows a path, by its baseline alone or with an inverse before it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from nufleet.robot_agent.flight.guard import Guard
+from nufleet.robot_agent.flight.online_gp import Correction, OnlineGp
+from nufleet.robot_agent.motion.paced_robot import Halted
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import InvalidInputError, RobotError
+from nufleet.shared.experience.layout import InverseLayout
+from nufleet.shared.paths.trajectories import check_trajectory, travel
+from nufleet.shared.robots.spec import RobotSpec, TrackingLimits
+from nufleet.shared.wire.motions import TakenBack
+
+STOPPED = "stopped"
+"""Why a path was not finished when somebody asked for its end."""
+
+
+PAIR_SPACING_S = 0.12
+"""The online process learns from pairs so far apart. A window of fifty then holds six seconds of
+path, so that it sees the dynamics from several sides; fifty neighbours all say the same, and what a
+process makes of those is steep feedback across the path."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackingRecord:
+    """One flight along a path; arrays have one row per sample played, (samples, axes).
+
+    `prior`, `mean` and `variance` are of γ, see `InverseLayout`; zero for the baseline alone.
+    `share` (samples,) is how much of the correction acted. `limited` (samples,) marks references
+    that were held back to their bounds. `step_time_s` (samples,) is what choosing each reference
+    took, the robot not included. `failure` is why the path was not finished; None when it was.
+    """
+
+    sample_time_s: float
+    desired: FloatArray
+    reference: FloatArray
+    actual: FloatArray
+    prior: FloatArray
+    mean: FloatArray
+    variance: FloatArray
+    share: FloatArray
+    limited: np.ndarray
+    step_time_s: FloatArray
+    dropped_pairs: int
+    taken_back: TakenBack | None
+    failure: str | None
+
+    @property
+    def rms_error(self) -> float:
+        """The root mean square of the distance to the path; infinite if it was not finished."""
+        if self.failure is not None:
+            return math.inf
+        return float(np.sqrt(np.mean(np.sum((self.actual - self.desired) ** 2, axis=1))))
+
+    @property
+    def deadline_misses(self) -> int:
+        """How many references took longer to choose than a sample lasts."""
+        return int((self.step_time_s > self.sample_time_s).sum())
+
+
+class Watch(Protocol):
+    """Is told of every sample as it is played, for a live view."""
+
+    def __call__(
+        self,
+        sample: int,
+        desired: FloatArray,
+        actual: FloatArray,
+        correction: Correction | None,
+        share: float,
+    ) -> None:
+        """Must return quickly: it is called in the control loop."""
+
+
+@dataclass(frozen=True)
+class Learner:
+    """An inverse in front of the robot: its layout and the online process, new for each flight."""
+
+    layout: InverseLayout
+    process: OnlineGp
+    pair_spacing_s: float = PAIR_SPACING_S
+
+
+def track(
+    robot: Robot,
+    desired: FloatArray,
+    limits: TrackingLimits,
+    learner: Learner | None = None,
+    guard: Guard | None = None,
+    *,
+    watch: Watch | None = None,
+    stopped: Callable[[], bool] = lambda: False,
+) -> TrackingRecord:
+    """Fly a path, from rest to rest.
+
+    The robot first goes to the path's start and settles there with its baseline alone. It ends at
+    rest at its origin unless it failed. Corrections of the path are held to `correction_max` and
+    `correction_speed_max`; samples where that happened are marked.
+
+    Args:
+        robot: connected and at rest.
+        desired: the path, shape (samples, axes).
+        limits: checked before anything moves.
+        learner: None for the baseline alone.
+        guard: judges a learner; None lets it do as it likes.
+        watch: sees every sample.
+        stopped: is asked before every sample; True ends the flight.
+
+    Raises:
+        InvalidInputError: the path breaks a limit, or is for another number of axes.
+        RobotError: the robot failed before the path began.
+    """
+    spec = robot.spec
+    if desired.ndim != 2 or desired.shape[1] != len(spec.axes):
+        raise InvalidInputError(
+            f"the trajectory must have one column for each of {len(spec.axes)} axes, "
+            f"got shape {desired.shape}"
+        )
+    check_trajectory(desired, spec.sample_time_s, limits)
+    if learner is not None:
+        needed = learner.layout.states
+        if robot.state_names[: len(needed)] != needed:
+            raise InvalidInputError(
+                f"the inverse needs the states {', '.join(needed)}; the robot measures "
+                f"{', '.join(robot.state_names) or 'none'}"
+            )
+    elif guard is not None:
+        raise InvalidInputError("a guard watches over a learner; the baseline needs none")
+    robot.run(approach(robot.spec, desired[0], limits))
+    flight = _Flight(robot, desired, limits, learner, guard, watch)
+    failure: str | None = None
+    try:
+        failure = flight.fly(stopped)
+        robot.rest()
+    except RobotError as error:
+        failure = str(error)
+    return flight.record(failure)
+
+
+def approach(spec: RobotSpec, start: FloatArray, limits: TrackingLimits) -> FloatArray:
+    """Return the references that lead from the origin to the start and let the robot settle.
+
+    Shape (samples, axes); `start` has shape (axes,).
+    """
+    settle = np.tile(start, (max(1, math.ceil(spec.settling_time_s / spec.sample_time_s)), 1))
+    if not start.any():
+        return settle
+    line = np.stack([np.zeros_like(start), start])
+    speed, acceleration = limits.speed_max / 2, limits.acceleration_max / 2
+    return np.concatenate([travel(line, speed, acceleration, spec.sample_time_s), settle])
+
+
+class _Flight:
+    """The state of one flight."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        desired: FloatArray,
+        limits: TrackingLimits,
+        learner: Learner | None,
+        guard: Guard | None,
+        watch: Watch | None,
+    ) -> None:
+        self._robot, self._desired, self._limits = robot, desired, limits
+        self._learner, self._guard, self._watch = learner, guard, watch
+        samples, axes = desired.shape
+        self._back = self._ahead = self._span = 0
+        self._learn_every = 1
+        states = max(1, len(robot.state_names))
+        if learner is not None:
+            layout = learner.layout
+            self._back, self._ahead = layout.back_samples, layout.horizon_samples
+            self._span = layout.span_samples
+            states = len(layout.states)
+            spacing = round(learner.pair_spacing_s / robot.spec.sample_time_s)
+            self._learn_every = max(1, spacing)
+        self._path = np.pad(desired, ((self._back, self._ahead + 1), (0, 0)), mode="edge")
+        self._velocity = np.gradient(self._path, robot.spec.sample_time_s, axis=0)
+        # Before the first sample the robot rested at the path's start.
+        self._reference = np.concatenate(
+            [np.tile(desired[0], (self._span, 1)), np.zeros((samples, axes))]
+        )
+        rest = np.zeros((self._span, axes, states))
+        rest[:, :, 0] = desired[0]
+        self._states = np.concatenate([rest, np.zeros((samples, axes, states))])
+        self._prior, self._mean = np.zeros((samples, axes)), np.zeros((samples, axes))
+        self._variance, self._actual = np.zeros((samples, axes)), np.zeros((samples, axes))
+        self._share, self._step_time_s = np.ones(samples), np.zeros(samples)
+        self._limited = np.zeros(samples, dtype=bool)
+        self._fading: FloatArray | None = None
+        self._done = 0
+
+    def fly(self, stopped: Callable[[], bool]) -> str | None:
+        for k, wanted in enumerate(self._desired):
+            if stopped():
+                return STOPPED
+            observed = self._robot.observe() if self._learner is not None else None
+            begin_s = time.perf_counter()
+            correction, reference = None, wanted
+            if observed is not None and not np.isfinite(observed).all():
+                return f"the sensor returned a number that is not finite at sample {k}"
+            if self._learner is not None and observed is not None:
+                if self._guard is not None:
+                    sent = self._reference[self._span + k - 1] - self._desired[max(0, k - 1)]
+                    self._share[k] = self._guard.judge(k, observed[:, 0] - wanted, sent)
+                correction, reference = self._choose(self._learner, k, observed)
+            self._reference[self._span + k] = reference
+            self._step_time_s[k] = time.perf_counter() - begin_s
+            try:
+                self._actual[k] = self._robot.step(reference)
+            except Halted:
+                return STOPPED
+            if not np.isfinite(self._actual[k]).all():
+                return f"the sensor returned a number that is not finite at sample {k}"
+            self._done = k + 1
+            if self._watch is not None:
+                self._watch(k, wanted, self._actual[k], correction, float(self._share[k]))
+        return None
+
+    def _choose(
+        self, learner: Learner, k: int, observed: FloatArray
+    ) -> tuple[Correction, FloatArray]:
+        layout, process, row = learner.layout, learner.process, self._span + k
+        self._states[row] = observed[:, : self._states.shape[2]]
+        window = slice(row + 1 - self._span, row + 1)
+        if k > 0 and k % self._learn_every == 0:
+            for axis in range(observed.shape[0]):
+                inputs, gamma = layout.pairs(
+                    self._reference[window, axis], self._states[window, axis]
+                )
+                process.learn(axis, inputs[-1], float(gamma[-1]))
+        path = self._path[k : k + self._back + self._ahead + 1]
+        previous = self._reference[row - 1]
+        query = layout.query(
+            self._states[row], previous, path, self._velocity[k + self._back + self._ahead]
+        )
+        correction = process.correct(query)
+        self._prior[k], self._mean[k] = correction.prior, correction.mean
+        self._variance[k] = correction.variance
+        wished = layout.reference(correction.gamma, previous, path)
+        return correction, self._bounded(k, wished, previous)
+
+    def _bounded(self, k: int, wished: FloatArray, previous: FloatArray) -> FloatArray:
+        """Return the reference that may be sent: the guard's share of it, within its bounds."""
+        wanted, limits = self._desired[k], self._limits
+        before = previous - self._desired[max(0, k - 1)]
+        step = limits.correction_speed_max * self._robot.spec.sample_time_s
+        near = np.clip(wished - wanted, -limits.correction_max, limits.correction_max)
+        if self._share[k] < 1.0 and self._fading is None:
+            self._fading = before
+        # Once taken back, what acted then fades, whatever the model goes on to wish.
+        shared = self._share[k] * (near if self._fading is None else self._fading)
+        held = np.clip(shared, before - step, before + step)
+        self._limited[k] = bool((near != wished - wanted).any() or (held != shared).any())
+        return np.asarray(wanted + held)
+
+    def record(self, failure: str | None) -> TrackingRecord:
+        done = slice(0, self._done)
+        learner, guard = self._learner, self._guard
+        return TrackingRecord(
+            sample_time_s=self._robot.spec.sample_time_s,
+            desired=self._desired[done],
+            reference=self._reference[self._span :][done],
+            actual=self._actual[done],
+            prior=self._prior[done],
+            mean=self._mean[done],
+            variance=self._variance[done],
+            share=self._share[done],
+            limited=self._limited[done],
+            step_time_s=self._step_time_s[done],
+            dropped_pairs=learner.process.dropped if learner is not None else 0,
+            taken_back=guard.event if guard is not None else None,
+            failure=failure,
+        )

@@ -1,0 +1,1 @@
+"""What a robot must remember when its agent dies: written first, replayed at the start."""

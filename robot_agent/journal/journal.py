@@ -1,0 +1,332 @@
+"""A robot's durable memory: what it accepted, how that ended, whether it is stopped, who owns it.
+
+A folder with an append-only log of small records and a file for each result. A record is on disk
+when its call returns, so the agent writes *before* it answers: what anybody was told survives.
+After a crash the log is read again: a record that was never written to its end is cut off, since
+nobody was told of it; one that was altered leaves the robot stopped, since it might have said so.
+
+A database in one file would lose everything with its first page; a log that is cut anywhere still
+holds all that was written before.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import logging
+import os
+import threading
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType, TracebackType
+
+import numpy as np
+
+from nufleet.robot_agent.journal.ledger import (
+    Accepted,
+    Acknowledged,
+    Ended,
+    JournalError,
+    Ledger,
+    LedgerGoal,
+    Owned,
+    Record,
+    Released,
+    Stopped,
+    decode_record,
+    encode_record,
+)
+from nufleet.robot_agent.journal.log import LogFile, continue_log, read_log, replace_log
+from nufleet.robot_agent.rules.goal_machine import Goal, Goals
+from nufleet.robot_agent.rules.supervisor import StopOrder
+from nufleet.shared.errors import MalformedMessageError
+from nufleet.shared.frequency_test.excitation import ExcitationPlan
+from nufleet.shared.private_files import make_private_folder, replace_privately
+from nufleet.shared.wire.codec import decode, encode
+from nufleet.shared.wire.messages import GoalResult, Outcome
+from nufleet.shared.wire.motions import MotionPlan
+
+LOG = "log"
+DAMAGED_LOG = "log.damaged"
+COMPACT_ABOVE_BYTES = 256 * 1024
+"""The log is written anew when it is larger than this and than twice what it was then."""
+
+_log = logging.getLogger(__name__)
+
+
+class JournalInUseError(JournalError):
+    """Another agent process writes this journal: two agents of one robot."""
+
+
+@dataclass(frozen=True)
+class Remembrance:
+    """What an agent process finds when it begins.
+
+    `lost` are the goals that were in progress when the one before ended; they are known as lost.
+    `damage` says what was altered in the journal, in which case the robot is stopped.
+    """
+
+    goals: Goals
+    stop: StopOrder | None
+    owner: Owned | None
+    lost: tuple[str, ...]
+    damage: str | None
+
+
+class Journal:
+    """One robot's journal, open for one agent process; usable from many threads; close it.
+
+    Every method that stores returns when the fact is on disk, and raises JournalError when it is
+    not. After a disk error that leaves in doubt what is on disk nothing is stored any more.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Open a robot's journal, or begin one; see `remembrance` for what it holds.
+
+        Raises:
+            JournalInUseError: another process has it open.
+            JournalError: it cannot be read or written, or a newer nufleet wrote it.
+        """
+        self._folder = folder
+        self._results = folder / "results"
+        self._incoming = folder / "incoming"
+        self._mutex = threading.Lock()
+        self._ledger = Ledger()
+        self._compact_above_bytes = COMPACT_ABOVE_BYTES
+        with contextlib.ExitStack() as opened:
+            try:
+                for made in (folder, self._results, self._incoming):
+                    make_private_folder(made)
+                self._take_lock(opened)
+                self._log_file, damage = self._read()
+                opened.callback(self._close_log)
+                lost = self._end_what_ran()
+                self._sweep()
+            except OSError as error:
+                raise JournalError(f"{folder}: {error.strerror}; see to the disk") from error
+            self._closing = opened.pop_all()
+        self.remembrance = Remembrance(
+            goals=Goals(MappingProxyType({k: g.goal for k, g in self._ledger.goals.items()})),
+            stop=self._ledger.stop,
+            owner=self._ledger.owner,
+            lost=lost,
+            damage=damage,
+        )
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let others open it; twice does nothing more."""
+        with self._mutex:
+            self._closing.close()
+
+    def accepted(self, goal: Goal, plan: MotionPlan, boot_id: str) -> None:
+        """Store that a goal was taken: before the answer is sent and the motion begins."""
+        self._append(
+            Accepted(
+                goal_id=goal.goal_id,
+                owner=goal.owner,
+                digest=goal.digest,
+                boot_id=boot_id,
+                plan=plan,
+            )
+        )
+
+    def ended(self, result: GoalResult) -> bool:
+        """Store how a goal ended; return whether its samples are kept too.
+
+        They are not when there is no room for them; the goal has ended all the same.
+        """
+        sha256, size_bytes = None, 0
+        try:
+            sha256, size_bytes = self._store_result(result)
+        except (OSError, MalformedMessageError) as error:
+            _log.warning(
+                "%s: the result of %s is not kept: %s", self._folder, result.goal_id, error
+            )
+        self._append(
+            Ended(
+                goal_id=result.goal_id,
+                outcome=result.outcome,
+                sha256=sha256,
+                size_bytes=size_bytes,
+            )
+        )
+        return sha256 is not None
+
+    def forgone(self, goal_id: str) -> None:
+        """Store that a goal was cancelled before it came: before that is confirmed."""
+        self._append(Ended(goal_id=goal_id, outcome=Outcome.CANCELLED, sha256=None, size_bytes=0))
+
+    def acknowledged(self, goal_ids: Iterable[str]) -> None:
+        """Let results go that have arrived; ids that are not known do no harm."""
+        self._append(Acknowledged(goal_ids=tuple(goal_ids)))
+
+    def stopped(self, order: StopOrder) -> None:
+        """Store a stop. The robot is halted before this is called: a slow disk stops nobody."""
+        self._append(Stopped(sender=order.sender, reason=order.reason))
+
+    def released(self, sender: str) -> None:
+        """Store that a stop is over: before the robot may move again."""
+        self._append(Released(sender=sender))
+
+    def owned(self, owner: str, epoch: int) -> None:
+        """Store who commands the robot now: before anything is done under that epoch."""
+        self._append(Owned(owner=owner, epoch=epoch))
+
+    def forget_owner(self) -> Owned | None:
+        """Remember no owner and no epoch any more; return what was known. Raises JournalError.
+
+        That is for a person to decide: an owner of the past is obeyed again afterwards.
+        """
+        with self._mutex:
+            forgotten, self._ledger.owner = self._ledger.owner, None
+            if forgotten is not None:
+                try:
+                    self._replace_log()
+                except OSError as error:
+                    self._ledger.owner = forgotten
+                    raise JournalError(
+                        f"{self._folder}: {error.strerror}; see to the disk"
+                    ) from error
+        return forgotten
+
+    def result(self, goal_id: str) -> GoalResult | None:
+        """Return a result that is kept; None when it was let go, or its file is damaged."""
+        with self._mutex:
+            known = self._ledger.goals.get(goal_id)
+        if known is None or known.sha256 is None:
+            return None
+        try:
+            data = (self._results / goal_id).read_bytes()
+            if hashlib.sha256(data).hexdigest() == known.sha256:
+                return decode(data, GoalResult)
+            problem = "its file was altered or cut off"
+        except (OSError, MalformedMessageError) as error:
+            problem = str(error)
+        _log.warning("%s: the result of %s is gone: %s", self._folder, goal_id, problem)
+        return None
+
+    # Opening.
+
+    def _take_lock(self, opened: contextlib.ExitStack) -> None:
+        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+        lock = os.open(self._folder / "lock", flags, 0o600)
+        opened.callback(os.close, lock)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise JournalInUseError(
+                f"{self._folder} is in use: another agent serves this robot; end one of them, "
+                "or if they are two robots give each a folder of its own with --state"
+            ) from error
+
+    def _read(self) -> tuple[LogFile, str | None]:
+        """Read the log into the ledger; return it open for appending, and what is wrong with it."""
+        path = self._folder / LOG
+        if not path.exists():
+            return self._new_log(), None
+        found, data = read_log(path)
+        for payload in found.payloads:
+            self._ledger.apply(decode_record(payload))
+        if found.damage is None:
+            return continue_log(path, found), None
+        damage = f"{path}: {found.damage}"
+        _log.error("%s; the robot is stopped, and the file is kept as %s", damage, DAMAGED_LOG)
+        reason = f"{damage[:1500]}; see to the robot, then release it"
+        self._ledger.apply(Stopped(sender="journal", reason=reason))
+        damaged, part = self._folder / DAMAGED_LOG, self._incoming / "log.damaged"
+        os.close(replace_privately(damaged, data, part))
+        return self._new_log(), damage
+
+    def _end_what_ran(self) -> tuple[str, ...]:
+        """End the goals that were in progress when the process before ended."""
+        lost = self._ledger.running
+        for known in lost:
+            self.ended(lost_result(known))
+        return tuple(known.goal.goal_id for known in lost)
+
+    def _sweep(self) -> None:
+        """Remove the files of no goal: of crashes between two steps."""
+        for path in self._incoming.iterdir():
+            path.unlink()
+        for path in self._results.iterdir():
+            if path.name not in self._ledger.kept:
+                path.unlink()
+
+    # Writing.
+
+    def _close_log(self) -> None:
+        self._log_file.close()
+
+    def _append(self, record: Record) -> None:
+        with self._mutex:
+            if self._ledger.says_already(record):
+                return
+            self._log_file.append(encode_record(record))
+            for goal_id in self._ledger.apply(record):
+                self._remove_result(goal_id)
+            if self._log_file.size_bytes > self._compact_above_bytes:
+                self._compact()
+
+    def _remove_result(self, goal_id: str) -> None:
+        try:
+            (self._results / goal_id).unlink(missing_ok=True)
+        except OSError as error:
+            # The record says that it is gone; the next process to begin sweeps it away.
+            _log.warning("%s/%s cannot be removed: %s", self._results, goal_id, error.strerror)
+
+    def _compact(self) -> None:
+        """Replace the log by a shorter one with the same content."""
+        try:
+            self._replace_log()
+        except OSError as error:
+            _log.warning("%s could not be shortened: %s", self._folder, error.strerror)
+        self._compact_above_bytes = max(COMPACT_ABOVE_BYTES, 2 * self._log_file.size_bytes)
+
+    def _replace_log(self) -> None:
+        """Put a log of what is known now into the place of the one that is open; raises OSError."""
+        old = self._log_file
+        try:
+            self._log_file = self._new_log()
+        except OSError:
+            old.check_in_place()
+            raise
+        old.close()
+
+    def _new_log(self) -> LogFile:
+        payloads = map(encode_record, self._ledger.records())
+        return replace_log(self._folder / LOG, payloads, self._incoming / "log.new")
+
+    def _store_result(self, result: GoalResult) -> tuple[str, int]:
+        data = encode(result)
+        part = self._incoming / f"{result.goal_id}.result"
+        os.close(replace_privately(self._results / result.goal_id, data, part))
+        return hashlib.sha256(data).hexdigest(), len(data)
+
+
+def lost_result(known: LedgerGoal) -> GoalResult:
+    """Return what is to be said of a goal whose process died: no samples, and never again."""
+    if known.plan is None:
+        raise ValueError(f"goal {known.goal.goal_id} does not run")
+    nothing = np.empty(0) if isinstance(known.plan, ExcitationPlan) else np.empty((0, 0))
+    return GoalResult(
+        goal_id=known.goal.goal_id,
+        boot_id=known.boot_id,
+        outcome=Outcome.LOST,
+        reason=f"lost: the agent process {known.boot_id} ended during it; send a new attempt",
+        plan=known.plan,
+        reference=nothing,
+        response=nothing,
+    )

@@ -1,0 +1,245 @@
+"""What a robot's journal says, record by record: goals and their ends, the stop, the owner. Pure.
+
+A record is a fact in the past tense. Reading the records again from the first gives the same
+ledger, and `records` gives a shorter journal with the same content.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Annotated, Literal
+
+from pydantic import Field, TypeAdapter, ValidationError
+
+from nufleet.robot_agent.rules.goal_machine import REMEMBERED_GOALS, Goal
+from nufleet.robot_agent.rules.kept_results import KEPT_RESULT_BYTES, KEPT_RESULTS
+from nufleet.robot_agent.rules.supervisor import StopOrder
+from nufleet.shared.errors import NufleetError
+from nufleet.shared.strict import Identifier, Reason, Strict, describe_validation
+from nufleet.shared.wire.messages import Outcome
+from nufleet.shared.wire.motions import MotionPlan
+
+Digest = Annotated[str, Field(max_length=64)]
+Count = Annotated[int, Field(ge=0)]
+
+
+class JournalError(NufleetError):
+    """The journal cannot be read or written; what it was to hold must not be acted on."""
+
+
+class Accepted(Strict):
+    """A goal was taken, and its motion may have begun any time after."""
+
+    kind: Literal["accepted"] = "accepted"
+    goal_id: Identifier
+    owner: Identifier
+    digest: Digest
+    boot_id: Identifier
+    plan: MotionPlan
+
+
+class Ended(Strict):
+    """A goal's motion is over. `sha256` is of the file with its result; None without one."""
+
+    kind: Literal["ended"] = "ended"
+    goal_id: Identifier
+    outcome: Outcome
+    sha256: Digest | None
+    size_bytes: Count
+
+
+class Remembered(Strict):
+    """A goal that ended, from a journal that was written anew."""
+
+    kind: Literal["remembered"] = "remembered"
+    goal_id: Identifier
+    owner: Annotated[str, Field(max_length=200)]
+    digest: Digest
+    outcome: Outcome
+    sha256: Digest | None
+    size_bytes: Count
+
+
+class Acknowledged(Strict):
+    """These goals' results arrived."""
+
+    kind: Literal["acknowledged"] = "acknowledged"
+    goal_ids: Annotated[tuple[Identifier, ...], Field(max_length=64)]
+
+
+class Stopped(Strict):
+    """The robot was stopped until somebody releases it."""
+
+    kind: Literal["stopped"] = "stopped"
+    sender: Identifier
+    reason: Reason
+
+
+class Released(Strict):
+    """Somebody let the robot move again."""
+
+    kind: Literal["released"] = "released"
+    sender: Identifier
+
+
+class Owned(Strict):
+    """An orchestrator commands the robot under that epoch; lower ones are over."""
+
+    kind: Literal["owned"] = "owned"
+    owner: Identifier
+    epoch: Count
+
+
+Record = Accepted | Ended | Remembered | Acknowledged | Stopped | Released | Owned
+_RECORD: TypeAdapter[Record] = TypeAdapter(Annotated[Record, Field(discriminator="kind")])
+
+
+def encode_record(record: Record) -> bytes:
+    """Return a record as the payload of a frame."""
+    return record.model_dump_json().encode()
+
+
+def decode_record(payload: bytes) -> Record:
+    """Return the record in a frame's payload; raises JournalError."""
+    try:
+        return _RECORD.validate_json(payload)
+    except ValidationError as error:
+        raise JournalError(
+            f"the journal holds a record of another nufleet ({describe_validation(error)}); "
+            "install the one that wrote it, or move the journal away once the robot was seen to"
+        ) from error
+
+
+@dataclass(frozen=True)
+class LedgerGoal:
+    """A goal: with `boot_id` and `plan` while it runs, with `sha256` while its result is kept."""
+
+    goal: Goal
+    boot_id: str = ""
+    plan: MotionPlan | None = None
+    sha256: str | None = None
+    size_bytes: int = 0
+
+
+class Ledger:
+    """All that is known, within bounds: the oldest results and goals are let go."""
+
+    def __init__(self) -> None:
+        # Those that have ended in the order in which they did; the one that runs is among them.
+        self.goals: OrderedDict[str, LedgerGoal] = OrderedDict()
+        self.stop: StopOrder | None = None
+        self.owner: Owned | None = None
+        self._kept: OrderedDict[str, int] = OrderedDict()
+
+    @property
+    def running(self) -> tuple[LedgerGoal, ...]:
+        """The goals that were accepted and have not ended."""
+        return tuple(goal for goal in self.goals.values() if goal.goal.outcome is None)
+
+    @property
+    def kept(self) -> tuple[str, ...]:
+        """The goals whose results are kept, oldest first."""
+        return tuple(self._kept)
+
+    def says_already(self, record: Record) -> bool:
+        """Return whether a record would change nothing, as a second stop does."""
+        match record:
+            case Ended():
+                known = self.goals.get(record.goal_id)
+                return known is not None and known.goal.outcome is not None
+            case Acknowledged():
+                return not any(goal_id in self._kept for goal_id in record.goal_ids)
+            case Stopped():
+                return self.stop is not None
+            case Released():
+                return self.stop is None
+            case Owned():
+                return self.owner == record
+            case _:
+                return False
+
+    def apply(self, record: Record) -> tuple[str, ...]:
+        """Take in a record; return the goals whose results need not be kept any more."""
+        match record:
+            case Accepted():
+                goal = Goal(record.goal_id, record.owner, record.digest)
+                # Only damage puts it behind its goal's end, which stays.
+                known = LedgerGoal(goal, record.boot_id, record.plan)
+                self.goals.setdefault(record.goal_id, known)
+            case Ended():
+                # Where damage took the acceptance the goal is known all the same. Its digest is
+                # nobody's, so that whoever sends it again is refused.
+                unknown = LedgerGoal(Goal(record.goal_id, "", ""))
+                goal = self.goals.get(record.goal_id, unknown).goal
+                self._keep(replace(goal, outcome=record.outcome), record.sha256, record.size_bytes)
+            case Remembered():
+                goal = Goal(record.goal_id, record.owner, record.digest, record.outcome)
+                self._keep(goal, record.sha256, record.size_bytes)
+            case Acknowledged():
+                return self._let_go(record.goal_ids)
+            case Stopped():
+                # As in the supervisor: the first order stays the reason that is shown.
+                self.stop = self.stop or StopOrder(record.sender, record.reason)
+            case Released():
+                self.stop = None
+            case Owned():
+                self.owner = record
+        return self._let_go(self._over_the_bounds())
+
+    def records(self) -> Iterator[Record]:
+        """Yield the fewest records from which the same ledger comes."""
+        for known in self.goals.values():
+            goal = known.goal
+            if goal.outcome is not None:
+                yield Remembered(
+                    goal_id=goal.goal_id,
+                    owner=goal.owner,
+                    digest=goal.digest,
+                    outcome=goal.outcome,
+                    sha256=known.sha256,
+                    size_bytes=known.size_bytes,
+                )
+            elif known.plan is not None:
+                yield Accepted(
+                    goal_id=goal.goal_id,
+                    owner=goal.owner,
+                    digest=goal.digest,
+                    boot_id=known.boot_id,
+                    plan=known.plan,
+                )
+        if self.stop is not None:
+            yield Stopped(sender=self.stop.sender, reason=self.stop.reason)
+        if self.owner is not None:
+            yield self.owner
+
+    def _keep(self, goal: Goal, sha256: str | None, size_bytes: int) -> None:
+        known = self.goals.get(goal.goal_id)
+        if known is not None and known.goal.outcome is not None:
+            return
+        self.goals.pop(goal.goal_id, None)
+        self.goals[goal.goal_id] = LedgerGoal(goal, sha256=sha256, size_bytes=size_bytes)
+        if sha256 is not None:
+            self._kept[goal.goal_id] = size_bytes
+
+    def _over_the_bounds(self) -> Iterator[str]:
+        results, size_bytes = len(self._kept), sum(self._kept.values())
+        for goal_id, result_bytes in list(self._kept.items())[:-1]:
+            if results <= KEPT_RESULTS and size_bytes <= KEPT_RESULT_BYTES:
+                break
+            results, size_bytes = results - 1, size_bytes - result_bytes
+            yield goal_id
+        ended = (key for key, known in self.goals.items() if known.goal.outcome is not None)
+        for goal_id in list(islice(ended, max(0, len(self.goals) - REMEMBERED_GOALS))):
+            yield goal_id
+            del self.goals[goal_id]
+
+    def _let_go(self, goal_ids: Iterable[str]) -> tuple[str, ...]:
+        gone = tuple(goal_id for goal_id in dict.fromkeys(goal_ids) if goal_id in self._kept)
+        for goal_id in gone:
+            del self._kept[goal_id]
+            if goal_id in self.goals:
+                self.goals[goal_id] = LedgerGoal(self.goals[goal_id].goal)
+        return gone

@@ -1,0 +1,100 @@
+"""A robot whose motion ends when what it measures cannot be the answer to its references."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nufleet.robot_agent.motion.monitor import Monitor, rest_failure, rest_measurements
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotError
+from nufleet.shared.robots.spec import RobotSpec
+
+
+class MonitoredRobot(Robot):
+    """Passes everything on to the robot of one motion that begins and ends at rest."""
+
+    def __init__(self, robot: Robot) -> None:
+        """Prepare for one motion of a robot that is connected and at rest."""
+        self._robot = robot
+        self._monitor: Monitor | None = None
+        self.noise_std = np.zeros(len(robot.spec.axes))
+
+    @property
+    def spec(self) -> RobotSpec:
+        """The robot's own."""
+        return self._robot.spec
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """The robot's own."""
+        return self._robot.state_names
+
+    def begin(self, references: FloatArray) -> None:
+        """Compare where the robot rests with where its motion begins; before the first sample.
+
+        Args:
+            references: the whole motion as far as it is known ahead, shape (samples, axes).
+
+        Raises:
+            RobotError: it rests too far from the first reference, or its sensor fails.
+        """
+        measured, self._monitor = begun(self._robot, references, flight=True)
+        self.noise_std = measured.std(axis=0, ddof=1)
+
+    def connect(self) -> None:
+        """It is connected already."""
+
+    def measure_output(self) -> FloatArray:
+        """Measure the output at rest, shape (axes,)."""
+        return self._robot.measure_output()
+
+    def observe(self) -> FloatArray:
+        """Measure the state now, shape (axes, states)."""
+        return self._robot.observe()
+
+    def step(self, reference: FloatArray) -> FloatArray:
+        """Follow a reference for one sample; raises RobotError as `run` does."""
+        output = self._robot.step(reference)
+        self._check(reference[np.newaxis], output[np.newaxis])
+        return output
+
+    def run(self, references: FloatArray) -> FloatArray:
+        """Follow a reference signal; raises RobotError when the sensor or the robot fails."""
+        outputs = self._robot.run(references)
+        if len(references):
+            self._check(references, outputs)
+        return outputs
+
+    def rest(self) -> None:
+        """Bring the robot to rest."""
+        self._robot.rest()
+
+    def disconnect(self) -> None:
+        """It stays connected: the motion worker lets go of it."""
+
+    def _check(self, references: FloatArray, outputs: FloatArray) -> None:
+        if self._monitor is None:
+            raise RuntimeError("a motion has to begin before its first sample")
+        failure = self._monitor.check(references, outputs)
+        if failure is not None:
+            raise RobotError(failure.reason)
+
+
+def begun(robot: Robot, references: FloatArray, *, flight: bool) -> tuple[FloatArray, Monitor]:
+    """Measure a robot at rest; return the measurements and what watches the motion from there.
+
+    Args:
+        robot: connected and at rest.
+        references: of the motion, as far as they are known ahead, shape (samples, axes).
+        flight: as for `Monitor`.
+
+    Raises:
+        RobotError: it rests too far from the first reference, or its sensor fails.
+    """
+    spec = robot.spec
+    measured = np.stack([robot.measure_output() for _ in range(rest_measurements(spec))])
+    failure = rest_failure(spec, measured, references[0])
+    if failure is not None:
+        raise RobotError(failure)
+    return measured, Monitor(spec, measured, np.ptp(references, axis=0), flight=flight)

@@ -1,0 +1,74 @@
+"""Keeps the samples of a motion in time, and ends it when somebody threw its switch."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.wire.messages import Outcome
+
+GAP_MAX_S = 2.0
+"""A paced motion whose samples are this far apart ends: the process was frozen, or the robot hung.
+Whoever commands it will have given it up by then."""
+
+CATCH_UP_MAX_S = 0.25
+"""A paced simulation that is later than this goes on at its pace and does not catch up."""
+
+
+class HaltSwitch:
+    """Set from any thread to end a motion; keeps the first outcome and reason it was given."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._thrown = threading.Event()
+        self._order: tuple[Outcome, str] | None = None
+
+    def halt(self, outcome: Outcome, reason: str) -> None:
+        """Ask the motion to end."""
+        with self._lock:
+            if self._order is None:
+                self._order = (outcome, reason)
+        self._thrown.set()
+
+    @property
+    def order(self) -> tuple[Outcome, str] | None:
+        """How the motion is to end; None while it may go on."""
+        return self._order
+
+    def wait(self, timeout_s: float) -> None:
+        """Wait for so long, or until the switch is thrown."""
+        self._thrown.wait(timeout_s)
+
+
+class Pace:
+    """Waits for the time of each sample of one motion.
+
+    `free` says that the samples have no time: a simulation as fast as it can. A real robot paces
+    itself; its samples are only checked for gaps.
+    """
+
+    def __init__(self, spec: RobotSpec, realtime: float | None, switch: HaltSwitch) -> None:
+        """Prepare for one motion; `realtime` is the multiple of real time of a simulation."""
+        self.free = realtime is None and spec.simulated
+        self._waits = spec.simulated
+        self._period_s = spec.sample_time_s / (realtime if realtime and spec.simulated else 1.0)
+        self._switch = switch
+        self._due_s = self._last_s = -1.0
+        self._samples = 0
+
+    def wait(self) -> None:
+        """Return when the next sample is due, or the switch was thrown."""
+        if self.free:
+            return
+        if self._samples == 0:
+            self._due_s = self._last_s = time.monotonic()
+        if self._waits:
+            self._switch.wait(max(0.0, self._due_s - time.monotonic()))
+        now_s = time.monotonic()
+        if now_s - self._last_s > GAP_MAX_S + self._period_s:
+            gap = f"nothing happened for {now_s - self._last_s:.1f} s before sample {self._samples}"
+            self._switch.halt(Outcome.ABORTED, gap)
+        self._last_s = now_s
+        self._due_s = max(self._due_s, now_s - CATCH_UP_MAX_S) + self._period_s
+        self._samples += 1

@@ -1,0 +1,94 @@
+"""A robot whose every sample keeps time and can be the last one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from nufleet.robot_agent.motion.pace import HaltSwitch, Pace
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.robots.spec import RobotSpec
+
+CHUNK_SAMPLES = 256
+"""A simulation as fast as it can plays so many samples between two looks at the switch."""
+
+
+class Halted(Exception):  # noqa: N818 - not an error: somebody asked for the end
+    """The switch was thrown before the next sample."""
+
+
+class PacedRobot(Robot):
+    """Passes everything on to the robot of one motion, in time, until the switch is thrown."""
+
+    def __init__(
+        self, robot: Robot, pace: Pace, switch: HaltSwitch, on_played: Callable[[int], None]
+    ) -> None:
+        """Prepare for one motion.
+
+        Args:
+            robot: connected and at rest.
+            pace: of the motion.
+            switch: once it is thrown, `step` and `run` raise `Halted`.
+            on_played: is told how many samples have been played.
+        """
+        self._robot, self._pace, self._switch = robot, pace, switch
+        self._on_played = on_played
+        self._played = 0
+
+    @property
+    def spec(self) -> RobotSpec:
+        """The robot's own."""
+        return self._robot.spec
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """The robot's own."""
+        return self._robot.state_names
+
+    def connect(self) -> None:
+        """It is connected already."""
+
+    def measure_output(self) -> FloatArray:
+        """Measure the output at rest, shape (axes,)."""
+        return self._robot.measure_output()
+
+    def observe(self) -> FloatArray:
+        """Measure the state now, shape (axes, states)."""
+        return self._robot.observe()
+
+    def step(self, reference: FloatArray) -> FloatArray:
+        """Follow a reference for one sample, when it is due."""
+        self._pace.wait()
+        self._raise_if_halted()
+        output = self._robot.step(reference)
+        self._count(1)
+        return output
+
+    def run(self, references: FloatArray) -> FloatArray:
+        """Follow a whole reference signal; shapes (samples, axes)."""
+        if not self._pace.free:
+            return super().run(references)
+        outputs = np.empty_like(references)
+        for start in range(0, len(references), CHUNK_SAMPLES):
+            self._raise_if_halted()
+            chunk = slice(start, start + CHUNK_SAMPLES)
+            outputs[chunk] = self._robot.run(references[chunk])
+            self._count(len(references[chunk]))
+        return outputs
+
+    def rest(self) -> None:
+        """Bring the robot to rest."""
+        self._robot.rest()
+
+    def disconnect(self) -> None:
+        """It stays connected: the motion worker lets go of it."""
+
+    def _raise_if_halted(self) -> None:
+        if self._switch.order is not None:
+            raise Halted
+
+    def _count(self, samples: int) -> None:
+        self._played += samples
+        self._on_played(self._played)

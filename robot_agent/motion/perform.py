@@ -1,0 +1,178 @@
+"""Performs one motion on the robot and brings it to rest, whatever happens."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from nufleet.robot_agent.motion.monitored_robot import begun
+from nufleet.robot_agent.motion.pace import HaltSwitch, Pace
+from nufleet.robot_agent.motion.paced_robot import CHUNK_SAMPLES, Halted
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotError
+from nufleet.shared.wire.messages import Outcome
+from nufleet.shared.wire.motions import FlightDetails
+
+_log = logging.getLogger(__name__)
+
+OnSamples = Callable[[int, FloatArray, FloatArray], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Reference and output, both (samples,) or (samples, axes), and what else was measured."""
+
+    reference: FloatArray
+    response: FloatArray
+    details: FlightDetails | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Played:
+    """What was played and measured until the motion ended.
+
+    `fault` is why the robot cannot be trusted with another motion; None when it can.
+    """
+
+    outcome: Outcome
+    reason: str
+    samples: Samples
+    fault: str | None = None
+
+
+class Performance(Protocol):
+    """Moves the robot; keeps what it measured, also when it raised."""
+
+    def play(self) -> tuple[Outcome, str]:
+        """Play the motion; may raise RobotError or Halted."""
+
+    def measured(self) -> Samples:
+        """Return what was measured until now."""
+
+
+def perform(
+    robot: Robot, performance: Performance, switch: HaltSwitch, *, on_resting: Callable[[], None]
+) -> Played:
+    """Perform a motion, from rest to rest.
+
+    A robot that breaks its interface (raises anything but `RobotError`, or does not come to rest)
+    gives a failed motion with a fault; nothing that it raises leaves this function.
+
+    Args:
+        robot: connected and at rest.
+        performance: the motion.
+        switch: ends the motion early.
+        on_resting: called when the last sample has been played.
+    """
+    fault: str | None = None
+    try:
+        outcome, reason = performance.play()
+    except Halted:
+        outcome, reason = switch.order or (Outcome.ABORTED, "halted")
+    except RobotError as error:
+        outcome, reason = Outcome.FAILED, str(error)
+    except Exception as error:  # noqa: BLE001 - a driver's mistake must not leave it moving
+        _log.exception("a motion ended unexpectedly")
+        outcome, reason = Outcome.FAILED, f"an unexpected error: {error!r}"
+        fault = reason
+    try:
+        on_resting()
+    finally:
+        not_at_rest = _bring_to_rest(robot)
+    if not_at_rest is not None:
+        outcome = Outcome.FAILED
+        reason = f"{reason}; {not_at_rest}" if reason else not_at_rest
+        fault = reason
+    return Played(outcome, reason, performance.measured(), fault)
+
+
+def _bring_to_rest(robot: Robot) -> str | None:
+    """Bring the robot to rest; return why that failed, None when it is at rest."""
+    try:
+        robot.rest()
+    except RobotError as error:
+        return f"could not come to rest: {error}"
+    except Exception as error:  # noqa: BLE001 - a driver's mistake, as above
+        _log.exception("a robot did not come to rest")
+        return f"could not come to rest: {error!r}"
+    return None
+
+
+class AxisMotion:
+    """A reference for one axis, known ahead; the others hold zero."""
+
+    def __init__(
+        self,
+        robot: Robot,
+        axis: str,
+        reference: FloatArray,
+        *,
+        realtime: float | None,
+        switch: HaltSwitch,
+        on_samples: OnSamples,
+    ) -> None:
+        """Prepare.
+
+        Args:
+            robot: connected and at rest.
+            axis: the axis that follows.
+            reference: shape (samples,), in the axis's unit.
+            realtime: paces a simulated robot at this multiple of real time; None lets it play as
+                fast as it can. A real robot paces itself, one sample at a time.
+            switch: ends the motion early.
+            on_samples: called with the first index and the samples of each batch.
+        """
+        self._robot, self._axis, self._reference = robot, axis, reference
+        self._switch, self._on_samples = switch, on_samples
+        self._pace = Pace(robot.spec, realtime, switch)
+        self._response = np.empty_like(reference)
+        self._done = 0
+
+    def measured(self) -> Samples:
+        """Return what was measured until now; both shape (samples,)."""
+        return Samples(self._reference[: self._done].copy(), self._response[: self._done].copy())
+
+    def play(self) -> tuple[Outcome, str]:
+        """Play the reference to its end, or until the switch is thrown."""
+        axes = [axis.name for axis in self._robot.spec.axes]
+        column = axes.index(self._axis)
+        if self._switch.order is not None:
+            return self._switch.order
+        whole = np.zeros((len(self._reference), len(axes)))
+        whole[:, column] = self._reference
+        _, monitor = begun(self._robot, whole, flight=False)
+        for start, stop in self._batches():
+            if self._switch.order is not None:
+                return self._switch.order
+            references = whole[start:stop]
+            measured = (
+                self._robot.run(references)
+                if stop - start > 1
+                else self._robot.step(references[0])[np.newaxis, :]
+            )
+            failure = monitor.check(references, measured)
+            good = stop - start if failure is None else failure.good
+            self._response[start : start + good] = measured[:good, column]
+            self._done = start + good
+            self._on_samples(
+                start, self._reference[start : self._done], self._response[start : self._done]
+            )
+            if failure is not None:
+                return Outcome.FAILED, failure.reason
+        return Outcome.COMPLETED, ""
+
+    def _batches(self) -> Iterator[tuple[int, int]]:
+        """Yield the next samples to play: many at once, or single ones at their time."""
+        samples = len(self._reference)
+        if self._pace.free:
+            for start in range(0, samples, CHUNK_SAMPLES):
+                yield start, min(start + CHUNK_SAMPLES, samples)
+            return
+        for k in range(samples):
+            self._pace.wait()
+            yield k, k + 1

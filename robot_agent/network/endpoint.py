@@ -1,0 +1,163 @@
+"""Answers the queries on one robot's keys, in order and within bounds.
+
+Zenoh's thread only puts a query into a short queue, from which one worker answers. Urgent queries
+alone are answered where they arrive, so that they never wait behind others.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import threading
+from collections.abc import Callable, Collection, Mapping
+from concurrent.futures import CancelledError, Future
+from contextlib import suppress
+from functools import partial
+from typing import TypeVar
+
+from nufleet.robot_agent.journal.ledger import JournalError
+from nufleet.shared.errors import MalformedMessageError, RefusedError, TransportError
+from nufleet.shared.wire.codec import Message, encode
+from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.messages import Refusal
+from nufleet.shared.wire.transport import Request, Session
+
+MAX_REQUEST_BYTES = 64 * 1024
+MAX_LARGE_REQUEST_BYTES = 8 * 2**20
+"""Of a request that carries a path or an experience."""
+
+MAX_WAITING_REQUESTS = 64
+MAX_WAITING_BYTES = 2 * MAX_LARGE_REQUEST_BYTES
+"""Of all requests that wait, together."""
+
+Answer = Message | Future[Message]
+Handler = Callable[[bytes], Answer]
+"""Takes a payload; returns the reply or its future, or raises RefusedError, JournalError or
+MalformedMessageError."""
+
+A = TypeVar("A")
+_log = logging.getLogger(__name__)
+SHUTTING_DOWN = Refusal(code="shutting-down", reason="this agent is ending")
+
+
+class Endpoint:
+    """Serves every key of a robot; each query gets one reply, a refusal where there is no other."""
+
+    def __init__(
+        self,
+        session: Session,
+        keys: FleetKeys,
+        robot: str,
+        *,
+        handlers: Mapping[str, Handler],
+        urgent: Mapping[str, Handler],
+        large: Collection[str] = (),
+    ) -> None:
+        """Begin to serve.
+
+        Args:
+            session: where.
+            keys: of the robot's fleet.
+            robot: its name.
+            handlers: what answers the queries on each key; called from one thread.
+            urgent: the same, for those that cannot wait; called from Zenoh's thread.
+            large: the keys whose requests may be up to `MAX_LARGE_REQUEST_BYTES` long.
+        """
+        self._prefix = keys.robot(robot, "")
+        self._handlers = handlers
+        self._urgent = urgent
+        self._large = frozenset(large)
+        self._lock = threading.Lock()
+        self._closed = False
+        self._waiting_bytes = 0
+        self._waiting: queue.Queue[Request | None] = queue.Queue(MAX_WAITING_REQUESTS)
+        self._worker = threading.Thread(target=self._work, name=f"{robot}-requests", daemon=True)
+        self._worker.start()
+        self._declaration = session.serve(keys.robot(robot, "**"), self._on_request)
+
+    def close(self) -> None:
+        """Serve no more; what still waits is refused."""
+        self._declaration.withdraw()
+        with self._lock:
+            self._closed = True
+        with suppress(queue.Empty):
+            while (request := self._waiting.get_nowait()) is not None:
+                _send(request, SHUTTING_DOWN)
+        self._waiting.put(None)
+        self._worker.join()
+
+    def _on_request(self, request: Request) -> None:
+        leaf = request.key.removeprefix(self._prefix)
+        urgent = self._urgent.get(request.key.rpartition("/")[2] if request.is_wildcard else leaf)
+        most = MAX_LARGE_REQUEST_BYTES if leaf in self._large else MAX_REQUEST_BYTES
+        too_large = request.size_bytes > most
+        if urgent is not None:
+            # Whatever came along: who asks for this must not be turned away for its size.
+            _reply(request, partial(urgent, b"" if too_large else request.payload))
+        elif request.is_wildcard:
+            _send(request, Refusal(code="wildcard", reason="ask each robot on a key of its own"))
+        elif leaf not in self._handlers:
+            reason = f"this robot does not serve {leaf[:200]!r}"
+            _send(request, Refusal(code="unknown-key", reason=reason))
+        elif too_large:
+            reason = f"{request.size_bytes} bytes; at most {most} are taken"
+            _send(request, Refusal(code="too-large", reason=reason))
+        else:
+            refusal = self._enqueue(request)
+            if refusal is not None:
+                _send(request, refusal)
+
+    def _enqueue(self, request: Request) -> Refusal | None:
+        with self._lock:
+            if self._closed:
+                return SHUTTING_DOWN
+            size_bytes = request.size_bytes
+            too_long = self._waiting_bytes + size_bytes > MAX_WAITING_BYTES
+            if too_long or self._waiting.full():
+                return Refusal(code="overloaded", reason="too many requests wait here")
+            self._waiting_bytes += size_bytes
+            self._waiting.put_nowait(request)
+        return None
+
+    def _work(self) -> None:
+        while (request := self._waiting.get()) is not None:
+            with self._lock:
+                self._waiting_bytes -= request.size_bytes
+            handler = self._handlers[request.key.removeprefix(self._prefix)]
+            _reply(request, partial(handler, request.payload))
+
+
+def _reply(request: Request, ask: Callable[[], Answer]) -> None:
+    answer = _answered(ask)
+    if isinstance(answer, Future):
+        answer.add_done_callback(lambda done: _send(request, _answered(done.result)))
+    else:
+        _send(request, answer)
+
+
+def _answered(ask: Callable[[], A]) -> A | Refusal:
+    """Return the answer, and every way of having none as a refusal."""
+    try:
+        return ask()
+    except RefusedError as error:
+        return Refusal(code=error.code, reason=error.reason)
+    except MalformedMessageError as error:
+        return Refusal(code="malformed", reason=str(error))
+    except JournalError as error:
+        return Refusal(code="journal", reason=str(error))
+    except CancelledError:
+        return SHUTTING_DOWN
+    except Exception as error:  # noqa: BLE001 - one bad request must not end the agent
+        _log.exception("answering a request")
+        return Refusal(code="internal-error", reason=repr(error))
+
+
+def _send(request: Request, answer: Message) -> None:
+    try:
+        payload = encode(answer)
+    except MalformedMessageError as error:
+        payload = encode(Refusal(code="too-large", reason=str(error)))
+    try:
+        request.answer(payload)
+    except TransportError as error:
+        _log.warning("the reply on %s was lost: %s", request.key, error)

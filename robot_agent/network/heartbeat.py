@@ -1,0 +1,61 @@
+"""Publishes what a robot is doing: at every change, and twice a second while nothing changes."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+from nufleet.shared.errors import NufleetError
+from nufleet.shared.wire.codec import encode
+from nufleet.shared.wire.messages import RobotState
+from nufleet.shared.wire.transport import Publisher
+
+HEARTBEAT_S = 0.5
+
+_log = logging.getLogger(__name__)
+
+
+class Heartbeat:
+    """A thread that publishes a robot's state; changes that come fast share one message."""
+
+    def __init__(
+        self,
+        robot: str,
+        publisher: Publisher,
+        state: Callable[[], RobotState],
+        changed: threading.Event,
+    ) -> None:
+        """Begin.
+
+        Args:
+            robot: its name.
+            publisher: where states go.
+            state: returns the state of now.
+            changed: set by whoever changed the state, so that it is published soon.
+        """
+        self._publisher = publisher
+        self._state = state
+        self._changed = changed
+        self._closing = False
+        self._thread = threading.Thread(target=self._beat, name=f"{robot}-heartbeat", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Publish the last state and end."""
+        self._closing = True
+        self._changed.set()
+        self._thread.join()
+        self._publisher.withdraw()
+
+    def _beat(self) -> None:
+        closing = False
+        while not closing:
+            self._changed.clear()
+            closing = self._closing  # read before the state, so that the last one is published
+            try:
+                self._publisher.put(encode(self._state()))
+            except NufleetError as error:
+                _log.warning("a heartbeat was not sent: %s", error)
+            if not closing:
+                self._changed.wait(HEARTBEAT_S)

@@ -1,0 +1,1 @@
+"""What a robot may do, decided without effects: goals, ownership, stops, kept results."""

@@ -1,0 +1,1 @@
+"""Distances between closed loops: chordal, over a band, and the ν-gap with its margins."""

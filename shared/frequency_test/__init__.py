@@ -1,0 +1,1 @@
+"""What a robot plays in a frequency test, and the response that comes of it."""

@@ -1,0 +1,253 @@
+"""The response z(ω) of a robot from one frequency test, with its uncertainty and a verdict."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from nufleet.shared.arrays import ComplexArray, FloatArray
+from nufleet.shared.distance.chordal import geodesic_radius
+from nufleet.shared.frequency_test.excitation import ExcitationPlan
+from nufleet.shared.frequency_test.nonlinearity import (
+    harmonic_distortion,
+    nonlinear,
+    power_distortion,
+)
+from nufleet.shared.frequency_test.quality import (
+    NO_RESPONSE_SIGNIFICANCE,
+    SILENCE,
+    Finding,
+    Quality,
+    changed,
+    disturbed,
+    f_quantile,
+    uncertain,
+    unexplained,
+    unsettled,
+    verdict,
+)
+from nufleet.shared.frequency_test.sensor_faults import sensor_faults
+from nufleet.shared.frequency_test.sinusoid_fit import (
+    SinusoidFit,
+    UnresolvableError,
+    complex_median,
+    fit_sinusoids,
+    resolvable_harmonics,
+    sum_of_tones,
+    variance_of_mean,
+)
+from nufleet.shared.frequency_test.suspect_samples import Tested, suspicions
+
+GAIN_MAX = 1e12
+"""An output larger than this multiple of the reference is no response to it."""
+
+REFERENCE_TONE_MIN = 1e-9
+"""A tone below this share of the reference's largest sample is not in the reference."""
+
+
+@dataclass(frozen=True)
+class FrequencyResponse:
+    """Estimates ẑ of z(ω) = Y/U at the tones of one test, in the order of its plan.
+
+    `variance` is E|ẑ − z|² (of a circular error), estimated from `segments` segments with so many
+    `degrees` of freedom, None for the 2P − 2 of tones that every segment tells apart, and what
+    suspicious samples may have added to it. `amplitude` is the peak of the reference in the axis's
+    unit, None where it is not known. Where nothing could be estimated ẑ is NaN and its variance
+    infinite, and the test is not usable.
+    """
+
+    omega_rad_s: FloatArray  # (tones,)
+    z: ComplexArray  # (tones,)
+    variance: FloatArray  # (tones,)
+    segments: int
+    quality: Quality
+    degrees: FloatArray | None = None  # (tones,)
+    amplitude: float | None = None
+
+    @property
+    def degrees_of_freedom(self) -> FloatArray:
+        """Of each variance, shape (tones,)."""
+        if self.degrees is not None:
+            return self.degrees
+        return np.full(len(self.omega_rad_s), 2.0 * (self.segments - 1))
+
+    def radius(self, alpha: float = 0.05) -> FloatArray:
+        """Return the radius ρ of the disc around each ẑ that holds z with probability 1 − α."""
+        return uncertainty_radius(self.variance, self.degrees_of_freedom, alpha)
+
+
+def uncertainty_radius(
+    variance: FloatArray, degrees: FloatArray, alpha: float = 0.05
+) -> FloatArray:
+    """Return ρ with ρ² = s² F and F the 1 − α quantile of F with 2 and `degrees` degrees.
+
+    Args:
+        variance: s², the variance of each estimate, shape (…).
+        degrees: degrees of freedom of each, of the same shape.
+        alpha: probability that the disc misses z.
+    """
+    return np.sqrt(variance * f_quantile(alpha, degrees / 2))
+
+
+def estimate_frequency_response(
+    reference: FloatArray, response: FloatArray, plan: ExcitationPlan
+) -> FrequencyResponse:
+    """Estimate z at every tone of a test from the samples of its measuring part.
+
+    All tones, an offset, a drift and second and third harmonics are fitted jointly to the whole
+    measuring part; what each segment contributes gives the variance. (The mean of phasors fitted to
+    each segment alone has up to 2.8 times the variance: within one period a drift looks like a
+    sine.) Whatever is wrong with the samples is a verdict, never an exception.
+
+    Args:
+        reference: one axis's reference, shape (samples,).
+        response: the output measured at the same times, shape (samples,).
+        plan: what was played.
+    """
+    omegas = np.array([tone.omega_rad_s for tone in plan.tones])
+    first = plan.first_measured_sample
+    end = first + plan.segments * plan.segment_samples
+    if min(len(reference), len(response)) < end:
+        text = f"the test ended early: {len(response)} samples, and measuring ends at sample {end}"
+        return _failed(omegas, plan, "ended-early", text)
+    u, y = reference[first:end], response[first:end]
+    for name, signal in (("reference", u), ("output", y)):
+        bad = np.flatnonzero(~np.isfinite(signal))
+        if len(bad):
+            text = f"the {name} holds {len(bad)} samples that are not finite"
+            return _failed(omegas, plan, "not-finite", text)
+    # Scaled to 1, so that no square overflows however far a robot has gone.
+    u_scale, y_scale = float(np.max(np.abs(u))), float(np.max(np.abs(y)))
+    if u_scale == 0.0:
+        return _failed(omegas, plan, "no-reference", "the reference is zero throughout")
+    if y_scale > GAIN_MAX * u_scale:
+        text = f"the output reaches {y_scale:.2g} at a reference of {u_scale:.2g}: it ran away"
+        return _failed(omegas, plan, "unexplained", text)
+    return _estimate(_Samples(u / u_scale, y / (y_scale or 1.0), u_scale, y_scale), omegas, plan)
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """The measuring part, scaled to largest samples of 1; its scales are in the axis's unit."""
+
+    u: FloatArray
+    y: FloatArray
+    u_scale: float
+    y_scale: float
+
+
+@dataclass(frozen=True)
+class _Estimates:
+    """What each segment says of z, shape (segments, tones), and the variance of their mean."""
+
+    segment_z: ComplexArray
+    variance: FloatArray
+    degrees: FloatArray
+
+
+def _estimate(samples: _Samples, omegas: FloatArray, plan: ExcitationPlan) -> FrequencyResponse:
+    tones, step_s = len(omegas), plan.sample_time_s
+    extra = resolvable_harmonics(omegas, step_s, len(samples.u) * step_s)
+    every_omega = np.concatenate([omegas, extra])
+    try:
+        input_fit, output_fit = fit_sinusoids(
+            [samples.u, samples.y], every_omega, step_s, plan.segments
+        )
+    except UnresolvableError as error:
+        return _failed(omegas, plan, "unresolvable", str(error))
+    input_tones = input_fit.phasors[:tones]
+    if np.min(np.abs(input_tones)) < REFERENCE_TONE_MIN:
+        return _failed(omegas, plan, "no-reference", "a tone is missing from the reference")
+    scaled_z = output_fit.phasors[:tones] / input_tones
+    # A segment's own z to first order: 1/U_p would be biased if the reference scattered too.
+    segment_output = output_fit.segment_phasors[:, :tones]
+    segment_input = input_fit.segment_phasors[:, :tones]
+    segment_z = scaled_z + (segment_output - scaled_z * segment_input) / input_tones
+    gain = samples.y_scale / samples.u_scale
+    tested = Tested(
+        measured=samples.y,
+        tones=sum_of_tones(output_fit.phasors[:tones], omegas, step_s, len(samples.y)),
+        residual=samples.y - output_fit.fitted,
+        omega_rad_s=omegas,
+        amplitudes=np.abs(output_fit.phasors[:tones]),
+        sample_time_s=step_s,
+    )
+    suspected = list(suspicions(tested))
+    variance = output_fit.scatter_factor[:tones] * variance_of_mean(gain * segment_z)
+    for suspicion in suspected:
+        variance += (gain * suspicion.phasor_error / np.abs(input_tones)) ** 2
+    degrees = output_fit.scatter_degrees[:tones]
+    estimates = _Estimates(gain * segment_z, variance, degrees)
+    findings = _findings(tested, samples, input_fit, output_fit, estimates, plan)
+    return FrequencyResponse(
+        omega_rad_s=omegas,
+        z=gain * scaled_z,
+        variance=variance,
+        segments=plan.segments,
+        quality=verdict([*findings, *(suspicion.finding for suspicion in suspected)]),
+        degrees=degrees,
+        amplitude=plan.amplitude,
+    )
+
+
+def _findings(
+    tested: Tested,
+    samples: _Samples,
+    input_fit: SinusoidFit,
+    output_fit: SinusoidFit,
+    estimates: _Estimates,
+    plan: ExcitationPlan,
+) -> list[Finding | None]:
+    omegas, segments, step_s = tested.omega_rad_s, plan.segments, plan.sample_time_s
+    segment_z, variance, degrees = estimates.segment_z, estimates.variance, estimates.degrees
+    tones, z = len(omegas), segment_z.mean(axis=0)
+    moved, residual = tested.tones, tested.residual
+    played, usual = (
+        sum_of_tones(phasors, omegas, step_s, len(samples.y))
+        for phasors in (
+            input_fit.phasors[:tones],
+            # The median resists one bad segment, which spreads its error over all in the mean.
+            complex_median(output_fit.segment_phasors[:, :tones]),
+        )
+    )
+    silent = (tested.amplitudes <= SILENCE) | (
+        np.abs(z) <= uncertainty_radius(variance, degrees, NO_RESPONSE_SIGNIFICANCE)
+    )
+    # In the unit that the output was scaled to; an output of zeros has none.
+    reference_rms = float(np.std(samples.u)) * samples.u_scale / (samples.y_scale or math.inf)
+    findings: list[Finding | None] = [
+        *sensor_faults(samples.y, moved, samples.y_scale),
+        unexplained(reference_rms, samples.y, residual),
+        *uncertain(omegas, silent, geodesic_radius(z, uncertainty_radius(variance, degrees))),
+    ]
+    if silent.all():
+        return findings
+    distortion = harmonic_distortion(output_fit, tones, residual)
+    # The powers of a single tone are its harmonics.
+    if tones > 1:
+        powers = power_distortion(residual, (moved, played), omegas, step_s, segments)
+        distortion = max(distortion, powers)
+    gain = samples.y_scale / samples.u_scale
+    on_the_sphere = gain / np.abs(input_fit.phasors[:tones]) / (1 + np.abs(z) ** 2)
+    settling = unsettled(segment_z, omegas)
+    if settling is None or settling.code != "unsettled":
+        findings.append(changed(residual, on_the_sphere, omegas, step_s))
+    return [
+        *findings,
+        disturbed(residual + moved - usual, moved, segments),
+        settling,
+        nonlinear(distortion),
+    ]
+
+
+def _failed(omegas: FloatArray, plan: ExcitationPlan, code: str, text: str) -> FrequencyResponse:
+    return FrequencyResponse(
+        omega_rad_s=omegas,
+        z=np.full(len(omegas), complex(np.nan, np.nan)),
+        variance=np.full(len(omegas), np.inf),
+        segments=plan.segments,
+        quality=Quality(reasons=(Finding(code=code, text=text),)),
+        amplitude=plan.amplitude,
+    )

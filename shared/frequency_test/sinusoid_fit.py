@@ -1,0 +1,206 @@
+"""Least squares of sinusoids with known frequencies, an offset and a drift, over equal segments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from nufleet.shared.arrays import ComplexArray, FloatArray
+
+CONDITION_MAX = 1e10
+"""Above this condition number of the normal equations, frequencies cannot be told apart."""
+
+SCATTER_MIN = 1e-6
+"""Below this share of the variance the scatter of segments is rounding, not noise."""
+
+
+class UnresolvableError(ValueError):
+    """Two frequencies are too close (or one too near Nyquist) for the length of the signals."""
+
+
+@dataclass(frozen=True)
+class SinusoidFit:
+    """Phasors Y of y(t) = Re Σ Y e^{jωt} + offset + drift at F frequencies.
+
+    `segment_phasors` split the estimate into what each segment says: their mean over segments is
+    `phasors`, and where segments hold whole periods they are the phasors fitted to each segment
+    alone. Their scatter therefore measures the noise at each frequency, white or not. Where
+    segments are too short to tell the tones apart it falls short of the noise, by `scatter_factor`,
+    and has fewer degrees of freedom than two for each segment but one.
+    """
+
+    omega_rad_s: FloatArray  # (F,)
+    phasors: ComplexArray  # (F,)
+    segment_phasors: ComplexArray  # (segments, F)
+    scatter_factor: FloatArray  # (F,)
+    scatter_degrees: FloatArray  # (F,)
+    fitted: FloatArray  # (samples,)
+
+    @property
+    def variance(self) -> FloatArray:
+        """The variance E|Ŷ − Y|² of each phasor, shape (F,): s²/P times `scatter_factor`."""
+        return np.asarray(self.scatter_factor * variance_of_mean(self.segment_phasors))
+
+
+def variance_of_mean(segment_values: ComplexArray) -> FloatArray:
+    """Return s²/P, the variance of the mean over segments; shape (segments, n) to (n,)."""
+    segments = len(segment_values)
+    spread = np.abs(segment_values - segment_values.mean(axis=0)) ** 2
+    return np.asarray(spread.sum(axis=0) / (segments * (segments - 1)), dtype=np.float64)
+
+
+def complex_median(segment_values: ComplexArray) -> ComplexArray:
+    """Return the median over segments of real and imaginary parts; shape (segments, n) to (n,)."""
+    median: ComplexArray = np.median(segment_values.real, axis=0) + 1j * np.median(
+        segment_values.imag, axis=0
+    )
+    return median
+
+
+def fit_sinusoids(
+    signals: Sequence[FloatArray], omega_rad_s: FloatArray, sample_time_s: float, segments: int
+) -> list[SinusoidFit]:
+    """Fit all frequencies jointly to the whole of each signal.
+
+    With H = [cos ωt, sin ωt, 1, t − t̄] the estimate is θ̂ = (HᵀH)⁻¹Hᵀy. Segment p adds
+    (HᵀH)⁻¹H_pᵀ(y_p − H_p θ̂) to it; these contributions sum to zero, and P times each, added to θ̂,
+    is that segment's own estimate (the clusters of a cluster-robust covariance: Liang and Zeger,
+    Biometrika 73, 1986).
+
+    That covariance is too small where segments differ in what they say of a parameter (Bell and
+    McCaffrey, Survey Methodology 28, 2002): a segment's residual lacks what the segment itself has
+    put into θ̂. In white noise E[s²/P] is P/(P − 1) diag(G⁻¹ (G − Σ_p G_p G⁻¹ G_p) G⁻¹) and the
+    variance diag(G⁻¹), with G = HᵀH and G_p = H_pᵀH_p; their ratio is the `scatter_factor`. The
+    degrees of freedom are those of the χ² with the same mean and variance (Satterthwaite,
+    Biometrics Bulletin 2, 1946).
+
+    Args:
+        signals: all of the same shape (samples,), a multiple of `segments`.
+        omega_rad_s: shape (F,), all different and below the Nyquist frequency.
+        sample_time_s: time between samples.
+        segments: number of segments P of equal length.
+
+    Raises:
+        UnresolvableError: the normal equations are singular to working precision, or leave no
+            residual that would tell of the noise.
+    """
+    stacked = np.column_stack(signals)
+    samples, count = stacked.shape
+    length = samples // segments
+    blocks = [slice(p * length, (p + 1) * length) for p in range(segments)]
+    size = 2 * len(omega_rad_s) + 2
+    grams = np.empty((segments, size, size))
+    moments = np.zeros((size, count))
+    # One segment of H at a time: all of it would be gigabytes for many tones in a long test.
+    for p, block in enumerate(blocks):
+        columns = _columns(block, samples, omega_rad_s, sample_time_s)
+        grams[p] = columns.T @ columns
+        moments += columns.T @ stacked[block]
+    gram = grams.sum(axis=0)
+    eigenvalues = np.linalg.eigvalsh(gram)
+    if eigenvalues[-1] > CONDITION_MAX * eigenvalues[0]:
+        raise UnresolvableError("the frequencies cannot be told apart in signals of this length")
+    factor = cho_factor(gram)
+    theta = cho_solve(factor, moments)
+    scatter_factor, scatter_degrees = _scatter(factor, grams)
+
+    fitted = np.empty_like(stacked)
+    contributions = np.empty((segments, size, count))
+    for p, block in enumerate(blocks):
+        columns = _columns(block, samples, omega_rad_s, sample_time_s)
+        fitted[block] = columns @ theta
+        contributions[p] = cho_solve(factor, columns.T @ (stacked[block] - fitted[block]))
+    return [
+        SinusoidFit(
+            omega_rad_s=omega_rad_s,
+            phasors=_phasors(theta[:, s]),
+            segment_phasors=_phasors(theta[:, s] + segments * contributions[:, :, s]),
+            scatter_factor=scatter_factor,
+            scatter_degrees=scatter_degrees,
+            fitted=fitted[:, s],
+        )
+        for s in range(count)
+    ]
+
+
+def sum_of_tones(
+    phasors: ComplexArray, omega_rad_s: FloatArray, sample_time_s: float, samples: int
+) -> FloatArray:
+    """Return Re Σ Y e^{jωt} at the samples of a fit, shape (samples,)."""
+    total = np.zeros(samples)
+    times_s = np.arange(samples) * sample_time_s
+    for phasor, omega in zip(phasors, omega_rad_s, strict=True):
+        total += np.real(phasor * np.exp(1j * omega * times_s))
+    return total
+
+
+def resolvable_harmonics(
+    omega_rad_s: FloatArray, sample_time_s: float, duration_s: float
+) -> FloatArray:
+    """Return 2ω and 3ω of each tone ω, without those too close to a tone, Nyquist or each other.
+
+    Closer than one period in `duration_s` counts as too close. Shape (at most 2 F,).
+    """
+    resolution_rad_s = 2 * np.pi / duration_s
+    taken = [np.pi / sample_time_s, *omega_rad_s.tolist()]
+    kept: list[float] = []
+    for order in (2, 3):
+        for omega in omega_rad_s.tolist():
+            harmonic = order * omega
+            above_nyquist = harmonic >= np.pi / sample_time_s
+            if not above_nyquist and min(abs(harmonic - t) for t in taken) >= resolution_rad_s:
+                taken.append(harmonic)
+                kept.append(harmonic)
+    return np.array(kept)
+
+
+def _scatter(factor: tuple[FloatArray, bool], grams: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Compare s²/P of each phasor with its variance in white noise.
+
+    Args:
+        factor: Cholesky factor of G, as `cho_factor` gives it.
+        grams: G_p of each segment, shape (segments, 2F + 2, 2F + 2).
+
+    Returns:
+        The factor that s²/P falls short by and its degrees of freedom, both of shape (F,).
+    """
+    segments, size, _ = grams.shape
+    frequencies = (size - 2) // 2
+    inverse = cho_solve(factor, np.eye(size))
+    # Columns of G⁻¹ for cos and sin of each frequency: (size, 2, F).
+    both = inverse[:, : 2 * frequencies].reshape(size, 2, frequencies)
+    # The contributions of segments p and q have the covariance δ_pq G⁻¹G_pG⁻¹ − G⁻¹G_pG⁻¹G_qG⁻¹.
+    total, squares = np.zeros(frequencies), np.zeros(frequencies)
+    through = [np.tensordot(own, both, 1) for own in grams]
+    for p in range(segments):
+        back = np.tensordot(inverse, through[p], 1)
+        for q in range(p, segments):
+            block = -np.einsum("saf,sbf->abf", back, through[q])
+            if p == q:
+                block += np.einsum("saf,sbf->abf", both, through[p])
+                total += block[0, 0] + block[1, 1]
+            squares += (1 if p == q else 2) * np.sum(block**2, axis=(0, 1))
+    expected = segments / (segments - 1) * total
+    diagonal = np.diag(inverse)
+    variance = diagonal[:frequencies] + diagonal[frequencies : 2 * frequencies]
+    if np.any(expected <= SCATTER_MIN * variance):
+        raise UnresolvableError("the signals are too short to tell their noise from the tones")
+    return np.asarray(variance / expected), np.asarray(total**2 / squares)
+
+
+def _columns(
+    block: slice, samples: int, omega_rad_s: FloatArray, sample_time_s: float
+) -> FloatArray:
+    index = np.arange(block.start, block.stop)
+    phase = np.outer(index * sample_time_s, omega_rad_s)
+    drift = (2.0 * index - (samples - 1)) / samples
+    return np.column_stack([np.cos(phase), np.sin(phase), np.ones(len(index)), drift])
+
+
+def _phasors(theta: FloatArray) -> ComplexArray:
+    """Turn a, b of a cos ωt + b sin ωt into a − jb; shape (…, 2F + 2) to (…, F)."""
+    frequencies = (theta.shape[-1] - 2) // 2
+    return theta[..., :frequencies] - 1j * theta[..., frequencies : 2 * frequencies]

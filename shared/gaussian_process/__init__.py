@@ -1,0 +1,1 @@
+"""Exact Gaussian processes: many small problems at once, and one in a control loop."""

@@ -1,0 +1,1 @@
+"""Linear models of robots: transfer functions, state space and their graphs."""

@@ -1,0 +1,127 @@
+"""Transfer functions, one or a matrix of them, as state-space models."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag, matrix_balance
+
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.models.transfer_models import ModelError, StateSpace
+
+# Singular values below this, relative to the largest, count as zero when the order is reduced.
+RANK_TOLERANCE = 1e-9
+
+Polynomial = Sequence[float] | NDArray[np.floating]
+
+
+def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> StateSpace:
+    """Realise num(s)/den(s), coefficients from the highest power down, with deg(den) states.
+
+    The variable is s for `dt_s` = 0 and z otherwise.
+
+    Raises:
+        ModelError: an improper or undefined fraction, or an entry that is not finite.
+    """
+    numerator = np.trim_zeros(np.atleast_1d(np.asarray(num, dtype=np.float64)), "f")
+    denominator = np.trim_zeros(np.atleast_1d(np.asarray(den, dtype=np.float64)), "f")
+    if not (np.isfinite(numerator).all() and np.isfinite(denominator).all()):
+        raise ModelError("the coefficients of a transfer function must be finite")
+    if not denominator.size:
+        raise ModelError("the denominator of a transfer function is zero")
+    order = denominator.size - 1
+    if numerator.size > order + 1:
+        raise ModelError(
+            f"improper transfer function: the numerator has degree {numerator.size - 1},"
+            f" the denominator {order}; it must not be lower"
+        )
+    padded = np.concatenate([np.zeros(order + 1 - numerator.size), numerator])
+    # All poles of a model sampled fast are near z = 1; a companion matrix in z − 1 tells them
+    # apart.
+    shift = 1.0 if dt_s > 0 and order and -denominator[1] > 0.5 * order * denominator[0] else 0.0
+    if shift:
+        padded, denominator = _about_one(padded), _about_one(denominator)
+    padded, monic = padded / denominator[0], denominator / denominator[0]
+    companion = np.zeros((order, order))
+    if order:
+        companion[0] = -monic[1:]
+        companion[1:, :-1] = np.eye(order - 1)
+    _, (scale, _) = matrix_balance(companion, permute=False, separate=True)
+    b = np.zeros((order, 1))
+    b[:1, 0] = 1.0
+    return StateSpace(
+        companion * scale / scale[:, None] + shift * np.eye(order),
+        b / scale[:, None],
+        (padded[1:] - padded[0] * monic[1:])[None, :] * scale,
+        padded[:1, None],
+        dt_s,
+    )
+
+
+def _about_one(p: FloatArray) -> FloatArray:
+    """Return the coefficients of p(1 + δ), rounded only at the end, since they nearly cancel."""
+    exact = [Fraction(float(coefficient)) for coefficient in p]
+    for end in range(len(exact), 1, -1):
+        for k in range(1, end):
+            exact[k] += exact[k - 1]
+    return np.array([float(coefficient) for coefficient in exact])
+
+
+def transfer_matrix(
+    num: Sequence[Sequence[Polynomial]], den: Sequence[Sequence[Polynomial]], dt_s: float = 0.0
+) -> StateSpace:
+    """Realise a matrix of fractions, row i from every input to output i, with the fewest states.
+
+    Raises:
+        ModelError: num and den of different or ragged shapes, or a fraction as above.
+    """
+    inputs = len(num[0]) if num else 0
+    if inputs == 0 or [len(row) for row in [*num, *den]] != [inputs] * (2 * len(num)):
+        raise ModelError("num and den must be full matrices of polynomials, of the same shape")
+    entries = [
+        [transfer_function(n, d, dt_s) for n, d in zip(*rows, strict=True)]
+        for rows in zip(num, den, strict=True)
+    ]
+    flat = [entry for row in entries for entry in row]
+    unit = np.eye(max(inputs, len(num)))
+    return minimal(
+        StateSpace(
+            block_diag(*(entry.a for entry in flat)),
+            np.vstack([e.b * unit[j, :inputs] for row in entries for j, e in enumerate(row)]),
+            np.hstack(
+                [e.c * unit[: len(num), i : i + 1] for i, row in enumerate(entries) for e in row]
+            ),
+            np.array([[entry.d[0, 0] for entry in row] for row in entries]),
+            dt_s,
+        )
+    )
+
+
+def minimal(model: StateSpace) -> StateSpace:
+    """Return the model without the states that inputs do not reach or outputs do not show."""
+    a, b, c = _reachable(model.a, model.b, model.c)
+    a, c, b = (part.T for part in _reachable(a.T, c.T, b.T))
+    return StateSpace(a, b, c, model.d, model.dt_s)
+
+
+def _reachable(a: FloatArray, b: FloatArray, c: FloatArray) -> tuple[FloatArray, ...]:
+    """Restrict to the reachable subspace, built block by block (the staircase algorithm).
+
+    Each block holds the new directions that A reaches from the last one; orthogonal throughout.
+    """
+    size = np.linalg.norm(a) + np.linalg.norm(b)
+    basis = np.zeros((len(a), 0))
+    block = b / (np.linalg.norm(b) or 1.0)
+    while basis.shape[1] < len(a):
+        for _ in range(2):  # twice is enough to be orthogonal to working precision
+            block = block - basis @ (basis.T @ block)
+        left, singular, _ = np.linalg.svd(block, full_matrices=False)
+        new = left[:, singular > RANK_TOLERANCE]
+        if not new.shape[1]:
+            break
+        basis = np.hstack([basis, new])
+        block = a @ new / size
+    return basis.T @ a @ basis, basis.T @ b, c @ basis

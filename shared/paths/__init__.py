@@ -1,0 +1,1 @@
+"""Drawn paths, and trajectories along them."""

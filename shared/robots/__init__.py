@@ -1,0 +1,1 @@
+"""What a robot is specified by: its limits, its driver, its fleet file."""

@@ -1,0 +1,1 @@
+"""What crosses the network: keys, frames, messages, and the sessions that carry them."""

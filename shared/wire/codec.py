@@ -1,0 +1,229 @@
+"""Messages as bytes and back: a strict JSON body with its arrays as raw bytes behind it.
+
+`nufleet.shared.wire.frame` says what a frame looks like. Every length is checked against a cap and
+against the payload before anything is allocated, and no part of a frame can name code to run.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal, TypeVar
+
+import numpy as np
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    SerializationInfo,
+    ValidationError,
+    ValidationInfo,
+)
+
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import MalformedMessageError, ProtocolVersionError
+from nufleet.shared.strict import Strict, describe_validation
+from nufleet.shared.wire.frame import LENGTHS, MAGIC, PREFIX_BYTES, PROTOCOL_VERSION, framed
+
+MAX_MESSAGE_BYTES = 15 * 2**20
+"""Default cap on one frame, below what sessions and routers let through; a test of ten minutes at
+100 Hz on one axis is about 1 MB."""
+
+MAX_BODY_BYTES = 2**20
+"""Cap on the JSON of one frame: parsed it takes many times its length. Bulk travels as arrays."""
+
+_MAX_HEADER_BYTES = 4096
+_ITEM_BYTES = {"<f8": 8, "|u1": 1}
+_MAX_DIMENSIONS = 3
+
+
+class Message(Strict):
+    """Base of everything that crosses the network."""
+
+
+class _Versioned(BaseModel):
+    """The one field of a header that every version of the protocol has."""
+
+    model_config = ConfigDict(strict=True)
+    protocol: Annotated[int, Field(ge=0, lt=2**31)]
+
+
+class _ArrayHeader(Strict):
+    # A length beyond what a frame may hold would overflow NumPy's, even beside a length of 0.
+    dtype: Literal["<f8", "|u1"]
+    shape: Annotated[
+        tuple[Annotated[int, Field(ge=0, le=MAX_MESSAGE_BYTES)], ...],
+        Field(min_length=1, max_length=_MAX_DIMENSIONS),
+    ]
+
+    @property
+    def size_bytes(self) -> int:
+        # Python integers do not overflow, so a header that lies about its shape cannot wrap round.
+        return math.prod(self.shape) * _ITEM_BYTES[self.dtype]
+
+
+class _Header(Strict):
+    protocol: int
+    type: Annotated[str, Field(max_length=64)]
+    arrays: Annotated[tuple[_ArrayHeader, ...], Field(max_length=16)] = ()
+
+
+class _FrameArrays:
+    """The arrays of a frame that is being decoded; each belongs to exactly one field."""
+
+    def __init__(self, arrays: list[np.ndarray]) -> None:
+        self._left: dict[int, np.ndarray] = dict(enumerate(arrays))
+
+    def take(self, index: int) -> np.ndarray:
+        if index not in self._left:
+            raise ValueError(f"there is no array {index}, or another field has it")
+        return self._left.pop(index)
+
+    @property
+    def unclaimed(self) -> bool:
+        return bool(self._left)
+
+
+def _resolve_array(value: object, info: ValidationInfo) -> np.ndarray:
+    """Take an array as it is, or the one of the frame that the body refers to by its index."""
+    if isinstance(value, np.ndarray):
+        array = value
+    elif type(value) is int and isinstance(info.context, _FrameArrays):
+        array = info.context.take(value)
+    else:
+        raise ValueError("expected an array")
+    if not 1 <= array.ndim <= _MAX_DIMENSIONS:
+        raise ValueError(f"an array has {array.ndim} dimensions")
+    if array.dtype == np.float64 and not np.isfinite(array).all():
+        raise ValueError("an array holds NaN or infinity")
+    return array
+
+
+def _refer_to_array(array: np.ndarray, info: SerializationInfo) -> int:
+    if not isinstance(info.context, list):
+        raise TypeError("a message with arrays is written by nufleet.shared.wire.codec.encode")
+    info.context.append(array)
+    return len(info.context) - 1
+
+
+def _float64_only(array: np.ndarray) -> np.ndarray:
+    if array.dtype != np.float64:
+        raise ValueError(f"expected float64, got {array.dtype}")
+    return array
+
+
+Float64Array = Annotated[
+    FloatArray,
+    PlainValidator(lambda value, info: _float64_only(_resolve_array(value, info))),
+    PlainSerializer(_refer_to_array, return_type=int),
+]
+"""A field of finite float64 numbers that travels as raw bytes; a decoded one is read-only."""
+
+
+def _as_bytes(value: object, info: ValidationInfo) -> bytes:
+    if isinstance(value, bytes):
+        return value
+    array = _resolve_array(value, info)
+    if array.dtype != np.uint8 or array.ndim != 1:
+        raise ValueError(f"expected bytes, got {array.dtype} of {array.ndim} dimensions")
+    return array.tobytes()
+
+
+Bytes = Annotated[
+    bytes,
+    PlainValidator(_as_bytes),
+    PlainSerializer(
+        lambda value, info: _refer_to_array(np.frombuffer(value, dtype=np.uint8), info),
+        return_type=int,
+    ),
+]
+"""A field of bytes that travel as they are."""
+
+M = TypeVar("M", bound=Message)
+
+
+def encode(message: Message) -> bytes:
+    """Return a message as one frame.
+
+    Raises:
+        MalformedMessageError: the message is larger than `decode` takes.
+    """
+    arrays: list[np.ndarray] = []
+    body = message.model_dump_json(context=arrays).encode()
+    raw = [np.ascontiguousarray(a, dtype=a.dtype.newbyteorder("<")) for a in arrays]
+    size_bytes = len(body) + sum(a.nbytes for a in raw)
+    if len(body) > MAX_BODY_BYTES or size_bytes > MAX_MESSAGE_BYTES - 2 * _MAX_HEADER_BYTES:
+        raise MalformedMessageError(
+            f"a {type(message).__name__} of {size_bytes} bytes is too large to be sent"
+        )
+    header = _Header(
+        protocol=PROTOCOL_VERSION,
+        type=type(message).__name__,
+        arrays=tuple(
+            _ArrayHeader.model_validate({"dtype": a.dtype.str, "shape": a.shape}) for a in raw
+        ),
+    )
+    head = header.model_dump_json().encode()
+    if raw:
+        # Spaces behind the JSON, so that the receiver's arrays lie at multiples of 8 bytes.
+        body += b" " * (-(PREFIX_BYTES + len(head) + len(body)) % 8)
+    return b"".join([framed(head, body), *(a.tobytes() for a in raw)])
+
+
+def decode(payload: bytes, *expected: type[M], max_bytes: int = MAX_MESSAGE_BYTES) -> M:
+    """Return the message in a frame, which must be of one of the expected types.
+
+    Raises:
+        ProtocolVersionError: the frame was written by another protocol version.
+        MalformedMessageError: it is anything else but a valid message of an expected type.
+    """
+    if len(payload) > max_bytes:
+        raise MalformedMessageError(f"message of {len(payload)} bytes; at most {max_bytes} allowed")
+    if len(payload) < PREFIX_BYTES or payload[: len(MAGIC)] != MAGIC:
+        raise MalformedMessageError("not a nufleet message")
+    header_bytes, body_bytes = LENGTHS.unpack_from(payload, len(MAGIC))
+    if header_bytes > _MAX_HEADER_BYTES or body_bytes > MAX_BODY_BYTES + 8:
+        raise MalformedMessageError("a length in the frame is larger than allowed")
+    body_start = PREFIX_BYTES + header_bytes
+    arrays_start = body_start + body_bytes
+    if arrays_start > len(payload):
+        raise MalformedMessageError("a length in the frame is larger than the frame")
+    header = _parse_header(payload[PREFIX_BYTES:body_start])
+    message_type = next((t for t in expected if t.__name__ == header.type), None)
+    if message_type is None:
+        wanted = " or ".join(t.__name__ for t in expected)
+        raise MalformedMessageError(f"expected {wanted}, got {header.type!r}")
+    arrays = _FrameArrays(_take_arrays(payload, arrays_start, header.arrays))
+    try:
+        message = message_type.model_validate_json(payload[body_start:arrays_start], context=arrays)
+    except ValidationError as error:
+        raise MalformedMessageError(f"{header.type}: {describe_validation(error)}") from error
+    if arrays.unclaimed:
+        raise MalformedMessageError(f"{header.type}: the frame holds an array of no field")
+    return message
+
+
+def _parse_header(raw: bytes) -> _Header:
+    try:
+        protocol = _Versioned.model_validate_json(raw).protocol
+        if protocol != PROTOCOL_VERSION:
+            raise ProtocolVersionError(
+                f"the message speaks protocol version {protocol}, this side speaks "
+                f"{PROTOCOL_VERSION}; install the same nufleet on both"
+            )
+        return _Header.model_validate_json(raw)
+    except ValidationError as error:
+        raise MalformedMessageError(f"frame header: {describe_validation(error)}") from error
+
+
+def _take_arrays(payload: bytes, start: int, headers: tuple[_ArrayHeader, ...]) -> list[np.ndarray]:
+    if start + sum(header.size_bytes for header in headers) != len(payload):
+        raise MalformedMessageError("the arrays do not fill the frame exactly")
+    arrays = []
+    for header in headers:
+        count = math.prod(header.shape)
+        flat = np.frombuffer(payload, dtype=header.dtype, count=count, offset=start)
+        arrays.append(flat.reshape(header.shape))
+        start += header.size_bytes
+    return arrays

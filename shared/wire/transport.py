@@ -1,0 +1,480 @@
+"""The network as nufleet uses it: the only module that imports Zenoh.
+
+Handlers given to a session run on threads that Zenoh feeds, one for each: they must only hand the
+event on and return. Zero replies to a query is an error with a name, never an empty result.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, TypeVar
+
+import zenoh
+from zenoh.ext import (
+    CacheConfig,
+    HistoryConfig,
+    declare_advanced_publisher,
+    declare_advanced_subscriber,
+)
+
+from nufleet.shared.errors import (
+    EndpointInUseError,
+    InvalidInputError,
+    NoReplyError,
+    NoRouterError,
+    TransportError,
+)
+from nufleet.shared.redaction import without_secrets
+from nufleet.shared.wire.presence import OnPresence, Presence
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+PRESENCE_TIMEOUT_S = 3.0
+PRESENCE_SETTLED_S = 1.0
+"""How long a watch may take to tell of a token that was there before it; normally milliseconds."""
+
+LEASE_MS = 2000
+"""A silent session is given up after this long: what a partition costs to be noticed."""
+
+FULL_LINK_WAIT_US = 250_000
+"""How long a router waits for a link that takes nothing before it closes it.
+
+Meanwhile everything else of the same sender waits too, a stop of other robots among it. Zenoh's own
+choice is 5 s, which lets 4 MB through a link of 20 Mbit/s; this one (measured) 1 MB through one of
+10 Mbit/s.
+"""
+
+MAX_MESSAGE_BYTES = 16 * 2**20
+"""What a session takes at most, whatever it is: a board of 1 GB must survive whoever sends more."""
+
+MAX_STATE_BYTES = 64 * 1024
+"""What a subscriber to states takes at most; they are a few kilobytes at their longest."""
+
+PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream")
+"""What an endpoint may begin with."""
+
+LONGEST_TRY_S = 3.0
+"""How long one attempt to reach a router lasts at most: Zenoh cannot be interrupted meanwhile."""
+
+OnSample = Callable[[str, bytes], None]
+"""Takes the key that something was put on, and what."""
+
+_log = logging.getLogger(__name__)
+_ANSWER = zenoh.Encoding.APPLICATION_OCTET_STREAM
+"""Marks an error reply that a handler gave; Zenoh's own, such as a timeout's, have another."""
+
+
+class Request:
+    """A query that arrived; it must be answered exactly once, from any thread."""
+
+    def __init__(self, query: zenoh.Query) -> None:
+        self.key = str(query.key_expr)
+        self._query = query
+
+    @property
+    def is_wildcard(self) -> bool:
+        """Whether it was asked of many keys at once."""
+        return "*" in self.key
+
+    @property
+    def size_bytes(self) -> int:
+        """Length of the payload, known without copying it."""
+        payload = self._query.payload
+        return 0 if payload is None else len(payload)
+
+    @property
+    def payload(self) -> bytes:
+        """A copy of what was sent along; not to be read after the answer."""
+        payload = self._query.payload
+        return b"" if payload is None else payload.to_bytes()
+
+    def answer(self, payload: bytes) -> None:
+        """Send the reply and end the query; raises TransportError when nobody can hear it.
+
+        A reply to many keys at once has none it could stand under; it goes as an error reply,
+        which `Session.ask_all` returns as any other.
+        """
+        with _transport_errors(f"replying on {self.key}"), self._query as query:
+            if self.is_wildcard:
+                query.reply_err(payload, encoding=_ANSWER)
+            else:
+                query.reply(self.key, payload)
+
+
+class Declaration:
+    """Something declared on a session: a subscriber, a queryable, a token, a publisher."""
+
+    def __init__(self, declared: Any) -> None:
+        self._declared = declared
+
+    def withdraw(self) -> None:
+        """Undeclare it now rather than when the session closes; twice does nothing more.
+
+        A handler that is running goes on until it returns.
+        """
+        with suppress(zenoh.ZError):  # withdrawn before, or the session is closed
+            self._declared.undeclare()
+
+
+class Publisher(Declaration):
+    """Publishes on one key."""
+
+    def put(self, payload: bytes) -> None:
+        """Send a payload to every subscriber there is now; raises TransportError."""
+        with _transport_errors("publishing"):
+            self._declared.put(payload)
+
+
+D = TypeVar("D", bound=Declaration)
+
+
+class Session:
+    """One open Zenoh session; a context manager, since an unclosed one keeps its process alive."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self._session = session
+        self._declarations: list[Declaration] = []
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Withdraw everything declared and close; calling it twice does nothing more."""
+        for declaration in reversed(self._declarations):
+            declaration.withdraw()
+        self._declarations.clear()
+        if not self._session.is_closed():
+            self._session.close()  # type: ignore[no-untyped-call]
+
+    def serve(self, key_expr: str, handler: Callable[[Request], None]) -> Declaration:
+        """Answer queries on a key expression."""
+
+        def on_query(query: zenoh.Query) -> None:
+            try:
+                handler(Request(query))
+            except Exception:  # noqa: BLE001 - whoever asked must not wait for a handler's mistake
+                _log.exception("a query on %s has no answer", query.key_expr)
+                query.drop()  # type: ignore[no-untyped-call]
+
+        return self._declared(
+            key_expr, lambda: Declaration(self._session.declare_queryable(key_expr, on_query))
+        )
+
+    def ask(self, key: str, payload: bytes, *, timeout_s: float) -> bytes:
+        """Return the one reply to a query on a concrete key.
+
+        Raises:
+            NoReplyError: nobody answered in time, or nobody is there to answer.
+        """
+        replies = self.ask_all(key, payload, timeout_s=timeout_s)
+        if not replies:
+            raise NoReplyError(f"no answer on {key} within {timeout_s:g} s")
+        return replies[0]
+
+    def ask_all(self, key: str, payload: bytes, *, timeout_s: float) -> list[bytes]:
+        """Return the replies of everyone who serves a key."""
+        with _transport_errors(f"asking on {key}"):
+            replies = self._session.get(
+                key,
+                payload=payload,
+                timeout=timeout_s,
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+            )
+            return [said for reply in replies if (said := _said(reply)) is not None]
+
+    def put_urgent(self, key: str, payload: bytes) -> None:
+        """Send a payload ahead of everything else that waits to be sent."""
+        with _transport_errors(f"sending on {key}"):
+            self._session.put(
+                key,
+                payload,
+                priority=zenoh.Priority.REAL_TIME,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                express=True,
+            )
+
+    def state_publisher(self, key: str) -> Publisher:
+        """Publish a state whose last value late subscribers also get."""
+
+        def declare() -> Publisher:
+            return Publisher(
+                declare_advanced_publisher(
+                    self._session,
+                    key,
+                    cache=CacheConfig(max_samples=1),
+                    publisher_detection=True,
+                    congestion_control=zenoh.CongestionControl.DROP,
+                    priority=zenoh.Priority.INTERACTIVE_HIGH,
+                )
+            )
+
+        return self._declared(key, declare)
+
+    def telemetry_publisher(self, key: str) -> Publisher:
+        """Publish measurements of which some may be lost under load."""
+
+        def declare() -> Publisher:
+            return Publisher(
+                self._session.declare_publisher(
+                    key,
+                    congestion_control=zenoh.CongestionControl.DROP,
+                    priority=zenoh.Priority.DATA_LOW,
+                    express=False,
+                )
+            )
+
+        return self._declared(key, declare)
+
+    def subscribe_state(self, key_expr: str, handler: OnSample) -> Declaration:
+        """Receive states, the last one of each publisher first; as `subscribe` otherwise."""
+
+        def declare() -> Declaration:
+            history = HistoryConfig(detect_late_publishers=True, max_samples=1)
+            return Declaration(
+                declare_advanced_subscriber(
+                    self._session,
+                    key_expr,
+                    _on_sample(handler, MAX_STATE_BYTES),
+                    history=history,
+                )
+            )
+
+        return self._declared(key_expr, declare)
+
+    def subscribe(self, key_expr: str, handler: OnSample, *, max_bytes: int) -> Declaration:
+        """Receive what is put on a key expression from now on.
+
+        What is longer than `max_bytes` is not copied: the handler gets an empty payload in its
+        place, which is no message either, but says that somebody put something there.
+        """
+        on_sample = _on_sample(handler, max_bytes)
+        return self._declared(
+            key_expr, lambda: Declaration(self._session.declare_subscriber(key_expr, on_sample))
+        )
+
+    def declare_alive(self, key: str) -> Declaration:
+        """Be seen as alive under a key until withdrawn or the process is gone."""
+        return self._declared(
+            key, lambda: Declaration(self._session.liveliness().declare_token(key))
+        )
+
+    def alive(self, key_expr: str, *, timeout_s: float) -> list[str]:
+        """Return the keys of the tokens that are alive now.
+
+        Ask before `watch_alive`: in a session that watches, Zenoh answers from what the watch has
+        heard so far, which at first is nothing (measured: wrong in 7 of 10 right after).
+        """
+        with _transport_errors(f"looking for {key_expr}"):
+            replies = self._session.liveliness().get(key_expr, timeout=timeout_s)
+            samples = [reply.ok for reply in replies]
+        return sorted({str(sample.key_expr) for sample in samples if sample is not None})
+
+    def watch_alive(self, key_expr: str, handler: OnPresence) -> Declaration:
+        """Report each token that is there, appears (True) or disappears (False).
+
+        Who is there now is reported before this returns.
+        """
+        presence = Presence(handler)
+        presence.asked(self.alive(key_expr, timeout_s=PRESENCE_TIMEOUT_S))
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            presence.watched(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+        def declare() -> Declaration:
+            liveliness = self._session.liveliness()
+            return Declaration(liveliness.declare_subscriber(key_expr, on_sample, history=True))
+
+        declaration = self._declared(key_expr, declare)
+        presence.settle(timeout_s=PRESENCE_SETTLED_S)
+        return declaration
+
+    def listening_on(self) -> list[str]:
+        """Return the endpoints this router really listens on, with the ports it was given."""
+        with _transport_errors("asking the router"):
+            zid = self._session.info.zid()
+            for reply in self._session.get(f"@/{zid}/router", timeout=5.0):
+                if reply.ok is not None:
+                    return list(json.loads(reply.ok.payload.to_string())["locators"])
+        raise TransportError("the router does not say where it listens")
+
+    def _declared(self, key_expr: str, declare: Callable[[], D]) -> D:
+        with _transport_errors(f"declaring {key_expr}"):
+            declaration = declare()
+        self._declarations.append(declaration)
+        return declaration
+
+
+@contextmanager
+def open_router(listen: list[str], *, connect: list[str] | None = None) -> Iterator[Session]:
+    """Open a session that routes messages between all others.
+
+    Args:
+        listen: endpoints such as `tcp/0.0.0.0:7447`, `tcp/127.0.0.1:0` or `unixsock-stream//path`.
+        connect: other routers to join.
+
+    Raises:
+        InvalidInputError: an endpoint is not one.
+        EndpointInUseError: an endpoint is taken or may not be used.
+    """
+    config = _base_config("router")
+    _insert_endpoints(config, "listen", listen)
+    _insert_endpoints(config, "connect", connect or [])
+    config.insert_json5("adminspace/enabled", "true")
+    waits = "transport/link/tx/queue/congestion_control/block/wait_before_close"
+    config.insert_json5(waits, str(FULL_LINK_WAIT_US))
+    with _opened_router(config, ", ".join(listen)) as opened:
+        yield opened
+
+
+@contextmanager
+def open_configured_router(path: Path) -> Iterator[Session]:
+    """Open a router as a Zenoh configuration file (JSON5) describes it.
+
+    Raises:
+        InvalidInputError: the file is not a Zenoh configuration.
+        EndpointInUseError: an endpoint of it is taken or may not be used.
+    """
+    try:
+        config = zenoh.Config.from_file(path)
+    except zenoh.ZError as error:
+        raise InvalidInputError(f"{path}: not a Zenoh configuration: {_cause(error)}") from error
+    with _opened_router(config, f"the endpoints of {path}") as opened:
+        yield opened
+
+
+@contextmanager
+def _opened_router(config: zenoh.Config, endpoints: str) -> Iterator[Session]:
+    try:
+        session = zenoh.open(config)
+    except zenoh.ZError as error:
+        raise EndpointInUseError(
+            f"cannot listen on {without_secrets(endpoints)}: {_cause(error)}. Is a router running "
+            "there already? Choose another endpoint with --listen"
+        ) from error
+    with Session(session) as opened:
+        yield opened
+
+
+@contextmanager
+def open_client(
+    connect: str, *, timeout_s: float | None, given_up: threading.Event | None = None
+) -> Iterator[Session]:
+    """Open a session through the router at an endpoint; it survives the router's restarts.
+
+    Args:
+        connect: the router's endpoint.
+        timeout_s: how long to look for it; None looks for ever.
+        given_up: ends the looking from another thread.
+
+    Raises:
+        InvalidInputError: the endpoint is not one.
+        NoRouterError: there is none.
+    """
+    config = _base_config("client")
+    _insert_endpoints(config, "connect", [connect])
+    config.insert_json5("connect/exit_on_failure", "true")
+    with Session(_reach(config, connect, timeout_s, given_up)) as opened:
+        yield opened
+
+
+def _insert_endpoints(config: zenoh.Config, role: str, endpoints: list[str]) -> None:
+    for endpoint in endpoints:
+        protocol, _, address = endpoint.partition("/")
+        if protocol not in PROTOCOLS or not address:
+            raise InvalidInputError(
+                f"{without_secrets(endpoint)!r} is not an endpoint: expected "
+                f"{' or '.join(PROTOCOLS)}, a slash and an address, for example "
+                "tcp/192.168.1.5:7447"
+            )
+    config.insert_json5(f"{role}/endpoints", json.dumps(endpoints))
+
+
+def _reach(
+    config: zenoh.Config, connect: str, timeout_s: float | None, given_up: threading.Event | None
+) -> zenoh.Session:
+    """Open a client session in short attempts, since a waiting `zenoh.open` hears no Ctrl-C."""
+    deadline = None if timeout_s is None else time.monotonic() + timeout_s
+    try_s = 0.2
+    while True:
+        try_s = min(1.5 * try_s, LONGEST_TRY_S)
+        left_s = try_s if deadline is None else deadline - time.monotonic()
+        wait_ms = max(1, round(1000 * min(try_s, left_s)))
+        config.insert_json5("connect/timeout_ms", str(wait_ms))
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as error:
+            over = deadline is not None and time.monotonic() >= deadline
+            if over or (given_up is not None and given_up.is_set()):
+                raise NoRouterError(
+                    f"no router answers at {without_secrets(connect)}: start one with "
+                    "`nufleet router` or `nufleet fleet up FLEET.toml`, or name another with "
+                    "--connect"
+                ) from error
+
+
+def _on_sample(handler: OnSample, max_bytes: int) -> Callable[[zenoh.Sample], None]:
+    def on_sample(sample: zenoh.Sample) -> None:
+        key = str(sample.key_expr)
+        handler(key, _bounded(sample.payload, max_bytes, f"put on {key!r}"))
+
+    return on_sample
+
+
+def _bounded(payload: zenoh.ZBytes, max_bytes: int, what: str) -> bytes:
+    """Return a copy of a payload; nothing, and no copy, of one that is too long."""
+    if len(payload) > max_bytes:
+        _log.warning("%d bytes were %s; at most %d are taken", len(payload), what, max_bytes)
+        return b""
+    return payload.to_bytes()
+
+
+def _said(reply: zenoh.Reply) -> bytes | None:
+    """Return what a handler answered; None for Zenoh's own words, such as a timeout's."""
+    if reply.ok is not None:
+        return _bounded(reply.ok.payload, MAX_MESSAGE_BYTES, "answered")
+    if reply.err is not None and reply.err.encoding == _ANSWER:
+        return _bounded(reply.err.payload, MAX_MESSAGE_BYTES, "answered")
+    return None
+
+
+@contextmanager
+def _transport_errors(doing: str) -> Iterator[None]:
+    try:
+        yield
+    except zenoh.ZError as error:
+        raise TransportError(f"{doing}: {_cause(error)}") from error
+
+
+def _cause(error: zenoh.ZError) -> str:
+    """Return a Zenoh error without the places in Zenoh's source that it mentions."""
+    return without_secrets(re.sub(r"\s*at \S+\.rs:\d+\.", "", str(error)).rstrip(". "))
+
+
+def _base_config(mode: str) -> zenoh.Config:
+    zenoh.try_init_log_from_env()  # type: ignore[no-untyped-call]
+    config = zenoh.Config()
+    for key, value in {
+        "mode": json.dumps(mode),
+        "listen/endpoints": "[]",
+        "scouting/multicast/enabled": "false",
+        "scouting/gossip/enabled": "false",
+        "scouting/delay": "0",
+        "timestamping/enabled": "true",
+        "transport/shared_memory/enabled": "false",
+        "transport/link/tx/lease": str(LEASE_MS),
+        "transport/link/tx/keep_alive": "4",
+        "transport/link/rx/max_message_size": str(MAX_MESSAGE_BYTES),
+    }.items():
+        config.insert_json5(key, value)
+    return config

@@ -1,0 +1,1 @@
+"""Find out which robot's experience will help, before you transfer it."""

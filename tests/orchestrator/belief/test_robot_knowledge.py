@@ -1,0 +1,85 @@
+"""What a robot's tests say together, and when they contradict each other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from random_loops import BAND, SPEC, Loop
+
+from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
+from nufleet.orchestrator.study.tone_choice import first_look
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.quality import Finding, Quality
+
+LOOP = Loop(3.0)
+GRID = np.linspace(*BAND, 50)
+
+
+def one_test(loop: Loop, rng: np.random.Generator, periods: int = 11) -> FrequencyResponse:
+    excitation = first_look(BAND, SPEC, periods, 0.7).excitation("x")
+    return loop.answer(excitation, 0.01, rng)
+
+
+def spread(knowledge: RobotKnowledge, rng: np.random.Generator) -> float:
+    return float(np.median(knowledge.model.draw(GRID, 300, rng).std(axis=0)))
+
+
+@pytest.mark.thorough
+def test_repeated_tests_of_the_same_robot_agree() -> None:
+    contradicted = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        knowledge = RobotKnowledge("robot", SPEC, BAND[1])
+        for periods in (11, 15, 11):
+            knowledge.learn(one_test(LOOP, rng, periods), rng)
+        contradicted += bool(knowledge.findings)
+    assert contradicted <= 1
+
+
+@pytest.mark.parametrize("changed", [Loop(3.5), Loop(3.0, gain=1.1), Loop(3.0, delay_s=0.1)])
+def test_a_response_that_changes_between_tests_is_said_and_believed_less(changed: Loop) -> None:
+    rng = np.random.default_rng(0)
+    steady, moved = (RobotKnowledge("robot", SPEC, BAND[1]) for _ in range(2))
+    for knowledge, second in ((steady, LOOP), (moved, changed)):
+        knowledge.learn(one_test(LOOP, rng), rng)
+        knowledge.learn(one_test(second, rng), rng)
+    assert steady.findings == ()
+    assert len(moved.findings) == 1
+    assert moved.findings[0].startswith("robot: its response changed between tests, by 0.")
+    assert spread(moved, rng) > 2 * spread(steady, rng)
+
+
+def test_a_response_that_is_not_linear_is_said_and_believed_less() -> None:
+    rng = np.random.default_rng(0)
+    good = one_test(LOOP, rng)
+    finding = Finding(code="nonlinear", text="5 % of it is distortion")
+    bent = replace(good, quality=Quality(warnings=(finding,)))
+    linear, nonlinear = (RobotKnowledge("robot", SPEC, BAND[1]) for _ in range(2))
+    linear.learn(good, rng)
+    nonlinear.learn(bent, rng)
+    assert nonlinear.findings == ("robot: 5 % of it is distortion",)
+    assert spread(nonlinear, rng) > 1.3 * spread(linear, rng)
+
+
+def test_tones_that_could_not_be_estimated_are_left_out() -> None:
+    rng = np.random.default_rng(0)
+    good = one_test(LOOP, rng)
+    z, variance = good.z.copy(), good.variance.copy()
+    z[1], variance[1] = complex(np.nan, np.nan), np.inf
+    knowledge = RobotKnowledge("robot", SPEC, BAND[1])
+    knowledge.learn(replace(good, z=z, variance=variance), rng)
+    assert len(knowledge.omega_rad_s) == len(good.z) - 1
+    assert np.all(np.isfinite(knowledge.model.draw(GRID, 50, rng)))
+
+
+def test_a_test_is_expected_to_be_as_noisy_as_those_before_it() -> None:
+    rng = np.random.default_rng(0)
+    knowledge = RobotKnowledge("robot", SPEC, BAND[1])
+    first = one_test(LOOP, rng)
+    knowledge.learn(first, rng)
+    same = knowledge.expected_variance(first.omega_rad_s, 1.0)
+    longer = knowledge.expected_variance(first.omega_rad_s, 4.0)
+    assert np.median(same) == pytest.approx(1e-4, rel=0.6)
+    np.testing.assert_allclose(longer, same / 4)

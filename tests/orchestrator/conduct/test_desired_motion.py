@@ -1,0 +1,54 @@
+"""The drawing that a ranking is for becomes a spectrum of the target's motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from random_loops import SPEC
+
+from nufleet.orchestrator.conduct.desired_motion import desired_motion, read_motion
+from nufleet.shared.errors import InvalidInputError
+
+CIRCLE = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 400))
+
+
+@pytest.fixture
+def circle(tmp_path: Path) -> Path:
+    """A circle of radius 1 m."""
+    path = tmp_path / "circle.csv"
+    path.write_text("x_m,y_m\n" + "\n".join(f"{z.real},{z.imag}" for z in CIRCLE))
+    return path
+
+
+def test_most_of_a_circle_s_motion_is_at_its_angular_speed(circle: Path) -> None:
+    motion = desired_motion(read_motion(str(circle), 0.5), SPEC, "x")
+    assert motion.name == "circle at 0.5 m/s"
+    power = np.array(motion.power)
+    # Smoothing, and speeding up and down, take a little of the radius and of the turn.
+    assert motion.omega_rad_s[int(np.argmax(power))] == pytest.approx(0.5, rel=0.1)
+    assert power.sum() == pytest.approx(1.0, rel=0.1)
+
+
+def test_without_a_speed_the_target_s_axis_says_how_fast(circle: Path) -> None:
+    motion = desired_motion(read_motion(str(circle), None), SPEC, "x")
+    assert motion.name == f"circle at {SPEC.axes[0].velocity_max:g} m/s"
+
+
+def test_an_axis_that_does_not_move_in_metres_is_refused(circle: Path) -> None:
+    turning = SPEC.axes[0].model_copy(update={"unit": "rad"})
+    spec = SPEC.model_copy(update={"axes": (turning,)})
+    with pytest.raises(InvalidInputError, match=r"in m, and axis x .* rad"):
+        desired_motion(read_motion(str(circle), 0.5), spec, "x")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("x_m,y_m\n0,0\nnan,1\n", "not finite"), ("x_m,y_m\n0,0\n", "two different points")],
+)
+def test_a_drawing_that_is_no_path_is_refused(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(InvalidInputError, match=words):
+        read_motion(str(path), 0.5)

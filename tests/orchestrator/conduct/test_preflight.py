@@ -1,0 +1,93 @@
+"""What is refused before any robot moves, and in which words."""
+
+from __future__ import annotations
+
+import pytest
+
+from nufleet.orchestrator.conduct.preflight import check_band, check_names, check_plan
+from nufleet.orchestrator.study.interface import StudyPlan
+from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.robots.spec import AxisSpec, RobotSpec
+from nufleet.shared.wire.messages import Description
+
+
+def describe(robot: str, *, axis: str = "x", unit: str = "m", low: float = 0.1) -> Description:
+    axis_spec = AxisSpec.model_validate(
+        {
+            "name": axis,
+            "unit": unit,
+            "amplitude_max": 1.0,
+            "velocity_max": 1.0,
+            "acceleration_max": 1.0,
+        }
+    )
+    spec = RobotSpec(
+        kind="test",
+        axes=(axis_spec,),
+        sample_time_s=0.01,
+        omega_min_rad_s=low,
+        omega_max_rad_s=10.0,
+        duration_max_s=600.0,
+        settling_time_s=1.0,
+        simulated=True,
+    )
+    return Description(robot=robot, boot_id="boot", spec=spec)
+
+
+def plan(low: float = 0.5, high: float = 5.0) -> StudyPlan:
+    return StudyPlan("target", ("source",), (low, high), 7, "x")
+
+
+def test_a_plan_that_every_robot_can_carry_out_passes() -> None:
+    check_plan(plan(), {"target": describe("target"), "source": describe("source")})
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "words"),
+    [
+        (0.0, 5.0, "period is infinite"),
+        (-1.0, 5.0, "above 0 rad/s"),
+        (5.0, 0.5, "reversed"),
+        (5.0, 5.0, "empty"),
+        (float("nan"), 5.0, "finite"),
+        (1.0, float("inf"), "finite"),
+    ],
+)
+def test_a_band_that_cannot_be_tested_is_explained(low: float, high: float, words: str) -> None:
+    with pytest.raises(InvalidInputError, match=words):
+        check_band((low, high))
+
+
+def test_a_band_outside_one_robots_limits_names_the_robot_and_its_band() -> None:
+    fleet = {"target": describe("target"), "source": describe("source", low=1.0)}
+    with pytest.raises(InvalidInputError, match=r"robot source .* 1 to 10 rad/s"):
+        check_plan(plan(), fleet)
+
+
+def test_a_robot_without_the_axis_is_named_with_the_axes_it_has() -> None:
+    fleet = {"target": describe("target"), "source": describe("source", axis="y")}
+    with pytest.raises(InvalidInputError, match=r"source has no axis 'x'; it has y"):
+        check_plan(plan(), fleet)
+
+
+def test_axes_in_different_units_are_not_compared() -> None:
+    fleet = {"target": describe("target"), "source": describe("source", unit="rad")}
+    with pytest.raises(InvalidInputError, match=r"source is in rad, of the target target in m"):
+        check_plan(plan(), fleet)
+
+
+@pytest.mark.parametrize(
+    ("target", "sources", "words"),
+    [
+        ("nobody", ("a",), r"no robot 'nobody' .* a, b"),
+        ("a", ("c",), "no robot 'c'"),
+        ("a", ("a", "b"), "among the sources"),
+        ("a", ("b", "b"), "named twice"),
+        ("a", (), "no source"),
+    ],
+)
+def test_names_that_cannot_be_right_are_refused(
+    target: str, sources: tuple[str, ...], words: str
+) -> None:
+    with pytest.raises(InvalidInputError, match=words):
+        check_names(target, sources, ("a", "b"))

@@ -1,0 +1,82 @@
+"""Every sample of every flight is in the table, and it is complete whatever happened."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from flown_paths import STEP_S, flight, line
+
+from nufleet.orchestrator.flights.table import FLIGHTS, FlightTable
+
+COLUMNS = [
+    *("robot", "flight", "axis", "sample", "t_s", "desired", "reference", "actual"),
+    *("prior", "mean", "variance", "share"),
+]
+
+
+def test_each_sample_of_each_axis_is_one_row_as_it_was_flown(tmp_path: Path) -> None:
+    desired = line(5, 2)
+    flown = flight(desired, desired + 0.1)
+    with FlightTable(tmp_path) as table:
+        table.write(flown, ("x", "y"))
+    rows = pq.read_table(tmp_path / FLIGHTS)
+    assert rows.column_names == COLUMNS
+    assert len(rows) == 10
+    for column, axis in enumerate(("x", "y")):
+        mine = [row for row in rows.to_pylist() if row["axis"] == axis]
+        assert {(row["robot"], row["flight"]) for row in mine} == {("target", flown.label)}
+        assert [row["sample"] for row in mine] == list(range(5))
+        np.testing.assert_allclose([row["t_s"] for row in mine], np.arange(5) * STEP_S)
+        details = flown.details
+        for name, expected in (
+            ("desired", desired[:, column]),
+            ("reference", flown.reference[:, column]),
+            ("actual", flown.actual[:, column]),
+            ("prior", details.prior[:, column]),
+            ("mean", details.mean[:, column]),
+            ("variance", details.variance[:, column]),
+            ("share", details.share),
+        ):
+            np.testing.assert_array_equal([row[name] for row in mine], expected)
+
+
+def test_flights_follow_one_another(tmp_path: Path) -> None:
+    with FlightTable(tmp_path) as table:
+        for k in range(3):
+            table.write(flight(line(4 + k, 1), line(4 + k, 1), label=f"flight {k}"), ("x",))
+    rows = pq.read_table(tmp_path / FLIGHTS)
+    assert rows["flight"].to_pylist() == ["flight 0"] * 4 + ["flight 1"] * 5 + ["flight 2"] * 6
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_a_flight_without_samples_takes_no_row_and_spoils_nothing(
+    tmp_path: Path, place: int
+) -> None:
+    """A robot that fails on its way to the start flew nothing of its path."""
+    nothing = np.empty((0, 2))
+    flights = [flight(line(3, 2), line(3, 2))]
+    flights.insert(place, flight(nothing, nothing, failure="it fell over"))
+    with FlightTable(tmp_path) as table:
+        for one in flights:
+            table.write(one, ("x", "y"))
+    assert len(pq.read_table(tmp_path / FLIGHTS)) == 6
+
+
+def test_what_was_written_can_be_read_when_the_command_ends_early(tmp_path: Path) -> None:
+    def fly_and_fail() -> None:
+        with FlightTable(tmp_path) as table:
+            table.write(flight(line(3, 1), line(3, 1)), ("x",))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fly_and_fail()
+    assert len(pq.read_table(tmp_path / FLIGHTS)) == 3
+
+
+def test_without_a_flight_there_is_no_file(tmp_path: Path) -> None:
+    with FlightTable(tmp_path):
+        pass
+    assert not (tmp_path / FLIGHTS).exists()

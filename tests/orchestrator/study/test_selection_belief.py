@@ -1,0 +1,80 @@
+"""Who is the closest, how sure is that, and who is out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nufleet.orchestrator.study.selection_belief import SelectionBelief
+from nufleet.orchestrator.study.trajectory_spectrum import Spectrum
+from nufleet.shared.arrays import FloatArray
+
+OMEGA = np.array([1.0, 2.0])
+
+
+def belief(**psi_star: FloatArray) -> SelectionBelief:
+    stars = np.stack(list(psi_star.values()))
+    return SelectionBelief(tuple(psi_star), OMEGA, np.stack([0.5 * stars, stars], axis=-1), stars)
+
+
+def test_distances_are_those_of_responses_drawn_together() -> None:
+    target = np.array([[1.0 + 0j, 0.5], [2.0, 1.0]])
+    found = SelectionBelief.of(OMEGA, target, {"twin": target, "silent": np.zeros((2, 2), complex)})
+    assert found.psi_star[0].tolist() == [0.0, 0.0]
+    oracle = [1 / np.sqrt(2), 2 / np.sqrt(5)]  # ψ(z, 0) = |z| / √(1 + |z|²)
+    np.testing.assert_allclose(found.psi_star[1], oracle)
+
+
+def test_an_error_that_sources_share_does_not_make_their_order_uncertain() -> None:
+    shared = np.random.default_rng(0).normal(0.3, 0.1, 500)
+    leader, confidence = belief(near=shared, far=shared + 0.05).leader(0.01, 0.05)
+    assert (leader, confidence) == ("near", 1.0)
+
+
+def test_confidence_is_the_chance_of_being_within_epsilon() -> None:
+    rng = np.random.default_rng(0)
+    first, second = rng.normal(0.300, 0.01, 20_000), rng.normal(0.305, 0.01, 20_000)
+    leader, confidence = belief(first=first, second=second).leader(0.01, 0.05)
+    assert leader == "first"
+    # P(N(−0.005, √2 · 0.01) < 0.01) = Φ(0.015 / 0.01414)
+    assert confidence == pytest.approx(0.8556, abs=0.01)
+
+
+def test_of_sources_that_are_all_good_enough_the_best_on_average_is_selected() -> None:
+    rng = np.random.default_rng(0)
+    steady, better = np.full(2000, 0.105), rng.normal(0.1, 0.001, 2000)
+    better[:20] = 0.2  # with a probability of 0.01 it is much worse
+    sources = belief(steady=steady, better=better)
+    assert sources.leader(0.01, 0.05)[0] == "better"
+    assert sources.leader(0.01, 0.001)[0] == "steady"
+
+
+def test_a_source_is_out_only_when_it_is_surely_behind() -> None:
+    rng = np.random.default_rng(0)
+    samples = {
+        "leader": rng.normal(0.1, 0.01, 400),
+        "rival": rng.normal(0.12, 0.02, 400),
+        "far": rng.normal(0.5, 0.02, 400),
+        "unknown": rng.normal(0.5, 0.2, 400),
+    }
+    out = belief(**samples).hopeless("leader", 0.05)
+    assert set(out) == {"far"}
+    assert out["far"].startswith("its worst-case distance is 0.399")
+    assert out["far"].endswith("leader")
+
+
+def test_on_a_trajectory_the_best_leaves_the_smallest_error_even_where_another_is_closer() -> None:
+    # Three frequencies of the distance, then one of a trajectory, slower than all of them.
+    target = np.tile([1.0 + 0j, 0.5, 0.4, 1.0], (5, 1))
+    near = np.tile([1.0 + 0j, 0.5, 0.4, 1.2], (5, 1))
+    far = np.tile([1.0 + 0j, 0.1, 0.05, 1.01], (5, 1))
+    omega = np.array([1.0, 2.0, 3.0])
+    slow = Spectrum(np.array([0.2]), np.array([4.0]))
+    both = {"near": near, "far": far}
+    assert SelectionBelief.of(omega, target, both).leader(0.01, 0.05) == ("near", 1.0)
+    found = SelectionBelief.of(omega, target, both, slow)
+    assert found.leader(0.01, 0.05) == ("far", 1.0)
+    np.testing.assert_allclose(found.loss[:, 0], [0.2 / 1.2, 0.01 / 1.01])
+    assert "its predicted error is 0.157" in found.hopeless("far", 0.05)["near"]
+    assert found.decisive_omega_rad_s("near") == 0.2
+    assert SelectionBelief.of(omega, target, both).decisive_omega_rad_s("far") == 2.0

@@ -1,0 +1,82 @@
+"""Tones that a robot can separate, within the band and its limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nufleet.orchestrator.study.tone_choice import closer_looks, first_look
+from nufleet.robot_agent.motion.excitation import plan_excitation
+from nufleet.shared.robots.spec import AxisSpec, RobotSpec
+
+bands = st.tuples(st.floats(0.01, 1.0), st.floats(2.0, 20.0))
+
+
+def robot(settling_time_s: float) -> RobotSpec:
+    return RobotSpec(
+        kind="any",
+        axes=(AxisSpec(name="x", unit="m", amplitude_max=1, velocity_max=1, acceleration_max=5),),
+        sample_time_s=0.02,
+        omega_min_rad_s=0.005,
+        omega_max_rad_s=25.0,
+        duration_max_s=3600.0,
+        settling_time_s=settling_time_s,
+        simulated=False,
+    )
+
+
+@given(band=bands, settling_time_s=st.floats(0.0, 60.0))
+def test_the_first_look_reaches_from_low_in_the_band_to_its_upper_end(
+    band: tuple[float, float], settling_time_s: float
+) -> None:
+    choice = first_look(band, robot(settling_time_s), 11, 0.7)
+    omega = choice.omega_rad_s
+    assert omega[-1] == pytest.approx(band[1])
+    assert omega[-1] <= band[1]  # a robot whose own band ends there refuses anything above
+    assert omega[0] >= band[0]
+    assert len(omega) <= 64
+
+
+@given(band=bands, settling_time_s=st.floats(0.0, 60.0))
+def test_a_robot_plans_it_with_no_more_time_than_it_asks_for(
+    band: tuple[float, float], settling_time_s: float
+) -> None:
+    spec = robot(settling_time_s)
+    choice = first_look(band, spec, 11, 0.7)
+    plan = plan_excitation(choice.excitation("x"), spec, "robot")
+    measured_s = plan.segments * plan.segment_samples * plan.sample_time_s
+    assert measured_s == pytest.approx(choice.measure_s, abs=3 * spec.sample_time_s)
+    assert choice.duration_s(spec) == pytest.approx(plan.duration_s)
+
+
+def test_a_robot_that_settles_slowly_is_looked_at_more_closely() -> None:
+    quick, slow = (first_look((0.1, 5.4), robot(s), 11, 0.7) for s in (2.0, 50.0))
+    assert np.diff(slow.omega_rad_s)[0] < 0.5 * np.diff(quick.omega_rad_s)[0]
+
+
+@given(
+    band=bands,
+    centres=st.lists(st.floats(0.0, 20.0), max_size=3),
+    lengths=st.lists(st.floats(0.5, 4.0), min_size=1, max_size=3),
+)
+def test_every_closer_look_stays_in_the_band_two_beats_apart(
+    band: tuple[float, float], centres: list[float], lengths: list[float]
+) -> None:
+    measure_s = 11 * 2 * np.pi / band[1]
+    choices = closer_looks(band, measure_s, lengths, centres, window_tones=5)
+    assert len(set(choices)) == len(choices) > 0
+    for choice in choices:
+        omega = choice.omega_rad_s
+        assert band[0] * (1 - 1e-6) <= omega[0] <= omega[-1] <= band[1] * (1 + 1e-6)
+        assert 2 * np.pi / omega[0] <= choice.measure_s / 3 * (1 + 1e-9)
+        if len(omega) > 1:
+            assert np.diff(omega).min() >= 4 * np.pi / choice.measure_s * (1 - 1e-9)
+
+
+def test_a_closer_look_surrounds_its_centre() -> None:
+    choices = closer_looks((0.1, 5.4), 20.0, [2.0], [3.0], window_tones=5)
+    window = [c for c in choices if len(c.harmonics) <= 6]
+    assert len(window) == 1
+    assert window[0].omega_rad_s[0] < 3.0 < window[0].omega_rad_s[-1]

@@ -1,0 +1,158 @@
+"""What a viewer is told of a study and its fleet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import cast
+
+import numpy as np
+import pytest
+
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.study.interface import Question, Report, SourceEstimate, StudyPlan
+from nufleet.orchestrator.viewer.clock import ViewerClock
+from nufleet.orchestrator.viewer.events import (
+    IterationEvent,
+    MessageEvent,
+    RobotStateEvent,
+    TestSamplesEvent,
+    ViewerEvent,
+)
+from nufleet.orchestrator.viewer.study_feed import LiveView, together
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.quality import Quality
+from nufleet.shared.wire.messages import RobotState, RobotStatus, Telemetry
+
+PLAN = StudyPlan("target", ("source-1",), (0.1, 10.0), 3, "x")
+
+
+class ObservedFleet:
+    """Keeps the observers that a live view registers, to be called by the test."""
+
+    def __init__(self) -> None:
+        self.on_state: Callable[[RobotState], None] = lambda state: None
+        self.on_telemetry: Callable[[str, Telemetry], None] = lambda robot, telemetry: None
+
+    def observe_states(self, observer: Callable[[RobotState], None]) -> None:
+        self.on_state = observer
+
+    def observe_telemetry(self, observer: Callable[[str, Telemetry], None]) -> None:
+        self.on_telemetry = observer
+
+
+def response(**z: complex) -> FrequencyResponse:
+    omega = np.array([float(name.removeprefix("w")) for name in z])
+    return FrequencyResponse(omega, np.array(list(z.values())), np.zeros(len(z)), 4, Quality())
+
+
+def question() -> Question:
+    test = Excitation(axis="x", tones=(Tone(omega_rad_s=2.0),))
+    return Question(1, {"target": test, "source-1": test})
+
+
+@pytest.fixture
+def seen() -> list[ViewerEvent]:
+    return []
+
+
+@pytest.fixture
+def fleet() -> ObservedFleet:
+    return ObservedFleet()
+
+
+@pytest.fixture
+def view(seen: list[ViewerEvent], fleet: ObservedFleet) -> LiveView:
+    live = LiveView(PLAN, "m", ViewerClock(lambda: 0.0), seen.append)
+    live.watch(cast(Fleet, fleet))
+    return live
+
+
+def state(robot: str) -> RobotState:
+    return RobotState(
+        robot=robot,
+        boot_id="b",
+        sequence=1,
+        status=RobotStatus.RUNNING,
+        goal_id="g",
+        progress=0.5,
+        reason="",
+        last_goal_id=None,
+        robot_time_s=1.0,
+    )
+
+
+def test_states_of_the_study_s_robots_are_drawn_and_of_others_not(
+    view: LiveView, fleet: ObservedFleet, seen: list[ViewerEvent]
+) -> None:
+    fleet.on_state(state("target"))
+    fleet.on_state(state("bystander"))
+    (event,) = seen
+    assert isinstance(event, RobotStateEvent)
+    assert (event.robot, event.status, event.progress) == ("target", "running", 0.5)
+
+
+def test_nothing_is_drawn_of_the_fleet_after_the_study(
+    view: LiveView, fleet: ObservedFleet, seen: list[ViewerEvent]
+) -> None:
+    view.stop_watching()
+    fleet.on_state(state("target"))
+    assert not seen
+
+
+def test_running_samples_are_drawn_at_their_place_in_the_test(
+    view: LiveView, fleet: ObservedFleet, seen: list[ViewerEvent]
+) -> None:
+    view.asked(question())
+    samples = np.zeros(5)
+    telemetry = Telemetry(
+        goal_id="g", first_sample=100, sample_time_s=0.02, reference=samples, response=samples
+    )
+    fleet.on_telemetry("source-1", telemetry)
+    (event,) = seen
+    assert isinstance(event, TestSamplesEvent)
+    assert event.t_s == pytest.approx(2.0)
+    assert event.omega_rad_s == (2.0,)
+
+
+def test_a_failed_attempt_is_logged(view: LiveView, seen: list[ViewerEvent]) -> None:
+    view.attempt_failed("source-1", 2, "it did not settle")
+    (event,) = seen
+    assert isinstance(event, MessageEvent)
+    assert "source-1" in event.text
+    assert "it did not settle" in event.text
+
+
+def test_a_round_is_drawn_with_what_it_taught_and_who_was_lost(
+    view: LiveView, seen: list[ViewerEvent]
+) -> None:
+    ranking = (SourceEstimate("source-1", 0.1, 0.01, 2.0, 1),)
+    report = Report(
+        iteration=1,
+        omega_rad_s=(2.0,),
+        responses={"target": response(w2=1.0), "source-1": response(w2=0.9)},
+        sampled_psi={"source-1": 0.1},
+        curves=(),
+        ranking=ranking,
+        dropped={"source-9": "lost"},
+    )
+    view.asked(question())
+    view.told(question(), {}, report)
+    (event,) = seen
+    assert isinstance(event, IterationEvent)
+    assert event.ranking == ranking
+    assert event.responses == {"target": (1.0,), "source-1": (0.9,)}
+    assert event.messages == ("without source-9: lost",)
+
+
+def test_only_robots_that_played_the_target_s_tones_are_drawn_beside_it() -> None:
+    omega, z = together(
+        {
+            "target": response(w2=1.0, w4=0.5),
+            "source-1": response(w1=9.0, w2=0.9, w4=0.4),
+            "source-2": response(w2=0.8),
+        },
+        "target",
+    )
+    assert omega == (2.0, 4.0)
+    assert z == {"target": (1.0, 0.5), "source-1": (0.9, 0.4)}

@@ -1,0 +1,154 @@
+"""Flights keep what they flew, however they end, and leave the robot trusted where it is well."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from learned_things import BASELINE, experience, layout
+from robots_that_learn import LIMITS, LaggedRobot, double_integrator
+
+from nufleet.robot_agent.flight.flights import guard_for, learner_for, performance_of
+from nufleet.robot_agent.flight.memory import Memory, MemoryFolderError
+from nufleet.robot_agent.flight.tracking import Watch, approach
+from nufleet.robot_agent.motion.pace import HaltSwitch
+from nufleet.robot_agent.motion.perform import Played, perform
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.errors import RobotError
+from nufleet.shared.experience.file import digest
+from nufleet.shared.paths.trajectories import travel
+from nufleet.shared.wire.messages import Outcome
+from nufleet.shared.wire.motions import (
+    Flight,
+    RichFlight,
+    RichFlightDetails,
+    Tracking,
+    TrackingDetails,
+)
+
+PATH = travel(np.array([[0.0, 0.0], [0.5, 0.5], [-0.4, 0.2]]), 0.5, 1.0, 0.02)
+
+
+def flown(
+    robot: Robot,
+    motion: Flight,
+    memory: Memory | None = None,
+    *,
+    switch: HaltSwitch | None = None,
+    realtime: float | None = None,
+    watch: Watch = lambda *_: None,
+) -> Played:
+    switch = HaltSwitch() if switch is None else switch
+    performance = performance_of(
+        motion,
+        robot,
+        memory or Memory(None),
+        realtime=realtime,
+        switch=switch,
+        on_played=lambda samples: None,
+        watch=watch,
+    )
+    return perform(robot, performance, switch, on_resting=lambda: None)
+
+
+def baseline_flight() -> Tracking:
+    return Tracking(desired=PATH, inverse="baseline")
+
+
+@pytest.mark.parametrize("realtime", [None, 1e9])
+@pytest.mark.parametrize("outcome", [Outcome.CANCELLED, Outcome.ABORTED])
+def test_a_flight_that_is_ended_early_says_who_ended_it_and_keeps_what_it_flew(
+    outcome: Outcome, realtime: float | None
+) -> None:
+    robot, switch = LaggedRobot(), HaltSwitch()
+
+    def watch(sample: int, *_: object) -> None:
+        if sample == 40:
+            switch.halt(outcome, "that is enough")
+
+    played = flown(robot, baseline_flight(), switch=switch, realtime=realtime, watch=watch)
+    assert (played.outcome, played.reason, played.fault) == (outcome, "that is enough", None)
+    assert len(played.samples.reference) == len(played.samples.response) == 41
+    np.testing.assert_array_equal(played.samples.reference, PATH[:41])
+    assert isinstance(played.samples.details, TrackingDetails)
+    assert robot.rests >= 1
+
+
+def test_a_halt_between_the_look_at_the_switch_and_the_sample_counts_as_well() -> None:
+    """A paced robot waits for its sample, and that is when most halts come."""
+    robot, switch = LaggedRobot(), HaltSwitch()
+    settle = len(approach(robot.spec, PATH[0], LIMITS))
+    waits = 0
+    wait = switch.wait
+
+    def wait_and_halt(timeout_s: float) -> None:
+        nonlocal waits
+        waits += 1
+        if waits == settle + 8:
+            switch.halt(Outcome.ABORTED, "stopped by somebody")
+        wait(0.0)
+
+    switch.wait = wait_and_halt  # type: ignore[method-assign]
+    played = flown(robot, baseline_flight(), switch=switch, realtime=1.0)
+    assert (played.outcome, played.reason) == (Outcome.ABORTED, "stopped by somebody")
+    assert len(played.samples.response) == 7
+    assert played.samples.details is not None
+
+
+def test_a_rich_flight_teaches_the_robot_its_baseline() -> None:
+    memory, robot = Memory(None), LaggedRobot(noise_std_m=1e-3)
+    played = flown(robot, RichFlight(duration_s=60.0, seed=1), memory)
+    assert played.outcome is Outcome.COMPLETED
+    assert isinstance(played.samples.details, RichFlightDetails)
+    assert set(memory.baseline) == {"x", "y"}
+    # Three samples late: the error of a ramp is its slope times 60 ms.
+    ramp = np.linspace(0.0, 1.0, 51)
+    error = memory.baseline["x"].error(ramp)
+    assert error[-1] == pytest.approx(3 * (ramp[1] - ramp[0]), rel=0.1)
+
+
+def test_a_baseline_that_cannot_be_stored_fails_the_flight_and_not_the_robot(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    memory = Memory(None)
+
+    def full(*_: object) -> None:
+        raise MemoryFolderError("/disk/baseline cannot be written: No space left on device")
+
+    monkeypatch.setattr(memory, "keep_baseline", full)
+    played = flown(LaggedRobot(), RichFlight(duration_s=60.0, seed=1), memory)
+    assert (played.outcome, played.fault) == (Outcome.FAILED, None)
+    assert "No space left on device" in played.reason
+
+
+def test_a_flight_that_fails_on_its_way_is_a_failed_one_with_its_samples() -> None:
+    way = len(approach(LaggedRobot().spec, PATH[0], LIMITS))
+    robot = LaggedRobot(blind_at=way + 30)
+    played = flown(robot, baseline_flight())
+    assert played.outcome is Outcome.FAILED
+    assert f"not finite at sample {way + 30}" in played.reason
+    assert len(played.samples.response) == 30
+
+
+def test_each_flight_begins_with_a_process_of_its_own() -> None:
+    robot, memory = double_integrator(), Memory(None)
+    prior = experience()
+    memory.keep_prior(prior, digest(prior))
+    motion = Tracking(desired=PATH[:, :1], inverse="prior", prior_sha256=digest(prior))
+    first, second = (learner_for(motion, robot, memory) for _ in range(2))
+    assert first is not None
+    assert second is not None
+    assert first.process is not second.process
+    assert first.layout == layout()
+
+
+def test_a_prior_that_is_gone_is_an_error_of_the_robot() -> None:
+    motion = Tracking(desired=PATH[:, :1], inverse="prior", prior_sha256="0" * 64)
+    with pytest.raises(RobotError, match="no prior any more"):
+        learner_for(motion, double_integrator(), Memory(None))
+
+
+def test_a_guard_needs_what_the_baseline_does_on_every_axis() -> None:
+    memory = Memory(None)
+    memory.keep_baseline({"x": BASELINE, "y": BASELINE})
+    guard = guard_for(PATH, LaggedRobot(), memory)
+    assert guard.judge(0, np.zeros(2), np.zeros(2)) == 1.0

@@ -1,0 +1,191 @@
+"""The guard takes the prior back when it is worse than the baseline, and only then."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nufleet.robot_agent.flight.guard import Guard, GuardSettings
+from nufleet.shared.arrays import FloatArray
+
+STEP_S = 0.02
+PULL_MAX = 2.0
+SPEED_MAX = 0.6
+STILL = np.zeros(2)
+SAMPLES = 500
+NEEDED = np.zeros((SAMPLES, 2))
+
+
+def baseline() -> FloatArray:
+    time_s = np.arange(SAMPLES) * STEP_S
+    return 0.1 * np.stack([np.sin(2 * time_s), np.cos(3 * time_s)], axis=1)
+
+
+def judged(errors: FloatArray, noise_variance: float = 0.0) -> tuple[list[float], Guard]:
+    guard = Guard(
+        baseline(), noise_variance, STEP_S, PULL_MAX, NEEDED, correction_speed_max=SPEED_MAX
+    )
+    return [guard.judge(k, error, STILL) for k, error in enumerate(errors)], guard
+
+
+def test_a_model_as_good_as_the_baseline_is_left_alone() -> None:
+    shares, guard = judged(baseline())
+    assert shares == [1.0] * SAMPLES
+    assert guard.event is None
+
+
+def test_a_model_that_is_slightly_worse_all_the_way_is_taken_back_in_time() -> None:
+    shares, guard = judged(1.08 * baseline())
+    assert guard.event is not None
+    assert "1.08 times the error of the baseline" in guard.event.reason
+    assert shares[-1] == 0.0
+
+
+def test_an_error_beyond_the_baselines_worst_is_taken_back_within_a_fifth_of_a_second() -> None:
+    errors = 0.2 * baseline()
+    errors[250:] = 0.3
+    _, guard = judged(errors)
+    assert guard.event is not None
+    assert 250 <= guard.event.sample <= 250 + round(0.2 / STEP_S)
+
+
+def test_the_hand_over_is_smooth_and_takes_its_time() -> None:
+    errors = np.full((SAMPLES, 2), 1.0)
+    shares, guard = judged(errors)
+    assert guard.event is not None
+    fall = np.array([1.0, *shares[guard.event.sample :]])
+    steps = round(GuardSettings().hand_over_s / STEP_S)
+    assert (np.diff(fall) <= 0).all()
+    assert np.abs(np.diff(fall)).max() < math.pi / 2 / steps * 1.01
+    assert fall[steps] == pytest.approx(0.0)
+    assert fall[steps - 1] > 0.0
+
+
+def oscillating(amplitude: float, omega_rad_s: float) -> Guard:
+    """Corrections that swing while the robot stays on its path."""
+    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX, NEEDED, correction_speed_max=SPEED_MAX)
+    for k in range(SAMPLES):
+        swing = amplitude * (1 - np.cos(omega_rad_s * k * STEP_S))
+        guard.judge(k, np.zeros(2), np.array([0.0, swing]))
+    return guard
+
+
+def test_corrections_that_oscillate_are_taken_back_before_the_robot_is_off_its_path() -> None:
+    """At 10 rad/s, 4 cm to each side are 4 m/s²: a quadrotor tilts by 22 degrees, to and fro."""
+    event = oscillating(0.04, 10.0).event
+    assert event is not None
+    assert "oscillate" in event.reason
+    assert event.sample * STEP_S < 0.5
+
+
+def test_slow_corrections_as_large_are_left_alone() -> None:
+    assert oscillating(0.1, 3.0).event is None
+
+
+def test_corrections_that_are_as_fast_as_the_baseline_needs_are_left_alone() -> None:
+    time_s = np.arange(SAMPLES) * STEP_S
+    needed = 0.04 * np.stack([np.cos(10.0 * time_s), np.zeros(SAMPLES)], axis=1)
+    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX, needed, correction_speed_max=SPEED_MAX)
+    for k in range(SAMPLES):
+        guard.judge(k, np.zeros(2), needed[k])
+    assert guard.event is None
+
+
+def test_a_single_kink_is_no_oscillation() -> None:
+    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX, NEEDED, correction_speed_max=math.inf)
+    for k in range(SAMPLES):
+        kinked = max(0.0, 0.6 * (k - 200) * STEP_S)
+        guard.judge(k, np.zeros(2), np.array([kinked, 0.0]))
+    assert guard.event is None
+
+
+def test_once_taken_back_it_stays_so() -> None:
+    errors = np.zeros((SAMPLES, 2))
+    errors[100:120] = 1.0
+    shares, _ = judged(errors)
+    assert shares[-1] == 0.0
+
+
+def test_measurement_noise_is_not_held_against_the_model() -> None:
+    noise = 0.01 * np.random.default_rng(0).standard_normal((SAMPLES, 2))
+    guard = Guard(
+        np.zeros((SAMPLES, 2)),
+        2 * 0.01**2,
+        STEP_S,
+        PULL_MAX,
+        NEEDED,
+        GuardSettings(budget=0.2),
+        correction_speed_max=SPEED_MAX,
+    )
+    for k, error in enumerate(noise):
+        guard.judge(k, error, STILL)
+    assert guard.event is None
+
+
+def test_an_error_that_is_not_finite_takes_the_prior_back_at_once() -> None:
+    errors = baseline()
+    errors[7, 1] = np.nan
+    _, guard = judged(errors)
+    assert guard.event is not None
+    assert (guard.event.sample, guard.event.reason) == (7, "the tracking error is not finite")
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 1000), st.floats(0.0, 5.0))
+def test_a_model_that_obeys_its_share_never_costs_a_tenth_more_than_the_baseline(
+    seed: int, scale: float
+) -> None:
+    """The error that is left is baseline + share × (what the model adds), a slow walk."""
+    rng = np.random.default_rng(seed)
+    harm = scale * 0.05 * np.cumsum(rng.standard_normal((SAMPLES, 2)), axis=0) / math.sqrt(SAMPLES)
+    own, guard = (
+        baseline(),
+        Guard(baseline(), 0.0, STEP_S, PULL_MAX, NEEDED, correction_speed_max=SPEED_MAX),
+    )
+    share, spent = 1.0, 0.0
+    for k in range(SAMPLES):
+        error = own[k] + share * harm[k]
+        spent += float(error @ error)
+        share = guard.judge(k, error, STILL)
+    assert math.sqrt(spent / float((own**2).sum())) <= 1.1
+
+
+def taken_back_at(correction: FloatArray, needed: FloatArray) -> int | None:
+    """When a correction that grows as fast as it may is taken back, before any error shows."""
+    guard = Guard(
+        baseline(),
+        0.0,
+        STEP_S,
+        PULL_MAX,
+        np.tile(needed, (SAMPLES, 1)),
+        correction_speed_max=SPEED_MAX,
+    )
+    size = float(np.linalg.norm(correction))
+    for k, error in enumerate(baseline()):
+        grown = min(1.0, SPEED_MAX * STEP_S * k / size)
+        guard.judge(k, error, grown * correction)
+    return None if guard.event is None else guard.event.sample
+
+
+def test_a_correction_is_taken_back_while_its_way_back_is_still_short() -> None:
+    """Half a metre takes 0.8 s to grow and as long to go back; the loop's lag hides it at first."""
+    wrong, needed = np.array([0.5, 0.0]), np.array([0.02, 0.0])
+    sample = taken_back_at(wrong, needed)
+    assert sample is not None
+    # The sum over the way back, against the budget: c³/3 − c² n = 0.05 v T Σ|e|².
+    whole = float((baseline() ** 2).sum())
+    size = SPEED_MAX * STEP_S * np.arange(SAMPLES)
+    cost = (size**3 / 3 - size**2 * 0.02) / (SPEED_MAX * STEP_S)
+    assert sample == pytest.approx(int(np.argmax(cost > 0.05 * whole)), abs=1)
+
+
+def test_a_correction_that_the_baseline_needs_may_be_as_large() -> None:
+    large = np.array([0.5, 0.0])
+    assert taken_back_at(large, large) is None
+    assert taken_back_at(large, 0.4 * large) is None
+    assert taken_back_at(-large, large) is not None
+    assert taken_back_at(np.array([0.0, 0.5]), large) is not None

@@ -1,0 +1,139 @@
+"""A sensor that fails ends a motion of any kind soon, with a reason; a noisy one ends none."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from recording_robot import (
+    MOTIONS,
+    SPEC,
+    RecordingRobot,
+    Sensor,
+    baselines,
+    performed,
+)
+
+from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.motion.paced_robot import CHUNK_SAMPLES
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.wire.messages import Outcome
+
+
+def not_a_number(onset: int) -> Sensor:
+    return lambda k, output: np.full_like(output, np.nan) if k >= onset else output
+
+
+def frozen(onset: int) -> Sensor:
+    held: list[FloatArray] = []
+
+    def sensor(k: int, output: FloatArray) -> FloatArray:
+        if k < onset:
+            return output
+        held.append(output)
+        return held[0]
+
+    return sensor
+
+
+def late(samples: int) -> Sensor:
+    """Before it has anything to say it measures rest, with a noise of its own."""
+    rng = np.random.default_rng(0)
+    past: list[FloatArray] = []
+
+    def sensor(k: int, output: FloatArray) -> FloatArray:
+        past.append(output)
+        if len(past) > samples:
+            return past[-1 - samples]
+        return 1e-4 * rng.standard_normal(len(output))
+
+    return sensor
+
+
+def displaced(onset: int) -> Sensor:
+    return lambda k, output: output + 0.9 if k >= onset else output
+
+
+FAULTS = {
+    "NaN": (not_a_number, "not finite"),
+    "frozen": (frozen, "stays at exactly"),
+    "displaced": (displaced, "leaps|does not follow"),
+}
+
+
+@pytest.mark.parametrize("realtime", [None, 1e9])
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("kind", MOTIONS)
+@settings(max_examples=3, deadline=None)
+@given(onset=st.integers(1, 400), noise=st.sampled_from([0.0, 0.002]))
+def test_a_sensor_that_fails_ends_every_motion_soon_and_teaches_nothing(
+    kind: str, fault: str, realtime: float | None, onset: int, noise: float
+) -> None:
+    robot, memory = RecordingRobot(SPEC, noise=noise), baselines(SPEC)
+    known = dict(memory.baseline)
+    sensor, words = FAULTS[fault]
+    robot.sensor = sensor(onset)
+    played = performed(robot, MOTIONS[kind](SPEC), memory, realtime=realtime)
+    assert played.outcome is Outcome.FAILED
+    assert re.search(words, played.reason)
+    assert played.fault is None
+    assert robot.rests > 0
+    assert dict(memory.baseline) == known
+    # Until the reference has moved by a tenth of its range and the robot should have settled.
+    late = {"NaN": 1, "frozen": 400, "displaced": 5}[fault]
+    batch = 1 if realtime else CHUNK_SAMPLES
+    assert len(robot.references) <= onset + late + batch
+
+
+@pytest.mark.parametrize("kind", ["rich flight", "path", "path, guarded"])
+def test_a_sensor_that_lags_by_much_more_than_the_robot_settles_in_ends_a_flight(kind: str) -> None:
+    robot, memory = RecordingRobot(SPEC, noise=0.001), baselines(SPEC)
+    known = dict(memory.baseline)
+    robot.sensor = late(150)
+    played = performed(robot, MOTIONS[kind](SPEC), memory)
+    assert played.outcome is Outcome.FAILED
+    assert "does not follow" in played.reason or "no answer to its reference" in played.reason
+    assert played.fault is None
+    assert dict(memory.baseline) == known
+
+
+def test_what_a_sensor_lagged_by_in_a_rich_flight_is_no_baseline() -> None:
+    """Three settling times late: each output is where the robot was, and none is far off."""
+    robot, memory = RecordingRobot(SPEC), Memory(None)
+    robot.sensor = late(75)
+    played = performed(robot, MOTIONS["rich flight"](SPEC), memory)
+    assert played.outcome is Outcome.FAILED
+    assert "no answer to its reference" in played.reason
+    assert not memory.baseline
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+@settings(max_examples=4, deadline=None)
+@given(
+    noise=st.floats(0.0, 0.03),
+    spikes=st.sampled_from([0.0, 0.03]),
+    lost=st.sampled_from([0.0, 0.05]),
+    seed=st.integers(0, 1000),
+)
+def test_noise_single_spikes_and_lost_samples_end_no_motion(
+    kind: str, noise: float, spikes: float, lost: float, seed: int
+) -> None:
+    robot = RecordingRobot(SPEC, noise=noise, seed=seed)
+    rng = np.random.default_rng(seed)
+    last: list[FloatArray] = []
+
+    def sensor(k: int, output: FloatArray) -> FloatArray:
+        read = output + 5.0 * (rng.random(len(output)) < spikes)
+        if last and rng.random() < lost:
+            read = last[-1]
+        last.append(read)
+        return read
+
+    robot.sensor = sensor
+    played = performed(robot, MOTIONS[kind](SPEC), baselines(SPEC))
+    # A baseline is not learned from spikes of 5 m; the flight itself goes to its end.
+    assert played.outcome is Outcome.COMPLETED or "no answer" in played.reason
+    assert played.fault is None

@@ -1,0 +1,125 @@
+"""Robots from a fleet file: found by their drivers' names, each with a noise of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from puppet_robot import PuppetRobot
+
+from nufleet.robot_agent import serve as fleet_robots
+from nufleet.robot_agent.robot import Robot
+from nufleet.robot_agent.serve import build_robots
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import FleetFileError
+from nufleet.shared.robots.fleet_file import FleetFile, read_fleet_file
+from nufleet.shared.strict import Strict
+from nufleet.sims.double_integrator import DoubleIntegrator
+
+NOISY = "{ alpha = 0.85, beta = 0.003, noise_std_m = 0.01 }"
+
+
+def fleet_of(tmp_path: Path, robots: Mapping[str, str], seed: int = 3) -> tuple[FleetFile, Path]:
+    path = tmp_path / "fleet.toml"
+    entries = "".join(f"[robots.{name}]\n{entry}\n" for name, entry in robots.items())
+    path.write_text(f'schema = 1\nname = "lab"\nseed = {seed}\n{entries}')
+    return read_fleet_file(path), path
+
+
+def integrator(settings: str = NOISY) -> str:
+    return f'driver = "double_integrator"\nsettings = {settings}'
+
+
+def flown(robot: Robot) -> FloatArray:
+    robot.connect()
+    return robot.run(np.zeros((50, 1)))
+
+
+def test_robots_come_in_the_order_asked_for_with_their_own_settings(tmp_path: Path) -> None:
+    fleet, path = fleet_of(
+        tmp_path,
+        {
+            "a": integrator("{ alpha = 0.85, beta = 0.003 }"),
+            "b": integrator("{ alpha = 1.0, beta = 0.004 }"),
+        },
+    )
+    robots = build_robots(fleet, path, ("b", "a"))
+    assert list(robots) == ["b", "a"]
+    assert all(isinstance(robot, DoubleIntegrator) for robot in robots.values())
+    models = [robot.spec.axes[0].model for robot in robots.values()]
+    assert models[0] != models[1]
+
+
+def test_a_robots_noise_is_its_own_and_depends_on_seed_and_place_alone(tmp_path: Path) -> None:
+    names = ("a", "b", "c")
+    fleet, path = fleet_of(tmp_path, dict.fromkeys(names, integrator()))
+    together = {name: flown(robot) for name, robot in build_robots(fleet, path, names).items()}
+    for name in names:
+        alone = flown(build_robots(fleet, path, (name,))[name])
+        np.testing.assert_array_equal(alone, together[name])
+    for one, other in (("a", "b"), ("b", "c"), ("a", "c")):
+        assert not np.array_equal(together[one], together[other])
+    other_seed, path = fleet_of(tmp_path, dict.fromkeys(names, integrator()), seed=4)
+    assert not np.array_equal(flown(build_robots(other_seed, path, ("a",))["a"]), together["a"])
+
+
+def test_a_robot_that_is_not_in_the_file_is_named(tmp_path: Path) -> None:
+    fleet, path = fleet_of(tmp_path, {"a": integrator(), "b": integrator()})
+    with pytest.raises(FleetFileError, match=rf"{path}: no robot 'c'; there are a, b"):
+        build_robots(fleet, path, ("a", "c"))
+
+
+def test_a_driver_that_is_not_installed_is_named_with_those_that_are(tmp_path: Path) -> None:
+    fleet, path = fleet_of(tmp_path, {"a": 'driver = "double_intergrator"'})
+    with pytest.raises(
+        FleetFileError,
+        match=r"unknown driver 'double_intergrator'; installed drivers: .*double_integrator",
+    ):
+        build_robots(fleet, path, ("a",))
+
+
+def test_a_setting_that_is_not_right_is_named_with_its_robot(tmp_path: Path) -> None:
+    for settings, named in (
+        ("{ alpha = -1.0, beta = 0.0 }", "alpha: Input should be greater than 0"),
+        ("{ beta = 0.0 }", "alpha: Field required"),
+        ("{ alpha = 1.0, beta = 0.0, gamma = 1.0 }", "gamma: Extra inputs"),
+        ("{ alpha = 1.0, beta = 0.0, k_p = 1e9 }", "not stable"),
+    ):
+        fleet, path = fleet_of(tmp_path, {"a": integrator(), "b": integrator(settings)})
+        with pytest.raises(FleetFileError) as raised:
+            build_robots(fleet, path, ("a", "b"))
+        assert str(raised.value).startswith(f"{path}: robots.b.settings: ")
+        assert named in str(raised.value)
+
+
+class Nothing(Strict):
+    """No settings."""
+
+
+class SharedSimulator:
+    """A driver whose robots live in one simulator; notes what it is asked to build."""
+
+    settings = Nothing
+    shares_process = True
+    environment: Mapping[str, str] = {}
+
+    def __init__(self) -> None:
+        self.built: list[tuple[str, ...]] = []
+
+    def build(self, settings: Mapping[str, Any], rng: np.random.Generator) -> Mapping[str, Any]:
+        self.built.append(tuple(settings))
+        return {name: PuppetRobot() for name in settings}
+
+
+def test_robots_that_share_a_simulator_are_built_together_in_the_files_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = SharedSimulator()
+    monkeypatch.setattr(fleet_robots, "load_driver", lambda name: driver)
+    fleet, path = fleet_of(tmp_path, dict.fromkeys(("a", "b", "c"), 'driver = "shared"'))
+    robots = build_robots(fleet, path, ("c", "a", "c"))
+    assert driver.built == [("a", "c")]
+    assert set(robots) == {"a", "c"}

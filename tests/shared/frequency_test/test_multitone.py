@@ -1,0 +1,60 @@
+"""Sums of tones and their peaks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.frequency_test.multitone import (
+    crest_factor,
+    low_crest_phases,
+    multitone,
+    schroeder_phases,
+)
+
+combs = st.builds(
+    lambda first, count, step: tuple(range(first, first + step * count, step)),
+    st.integers(1, 9),
+    st.integers(2, 24),
+    st.sampled_from([1, 2]),
+)
+
+
+def played(harmonics: tuple[int, ...], weights: FloatArray, phases: FloatArray) -> FloatArray:
+    times = np.linspace(0.0, 2 * np.pi, 64 * harmonics[-1], endpoint=False)
+    signal: FloatArray = weights @ np.sin(np.outer(harmonics, times) + phases[:, None])
+    return signal
+
+
+@given(harmonics=combs, exponent=st.floats(-1.0, 0.0))
+def test_phases_never_crest_much_higher_than_schroeders(
+    harmonics: tuple[int, ...], exponent: float
+) -> None:
+    weights = np.array(harmonics, dtype=np.float64) ** exponent
+    found = crest_factor(played(harmonics, weights, low_crest_phases(harmonics, weights)))
+    schroeder = crest_factor(played(harmonics, weights, schroeder_phases(weights)))
+    # The search looks at eight samples per period, between which a peak can rise a little.
+    assert found <= 1.1 * schroeder
+
+
+@pytest.mark.parametrize("count", [6, 12, 24])
+def test_equal_odd_tones_stay_below_a_crest_factor_of_1_75(count: int) -> None:
+    harmonics = tuple(range(3, 3 + 2 * count, 2))
+    weights = np.ones(count)
+    phases = low_crest_phases(harmonics, weights)
+    assert crest_factor(played(harmonics, weights, phases)) < 1.75
+
+
+def test_a_single_tone_crests_at_the_square_root_of_two() -> None:
+    phases = low_crest_phases((5,), np.ones(1))
+    crest = crest_factor(played((5,), np.ones(1), phases))
+    assert crest == pytest.approx(np.sqrt(2), rel=1e-6)
+
+
+def test_tones_carry_the_multiples_and_weights_asked_for() -> None:
+    tones = multitone(0.25, (3, 5, 9), np.array([1.0, 0.5, 0.25]))
+    assert [tone.omega_rad_s for tone in tones] == [0.75, 1.25, 2.25]
+    assert [tone.weight for tone in tones] == [1.0, 0.5, 0.25]
