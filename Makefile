@@ -33,7 +33,7 @@ test-busy: .venv/installed-test system-packages
 
 check: .venv/installed-test
 	@echo "== lint, format, types and pure tests"
-	@.venv/bin/ruff check . && .venv/bin/ruff format --check .
+	@.venv/bin/ruff check . && .venv/bin/ruff format --check . && .venv/bin/codespell
 	@.venv/bin/mypy & types=$$!; \
 	.venv/bin/pytest --pure -m "not thorough" -n $(TEST_PROCESSES) --dist loadfile; tests=$$?; \
 	wait $$types && exit $$tests
@@ -42,6 +42,7 @@ lint: .venv/installed-test
 	@echo "== lint, format and types"
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
+	.venv/bin/codespell
 	.venv/bin/mypy
 
 .venv/bin/python:
