@@ -11,9 +11,9 @@ from purity import TESTS, is_pure
 @pytest.mark.parametrize(
     "pure",
     [
-        "robot_agent/test_supervisor.py",
-        "shared/test_codec.py",
-        "orchestrator/test_selection_belief.py",
+        "robot_agent/rules/test_supervisor.py",
+        "shared/wire/test_codec.py",
+        "orchestrator/study/test_selection_belief.py",
     ],
 )
 def test_what_computes_is_pure(pure: str) -> None:
@@ -23,7 +23,7 @@ def test_what_computes_is_pure(pure: str) -> None:
 @pytest.mark.parametrize(
     "impure",
     [
-        "shared/test_transport.py",  # imports it
+        "shared/wire/test_transport.py",  # imports it
         "integration/test_epochs.py",  # through a helper
         "orchestrator/repository/test_repository_studies.py",  # through its folder's conftest.py
         "sims/quadrotors/test_quadrotor_flight.py",

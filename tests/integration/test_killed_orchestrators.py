@@ -60,8 +60,9 @@ class Scene:
         measured = [trial for trial in trials if trial.status is TrialStatus.MEASURED]
         assert len(measured) == tests
         assert all(trial.interrupted for trial in trials if trial not in measured)
-        # Each goal is one motion, however often it was sent.
-        assert motions == len(trials)
+        # Each goal is one motion, however often it was sent; or none, where its orchestrator was
+        # gone before its robot began.
+        assert motions == sum(trial.robot_time_s > 0.0 for trial in trials)
 
 
 @pytest.fixture
