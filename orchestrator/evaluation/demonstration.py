@@ -1,4 +1,4 @@
-"""The whole job on one drawing: rank, learn, transfer, track, compare with the prediction."""
+"""The whole workflow on one drawing: rank, learn, transfer, track, compare with the prediction."""
 
 from __future__ import annotations
 
@@ -28,12 +28,16 @@ class DemoResult(Strict):
     """What `nufleet demo --json` prints: the ranking, and the flights with the best and worst."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    """Version of this document's layout."""
     ranking: RankResult
+    """Ranking of all sources by frequency tests, as `nufleet rank --json` prints it."""
     flights: EvaluationResult
+    """Tracking errors with the closest and the furthest source, as `nufleet evaluate --json`."""
     run: str
+    """Path of the run's folder."""
 
     def document(self) -> str:
-        """Return the JSON that other programs read: the documents of `rank` and `evaluate`."""
+        """Return this result as JSON, made up of the documents of `rank` and `evaluate`."""
         parts = {
             "ranking": json.loads(self.ranking.document()),
             "flights": json.loads(self.flights.document()),
@@ -55,20 +59,23 @@ def demonstrate(
     say: Callable[[str], None],
     observers: Sequence[FlightObserver],
 ) -> DemoResult:
-    """Let the closest and the furthest source learn, and fly the target with each of them.
+    """Have the closest and the furthest source learn, and fly the target with each experience.
 
     Args:
-        fleet: the fleet, reached.
-        pilot: flies.
-        target: who needs experience.
-        ranking: of the sources, by tests.
-        legs: what is flown.
-        architecture: of the experiences.
-        folder: where all is kept.
-        seed: draws flights and first weights.
-        flight_s: of the flights to learn from.
-        say: prints a line.
-        observers: are told of each flight along a path.
+        fleet: Client of the fleet, already connected.
+        pilot: Pilot that has the robots fly.
+        target: Description of the robot that needs experience.
+        ranking: Ranking of the sources by frequency tests; the closest comes first.
+        legs: Paths that the target flies with every inverse.
+        architecture: Architecture of the experiences that the sources learn.
+        folder: Folder of the run; experiences and the result are written there.
+        seed: Seed of the learning flights and of the networks' first weights.
+        flight_s: Duration in s of each flight that a robot learns from.
+        say: Called with one line of progress at a time.
+        observers: Called at the beginning and at the end of each flight along a path.
+
+    Returns:
+        The ranking together with the errors of the flights, as written to the run's folder.
     """
     best, worst = ranking.ranking[0], ranking.ranking[-1]
     chosen = list(dict.fromkeys((best.robot, worst.robot)))
@@ -110,7 +117,7 @@ def demonstrate(
 
 
 def demo_table(result: EvaluationResult) -> Table:
-    """Return the four errors, in the order that was predicted."""
+    """Return a table of the four errors, in the order that the tests predicted."""
     table = Table(title="what the transfer did, in the order predicted", title_justify="left")
     table.add_column("prior")
     for heading in ("predicted ψ*", f"RMS error, m{result.unit}", "less error"):

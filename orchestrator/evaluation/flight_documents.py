@@ -1,4 +1,4 @@
-"""The documents that trainings and trackings leave behind and print."""
+"""The documents that `nufleet train` and `nufleet track` print and leave in a run's folder."""
 
 from __future__ import annotations
 
@@ -20,10 +20,12 @@ TRACKING = "track.json"
 
 
 class Document(Strict):
-    """What a run came to; `run` is its folder."""
+    """The result of a run, as printed and as stored in its folder."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    """Version of this document's layout."""
     run: str
+    """Path of the run's folder."""
 
     def document(self) -> str:
         """Return the JSON that other programs read."""
@@ -31,30 +33,38 @@ class Document(Strict):
 
 
 class HorizonRecord(Strict):
-    """A horizon that was tried in flight; no error where it was not flown to the end."""
+    """A candidate horizon that was tried in flight."""
 
     horizon_samples: Annotated[int, Field(ge=1)]
+    """Length of the horizon, in samples of the robot."""
     rms_error: NonNegative | None
+    """RMS tracking error in the unit of the robot's axes; None when the path was not finished."""
 
 
 class TrainedExperience(Strict):
-    """An experience that its robot offers now."""
+    """An experience that its robot now offers to others."""
 
     robot: str
+    """Name of the robot that learned it."""
     sha256: Digest
+    """Hash of the experience's file."""
     training_time_s: NonNegative
+    """Wall time that training and installing took."""
     horizon_trials: tuple[HorizonRecord, ...]
+    """Candidate horizons, shortest first."""
     manifest: ExperienceManifest
+    """Description of the experience, as stored in its file."""
 
 
 class TrainResult(Document):
     """What `nufleet train --json` prints."""
 
     experiences: tuple[TrainedExperience, ...]
+    """Experiences that were trained, in the order of robots and architectures."""
 
     @staticmethod
     def of(trained: Iterable[Trained], run: str) -> TrainResult:
-        """Return the document of what was trained."""
+        """Return the document for trained experiences and the path of their run's folder."""
         return TrainResult(experiences=tuple(map(_trained, trained)), run=run)
 
 
@@ -62,6 +72,7 @@ class TrackResult(Document):
     """What `nufleet track --json` prints."""
 
     flights: tuple[FlightRecord, ...]
+    """Flights in the order in which they were flown."""
 
 
 def _trained(one: Trained) -> TrainedExperience:

@@ -1,7 +1,7 @@
 """Flies a target along drawings with every source's experience, with none, and with its baseline.
 
-Everything is chosen before the flights: experiences by their own robots, the order of the sources
-by frequency tests. What is flown afterwards only says whether that was right.
+Everything is decided before the flights: each experience on its own robot, and the order of the
+sources by frequency tests. The flights only show whether the prediction was right.
 """
 
 from __future__ import annotations
@@ -37,21 +37,23 @@ from nufleet.shared.wire.messages import Description
 
 
 class FlightObserver(Protocol):
-    """Is told of each flight, from the thread that conducts the evaluation."""
+    """An observer of flights, called from the thread that conducts the evaluation."""
 
     def begins(self, robot: str, label: str, spec: RobotSpec) -> None:
-        """A flight begins."""
+        """Handle the beginning of a flight of a robot, under the label that names it."""
 
     def ended(self, flight: PathFlight) -> None:
-        """A flight ended, and this is what was measured."""
+        """Handle the end of the flight, given its measurements."""
 
 
 @dataclass(frozen=True)
 class Psi:
-    """How far a source is estimated to be from the target."""
+    """The estimated distance of a source from the target, ψ̂*_n, over repeated studies."""
 
     mean: float
+    """Mean over the studies, in [0, 1]."""
     std: float
+    """Standard deviation over the studies."""
 
 
 def fly_target(
@@ -67,12 +69,25 @@ def fly_target(
 ) -> tuple[FlightRecord, ...]:
     """Fly a target along all legs: baseline, zero prior, then each source's experience.
 
-    The zero prior flies with the layout of the first source, so list the one selected first. The
-    target has the prior afterwards that it had before.
+    Afterwards the target again holds the prior that it held before.
+
+    Args:
+        fleet: Client of the fleet, already connected.
+        pilot: Pilot that has the target fly.
+        target: Description of the robot that flies.
+        sources: Names of the sources. The zero prior takes the layout of the first one, so the
+            selected source comes first.
+        legs: Paths to fly with every inverse.
+        architecture: Architecture of the sources' experiences to transfer.
+        guarded: Whether the guard may withdraw a prior in flight.
+        observers: Called at the beginning and at the end of each flight.
+
+    Returns:
+        One record per flight, in the order in which they were flown.
 
     Raises:
-        RobotError: a real robot failed and somebody has to see to it.
-        RefusedError: the target refuses a flight, for example since its baseline is not known.
+        RobotError: A real robot failed and needs a person's attention.
+        RefusedError: The target refuses a flight, for example because its baseline is not known.
     """
     flights: list[FlightRecord] = []
     robot = target.robot
@@ -102,7 +117,7 @@ def fly_target(
 
 
 def flight_record(flight: PathFlight, inverse: str, leg: Leg) -> FlightRecord:
-    """Return what is kept of a flight."""
+    """Return the record of a flight along a leg with the named inverse."""
     event = flight.details.taken_back
     return FlightRecord(
         target=flight.robot,
@@ -127,17 +142,21 @@ def summarise(
     run: str,
     predicted: PredictedRms | None = None,
 ) -> EvaluationResult:
-    """Compare predictions with flights.
+    """Compare the predicted distances and errors with the errors of the flights.
 
     Args:
-        target: who flew.
-        flights: of that target, all inverses on the same paths.
-        psi: of each source.
-        architecture: of the experiences.
-        unit: of the target's axes.
-        guarded: whether the flights were.
-        run: the run's folder.
-        predicted: the errors expected on these paths.
+        target: Name of the robot that flew.
+        flights: Flights of that target, with every inverse on the same paths.
+        psi: Estimated distance of each source, by name.
+        architecture: Architecture of the sources' experiences.
+        unit: Unit of the target's axes, "m" or "rad".
+        guarded: Whether the guard was active in these flights.
+        run: Path of the run's folder.
+        predicted: RMS errors that the tests predict for these paths; None when not computed.
+
+    Returns:
+        The errors of all inverses and their rank correlation with the predictions; sources are in
+        ascending order of ψ̂*, and the first of them is the one selected.
     """
     order = sorted(psi, key=lambda source: psi[source].mean)
     of = {name: _inverse_result(flights, name) for name in (BASELINE, NO_PRIOR, *order)}
@@ -180,7 +199,7 @@ def _inverse_result(flights: Sequence[FlightRecord], inverse: str) -> InverseRes
     baseline = [error for error in own.values() if error is not None]
     rms = float(np.mean(finished)) if finished and len(finished) == len(errors) else None
     reduction = None
-    # Means over different paths cannot be compared.
+    # Both means must cover the same paths: means over different paths cannot be compared.
     if rms is not None and inverse != BASELINE and len(baseline) == len(own) and any(baseline):
         reduction = 100.0 * (1.0 - rms / float(np.mean(baseline)))
     ratios = [

@@ -1,4 +1,4 @@
-"""The figures of an evaluation, after those of the paper's Section VI."""
+"""The figures of an evaluation, modelled on those of the paper's Section VI."""
 
 from __future__ import annotations
 
@@ -28,13 +28,16 @@ def fig4(
 ) -> None:
     """Draw how ψ̂*_n scatters over repeated studies, at the second and at the last iteration.
 
-    Boxes are quartiles with the median, whiskers reach to the last value within 1.5 of their
-    length, dots are studies. Sources stand in the order of their last medians.
+    This corresponds to the paper's Fig. 4. Boxes span the quartiles and show the median; whiskers
+    reach to the last value within 1.5 box lengths; dots are single studies. Sources are sorted by
+    the median of their last estimates.
 
     Args:
-        png: the file to write.
-        estimates: of one target; every study's own last iteration counts as its last.
-        closed_form: the exact ψ*_n of sources of which it is known.
+        png: File to write.
+        estimates: Estimates of the sources of one target; each study contributes its own last
+            iteration.
+        closed_form: Exact ψ*_n by source, for the sources whose transfer function is known; drawn
+            as dashed lines.
 
     Raises:
         InvalidInputError: no study has a second iteration.
@@ -91,10 +94,15 @@ def _box(axes: Axes, place: float, values: list[float], colour: str, *, bold: bo
 
 
 def fig7(png: Path, errors: Sequence[FlightError]) -> None:
-    """Draw RMS tracking errors by who gave the prior, for each speed.
+    """Draw the RMS tracking error with each prior, grouped by speed.
 
-    Bars are means over the drawings, dots are drawings; above a bar stands how much less its error
-    is than the baseline's, averaged over the drawings (the paper's Table I).
+    Bars are means over the drawings and dots are single drawings. The number above a bar is the
+    change of the error against the baseline's, averaged over the drawings ("% Red." of the paper's
+    Table I). Flights that were not finished are drawn at the upper edge.
+
+    Args:
+        png: File to write.
+        errors: All flights of one target.
 
     Raises:
         InvalidInputError: there are no flights.
@@ -165,6 +173,10 @@ def _bar(
 def paths(png: Path, flown: Sequence[FlownPath]) -> None:
     """Draw desired and actual paths: a row for each drawing and speed, a column for each prior.
 
+    Args:
+        png: File to write.
+        flown: Flights of one target, with their paths in m.
+
     Raises:
         InvalidInputError: there are no flights.
     """
@@ -224,7 +236,7 @@ def _path(axes: Axes, flight: FlownPath, colour: str) -> None:
 
 
 def _tallness(flown: Sequence[FlownPath], row: tuple[str, float]) -> float:
-    """Return height over width of what is drawn in a row."""
+    """Return the height of a row's paths over their width, limited to [0.3, 2]."""
     points = [
         points
         for f in flown
@@ -236,13 +248,17 @@ def _tallness(flown: Sequence[FlownPath], row: tuple[str, float]) -> float:
 
 
 def _ordered(priors: Iterable[str]) -> list[str]:
-    """Return who gave priors, each once: the robot by itself first, then the sources by name."""
+    """Return each prior once: the flights without a source first, then the sources by name."""
     names = set(priors)
     alone = [name for name in (BASELINE, NO_PRIOR) if name in names]
     return alone + sorted(names - set(alone))
 
 
 def _spread(count: int) -> FloatArray:
-    """Return places in [0, 1) that fill it evenly however many they are, shape (count,)."""
+    """Return `count` values in [0, 1) that fill it evenly for any count, shape (count,).
+
+    They are the fractional parts of multiples of the golden ratio (Weyl's sequence), so that the
+    dots of one group spread sideways without a random generator.
+    """
     golden = (math.sqrt(5) - 1) / 2
     return np.asarray((0.5 + golden * np.arange(count)) % 1.0)

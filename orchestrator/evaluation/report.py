@@ -1,4 +1,4 @@
-"""The tables and figures of an evaluation, beside the paper's own numbers."""
+"""The tables and figures of an evaluation, with the paper's own numbers for comparison."""
 
 from __future__ import annotations
 
@@ -26,11 +26,12 @@ PAPER_TABLE_I = {
     "source-4": (0.48, 0.14, 52.1),
     "source-5": (0.52, 0.25, 12.3),
 }
-"""ψ̂*, e_rms in m and the reduction in % that Sorocky, Zhou and Schoellig (2020) measured."""
+"""ψ̂*, e_rms in m and error reduction in % of each source: Sorocky, Zhou and Schoellig (2020),
+Table I."""
 
 
 def evaluation_table(result: EvaluationResult) -> Table:
-    """Return what each inverse did, the closest source first."""
+    """Return a table of each inverse's tracking errors, the closest source first."""
     unit = f"m{result.unit}"
     table = Table(title=f"{result.target}, {result.architecture} inverses", title_justify="left")
     table.add_column("prior", no_wrap=True)
@@ -67,7 +68,11 @@ def evaluation_table(result: EvaluationResult) -> Table:
 
 
 def paper_table(result: EvaluationResult) -> Table:
-    """Return this evaluation beside the paper's Table I, for a fleet that stands for its own."""
+    """Return a table that compares an evaluation with the paper's Table I.
+
+    It makes sense only for the fleet that models the paper's quadrotors; sources that the paper
+    does not name are left out.
+    """
     table = Table(title="beside Table I of the paper", title_justify="left")
     table.add_column("prior", no_wrap=True)
     for heading in ("ψ̂*", "paper", "RMS, mm", "paper", "less error", "paper"):
@@ -91,7 +96,7 @@ def paper_table(result: EvaluationResult) -> Table:
 
 
 def pairs_table(result: PairsResult) -> Table:
-    """Return the errors of all pairs as a share of the target's baseline, and what they say."""
+    """Return a table of all pairs' errors relative to the target's baseline, with a summary."""
     targets = [target.target for target in result.targets]
     table = Table(title="error over the baseline's (ψ̂*)", title_justify="left")
     table.add_column("target")
@@ -117,12 +122,13 @@ def pairs_table(result: PairsResult) -> Table:
 
 
 def write_figures(folder: Path, record: EvaluationRecord, flights: Path) -> None:
-    """Draw the paper's Figs. 4 and 7 from this evaluation, and the paths.
+    """Draw the paper's Figs. 4 and 7 from this evaluation, and the paths that were flown.
 
     Args:
-        folder: the run's folder.
-        record: its results.
-        flights: the table of all samples.
+        folder: Folder of the run; the figures go to its subfolder `plots`.
+        record: Results of the evaluation.
+        flights: Parquet file that holds every sample of every flight (see `FlightTable`). The
+            picture of the paths is left out when the file is missing.
     """
     plots = folder / "plots"
     plots.mkdir(exist_ok=True)
@@ -150,14 +156,22 @@ def write_figures(folder: Path, record: EvaluationRecord, flights: Path) -> None
 
 
 def write_scatter(folder: Path, result: PairsResult) -> None:
-    """Draw what was predicted of all pairs against what they flew."""
+    """Draw the predicted distance of every pair against the error it flew with.
+
+    Args:
+        folder: Folder of the run; the figure goes to its subfolder `plots`.
+        result: All ordered pairs of robots.
+    """
     plots = folder / "plots"
     plots.mkdir(exist_ok=True)
     scatter(plots / "pairs.png", transfer_pairs(result.pairs))
 
 
 def _flown(table: Path, errors: list[FlightError], unit: str) -> list[FlownPath]:
-    """Return the paths of two axes at the fastest speed, from the table of samples."""
+    """Return the flights at the fastest speed, read from the table of samples.
+
+    Only the first two axes are read; there are no paths for a robot with a single axis.
+    """
     import pyarrow.compute as pc
     import pyarrow.parquet as pq
 

@@ -1,4 +1,4 @@
-"""What an evaluation's numbers say when taken together."""
+"""Summary statistics of an evaluation: scatter of the estimates, error reduction, Kendall's τ."""
 
 from __future__ import annotations
 
@@ -11,13 +11,21 @@ from nufleet.orchestrator.flight_labels import BASELINE
 from nufleet.shared.errors import InvalidInputError
 
 SECOND = 2
-"""The iteration that the paper's Fig. 4 compares the last one with."""
+"""Iteration that the paper's Fig. 4 compares with the last one."""
 
 
 def second_and_last(
     estimates: Sequence[StudyEstimate],
 ) -> tuple[dict[str, list[float]], dict[str, list[float]]]:
-    """Return each source's ψ̂*_n at the second and at every study's own last iteration.
+    """Return each source's ψ̂*_n after the second and after the last iteration of every study.
+
+    Args:
+        estimates: Estimates ψ̂*_n (paper, eq. 10) of one target, in any order. Studies may differ
+            in their number of iterations; each contributes its own last one.
+
+    Returns:
+        Estimates after the second iteration and after the last one, each as a dictionary from the
+        source's name to one value per study. Both are dimensionless, in [0, 1].
 
     Raises:
         InvalidInputError: no study has a second iteration.
@@ -38,10 +46,18 @@ def second_and_last(
 
 
 def reduction(errors: Sequence[FlightError], prior: str) -> float | None:
-    """Return by which share a prior's error is below the baseline's, averaged over the paths.
+    """Return the fraction by which a prior lowers the baseline's error, averaged over the paths.
 
-    It is the "% Red." of the paper's Table I: a mean of ratios. None where no path was finished
-    both ways, or one was not finished with the prior.
+    This is the "% Red." of the paper's Table I, as a fraction: 1 − mean(e_prior / e_baseline), a
+    mean of ratios and not a ratio of means, so that a long path counts no more than a short one.
+
+    Args:
+        errors: Flights of one target, including those with the baseline.
+        prior: Source of the prior, or `NO_PRIOR` for the zero prior.
+
+    Returns:
+        The fraction, negative when the prior made the error larger. None when no path was finished
+        both with the prior and with the baseline, or when one was not finished with the prior.
     """
     before = {(e.drawing, e.speed_m_s): e.rms_error_m for e in errors if e.prior == BASELINE}
     ratios = [
@@ -53,7 +69,16 @@ def reduction(errors: Sequence[FlightError], prior: str) -> float | None:
 
 
 def kendall_tau(predicted: Sequence[float], measured: Sequence[float]) -> float | None:
-    """Return Kendall's τ-b of two orders (Kendall 1945); None where one of them orders nothing."""
+    """Return the rank correlation of predictions and measurements, Kendall's τ-b (Kendall 1945).
+
+    Args:
+        predicted: Predicted value of each item.
+        measured: Measured value of each item, in the same order and of the same length.
+
+    Returns:
+        τ-b in [−1, 1]; ties are corrected for. None when either sequence holds fewer than two
+        distinct values, since it then orders nothing.
+    """
     from scipy.stats import kendalltau
 
     if len(set(predicted)) < 2 or len(set(measured)) < 2:
@@ -62,14 +87,22 @@ def kendall_tau(predicted: Sequence[float], measured: Sequence[float]) -> float 
 
 
 def pooled_kendall_tau(pairs: Sequence[TransferPair]) -> float | None:
-    """Return Kendall's τ-b of ψ̂* and the error ratio over all pairs together."""
+    """Return Kendall's τ-b between ψ̂* and the error ratio, over all pairs together.
+
+    Returns:
+        τ-b in [−1, 1], or None when it is undefined; see `kendall_tau`.
+    """
     return kendall_tau([pair.psi for pair in pairs], [pair.ratio for pair in pairs])
 
 
 def mean_kendall_tau(pairs: Sequence[TransferPair]) -> float | None:
-    """Return Kendall's τ-b averaged over the targets, each by itself.
+    """Return Kendall's τ-b between ψ̂* and the error ratio, averaged over the targets.
 
-    It is sources for the same target that a selection compares.
+    A selection only ever compares sources of the same target, so τ is computed within each target
+    before averaging.
+
+    Returns:
+        Mean τ-b in [−1, 1] over the targets for which it is defined; None when there are none.
     """
     targets = sorted({pair.target for pair in pairs})
     taus = [pooled_kendall_tau([pair for pair in pairs if pair.target == t]) for t in targets]

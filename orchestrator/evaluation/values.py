@@ -1,4 +1,4 @@
-"""What an evaluation measures, as plain values: estimates over studies, errors over flights."""
+"""The measurements of an evaluation as plain values: estimates of studies, errors of flights."""
 
 from __future__ import annotations
 
@@ -12,43 +12,53 @@ class StudyEstimate:
     """ψ̂*_n of one source after one iteration of one of several repeated studies."""
 
     study: int
+    """Seed of the study, which tells it from the others."""
     iteration: int
+    """Number of the iteration, from 1."""
     source: str
+    """Name of the source."""
     psi: float
+    """Estimate ψ̂*_n in [0, 1] (paper, eq. 10)."""
 
 
 @dataclass(frozen=True)
 class FlightError:
-    """How far a target was from a path; `prior` is a source, or see `flight_labels`.
-
-    An error of a flight that was not finished is infinite.
-    """
+    """The tracking error of one flight of a target."""
 
     prior: str
+    """Source of the prior, or one of the names in `flight_labels` for a flight without one."""
     drawing: str
+    """Name of the drawing that was flown."""
     speed_m_s: float
+    """Largest speed on the path."""
     rms_error_m: float
+    """RMS distance to the path; infinite when the flight was not finished."""
     taken_back: bool = False
+    """Whether the guard withdrew the prior during the flight."""
 
 
 @dataclass(frozen=True, eq=False)
 class FlownPath:
-    """A flight's desired and actual path, shape (samples, 2) each, in m."""
+    """The desired and the actual path of one flight, in the first two axes."""
 
     error: FlightError
+    """Error of the flight, which also says what was flown and with which prior."""
     desired_m: FloatArray
+    """Desired positions, shape (samples, 2)."""
     actual_m: FloatArray
+    """Measured positions, shape (samples, 2)."""
 
 
 @dataclass(frozen=True)
 class TransferPair:
-    """An ordered pair of robots: what was estimated, and what the transfer then gave.
-
-    `ratio` is the target's RMS error with the source's experience over that with its baseline;
-    infinite where a flight was not finished.
-    """
+    """An ordered pair of robots: the estimated distance, and the effect of the transfer."""
 
     target: str
+    """Name of the robot that received the experience."""
     source: str
+    """Name of the robot that the experience came from."""
     psi: float
+    """Estimate ψ̂* of the worst-case chordal distance, in [0, 1]."""
     ratio: float
+    """RMS error with the source's experience over the error with the target's baseline; infinite
+    when a flight was not finished."""
