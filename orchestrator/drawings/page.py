@@ -1,4 +1,4 @@
-"""A page on this machine to draw on by hand; it is served until a drawing was saved."""
+"""A web page on this machine for drawing by hand, served until a drawing has been saved."""
 
 from __future__ import annotations
 
@@ -29,9 +29,10 @@ _SECURITY = (
 
 
 class Drawn(Strict):
-    """What the page sends: the points in m, in the order they were drawn."""
+    """The message that the page sends."""
 
     points: Annotated[tuple[tuple[float, float], ...], Field(min_length=2, max_length=POINTS_MAX)]
+    """Points (x, y) in m, in the order in which they were drawn."""
 
 
 class DrawingPage:
@@ -41,15 +42,16 @@ class DrawingPage:
     """
 
     def __init__(self, port: int, extent_m: float, save: Callable[[FloatArray], None]) -> None:
-        """Serve from now on.
+        """Start to serve.
 
         Args:
-            port: 0 takes a free one.
-            extent_m: how far the paper reaches from its middle, the origin.
-            save: stores the points (n, 2), in m; InvalidInputError is shown on the page.
+            port: Port to listen on; 0 takes a free one.
+            extent_m: Distance from the middle of the paper, the origin, to its edges.
+            save: Function that stores the points, shape (n, 2), in m. The page shows the message of
+                an InvalidInputError that it raises.
 
         Raises:
-            EndpointInUseError: the port is taken.
+            EndpointInUseError: The port is in use.
         """
         self._path = f"/{secrets.token_urlsafe(16)}"
         self._html = _PAGE.read_text(encoding="utf-8").replace("EXTENT_M", repr(float(extent_m)))
@@ -69,7 +71,7 @@ class DrawingPage:
                 page._post(self)
 
             def log_message(self, *_: object) -> None:
-                """Say nothing on stderr of each request."""
+                """Log nothing: by default every request is written to stderr."""
 
         try:
             self._server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
@@ -88,12 +90,18 @@ class DrawingPage:
         return f"http://127.0.0.1:{self._server.server_address[1]}{self._path}"
 
     def wait(self, timeout_s: float | None = None) -> FloatArray:
-        """Wait for a drawing to be saved and return its points, (n, 2) in m.
+        """Wait for a drawing to be saved.
+
+        Args:
+            timeout_s: Limit on the wait; None waits without one.
+
+        Returns:
+            Points of the drawing in m, shape (n, 2).
 
         Raises:
-            TimeoutError: none was, in so long.
+            TimeoutError: No drawing was saved within the limit.
         """
-        # In short waits, since a signal is handled only between them.
+        # Wait in short steps, since Python handles signals only between them.
         if timeout_s is not None:
             self._ended.wait(timeout_s)
         else:
@@ -145,7 +153,11 @@ class DrawingPage:
 
 
 def _evened(points: FloatArray) -> FloatArray:
-    """Return what a hand drew without its tremor, evenly spaced; raises InvalidInputError."""
+    """Return a hand-drawn line smoothed and evenly spaced, shape (n, 2), in m.
+
+    Raises:
+        InvalidInputError: The points are no path.
+    """
     shape_of(points)
     return resampled(smoothed(points)[0], SPACING_M)
 

@@ -1,4 +1,4 @@
-"""A picture of a drawing: the path as it is travelled, coloured by its speed."""
+"""A picture of a drawing: the path as a robot would travel it, coloured by speed."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from nufleet.shared.paths.trajectories import travel
 
 
 def draw_picture(png: Path, name: str, points: FloatArray, speed: float) -> None:
-    """Draw a drawing, (n, 2) in m, with the points as they were drawn beneath.
+    """Draw the path of a drawing, over the points as they were drawn.
 
     Args:
-        png: the file to write.
-        name: of the drawing.
-        points: of the drawing.
-        speed: the largest on the path, in m/s.
+        png: File to write.
+        name: Name of the drawing, for the title.
+        points: Points of the drawing in m, shape (n, 2).
+        speed: Largest speed on the path, in m/s.
     """
     from matplotlib.collections import LineCollection
 

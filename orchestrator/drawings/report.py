@@ -1,4 +1,4 @@
-"""What is said of a drawing: its shape, how long it takes, and which robots may fly it."""
+"""A report on a drawing: its shape, how long it takes, and which robots may fly it."""
 
 from __future__ import annotations
 
@@ -17,30 +17,40 @@ from nufleet.shared.strict import Positive, Strict
 from nufleet.shared.wire.messages import Description
 
 SPEEDS = (0.3, 0.6, 0.9)
-"""The paper's, Section VI-D, in m/s."""
+"""Largest speeds in m/s of the paper's trajectories (Section VI)."""
 
 ACCELERATION_MAX_M_S2 = 1.6
+"""Acceleration limit of the simulated quadrotors, assumed when no robot is named."""
 SAMPLE_TIME_S = 0.02
-"""Of the simulated quadrotors, where no robot is named."""
+"""Sample time of the simulated quadrotors, assumed when no robot is named."""
 
 
 class Duration(Strict):
-    """How long a drawing takes at a speed; None, with the reason, where a robot may not fly it."""
+    """The time that a drawing takes at one speed, or the reason why a robot may not fly it."""
 
     robot: str | None
+    """Name of the robot; None for the default limits."""
     speed: Positive
+    """Largest speed on the path, in the unit of the robot's axes per second."""
     duration_s: Positive | None
+    """Duration of the flight; None when the robot may not fly it."""
     reason: str | None = None
+    """Why the robot may not fly it; None when it may."""
 
 
 class DrawingReport(Strict):
     """What `nufleet drawing import --json` and `show --json` print."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    """Version of this document's layout."""
     drawing: str
+    """Name of the drawing."""
     file: str
+    """Path of the drawing's file."""
     shape: DrawingShape
+    """Length, extent and curvature of the drawing."""
     durations: tuple[Duration, ...]
+    """Duration for each robot and speed."""
 
     def document(self) -> str:
         """Return the JSON that other programs read."""
@@ -54,7 +64,14 @@ def report_of(
     robots: Sequence[Description],
     speeds: Sequence[float] = SPEEDS,
 ) -> DrawingReport:
-    """Look at a drawing, (n, 2) in m; with robots, by the limits of each.
+    """Return the report on a drawing, by the limits of each robot or by the default limits.
+
+    Args:
+        drawing: Name of the drawing.
+        file: Path of the drawing's file.
+        points: Points of the drawing in m, shape (n, 2).
+        robots: Descriptions of the robots whose limits count; empty for the default limits.
+        speeds: Largest speeds to consider, in m/s.
 
     Raises:
         InvalidInputError: the points are no path.
@@ -83,7 +100,7 @@ def _duration(points: FloatArray, speed: float, robot: Description) -> Duration:
 
 
 def shape_text(shape: DrawingShape) -> str:
-    """Return the shape in a line."""
+    """Return the shape of a drawing in one line."""
     bend = (
         "straight"
         if shape.tightest_radius_m is None
@@ -96,7 +113,7 @@ def shape_text(shape: DrawingShape) -> str:
 
 
 def durations_table(report: DrawingReport) -> Table:
-    """Return how long each robot takes at each speed, or why it may not."""
+    """Return a table of the time that each robot takes at each speed; "no" where it may not fly."""
     speeds = sorted({duration.speed for duration in report.durations})
     table = Table(title=f"{report.drawing}: duration", title_justify="left")
     table.add_column("robot")
@@ -116,5 +133,5 @@ def _cell(duration: Duration) -> str:
 
 
 def refusals(report: DrawingReport) -> tuple[str, ...]:
-    """Return why robots may not fly it, each reason once."""
+    """Return the reasons why robots may not fly a drawing, each once."""
     return tuple(dict.fromkeys(d.reason for d in report.durations if d.reason is not None))

@@ -1,4 +1,4 @@
-"""Every robot as target and all others as its sources: how well ψ predicts in general."""
+"""Results of evaluating every robot as the target of all others: how well ψ predicts in general."""
 
 from __future__ import annotations
 
@@ -22,55 +22,67 @@ PAIRS = "pairs.json"
 
 
 class Pair(Strict):
-    """One ordered pair. `ratio` is the error with the source's experience over the baseline's.
-
-    It is None where a path was not flown to its end; `predicted_ratio` is what the tests let expect
-    of it on these paths. `harmful` says that the target did worse than with its baseline on at
-    least one path.
-    """
+    """The prediction and the outcome for one ordered pair of robots."""
 
     target: str
+    """Name of the robot that received the experience."""
     source: str
+    """Name of the robot that the experience came from."""
     psi: float
+    """Estimate ψ̂* of the worst-case chordal distance."""
     rms_m: NonNegative | None
+    """Mean RMS error with the source's experience, in the unit of the target's axes; None when a
+    path was not finished."""
     ratio: NonNegative | None
+    """`rms_m` over the mean error with the target's baseline; None when a path was not finished."""
     predicted_ratio: NonNegative | None = None
+    """The ratio that the tests predict for these paths."""
     harmful: bool
+    """Whether the target did worse than with its baseline on at least one path."""
     taken_back: Annotated[int, Field(ge=0)]
+    """Number of flights in which the guard withdrew the prior."""
 
 
 class Regret(Strict):
-    """How much worse than the best source, as a share of the baseline's error, over the targets.
+    """The mean excess of an error over the best source's, as a fraction of the baseline's error.
 
-    `random` is the mean over all sources. Targets that did not finish with their baseline are left
-    out: there is nothing to compare with.
+    The mean is over the targets. Targets that did not finish with their baseline are left out,
+    since there is nothing to compare with.
     """
 
     selected: NonNegative
+    """Regret of flying with the selected source."""
     random: NonNegative
+    """Regret of flying with a source chosen at random: the mean over all sources."""
 
 
 class PairsResult(Strict):
-    """What `nufleet evaluate --all-pairs --json` prints.
-
-    `kendall_tau` is the mean over the targets of the rank correlation of ψ with the error;
-    `kendall_tau_pooled` that over all pairs of ψ with the ratio to the baseline's error. The two
-    of `trajectory` are the same of the errors predicted for the paths flown. `regret` is None where
-    no target can be compared. `best_selected` counts the targets whose selected source left the
-    smallest error.
-    """
+    """What `nufleet evaluate --all-pairs --json` prints."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    """Version of this document's layout."""
     pairs: tuple[Pair, ...]
+    """All ordered pairs, target by target."""
     targets: tuple[EvaluationResult, ...]
+    """Evaluation of each target."""
     kendall_tau: float | None
+    """Rank correlation of ψ̂* with the error, averaged over the targets."""
     kendall_tau_pooled: float | None
+    """Rank correlation of ψ̂* with the ratio to the baseline's error, over all pairs together."""
     kendall_tau_trajectory: float | None = None
+    """Rank correlation of the errors predicted for the paths with those flown, averaged over the
+    targets."""
     kendall_tau_trajectory_pooled: float | None = None
+    """Rank correlation of the predicted with the measured ratio to the baseline's error, over all
+    pairs together."""
     regret: Regret | None
+    """Cost of the selection; None when no target can be compared."""
     best_selected: Annotated[int, Field(ge=0)]
+    """Number of targets whose selected source left the smallest error."""
     harmful: Annotated[int, Field(ge=0)]
+    """Number of pairs in which the target did worse than its baseline on at least one path."""
     run: str
+    """Path of the run's folder."""
 
     def document(self) -> str:
         """Return the JSON that other programs read."""
@@ -78,7 +90,12 @@ class PairsResult(Strict):
 
 
 def compare_pairs(targets: Sequence[EvaluationResult], run: str) -> PairsResult:
-    """Compare what was predicted for all targets with what they flew."""
+    """Compare the predictions for all targets with the errors that they flew with.
+
+    Args:
+        targets: Evaluation of each robot as the target of the others.
+        run: Path of the run's folder.
+    """
     pairs = tuple(pair for target in targets for pair in _pairs(target))
     transfers = transfer_pairs(pairs)
     predicted = [p.predicted_ratio for p in pairs if p.predicted_ratio is not None]
@@ -106,7 +123,7 @@ def compare_pairs(targets: Sequence[EvaluationResult], run: str) -> PairsResult:
 
 
 def transfer_pairs(pairs: Sequence[Pair]) -> tuple[TransferPair, ...]:
-    """Return predictions and errors of pairs; one that was not finished is the worst of all."""
+    """Return pairs as plain values; an unfinished one gets an infinite ratio, the worst of all."""
     return tuple(
         TransferPair(
             pair.target, pair.source, pair.psi, math.inf if pair.ratio is None else pair.ratio
@@ -135,10 +152,10 @@ def _pairs(target: EvaluationResult) -> list[Pair]:
 
 
 def _regrets(target: EvaluationResult, base: float) -> tuple[float, float]:
-    """Return the regret of the source selected and the mean regret of all, over the baseline's.
+    """Return the regret of the selected source and the mean regret of all, over `base`.
 
-    A path that was not finished counts as twice the baseline's error, or the worst that was flown
-    if that is more.
+    A source with an unfinished path counts with twice the baseline's error `base`, or with the
+    largest error of the others if that is larger.
     """
     finished = [s.rms_m for s in target.sources if s.rms_m is not None]
     unfinished = max([2 * base, *finished])
@@ -148,6 +165,6 @@ def _regrets(target: EvaluationResult, base: float) -> tuple[float, float]:
 
 
 def _best_was_selected(target: EvaluationResult) -> bool:
-    """Whether the source that is closest by ψ, which comes first, left the smallest error."""
+    """Return whether the first source, the closest by ψ̂*, left the smallest error."""
     errors = [math.inf if s.rms_m is None else s.rms_m for s in target.sources]
     return math.isfinite(errors[0]) and errors[0] == min(errors)

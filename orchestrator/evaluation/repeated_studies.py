@@ -1,4 +1,4 @@
-"""Algorithm 1 repeated with several seeds: how its estimates scatter (the paper's Fig. 4)."""
+"""Repetitions of Algorithm 1 with several seeds, to see how its estimates scatter (Fig. 4)."""
 
 from __future__ import annotations
 
@@ -23,10 +23,12 @@ from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 
 @dataclass(frozen=True)
 class RepeatedStudies:
-    """What each study believed, and every response that any of them measured of a robot."""
+    """The estimates of each study, and all responses that the studies measured."""
 
     estimates: tuple[StudyEstimates, ...]
+    """Estimates of each study, in the order of the seeds."""
     responses: Mapping[str, Sequence[FrequencyResponse]]
+    """Frequency responses that any of the studies measured, by robot."""
 
 
 def repeat_study(
@@ -40,7 +42,18 @@ def repeat_study(
 ) -> RepeatedStudies:
     """Rank the sources once for every seed.
 
-    Each is kept as study `{run_id}.{target}.s{seed}`.
+    Each study is stored under the id `{run_id}.{target}.s{seed}`.
+
+    Args:
+        fleet: Client of the fleet, already connected.
+        ready: Study to repeat, prepared and checked.
+        seeds: Seeds of the studies, one study for each.
+        run_id: Prefix of the studies' ids.
+        archive: Repository that stores the studies, with the leases on the robots.
+        on_study: Called with the estimates of each study as soon as it is complete.
+
+    Returns:
+        Estimates of all studies, and all responses that they measured.
 
     Raises:
         StudyError: a study cannot go on, since the target or every source is gone.
@@ -73,7 +86,14 @@ def repeat_study(
 
 
 def psi_of(studies: Sequence[StudyEstimates]) -> dict[str, Psi]:
-    """Return each source's mean and spread over the studies' last iterations."""
+    """Return each source's mean and standard deviation over the studies' last iterations.
+
+    Args:
+        studies: Estimates of repeated studies of one target, at least one.
+
+    Returns:
+        Mean and standard deviation of ψ̂*_n by source. A source that any study lost is left out.
+    """
     last = [study.last for study in studies]
     sources = [source for source in last[0] if all(source in study for study in last)]
     return {
@@ -86,17 +106,17 @@ def psi_of(studies: Sequence[StudyEstimates]) -> dict[str, Psi]:
 
 
 class _Recorder:
-    """Keeps what each round of one study led to."""
+    """An observer that keeps the estimates after each round of one study."""
 
     def __init__(self) -> None:
         self.beliefs: list[dict[str, float]] = []
 
     def asked(self, question: Question) -> None:
-        """Nothing is known yet."""
+        """Ignore a question: it has no estimates yet."""
 
     def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
-        """What failed for good is in the report that follows."""
+        """Ignore a failed attempt: a robot that failed for good is named in the next report."""
 
     def told(self, question: Question, outcomes: Mapping[str, TestOutcome], report: Report) -> None:
-        """Keep the estimates."""
+        """Keep the estimates of the round."""
         self.beliefs.append({estimate.robot: estimate.psi for estimate in report.ranking})

@@ -1,4 +1,4 @@
-"""What an evaluation measured: the documents that other programs read."""
+"""The results of an evaluation, as documents that other programs read."""
 
 from __future__ import annotations
 
@@ -11,74 +11,91 @@ from nufleet.shared.strict import NonNegative, Strict
 
 
 class FlightRecord(Strict):
-    """One flight along a drawing. `rms_m` is None where the path was not flown to its end.
-
-    `inverse` is a source's name, `none` for a zero prior, or `baseline`.
-    """
+    """One flight along a drawing."""
 
     target: str
+    """Name of the robot that flew."""
     inverse: str
+    """Name of the source that gave the prior, `none` for a zero prior, or `baseline`."""
     drawing: str
+    """Name of the drawing."""
     speed_m_s: NonNegative
+    """Largest speed on the path, in the unit of the target's axes per second."""
     rms_m: NonNegative | None
+    """RMS tracking error in the unit of the target's axes; None when the path was not finished."""
     taken_back: str | None
+    """Why the guard withdrew the prior; None when it did not."""
     failure: str | None
+    """Why the path was not finished; None when it was."""
     deadline_misses: Annotated[int, Field(ge=0)]
+    """Number of references that took longer to choose than a sample lasts."""
 
 
 class InverseResult(Strict):
-    """What one inverse did over all drawings and speeds.
-
-    `rms_m` is the mean of the flights' RMS errors, None when one was not finished, and
-    `reduction_percent` compares it with the baseline's. `worst_ratio` is the largest ratio of a
-    flight's error to the baseline's on the same path.
-    """
+    """The tracking errors with one inverse, over all drawings and speeds."""
 
     rms_m: NonNegative | None
+    """Mean of the flights' RMS errors; None when a flight was not finished."""
     reduction_percent: float | None
+    """Percentage by which `rms_m` is below the baseline's mean error; None when the two cannot be
+    compared because a flight of either was not finished."""
     worst_ratio: NonNegative | None = None
+    """Largest ratio of a flight's error to the baseline's on the same path."""
     taken_back: Annotated[int, Field(ge=0)] = 0
+    """Number of flights in which the guard withdrew the prior."""
 
 
 class SourceResult(InverseResult):
-    """The same for a source's experience, beside what the tests predicted.
-
-    `predicted_rms_m` is |1 − z_T/z_S| weighted by the spectra of the paths flown, from the same
-    tests as ψ.
-    """
+    """The tracking errors with a source's experience, and what the tests predicted for it."""
 
     robot: str
+    """Name of the source."""
     psi: float
+    """Estimate ψ̂*_n; with repeated studies, its mean over them."""
     psi_std: NonNegative
+    """Standard deviation of ψ̂*_n: over repeated studies, or as a single study estimates it."""
     predicted_rms_m: NonNegative | None = None
+    """Predicted RMS error: |1 − z_T/z_S| weighted by the spectra of the paths that were flown, from
+    the same tests as ψ."""
 
 
 class BaselineResult(Strict):
-    """What the target's own controller does alone; predicted is |1 − z_T|."""
+    """The tracking errors with the target's own controller alone."""
 
     rms_m: NonNegative | None
+    """Mean of the flights' RMS errors; None when a flight was not finished."""
     predicted_rms_m: NonNegative | None = None
+    """Predicted RMS error: |1 − z_T| weighted by the spectra of the paths that were flown."""
 
 
 class EvaluationResult(Strict):
-    """What `nufleet evaluate --json` prints; sources are in the order of ψ, smallest first.
-
-    Every `rms_m` is in `unit`. `kendall_tau` is the rank correlation of ψ with the sources' errors,
-    `kendall_tau_trajectory` that of the errors predicted for these paths; None for fewer than two.
-    """
+    """What `nufleet evaluate --json` prints. Every `rms_m` is in `unit`."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    """Version of this document's layout."""
     target: str
+    """Name of the robot that received the experiences."""
     architecture: Architecture
+    """Architecture of the experiences that were compared."""
     unit: Literal["m", "rad"]
+    """Unit of the target's axes."""
     guarded: bool
+    """Whether the guard was active in the flights."""
     baseline: BaselineResult
+    """Errors with the target's own controller alone."""
     no_prior: InverseResult
+    """Errors of online learning that begins with a zero prior."""
     sources: tuple[SourceResult, ...]
+    """Errors with each source's experience, in ascending order of ψ̂*."""
     selected: str
+    """Name of the source with the smallest ψ̂*."""
     kendall_tau: float | None
+    """Rank correlation of ψ̂* with the sources' errors; None for fewer than two sources."""
     kendall_tau_trajectory: float | None = None
+    """Rank correlation of the errors predicted for these paths with the sources' errors; None for
+    fewer than two sources or without predictions."""
     run: str
+    """Path of the run's folder."""
 
     def document(self) -> str:
         """Return the JSON that other programs read."""
@@ -89,15 +106,23 @@ class StudyEstimates(Strict):
     """ψ̂*_n of every source after the second and after the last iteration of one study."""
 
     seed: Annotated[int, Field(ge=0)]
+    """Seed of the study."""
     iterations: Annotated[int, Field(ge=1)]
+    """Number of iterations that the study took."""
     second: dict[str, float]
+    """ψ̂*_n by source after the second iteration."""
     last: dict[str, float]
+    """ψ̂*_n by source after the last iteration."""
 
 
 class EvaluationRecord(Strict):
-    """`evaluation.json` in a run's folder."""
+    """The content of `evaluation.json` in a run's folder."""
 
     result: EvaluationResult
+    """Result of the evaluation, as printed."""
     studies: tuple[StudyEstimates, ...]
+    """Estimates of each repeated study."""
     flights: tuple[FlightRecord, ...]
+    """Flights in the order in which they were flown."""
     wall_time_s: NonNegative
+    """Wall time of the whole evaluation."""

@@ -1,4 +1,4 @@
-"""One `nufleet evaluate` on a fleet that is reached: learn, rank, fly, compare, report."""
+"""One `nufleet evaluate` on a connected fleet: learn, rank, fly, compare, report."""
 
 from __future__ import annotations
 
@@ -31,15 +31,22 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class EvaluationPlan:
-    """What is evaluated: `legs` are flown with every inverse, `seeds` are those of the studies."""
+    """The plan of an evaluation of one target."""
 
     ready: ReadyStudy
+    """Study that ranks the sources, prepared and checked."""
     legs: Sequence[Leg]
+    """Paths that are flown with every inverse."""
     architecture: Architecture
+    """Architecture of the experiences to compare."""
     seeds: Sequence[int]
+    """Seeds of the repeated studies."""
     seed: int
+    """Seed of the learning flights, of the networks' first weights and of the predictions."""
     guarded: bool = True
+    """Whether the guard may withdraw a prior in flight."""
     flight_s: float = FLIGHT_S
+    """Duration of each flight that a robot learns from."""
 
 
 def run_evaluation(
@@ -54,8 +61,20 @@ def run_evaluation(
 ) -> EvaluationRecord:
     """Evaluate one target; experiences that sources do not have yet are trained first.
 
+    Args:
+        fleet: Client of the fleet, already connected.
+        pilot: Pilot that has the robots fly.
+        plan: Target, sources, paths and seeds.
+        folder: Folder of the run; experiences and the result are written there.
+        archive: Repository that stores the studies, with the leases on the robots.
+        say: Called with one line of progress at a time.
+        observers: Called at the beginning and at the end of each flight along a path.
+
+    Returns:
+        The result with all studies and flights, as written to the run's folder.
+
     Raises:
-        StudyError, RobotError, RefusedError: see `train_robots`, `repeat_study`, `fly_target`.
+        StudyError, RobotError, RefusedError: See `train_robots`, `repeat_study`, `fly_target`.
     """
     began_s = time.monotonic()
     study = plan.ready.plan
@@ -115,7 +134,11 @@ def run_evaluation(
 def prepare_robots(
     fleet: Fleet, pilot: Pilot, plan: EvaluationPlan, folder: RunFolder, *, say: Say
 ) -> None:
-    """Train the experiences that sources lack, and let the target learn its own baseline."""
+    """Train the experiences that sources lack, and have the target learn its own baseline.
+
+    The target flies while the sources do; its guard needs to know the baseline. For the arguments
+    and the errors, see `run_evaluation`.
+    """
     study = plan.ready.plan
     with ThreadPoolExecutor(8, thread_name_prefix="describe") as pool:
         sources = tuple(pool.map(fleet.describe, study.sources))
@@ -151,7 +174,7 @@ def prepare_robots(
 
 
 def ranking_line(psi: dict[str, float]) -> str:
-    """Return an order of sources in one line, the closest first."""
+    """Return sources and their ψ̂*_n in one line, the closest first."""
     ordered = sorted(psi.items(), key=lambda item: item[1])
     return ", ".join(f"{source} {value:.3f}" for source, value in ordered)
 

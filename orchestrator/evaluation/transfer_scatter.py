@@ -1,4 +1,4 @@
-"""The figure that tells whether similar robots' experience helped more."""
+"""The figure that shows whether experience of more similar robots helped more."""
 
 from __future__ import annotations
 
@@ -20,9 +20,14 @@ if TYPE_CHECKING:
 
 
 def scatter(png: Path, pairs: Sequence[TransferPair]) -> None:
-    """Draw ψ̂* against the error over the baseline's, of ordered pairs, with Kendall's τ.
+    """Draw ψ̂* against the ratio of the error to the baseline's for ordered pairs of robots.
 
-    τ is given over all pairs, and averaged over the targets, each by itself.
+    The title gives Kendall's τ over all pairs and, with several targets, its mean over the targets.
+    Pairs with a flight that was not finished are drawn as triangles at the upper edge.
+
+    Args:
+        png: File to write.
+        pairs: Pairs to draw; each target gets a colour.
 
     Raises:
         InvalidInputError: fewer than two pairs.
@@ -70,8 +75,8 @@ def _rounded(tau: float | None) -> str:
 def _label(
     figure: Figure, axes: Axes, pairs: Sequence[TransferPair], colours: list[str], top: float
 ) -> None:
-    """Write the names of the pairs beside their points."""
-    # The axes get their place when the figure is drawn.
+    """Write the names of the pairs next to their points, without overlap."""
+    # The position of the axes is only known after the figure has been drawn once.
     figure.canvas.draw()
     origin, corner = axes.transAxes.transform([(0.0, 0.0), (1.0, 1.0)])
     points = [(p.psi, min(p.ratio, top)) for p in pairs]
@@ -88,7 +93,7 @@ def _label(
         label.set_position(tuple(inverse.transform(box[:2])))
         label.set_verticalalignment("bottom")
         label.set_color(colour)
-        # A line to those that stand apart from their points.
+        # Connect the point with the nearest point of its label, which may be some way off.
         end = np.clip(axes.transData.transform(place), box[:2], box[2:])
         x, y = zip(place, inverse.transform(end), strict=True)
         axes.plot(x, y, color=colour, lw=0.5, alpha=0.6, zorder=1)

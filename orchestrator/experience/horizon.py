@@ -1,4 +1,4 @@
-"""The horizon of an inverse model, chosen by flying candidates on the robot they are for."""
+"""The horizon of an inverse model, chosen by flying candidates on the robot that will own it."""
 
 from __future__ import annotations
 
@@ -14,35 +14,40 @@ from nufleet.shared.experience.file import Experience
 from nufleet.shared.experience.layout import HORIZON_SAMPLES_MAX, Architecture, InverseLayout
 
 CANDIDATES_S = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
-"""From the delay of a fast robot to the rise time of a slow one."""
+"""Horizons to try in s, from the delay of a fast robot to the rise time of a slow one."""
 
 FAILURES_MAX = 2
-"""After so many horizons in a row that failed, below one that did not, shorter ones are not tried.
-Those above it may fail too: a fast robot aims badly when it looks far ahead."""
+"""Give up on shorter horizons after this many consecutive failures below one that worked.
+Longer ones may fail too: a fast robot extrapolates poorly far ahead."""
 
-_CLOSE = 1.05  # errors that differ by less are alike
-_FAR = 2.0  # an error this many times the best is a failure too
-_GAIN_ERROR = 1.25  # a horizon has to survive an inverse this much too eager
+_CLOSE = 1.05  # errors within this ratio of each other count as equal
+_FAR = 2.0  # an error of more than this many times the best counts as a failure
+_GAIN_ERROR = 1.25  # a horizon must also work with an inverse whose gain is this much too large
 
 Fly = Callable[[Experience], float]
-"""Flies a path with an experience as prior and returns the RMS error; infinite when the flight
-failed or was taken back."""
+"""Flies a path with an experience as the prior and returns the RMS error in the unit of the
+robot's axes; infinite when the flight failed or the guard withdrew the prior."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """How a candidate tracked its own robot; infinite where it could not, or was not tried."""
+    """The tracking error of one candidate horizon on the robot that the experience is for."""
 
     horizon_samples: int
+    """Length of the horizon, in samples of the robot."""
     rms_error: float
+    """RMS error in the unit of the robot's axes; infinite when the candidate failed or was not
+    tried."""
 
 
 @dataclass(frozen=True)
 class HorizonChoice:
-    """The layout that was chosen, and what every candidate did, shortest horizon first."""
+    """The chosen layout, and the trials that led to it."""
 
     layout: InverseLayout
+    """Layout of the inverse model with the chosen horizon."""
     trials: tuple[Trial, ...]
+    """Errors of all candidates, shortest horizon first."""
 
 
 def candidate_layouts(
@@ -52,7 +57,15 @@ def candidate_layouts(
     relative_degree: int,
     candidates_s: tuple[float, ...] = CANDIDATES_S,
 ) -> tuple[InverseLayout, ...]:
-    """Return the layouts to try, shortest horizon first; none is shorter than the robot's delay."""
+    """Return the layouts to try, shortest horizon first; none is shorter than the robot's delay.
+
+    Args:
+        architecture: Architecture of the inverse model.
+        state_names: Names of the states that the robot measures; a preview uses only the first.
+        sample_time_s: Sample time of the robot.
+        relative_degree: Delay of the robot in samples, a lower limit of the horizon.
+        candidates_s: Horizons to try, in s.
+    """
     least = max(relative_degree, 4 if architecture == "preview" else 1)
     horizons = sorted(
         {min(max(least, round(s / sample_time_s)), HORIZON_SAMPLES_MAX) for s in candidates_s}
@@ -79,17 +92,20 @@ def choose_horizon(
     """Fly a linear inverse with every horizon, longest first, and keep the one that tracks best.
 
     A feedback (`state`) is judged by the worse of two flights, one with γ as learned and one with γ
-    a quarter too large (a target is never quite the source), so that a horizon on the verge of
-    instability does not win; of horizons that track alike the longest is the gentlest. A preview
-    cannot become unstable; of those the shortest is taken, whose training pairs are the freshest in
-    flight.
+    a quarter too large, because a target never equals its source. A horizon on the verge of
+    instability therefore does not win. Among horizons that track equally well the longest is the
+    gentlest and is chosen. A preview cannot become unstable; there the shortest is chosen, because
+    its training pairs are available soonest in flight.
 
     Args:
-        layouts: the candidates, shortest horizon first.
-        record: what the linear inverses are fitted to.
-        columns: the axes whose pairs are pooled.
-        origin: of the experience.
-        fly: flies a candidate, guarded.
+        layouts: Candidates, shortest horizon first.
+        record: Flight that the linear inverses are fitted to.
+        columns: Columns of the record's axes whose training pairs are pooled.
+        origin: Robot and axes that the experience comes from.
+        fly: Function that flies a candidate under guard and returns its RMS error.
+
+    Returns:
+        The layout with the chosen horizon, and the errors of all candidates.
 
     Raises:
         StudyError: no candidate could be flown.
@@ -102,7 +118,7 @@ def choose_horizon(
         best = min(errors.values())
         data = TrainingData(*pooled_pairs(layout, record, columns))
         worst = fly(linear_experience(data, layout, origin))
-        # Where the first flight rules a horizon out, the robot need not fly the second.
+        # The second flight is only needed when the first leaves the horizon in the running.
         if layout.architecture == "state" and worst <= _CLOSE * best and math.isfinite(worst):
             worst = max(worst, fly(linear_experience(data, layout, origin, gain=_GAIN_ERROR)))
         errors[layout.horizon_samples] = worst

@@ -1,4 +1,4 @@
-"""A robot's own experience: flown, its horizon chosen in flight, trained, and given back to it."""
+"""The flights that a robot learns its own experience from, which also choose its horizon."""
 
 from __future__ import annotations
 
@@ -21,20 +21,26 @@ from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.wire.messages import Description
 
 FLIGHT_S = 120.0
-"""Of a rich flight: five thousand pairs at 50 samples per second, of which training takes 2100."""
+"""Duration of a rich flight. At 50 samples per second it yields about 6000 training pairs, of which
+training takes 2100."""
 
 
 @dataclass(frozen=True, eq=False)
 class Lesson:
-    """What a robot flew for one experience: all that its training needs."""
+    """The data of a robot's flights for one experience: everything that its training needs."""
 
     robot: str
+    """Name of the robot that flew."""
     data: TrainingData
+    """Training pairs of all axes, for the chosen horizon."""
     origin: Origin
+    """Robot and axes that the experience comes from."""
     choice: HorizonChoice
+    """Layout of the inverse model, and the trials that chose its horizon."""
 
 
 Say = Callable[[str, str], None]
+"""Reports progress: the robot's name, and a phrase that says what it does now."""
 
 
 def fly_lessons(
@@ -47,24 +53,28 @@ def fly_lessons(
     duration_s: float = FLIGHT_S,
     say: Say,
 ) -> tuple[Lesson, ...]:
-    """Have a robot fly what its experiences are learned from, one lesson for each architecture.
+    """Have a robot fly the lessons for its experiences, one for each architecture.
 
-    A rich flight, steps on every axis, then guarded flights with linear inverses of every horizon.
-    The robot's prior, if it has one, is put back afterwards.
+    The robot flies a persistently exciting reference, then steps on every axis, and then a practice
+    path under guard with linear inverses of every horizon. If it holds a prior, that prior is put
+    back afterwards.
 
     Args:
-        pilot: flies.
-        fleet: installs the candidates.
-        description: of the robot.
-        architectures: of the experiences.
-        seed: draws the rich flight.
-        duration_s: of the rich flight.
-        say: is told (robot, what it does now).
+        pilot: Pilot that has the robot fly.
+        fleet: Client of the fleet; installs the candidates on the robot.
+        description: Description of the robot that learns.
+        architectures: Architectures of the experiences to learn.
+        seed: Seed of the rich flight's reference.
+        duration_s: Duration of the rich flight.
+        say: Called with the robot's name and what it does now.
+
+    Returns:
+        One lesson per architecture, in the given order.
 
     Raises:
-        InvalidInputError: it does not track, or has axes of several units; nothing moved.
-        StudyError: it does not answer to steps, or no horizon can be flown.
-        RobotError: a flight failed.
+        InvalidInputError: The robot cannot track, or has axes of different units; nothing moved.
+        StudyError: The robot does not respond to steps, or no horizon can be flown.
+        RobotError: A flight failed.
     """
     robot, spec = description.robot, description.spec
     path, unit = practice_path(spec, robot), _unit(description)
@@ -109,10 +119,15 @@ def fly_lessons(
 
 
 def pick_up(fleet: Fleet, description: Description, failure: str) -> None:
-    """Make a robot that failed ready again, which for a real one is a person's task.
+    """Make a simulated robot ready again after a failed flight.
+
+    Args:
+        fleet: Client of the robot's fleet.
+        description: Description of the robot.
+        failure: Reason why its flight failed.
 
     Raises:
-        RobotError: it is a real one.
+        RobotError: The robot is real: only a person may judge whether it can fly again.
     """
     if not description.spec.simulated:
         raise RobotError(

@@ -1,4 +1,4 @@
-"""A linear inverse as an experience: what a flight gives at once, without training."""
+"""A linear inverse as an experience, fitted to a flight at once without training a network."""
 
 from __future__ import annotations
 
@@ -15,9 +15,19 @@ _RIDGE = 1e-4
 def linear_experience(
     data: TrainingData, layout: InverseLayout, origin: Origin, *, gain: float = 1.0
 ) -> Experience:
-    """Fit γ = gain · inputs · w by ridge regression on inputs scaled to their spread.
+    """Fit γ = gain · inputs · w by ridge regression on inputs scaled by their standard deviation.
 
-    `validation_rms` is the error on the data themselves, with a gain of one.
+    The manifest's `validation_rms` is the error on the data themselves with a gain of one, since
+    there are too few weights to overfit.
+
+    Args:
+        data: Training pairs, with inputs of shape (m, inputs) and γ of shape (m,).
+        layout: Layout of the inverse model.
+        origin: Robot and axes that the data come from.
+        gain: Factor on the output, other than 1 only to test the margin of stability.
+
+    Returns:
+        An experience with a single linear layer.
     """
     scale = np.maximum(data.inputs.std(axis=0), 1e-12)
     scaled = data.inputs / scale

@@ -1,4 +1,4 @@
-"""Gives a robot experiences, and gives it back the prior that it had."""
+"""Installs experiences on a robot, and restores the prior that it held before."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from nufleet.shared.experience.file import digest
 from nufleet.shared.wire.messages import Description, ExperienceOffer
 
 REST_PATIENCE_S = 30.0
-"""How long an interrupted robot may take to come to rest before its prior is left as it is."""
+"""Limit on the time that an interrupted robot may take to come to rest before its prior is
+restored. A robot that still moves then may refuse the change and keep the prior it has."""
 
 _log = logging.getLogger(__name__)
 
@@ -24,9 +25,18 @@ def install(
 ) -> ExperienceOffer:
     """Install an experience on a robot and read it back.
 
+    Args:
+        fleet: Client of the robot's fleet.
+        robot: Name of the robot.
+        slot: `experience` for one that the robot offers to others, `prior` for one it flies with.
+        payload: Content of the experience's file.
+
+    Returns:
+        The robot's description of the experience that it now holds.
+
     Raises:
-        RefusedError: it does not fit the robot.
-        MalformedMessageError: what the robot has now is not what was sent.
+        RefusedError: The experience does not fit the robot.
+        MalformedMessageError: The robot does not hold the bytes that were sent.
     """
     sha256 = digest(payload)
     offer = fleet.install(robot, slot, payload, sha256)
@@ -37,15 +47,16 @@ def install(
 
 @contextmanager
 def prior_put_back(fleet: Fleet, pilot: Pilot, description: Description) -> Iterator[None]:
-    """Give a robot back, in the end, the prior that it has now, or none.
+    """Restore, on leaving the context, the prior that a robot holds on entering it, if any.
 
-    Also when what is done meanwhile fails or is interrupted: a robot that flies then is brought to
-    rest first, and that error is the one raised.
+    The prior is also restored when the body fails or is interrupted. A robot that is flying then is
+    brought to rest first, and the body's error is the one that is raised; a failure to restore the
+    prior is logged.
 
     Args:
-        fleet: the robot's.
-        pilot: flies it.
-        description: of the robot, now.
+        fleet: Client of the robot's fleet.
+        pilot: Pilot that has the robot fly.
+        description: Current description of the robot, which says whether it holds a prior.
     """
     robot = description.robot
     before = None if description.prior is None else fleet.fetch(robot, description.prior.sha256)
@@ -60,7 +71,7 @@ def prior_put_back(fleet: Fleet, pilot: Pilot, description: Description) -> Iter
         yield
     except BaseException as error:
         if not isinstance(error, Exception):
-            # Ctrl-C comes while the robot flies, when nothing can be changed on it.
+            # Ctrl-C arrives while the robot flies, and a flying robot accepts no new prior.
             pilot.interrupt()
             fleet.watch(robot).wait_until(
                 lambda w: w.state is not None and w.state.goal_id is None,

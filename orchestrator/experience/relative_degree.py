@@ -1,4 +1,4 @@
-"""After how many samples a robot answers, from the steps that it made."""
+"""Measures the delay of a robot in samples, its relative degree, from its responses to steps."""
 
 from __future__ import annotations
 
@@ -10,27 +10,32 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import StudyError
 
 _NOISES = 5.0
-"""Standard errors that an answer must stand out by."""
+"""Number of standard errors by which a response must exceed the noise to count as one."""
 
 
 def relative_degree(reference: FloatArray, response: FloatArray) -> int:
-    """Measure after how many samples an axis answers to a step of its reference.
+    """Measure the number of samples after which an axis responds to a step of its reference.
 
-    Robots step as quickly as their acceleration allows, which takes many samples where these are
-    short. The answers to all steps are averaged, each with its sign. The delay is the time from
-    where the mean step itself reaches five standard errors of the noise before the steps to where
-    the mean answer does, interpolated between samples: for a robot that only delays its reference
-    exactly the delay, however slow the step. An answer counts in either direction: a robot with an
-    unstable zero first moves the wrong way.
+    A step rises as quickly as the robot's acceleration allows, which takes many samples when the
+    samples are short. The responses to all steps are averaged, each multiplied by the sign of its
+    step. The delay is the time between two crossings of one threshold, five standard errors of the
+    noise before the steps: that of the mean step, and that of the mean response, both interpolated
+    between samples. For a robot that only delays its reference the result is exactly that delay,
+    however slow the step. A response counts in either direction, because a robot with an unstable
+    zero first moves the wrong way.
 
     Args:
-        reference: steps of one height and shape, evenly spaced, each from a held level to the
-            next, shape (samples,).
-        response: the output measured before each reference acted, shape (samples,).
+        reference: Reference in the unit of the axis, shape (samples,): steps of equal height and
+            shape, evenly spaced, each from one held level to the next.
+        response: Output measured before each reference acted, in the same unit, shape (samples,).
+
+    Returns:
+        The delay in samples, at least 1.
 
     Raises:
-        StudyError: nothing answered before the next step.
+        StudyError: Nothing responded before the next step.
     """
+    # A step begins at the first changed sample after a held level, and ends at the next held one.
     moves = np.diff(reference, prepend=reference[0]) != 0
     steps = np.flatnonzero(moves[1:] & ~moves[:-1]) + 1
     wait = int(np.diff(steps).min())
@@ -41,7 +46,8 @@ def relative_degree(reference: FloatArray, response: FloatArray) -> int:
     held = int((steps[1:] - ends[: len(steps) - 1]).min())
     before = response[steps[:, np.newaxis] - 1 - np.arange(max(1, held // 32))]
     answers = (response[window] - before.mean(axis=1, keepdims=True)) * signs
-    # Of the noise, and of what is left of the steps before: that has either sign alike.
+    # The standard error at the step itself, where nothing can have responded yet. It covers the
+    # noise and the remains of earlier steps, which enter with either sign equally often.
     error = answers[:, 0].std(ddof=1) / math.sqrt(len(steps))
     stands_out = np.abs(answers.mean(axis=0)) > _NOISES * error + 1e-9 * height
     if not stands_out.any():
@@ -53,7 +59,10 @@ def relative_degree(reference: FloatArray, response: FloatArray) -> int:
 
 
 def _reached(values: FloatArray, threshold: float) -> float:
-    """Return when values, 0 before the first, first exceed a threshold, in samples from it."""
+    """Return where values first exceed a threshold, interpolated linearly between samples.
+
+    The result counts samples from the first value; the value before that is taken to be 0.
+    """
     k = int(np.argmax(values > threshold))
     before = values[k - 1] if k else 0.0
     return float(k - 1 + (threshold - before) / (values[k] - before))

@@ -1,4 +1,4 @@
-"""One `nufleet train`: robots fly their lessons, networks are trained, robots get them back."""
+"""One `nufleet train`: robots fly lessons, networks are trained and installed on their robots."""
 
 from __future__ import annotations
 
@@ -20,17 +20,21 @@ from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.wire.messages import Description
 
 TRAINING_THREADS = 2
-"""Networks that are trained at the same time."""
+"""Number of networks that are trained at the same time."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """An experience that its robot offers now."""
+    """An experience that its robot now offers to others."""
 
     lesson: Lesson
+    """Flights that it was learned from."""
     experience: Experience
+    """The trained network with its manifest."""
     sha256: str
+    """Hash of the experience's file."""
     training_time_s: float
+    """Wall time that training and installing took."""
 
 
 def check_torch() -> None:
@@ -53,22 +57,26 @@ def train_robots(
     say: Say,
     on_trained: Callable[[Trained], None] = lambda trained: None,
 ) -> tuple[Trained, ...]:
-    """Give robots experiences of their own; all fly at the same time.
+    """Have robots learn experiences of their own; all robots fly at the same time.
 
     Args:
-        fleet: the fleet, reached.
-        pilot: flies.
-        robots: who learns.
-        architectures: of the experiences.
-        folder: where the files are kept too.
-        seed: draws flights and first weights.
-        duration_s: of each rich flight.
-        say: is told (robot, what it does now), from several threads.
-        on_trained: is told of each experience that its robot has.
+        fleet: Client of the fleet, already connected.
+        pilot: Pilot that has the robots fly.
+        robots: Descriptions of the robots that learn.
+        architectures: Architectures of the experiences to learn.
+        folder: Folder in which a copy of each experience is stored.
+        seed: Seed of the flights and of the networks' first weights.
+        duration_s: Duration of each rich flight.
+        say: Called with a robot's name and what it does now, from several threads.
+        on_trained: Called with each experience once its robot holds it, from several threads.
+
+    Returns:
+        All experiences, in the order of the robots and then of the architectures.
 
     Raises:
-        InvalidInputError: torch is not installed.
-        RobotError: a flight failed; so do StudyError and what the network raises.
+        InvalidInputError: Torch is not installed.
+        StudyError: A robot does not respond to steps, or no horizon can be flown on it.
+        RobotError: A flight failed. Errors of the connection are raised as they are.
     """
     check_torch()
     folder.mkdir(parents=True, exist_ok=True)
@@ -107,7 +115,7 @@ def train_robots(
             ]
             return tuple(network.result() for network in networks)
         except BaseException:
-            # Ctrl-C, or one robot failed: no other flies on alone.
+            # On Ctrl-C, or when one robot has failed, no other may fly on unattended.
             pilot.interrupt()
             training.shutdown(wait=False, cancel_futures=True)
             raise

@@ -1,7 +1,7 @@
 """Trains the network of an experience with torch.
 
-Here and not beside the robot: a robot flies and records, and needs neither torch nor the seconds of
-two processor cores that this takes.
+Training runs in the orchestrator and not in the robot agent: a robot only flies and records, and
+needs neither torch nor the seconds that training occupies two processor cores.
 """
 
 from __future__ import annotations
@@ -24,18 +24,21 @@ if TYPE_CHECKING:
     import torch
 
 TRAINING_VERSION = "2"
-"""Changes whenever the same data and seed would give another network."""
+"""Version of the training, increased whenever the same data and seed would give another network."""
 
 POINTS = 2100
-"""Of a source's dataset (paper, Section VI-A)."""
+"""Number of points in a source's dataset (paper, Section VI-A)."""
 
+# One stretch in five is held back for validation. Stretches and not single points: neighbouring
+# points are nearly equal, and a point between two learned ones would say little.
 _BLOCKS = 50
 _VALIDATION_EVERY = 5
 STEPS_MAX = 1500
-"""Of descent on batches."""
+"""Limit on the number of optimizer steps, each on one batch."""
 
 RIDGES = (1e-6, 1e-5, 1e-4, 1e-3)
-"""Of the linear inverse that a network begins as; the one that does best on points held back."""
+"""Ridge weights to try for the linear inverse that initializes a network; the one with the smallest
+error on the points held back is used."""
 
 _BATCH = 128
 _EVALUATE_EVERY = 20
@@ -46,21 +49,28 @@ _WEIGHT_DECAY = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class TrainingData:
-    """Pairs of inputs (m, inputs) and γ (m,), in the order they were flown."""
+    """Training pairs of an inverse model, in the order in which they were flown."""
 
     inputs: FloatArray
+    """Inputs ξ of the inverse, in the units of its layout, shape (m, inputs)."""
     gamma: FloatArray
+    """Outputs γ in the axes' unit per second, shape (m,)."""
 
 
 @dataclass(frozen=True)
 class Origin:
-    """Where an experience comes from."""
+    """The robot that an experience comes from."""
 
     robot: str
+    """Name of the robot."""
     robot_kind: str
+    """Kind of the robot, as in its spec."""
     axes: tuple[str, ...]
+    """Names of the axes whose data are pooled."""
     unit: Literal["m", "rad"]
+    """Unit of these axes."""
     relative_degree: int
+    """Delay of the robot in samples, the largest of these axes."""
 
 
 def train(
@@ -72,19 +82,31 @@ def train(
     points: int = POINTS,
     steps_max: int = STEPS_MAX,
 ) -> Experience:
-    """Train the paper's network, 4 × 128 ReLU, on `points` of the pairs.
+    """Train the paper's network, 4 × 128 ReLU (Section VI-A), on `points` of the pairs.
 
-    It begins as the linear inverse of the same points, carried by two units of each layer: nearly
-    all of a baseline loop is linear, and a network that begins at random needs ten times as long
-    to come close to that.
+    The network begins as the linear inverse of the same points, carried by two units of each layer:
+    nearly all of a baseline loop is linear, and a network with random weights needs ten times as
+    long to come close to that.
 
-    The points are spread evenly over the flight; every fifth of fifty stretches of it is held back,
-    and training stops when these no longer get better. The same data and seed give the same
-    network, also when several are trained at once, one thread each.
+    The points are spread evenly over the flight. Every fifth of fifty stretches of it is held back,
+    and training stops when the error on these no longer falls. The same data and seed give the same
+    network, even when several are trained at once, one thread each.
+
+    Args:
+        data: Training pairs, with inputs of shape (m, inputs) and γ of shape (m,).
+        layout: Layout of the inverse model.
+        origin: Robot and axes that the data come from.
+        seed: Seed of the first weights and of the batches.
+        points: Number of pairs to train on, at least 500.
+        steps_max: Limit on the number of optimizer steps.
+
+    Returns:
+        The network with its manifest, whose `validation_rms` is the error on the points held back,
+        in the unit of γ.
 
     Raises:
-        InvalidInputError: fewer pairs than points, pairs that are not finite, or inputs that never
-            change.
+        InvalidInputError: There are fewer pairs than points, some are not finite, or an input or
+            the output never changes.
     """
     if len(data.gamma) < points or points < 10 * _BLOCKS:
         raise InvalidInputError(
@@ -131,13 +153,24 @@ def train(
 
 
 def data_sha256(data: TrainingData) -> str:
-    """Return a hash of training pairs."""
+    """Return the SHA-256 of training pairs as little-endian 64-bit numbers, inputs before γ."""
     numbers = data.inputs.astype("<f8").tobytes() + data.gamma.astype("<f8").tobytes()
     return hashlib.sha256(numbers).hexdigest()
 
 
 def ridge(inputs: FloatArray, targets: FloatArray, weight: float) -> FloatArray:
-    """Return w of targets ≈ inputs · w, by ridge regression on inputs that have one scale."""
+    """Return the weights of targets ≈ inputs · w by ridge regression (Hoerl and Kennard 1970).
+
+    Solves (XᵀX/m + λ I) w = Xᵀy/m; the division by m makes λ independent of the number of points.
+
+    Args:
+        inputs: Inputs X, shape (m, inputs), scaled to a common magnitude.
+        targets: Outputs y, shape (m,).
+        weight: Regularization weight λ.
+
+    Returns:
+        Weights w, shape (inputs,).
+    """
     normal = inputs.T @ inputs / len(inputs) + weight * np.eye(inputs.shape[1])
     return np.asarray(np.linalg.solve(normal, inputs.T @ targets / len(inputs)))
 
@@ -145,7 +178,7 @@ def ridge(inputs: FloatArray, targets: FloatArray, weight: float) -> FloatArray:
 def _fit(
     inputs: FloatArray, targets: FloatArray, held_back: np.ndarray, seed: int, steps_max: int
 ) -> tuple[torch.nn.Sequential, float]:
-    """Return the network that was best on the points held back, and its error there."""
+    """Return the network with the smallest error on the points held back, and that RMS error."""
     import torch
 
     learned, judged = ~held_back, held_back
@@ -153,7 +186,8 @@ def _fit(
         (ridge(inputs[learned], targets[learned], weight) for weight in RIDGES),
         key=lambda w: float(np.mean((inputs[judged] @ w - targets[judged]) ** 2)),
     )
-    # Matrices this small gain nothing from more threads, and with one the sums have one order.
+    # Matrices this small gain nothing from more threads, and a single thread adds numbers in one
+    # fixed order, which makes the network reproducible.
     torch.set_num_threads(1)
     generator = torch.Generator().manual_seed(seed)
     return _descend(
@@ -204,12 +238,13 @@ def _descend(
 def _network(linear: FloatArray, generator: torch.Generator) -> torch.nn.Sequential:
     """Return a network that computes inputs · linear, its other units drawn from the generator.
 
-    w·x = max(0, w·x) − max(0, −w·x): the first two units of each layer hand these on.
+    Since w·x = max(0, w·x) − max(0, −w·x), the first two units of each layer carry the two terms
+    unchanged through the ReLUs. The last layer subtracts them and ignores all other units.
     """
     import torch
 
     widths = (len(linear), *ExperienceManifest.model_fields["hidden"].default, 1)
-    # Without torch's own start, which would draw from its global generator.
+    # Skip torch's own initialization, which would draw from its global generator.
     layers: list[torch.nn.Linear] = [
         torch.nn.utils.skip_init(torch.nn.Linear, *pair)  # type: ignore[no-untyped-call]
         for pair in pairwise(widths)

@@ -1,4 +1,4 @@
-"""Hands an experience to a target, from a source or a file: checked, installed, read back."""
+"""Transfers an experience from a source or a file to a target: check, install, read back."""
 
 from __future__ import annotations
 
@@ -16,12 +16,16 @@ from nufleet.shared.wire.messages import Description
 
 @dataclass(frozen=True)
 class Transferred:
-    """An experience that a target flies with now."""
+    """An experience that a target now holds as its prior."""
 
     source: str
+    """Name of the robot that learned it."""
     target: str
+    """Name of the robot that holds it now."""
     sha256: str
+    """Hash of the experience's file."""
     manifest: ExperienceManifest
+    """Description of the experience, as stored in its file."""
 
 
 def transfer(
@@ -30,15 +34,19 @@ def transfer(
     """Transfer an experience over the network.
 
     Args:
-        fleet: both robots' fleet.
-        source: whose experience.
-        target: who flies with it from now on.
-        architecture: which of the source's experiences; None takes the only one it offers.
+        fleet: Client of the fleet that both robots belong to.
+        source: Name of the robot whose experience is transferred.
+        target: Name of the robot that flies with it from now on.
+        architecture: Architecture of the experience to take; None takes the only one on offer.
+
+    Returns:
+        The experience that the target now holds.
 
     Raises:
-        InvalidInputError: the source offers none or several, or it does not fit the target.
-        MalformedMessageError: it was altered on its way.
-        RefusedError: the target does not take it.
+        InvalidInputError: The source offers none or several, or the experience does not fit the
+            target.
+        MalformedMessageError: The experience was altered on its way.
+        RefusedError: The target refuses the experience.
     """
     offers = {o.manifest.layout.architecture: o for o in fleet.describe(source).experiences}
     if architecture is None and len(offers) == 1:
@@ -63,10 +71,10 @@ def transfer(
 
 
 def read_experience(path: Path) -> bytes:
-    """Return an experience's file, checked to be one, as `nufleet train` leaves it in a run.
+    """Return the bytes of an experience's file, as `nufleet train` leaves it in a run's folder.
 
     Raises:
-        InvalidInputError: it cannot be read, or is truncated, altered or of another type.
+        InvalidInputError: The file cannot be read, or is truncated, altered or of another type.
     """
     try:
         with path.open("rb") as file:
@@ -83,7 +91,21 @@ def read_experience(path: Path) -> bytes:
 
 
 def transfer_file(fleet: Fleet, payload: bytes, target: str) -> Transferred:
-    """Transfer an experience that was read from a file; raises as `transfer` does."""
+    """Transfer an experience that was read from a file.
+
+    Args:
+        fleet: Client of the target's fleet.
+        payload: Content of the file, from `read_experience`.
+        target: Name of the robot that flies with it from now on.
+
+    Returns:
+        The experience that the target now holds.
+
+    Raises:
+        InvalidInputError: The experience does not fit the target.
+        MalformedMessageError: The experience was altered on its way.
+        RefusedError: The target refuses the experience.
+    """
     manifest = decode_experience(payload).manifest
     return _installed(fleet, manifest, payload, fleet.describe(target))
 
@@ -108,9 +130,10 @@ def check_fit(manifest: ExperienceManifest, target: Description) -> None:
 
 
 def check_would_fit(source: Description, target: Description, architecture: Architecture) -> None:
-    """Raise InvalidInputError unless what a source would learn fits a target.
+    """Raise InvalidInputError unless an experience that a source would learn fits a target.
 
-    So that nobody learns for minutes what nobody can use.
+    It is checked up front, so that no robot spends minutes learning an experience that the target
+    cannot use.
     """
     states = source.state_names if architecture == "state" else source.state_names[:1]
     needs = Needs(

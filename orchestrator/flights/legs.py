@@ -1,4 +1,4 @@
-"""Drawings as trajectories of a robot, and the path that candidates practise on."""
+"""Drawings as trajectories of a robot, and the practice path for candidate horizons."""
 
 from __future__ import annotations
 
@@ -18,20 +18,24 @@ from nufleet.shared.robots.spec import RobotSpec, TrackingLimits
 from nufleet.shared.wire.messages import Description
 
 ACCELERATION_SHARE = 0.8
-"""Of the limit: what is left is for the corrections of the path."""
+"""Fraction of the acceleration limit used when planning; the rest is headroom for corrections."""
 
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """One path to be flown with every inverse; `desired` has shape (samples, axes), in `unit`."""
+    """One path to be flown with every inverse."""
 
     drawing: str
+    """Name of the drawing."""
     speed: float
+    """Largest speed on the path, in `unit` per second."""
     unit: str
+    """Unit of the robot's axes."""
     desired: FloatArray
+    """Desired positions in `unit`, one row per sample of the robot, shape (samples, axes)."""
 
     def label(self, inverse: str) -> str:
-        """Return what tells a flight along this path from others."""
+        """Return the name of a flight along this path with an inverse; see `flight_label`."""
         return flight_label(inverse, path_label(self.drawing, self.speed, self.unit))
 
 
@@ -46,10 +50,19 @@ def tracking_limits(spec: RobotSpec, robot: str) -> TrackingLimits:
 
 
 def trajectory(points: FloatArray, speed: float, spec: RobotSpec, robot: str) -> FloatArray:
-    """Return a drawing (n, 2) as the path of a robot, shape (samples, axes), from rest to rest.
+    """Return a drawing as the path of a robot, from rest to rest.
 
-    A robot with one axis follows the drawing's x; axes beyond the second stay at zero. Angles of a
-    joint robot take the drawing's numbers as rad.
+    A robot with one axis follows the drawing's x; axes beyond the second stay at zero. A robot with
+    joints takes the drawing's numbers as angles in rad.
+
+    Args:
+        points: Points of the drawing in the unit of the robot's axes, shape (n, 2).
+        speed: Largest speed on the path, in that unit per second.
+        spec: Spec of the robot, with its tracking limits and sample time.
+        robot: Name of the robot, for error messages.
+
+    Returns:
+        Desired positions, one row per sample of the robot, shape (samples, axes).
 
     Raises:
         InvalidInputError: the drawing leaves the workspace, or is faster than the robot may go.
@@ -85,10 +98,16 @@ def _check_workspace(path: FloatArray, position_max: float, unit: str) -> None:
 
 
 def read_drawings(drawings: Sequence[str]) -> dict[str, FloatArray]:
-    """Return the points of drawings given by path or name, (n, 2) each, by what they are called.
+    """Return the points of drawings that are given by path or by name.
+
+    Args:
+        drawings: Paths of files, or names of installed drawings.
+
+    Returns:
+        Points of each drawing in m, shape (n, 2), by the drawing's name.
 
     Raises:
-        InvalidInputError: a drawing cannot be read, or two are called the same.
+        InvalidInputError: A drawing cannot be read, or two have the same name.
     """
     points: dict[str, FloatArray] = {}
     for drawing in drawings:
@@ -109,10 +128,19 @@ def legs_of(
     *,
     scale: float = 1.0,
 ) -> tuple[Leg, ...]:
-    """Return every drawing, (n, 2) by its name, at every speed, as paths of a robot.
+    """Return every drawing at every speed, as paths of a robot.
+
+    Args:
+        drawings: Points of each drawing, shape (n, 2), by its name.
+        speeds: Largest speeds to fly at, in the unit of the robot's axes per second.
+        target: Description of the robot that flies.
+        scale: Factor on the points of every drawing.
+
+    Returns:
+        One leg per drawing and speed; the speeds of one drawing follow each other.
 
     Raises:
-        InvalidInputError: the robot cannot fly one, or a speed is named twice.
+        InvalidInputError: The robot cannot fly one of them, or a speed is given twice.
     """
     if len(set(speeds)) != len(speeds):
         raise InvalidInputError("a speed is named twice: name each once")
@@ -136,9 +164,20 @@ def _named(name: str, points: FloatArray, speed: float, target: Description) -> 
 
 
 def practice_path(spec: RobotSpec, robot: str) -> FloatArray:
-    """Return a Lissajous figure through most of the workspace, shape (samples, axes).
+    """Return a Lissajous figure through most of the workspace, to practise on.
 
-    No drawing is ever practised on: what is measured on drawings stays unseen.
+    Robots never practise on a drawing, so that the drawings remain unseen test data.
+
+    Args:
+        spec: Spec of the robot, with its tracking limits and sample time.
+        robot: Name of the robot, for error messages.
+
+    Returns:
+        Desired positions in the unit of the axes, shape (samples, axes). Axis i follows
+        sin((i + 2) φ), so that no two axes move together.
+
+    Raises:
+        InvalidInputError: The robot has no tracking limits.
     """
     limits = tracking_limits(spec, robot)
     phase = np.linspace(0.0, 2 * np.pi, 400)

@@ -1,4 +1,4 @@
-"""Has robots fly what is not a frequency test, one flight after another, under ids of one run."""
+"""Has robots fly everything except frequency tests, under goal ids that begin with the run's id."""
 
 from __future__ import annotations
 
@@ -28,22 +28,27 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class PathFlight:
-    """One flight along a path; arrays as in `TrackingDetails`.
-
-    `failure` is why the path was not flown to its end; None when it was.
-    """
+    """One flight along a path, with positions in the unit of the robot's axes."""
 
     robot: str
+    """Name of the robot that flew."""
     label: str
+    """Name of the flight; see `flight_label`."""
     sample_time_s: float
+    """Time between two samples."""
     reference: FloatArray
+    """References sent to the baseline controller, shape (samples, axes)."""
     actual: FloatArray
+    """Measured positions, shape (samples, axes)."""
     details: TrackingDetails
+    """Desired path and signals of the inverse model, one row per sample."""
     failure: str | None
+    """Why the path was not finished; None when it was."""
 
     @property
     def rms_error(self) -> float:
-        """The root mean square of the distance to the path; infinite if it was not finished."""
+        """Root mean square of the distance to the path, in the unit of the axes; infinite when the
+        path was not finished."""
         if self.failure is not None:
             return math.inf
         away = self.actual - self.details.desired
@@ -51,12 +56,15 @@ class PathFlight:
 
     @property
     def deadline_misses(self) -> int:
-        """How many references took longer to choose than a sample lasts."""
+        """Number of references that took longer to choose than a sample lasts."""
         return int((self.details.step_time_s > self.sample_time_s).sum())
 
 
 class Pilot:
-    """Flies robots of a fleet; `interrupt` ends all flights from another thread, robots at rest."""
+    """Has the robots of a fleet fly, one flight per robot at a time.
+
+    `interrupt`, called from another thread, ends all flights and leaves the robots at rest.
+    """
 
     def __init__(self, fleet: Fleet, run_id: str) -> None:
         self._fleet = fleet
@@ -65,28 +73,47 @@ class Pilot:
         self._flights: dict[str, int] = {}
 
     def interrupt(self) -> None:
-        """Bring all robots that fly to rest; what flies or would fly raises `Interrupted`."""
+        """Bring all flying robots to rest; flights in progress and new ones raise `Interrupted`."""
         self._goals.interrupt()
 
     def acknowledge_all(self) -> None:
-        """Tell every robot that its last results arrived."""
+        """Acknowledge the last results of every robot, so that it need not keep them."""
         self._goals.acknowledge_all()
 
     def steps(self, robot: str, axis: str) -> GoalResult:
-        """Fly the steps of one axis; raises RobotError when that did not work."""
+        """Fly the step test of one axis; raises RobotError when it did not complete."""
         return self._completed(robot, StepTest(axis=axis))
 
     def rich(
         self, robot: str, *, duration_s: float, seed: int
     ) -> tuple[GoalResult, RichFlightDetails]:
-        """Fly richly; the robot knows its baseline afterwards. Raises RobotError."""
+        """Fly a persistently exciting reference, from which the robot learns its own baseline.
+
+        Args:
+            robot: Name of the robot that flies.
+            duration_s: Duration of the flight.
+            seed: Seed of the reference.
+
+        Returns:
+            The result of the flight, and the states that were measured in it.
+
+        Raises:
+            RobotError: The flight did not complete.
+            MalformedMessageError: The robot returned no states.
+        """
         result = self._completed(robot, RichFlight(duration_s=duration_s, seed=seed))
         if not isinstance(result.details, RichFlightDetails):
             raise MalformedMessageError(f"robot {robot} returned a rich flight without its states")
         return result, result.details
 
     def baseline(self, robot: str, desired: FloatArray, label: str) -> PathFlight:
-        """Fly a path (samples, axes) by the baseline controller alone."""
+        """Fly a path with the baseline controller alone.
+
+        Args:
+            robot: Name of the robot that flies.
+            desired: Desired positions in the unit of the robot's axes, shape (samples, axes).
+            label: Name of the flight; see `flight_label`.
+        """
         return self._path(robot, Tracking(desired=desired, inverse="baseline"), label)
 
     def zero_prior(
@@ -98,7 +125,15 @@ class Pilot:
         *,
         guarded: bool = True,
     ) -> PathFlight:
-        """Fly a path with an online process that begins with nothing."""
+        """Fly a path with an online Gaussian process whose prior mean is zero (paper, eq. 2).
+
+        Args:
+            robot: Name of the robot that flies.
+            desired: Desired positions in the unit of the robot's axes, shape (samples, axes).
+            label: Name of the flight; see `flight_label`.
+            layout: Layout of the inverse model.
+            guarded: Whether the guard may withdraw the inverse in flight.
+        """
         motion = Tracking(desired=desired, inverse="zero-prior", layout=layout, guarded=guarded)
         return self._path(robot, motion, label)
 
@@ -112,7 +147,17 @@ class Pilot:
         guarded: bool = True,
         learn: bool = True,
     ) -> PathFlight:
-        """Fly a path with the prior that was installed on the robot."""
+        """Fly a path with the prior that was installed on the robot (paper, eq. 2).
+
+        Args:
+            robot: Name of the robot that flies.
+            desired: Desired positions in the unit of the robot's axes, shape (samples, axes).
+            label: Name of the flight; see `flight_label`.
+            sha256: Hash of the prior that the robot is expected to hold.
+            guarded: Whether the guard may withdraw the prior in flight.
+            learn: Whether the online Gaussian process learns in flight; without it the prior acts
+                alone.
+        """
         motion = Tracking(
             desired=desired, inverse="prior", prior_sha256=sha256, guarded=guarded, learn=learn
         )

@@ -1,4 +1,4 @@
-"""The file in a run's folder that holds every sample of every flight along a path."""
+"""The Parquet file in a run's folder that holds every sample of every flight along a path."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FLIGHTS = "flights.parquet"
 
 
 class FlightTable:
-    """Appends flights; close it (or leave its `with`) so that the file is complete."""
+    """Appends flights to the file; only closing it, or leaving its context, completes the file."""
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / FLIGHTS
@@ -35,14 +35,23 @@ class FlightTable:
             writer.close()
 
     def write(self, flight: PathFlight, axes: tuple[str, ...]) -> None:
-        """Append a flight: one row for each sample and axis, in the axis's unit (γ in unit/s)."""
+        """Append a flight: one row for each sample and axis.
+
+        Positions are in the unit of the axes; `prior`, `mean` and `variance` describe γ, in that
+        unit per second (the variance in its square). `share` is the fraction of the correction that
+        acted, in [0, 1].
+
+        Args:
+            flight: Flight to append.
+            axes: Names of the robot's axes, in the order of the columns of the flight's arrays.
+        """
         import pyarrow as pa
         import pyarrow.parquet as pq
 
         samples, details = len(flight.actual), flight.details
 
         def repeated(name: str) -> pa.DictionaryArray:
-            # With its type, since a flight may have no samples to tell that from.
+            # The type is given explicitly: a flight may have no samples to infer it from.
             return pa.array([name] * samples, pa.string()).dictionary_encode()
 
         for column, axis in enumerate(axes):
