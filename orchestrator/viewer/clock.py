@@ -1,4 +1,4 @@
-"""The time axis of a study: seconds of robot motion, whether simulated robots race or not."""
+"""The time axis of a study in seconds of robot motion, also for simulators faster than time."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 
 class ViewerClock:
-    """Runs with the wall clock, and jumps ahead where robots moved for longer than they took.
+    """A clock that follows the wall clock and jumps ahead when simulated robots outrun it.
 
-    A simulated robot plays a minute in a millisecond; on this clock the minute passes.
+    A simulated robot may play a minute of motion in a millisecond; on this clock the minute passes.
     """
 
     def __init__(self, clock_s: Callable[[], float]) -> None:
@@ -16,9 +16,9 @@ class ViewerClock:
         self._origin_s = clock_s()
 
     def now_s(self) -> float:
-        """Seconds since the study began."""
+        """Return the seconds since the study began."""
         return self._clock_s() - self._origin_s
 
     def advance_to(self, t_s: float) -> None:
-        """Jump ahead to a time; does nothing when it has passed already."""
+        """Jump ahead to a time in seconds; has no effect when that time has already passed."""
         self._origin_s -= max(0.0, t_s - self.now_s())

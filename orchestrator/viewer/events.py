@@ -1,4 +1,4 @@
-"""What a study shows of itself while it runs: plain values, with no viewer in them."""
+"""The events that a running study shows, as plain values that know nothing of a viewer."""
 
 from __future__ import annotations
 
@@ -17,86 +17,112 @@ MessageLevel = Literal["debug", "info", "warning", "error"]
 
 @dataclass(frozen=True, eq=False)
 class RobotStateEvent:
-    """What a robot is doing now; `progress` of its goal in [0, 1]; `reason` is a sentence or ""."""
+    """The current state of a robot."""
 
     t_s: float
+    """Time of the event."""
     robot: str
+    """Name of the robot."""
     status: RobotStatus
+    """What the robot is doing."""
     goal_id: str | None
+    """Id of the goal in progress; None when there is none."""
     progress: float
+    """Progress of that goal, in [0, 1]."""
     reason: str
+    """Sentence that explains the status, or an empty string."""
 
 
 @dataclass(frozen=True, eq=False)
 class TestSamplesEvent:
-    """Reference and response of a frequency test whose first sample is at `t_s`.
-
-    Both have shape (n,), in `unit`, one value every `sample_time_s`.
-    """
+    """A frequency test, or a part of one."""
 
     __test__ = False  # pytest: not a test case
 
     t_s: float
+    """Time of the first sample."""
     robot: str
+    """Name of the robot."""
     axis: str
+    """Name of the axis under test."""
     unit: str
+    """Unit of the axis."""
     omega_rad_s: tuple[float, ...]
+    """Frequencies of the round that the test belongs to."""
     sample_time_s: float
+    """Time between two samples."""
     reference: FloatArray
+    """Reference in `unit`, shape (n,)."""
     response: FloatArray
+    """Measured response in `unit`, shape (n,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class IterationEvent:
-    """What one round of tests taught; `ranking` is best first.
-
-    `responses` holds, for each robot that answered, z(ω) at each tone of `omega_rad_s`.
-    """
+    """The result of one round of tests."""
 
     t_s: float
+    """Time of the event."""
     iteration: int
+    """Number of the round, from 1."""
     omega_rad_s: tuple[float, ...]
+    """Frequencies that were tested."""
     responses: Mapping[str, tuple[complex, ...]]
+    """Response z(ω) at each frequency of `omega_rad_s`, by robot that responded."""
     target: str
+    """Name of the target."""
     curves: tuple[Curve, ...]
+    """Belief about ψ_n(ω) for each source."""
     ranking: tuple[SourceEstimate, ...]
+    """Estimates ψ̂*_n of the sources, best first."""
     messages: tuple[str, ...] = ()
+    """Sentences for the log."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrackingSamplesEvent:
-    """A part of a flight along a path; its first sample was taken at `t_s`.
-
-    Arrays have shape (n, axes), one row every `sample_time_s`, in `unit`; `prior` and the online
-    process's `mean` and `variance` are of γ, in unit/s. A variance of 0 everywhere says that no
-    inverse was at work. `share`, shape (n,), is how much of the correction acted.
-
-    `flight` says who gave the prior, and then the path: "source-1 · clover · 0.6 m/s"; see
-    `flight_labels`. A new flight begins with another label, or after a pause.
-    """
+    """A part of a flight along a path."""
 
     t_s: float
+    """Time of the first sample."""
     robot: str
+    """Name of the robot."""
     flight: str
+    """Name of the flight: the prior and then the path, such as "source-1 · clover · 0.6 m/s"; see
+    `flight_labels`. A new flight begins with another name, or after a pause."""
     axes: tuple[str, ...]
+    """Names of the robot's axes."""
     unit: str
+    """Unit of these axes."""
     sample_time_s: float
+    """Time between two samples."""
     desired: FloatArray
+    """Desired positions in `unit`, shape (n, axes)."""
     actual: FloatArray
+    """Measured positions in `unit`, shape (n, axes)."""
     prior: FloatArray
+    """Prior mean of γ in `unit`/s, shape (n, axes)."""
     mean: FloatArray
+    """Posterior mean of γ in the online Gaussian process, in `unit`/s, shape (n, axes)."""
     variance: FloatArray
+    """Posterior variance of γ in (`unit`/s)², shape (n, axes); 0 everywhere when no inverse was at
+    work."""
     share: FloatArray
+    """Fraction of the correction that acted, in [0, 1], shape (n,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class TakenBackEvent:
-    """The guard took the prior of a flight back, because of `reason`."""
+    """The withdrawal of a flight's prior by the guard."""
 
     t_s: float
+    """Time of the withdrawal."""
     robot: str
+    """Name of the robot."""
     flight: str
+    """Name of the flight."""
     reason: str
+    """Why the guard withdrew the prior."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +130,11 @@ class MessageEvent:
     """A sentence for the log."""
 
     t_s: float
+    """Time of the event."""
     level: MessageLevel
+    """Severity of the message."""
     text: str
+    """The sentence itself."""
 
 
 ViewerEvent = (

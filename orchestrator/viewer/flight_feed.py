@@ -1,4 +1,4 @@
-"""Shows flights along paths as they happen: turns samples into a viewer's events."""
+"""Shows flights along paths as they happen: turns samples into viewer events."""
 
 from __future__ import annotations
 
@@ -23,17 +23,23 @@ from nufleet.shared.wire.motions import TrackingDetails
 
 @dataclass(frozen=True)
 class _Current:
-    """The flight that is drawn, and when it began; its goal is known from its first samples."""
+    """The flight that is being drawn."""
 
     robot: str
     label: str
     spec: RobotSpec
     began_s: float
+    """Beginning of the flight on the viewer's clock."""
     goal_id: str | None = None
+    """Id of the flight's goal; None until its first samples arrive."""
 
 
 class PathView:
-    """Draws one flight after another; `emit` must never block or raise."""
+    """An observer of flights that emits viewer events, one flight after another.
+
+    The function `emit` that it is given must never block or raise, since it is called from the
+    threads that fly the robots and receive messages.
+    """
 
     def __init__(self, clock: ViewerClock, emit: Callable[[ViewerEvent], None]) -> None:
         self._clock, self._emit = clock, emit
@@ -42,17 +48,17 @@ class PathView:
         self._drawn = 0
 
     def watch(self, fleet: Fleet) -> None:
-        """Draw what robots stream from now on."""
+        """Start to draw the samples that the robots stream."""
         fleet.observe_tracking(self._on_telemetry)
 
     def begins(self, robot: str, label: str, spec: RobotSpec) -> None:
-        """Say that a robot begins a flight; `label` tells it from others."""
+        """Handle the beginning of a flight; `label` names it, see `flight_label`."""
         with self._lock:
             self._current = _Current(robot, label, spec, self._clock.now_s())
             self._drawn = 0
 
     def ended(self, flight: PathFlight) -> None:
-        """Draw the flight whole if not all of it arrived while it was flown, and how it ended."""
+        """Draw how a flight ended, and all its samples if some did not arrive in time."""
         with self._lock:
             current, drawn = self._current, self._drawn
             self._current = None
@@ -78,7 +84,7 @@ class PathView:
             if current.goal_id is None and telemetry.first_sample == 0:
                 current = self._current = replace(current, goal_id=telemetry.goal_id)
             if telemetry.goal_id != current.goal_id:
-                return  # late, of a flight before this one
+                return  # late samples that belong to an earlier flight
             self._drawn += len(telemetry.desired)
         step_s = telemetry.sample_time_s
         self._emit(_event(current, telemetry.first_sample, step_s, telemetry, telemetry.actual))

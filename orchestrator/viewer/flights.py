@@ -1,4 +1,4 @@
-"""What is known of flights along paths: who gave the prior, where the robot was, how far off."""
+"""Flights along paths as far as they are known: priors, positions and errors."""
 
 from __future__ import annotations
 
@@ -12,29 +12,38 @@ from nufleet.orchestrator.viewer.events import TrackingSamplesEvent
 from nufleet.shared.arrays import FloatArray
 
 PAUSE_S = 1.0
-"""A flight whose samples pause for longer is another one, flown again: the robot had to go back
-to the path's start first."""
+"""Longest gap between samples of one flight. After a longer one the path is being flown again: the
+robot first had to return to its start."""
 
 
 @dataclass(eq=False)
 class Flight:
-    """A flight along a path as far as it is known; arrays have one row per sample."""
+    """A flight along a path as far as it is known."""
 
     robot: str
+    """Name of the robot that flies."""
     label: str
+    """Name of the flight; see `flight_label`."""
     axes: tuple[str, ...]
+    """Names of the robot's axes."""
     unit: str
+    """Unit of these axes."""
     sample_time_s: float
+    """Time between two samples."""
     time_s: FloatArray
+    """Times of the samples on the viewer's clock, shape (samples,)."""
     desired: FloatArray
+    """Desired positions in `unit`, shape (samples, axes)."""
     actual: FloatArray
+    """Measured positions in `unit`, shape (samples, axes)."""
     new: list[TrackingSamplesEvent] = field(default_factory=list)
-    """What has come since it was last drawn."""
+    """Events that arrived since the flight was last drawn."""
     taken_back_s: float | None = None
+    """Time at which the guard withdrew the prior; None when it did not."""
 
     @staticmethod
     def begun_by(event: TrackingSamplesEvent) -> Flight:
-        """Return the flight whose first samples have come."""
+        """Return the flight that begins with the samples of an event."""
         nothing = np.empty((0, len(event.axes)))
         flight = Flight(
             robot=event.robot,
@@ -51,26 +60,26 @@ class Flight:
 
     @property
     def prior(self) -> str:
-        """Who gave the prior: a source, BASELINE or NO_PRIOR."""
+        """Name of the source that gave the prior, or BASELINE or NO_PRIOR."""
         return prior_and_path(self.label)[0]
 
     @property
     def path(self) -> str:
-        """What was flown; flights of the same path can be compared."""
+        """Name of the drawing with the speed; flights with the same path can be compared."""
         return prior_and_path(self.label)[1]
 
     @property
     def rms_error(self) -> float:
-        """The root mean square of the distance to the path so far, in the axes' unit."""
+        """Root mean square of the distance to the path so far, in the unit of the axes."""
         return math.sqrt(float(np.mean(np.sum((self.actual - self.desired) ** 2, axis=1))))
 
     def continued_by(self, event: TrackingSamplesEvent) -> bool:
-        """Whether samples belong to this flight."""
+        """Return whether the samples of an event continue this flight."""
         pause_s = event.t_s - (self.time_s[-1] + self.sample_time_s)
         return event.flight == self.label and abs(pause_s) < PAUSE_S
 
     def add(self, event: TrackingSamplesEvent) -> None:
-        """Take more samples."""
+        """Append the samples of an event."""
         self.new.append(event)
         time_s = event.t_s + np.arange(len(event.actual)) * event.sample_time_s
         self.time_s = np.concatenate([self.time_s, time_s])
@@ -78,27 +87,29 @@ class Flight:
         self.actual = np.concatenate([self.actual, event.actual])
 
     def at(self, t_s: float) -> int:
-        """Return the last sample up to a time."""
+        """Return the index of the last sample up to a time; 0 when there is none."""
         return max(0, int(np.searchsorted(self.time_s, t_s + 1e-6, side="right")) - 1)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a flight ended, or how it goes so far; the error in the axes' unit."""
+    """The outcome of a flight, or its state so far."""
 
     rms_error: float
+    """RMS tracking error in the unit of the axes."""
     taken_back: bool
+    """Whether the guard withdrew the prior."""
 
 
 class Outcomes:
-    """How every flight went, by path and by who gave the prior; of a repeated one, the latest."""
+    """The outcomes of all flights by path and prior; a repeated flight replaces the earlier one."""
 
     def __init__(self) -> None:
         self._of: dict[tuple[str, str], dict[str, Outcome]] = {}
         self._unit = ""
 
     def note(self, flight: Flight) -> None:
-        """Keep how a flight went so far."""
+        """Keep the outcome of a flight so far."""
         outcome = Outcome(flight.rms_error, flight.taken_back_s is not None)
         self._of.setdefault((flight.robot, flight.path), {})[flight.prior] = outcome
         self._unit = flight.unit
@@ -137,7 +148,7 @@ def _cells(row: dict[str, Outcome], priors: list[str]) -> list[str]:
 
 
 def _reduction(rows: list[dict[str, Outcome]], prior: str) -> str:
-    """Return by how much the error is below the baseline's, averaged over the paths (Table I)."""
+    """Return the error reduction against the baseline, averaged over the paths (paper, Table I)."""
     if prior == BASELINE or not any(prior in row for row in rows):
         return ""
     shares = [

@@ -1,4 +1,4 @@
-"""Which views a recording opens with, for studies and for flights along paths."""
+"""The views that a recording opens with, for studies and for flights along paths."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from nufleet.orchestrator.viewer.draw.surrogates import CAMERA, FULL_PARTS
 from nufleet.orchestrator.viewer.shown import COMPARED_S, Kind, Shown
 
 MODEL_WINDOW_S = 30.0
-"""How much of the latest flights the views of the inverse model show."""
+"""Span of the latest flights that the views of the inverse model show."""
 
 AXES_BESIDE_MAX = 3
-"""Inverse models of more axes than this are shown one at a time."""
+"""Largest number of axes whose inverse models are shown side by side; more are put into tabs."""
 
 TESTS_WINDOW_S = 20.0
-"""How much of the latest tests is shown; zoom out for the rest."""
+"""Span of the latest tests that is shown; zoom out for the rest."""
 
 EVERYTHING = rr.TimeRange(
     start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite()
@@ -28,7 +28,12 @@ EVERYTHING = rr.TimeRange(
 
 
 def tracking(shown: Shown, log: rrb.View) -> rrb.Container:
-    """Return the views: at the left how well it goes, at the right what the inverse model does."""
+    """Return the views of flights: tracking on the left, the inverse model on the right.
+
+    Args:
+        shown: Content of the recording so far.
+        log: View of the log, placed in the lower right.
+    """
     places = [_paths()] if shown.in_plane else []
     places += [_position(shown)] if shown.on_line else []
     inverse: list[rrb.View | rrb.Container] = [_inverse(axis, shown.unit) for axis in shown.axes]
@@ -72,9 +77,9 @@ def _error(shown: Shown) -> rrb.View:
         f"Tracking error |e| [m{shown.unit}], by who gave the prior",
         "/tracking/error",
         ["/tracking/error/**", "/tracking/taken_back/error/**"],
-        # Beside the paths stand the names in their colours.
+        # The view of the paths already lists the names in their colours.
         legend=not shown.in_plane,
-        # All flights while they are few, then the latest: empty space says nothing.
+        # Show all flights while they are few, then the latest: empty space carries no information.
         start=(
             rr.TimeRangeBoundary.cursor_relative(seconds=-COMPARED_S)
             if shown.long
@@ -129,7 +134,7 @@ def _series(
 
 
 def layout(shown: Shown) -> rrb.Blueprint:
-    """Return the layout, for any fleet: a study, flights, or both as tabs, the latest in front."""
+    """Return the layout for a study, for flights, or for both as tabs with the latest in front."""
     parts: dict[Kind, rrb.Container] = {}
     if "ranking" in shown.kinds:
         parts["ranking"] = _study()
@@ -146,7 +151,7 @@ def layout(shown: Shown) -> rrb.Blueprint:
 
 
 def _study() -> rrb.Container:
-    """From left to right where, how far, and what happens."""
+    """Return the views of a study: responses, distances, and on the right what happens now."""
     return rrb.Horizontal(
         rrb.Vertical(_sphere(), _differences(), row_shares=[1, 1]),
         rrb.Vertical(_surrogates(), _estimates(), row_shares=[6, 4]),

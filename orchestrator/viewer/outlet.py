@@ -19,32 +19,34 @@ from nufleet.orchestrator.viewer.events import (
 from nufleet.shared.errors import NufleetError
 
 BATCH_S = 0.25
-"""Telemetry is written so often; per sample it would cost tens of times as much."""
+"""Interval between writes. Writing every sample by itself would cost tens of times as much."""
 
 WAITING_MAX = 4096
-"""So many droppable events may wait; then the oldest go, since the newest are what one watches."""
+"""Limit on the number of droppable events that wait. Beyond it the oldest are dropped, since a
+viewer needs the newest most."""
 
 WAITING_BYTES_MAX = 64 * 2**20
-"""So much may wait in the arrays of droppable events."""
+"""Limit on the size of the arrays in all droppable events that wait."""
 
 log = logging.getLogger(__name__)
 
 
 class Sink(Protocol):
-    """Where events go. Used by one thread only; any call may block for as long as it likes."""
+    """A destination of events, used by one thread only. Calls may block for any length of time."""
 
     def write(self, events: Sequence[ViewerEvent]) -> None:
         """Write events, oldest first."""
 
     def close(self) -> None:
-        """Write out everything and let go."""
+        """Write out everything and release the destination."""
 
 
 class Outlet:
-    """Takes events without ever waiting and writes them to a sink from its own thread.
+    """Accepts events without ever waiting and writes them to a sink from its own thread.
 
-    When the sink is slow, telemetry and messages are dropped, oldest first, and counted;
-    iterations and the guard's events wait. When the sink is gone everything is dropped and counted.
+    When the sink is slow, telemetry and messages are dropped, oldest first, and counted; iterations
+    and the guard's events stay queued. When the sink has failed, all events are dropped and
+    counted.
     """
 
     def __init__(
@@ -69,28 +71,33 @@ class Outlet:
         self._dead = False
         self._opened = threading.Event()
         self._open_error: Exception | None = None
-        # A daemon, since a thread that is stuck in a sink must not keep the process alive.
+        # A daemon thread, since one that is stuck in a sink must not keep the process alive.
         self._thread = threading.Thread(target=self._run, name=f"viewer-{name}", daemon=True)
 
     @property
     def dropped(self) -> int:
-        """Events that were not written."""
+        """Number of events that were not written."""
         with self._changed:
             return self._dropped
 
     def start(self) -> None:
-        """Begin to open the sink."""
+        """Start the thread, which opens the sink."""
         self._thread.start()
 
     def wait_opened(self, timeout_s: float) -> None:
-        """Wait until the sink is open; raises what opening it raised, or TimeoutError."""
+        """Wait until the sink is open.
+
+        Raises:
+            TimeoutError: The sink did not open in time.
+            Exception: Any error that opening the sink raised.
+        """
         if not self._opened.wait(timeout_s):
             raise TimeoutError(f"{self.name} did not open within {timeout_s:g} s")
         if self._open_error is not None:
             raise self._open_error
 
     def offer(self, event: ViewerEvent) -> None:
-        """Take an event; never waits for the sink."""
+        """Accept an event, without waiting for the sink."""
         with self._changed:
             if self._dead or self._closing:
                 self._dropped += 1
@@ -109,13 +116,13 @@ class Outlet:
                 self._dropped += 1
 
     def ask_to_close(self) -> None:
-        """Take no more events and let the thread end once it has written those it has."""
+        """Accept no more events, and have the thread end after writing those that are queued."""
         with self._changed:
             self._closing = True
             self._changed.notify()
 
     def join(self, timeout_s: float) -> bool:
-        """Wait for the thread to end; False when it did not, being stuck in its sink."""
+        """Wait for the thread to end; returns False when it is still stuck in its sink."""
         if self._thread.ident is None:
             return True
         self._thread.join(max(0.0, timeout_s))
@@ -145,7 +152,7 @@ class Outlet:
             self._die(in_hand)
 
     def _take(self) -> list[ViewerEvent] | None:
-        """Wait for the next batch; None when closing and nothing is left."""
+        """Wait for the next batch of events; returns None when closing and nothing is left."""
         with self._changed:
             deadline = time.monotonic() + BATCH_S
             while not self._closing and (left := deadline - time.monotonic()) > 0:

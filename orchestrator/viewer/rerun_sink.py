@@ -1,4 +1,4 @@
-"""A Rerun stream to a file or to the viewers' server, and what is drawn on it. Imports Rerun."""
+"""Draws events on a Rerun stream to a file or to the viewers' server. Imports Rerun."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ from nufleet.shared.errors import InvalidInputError, NufleetError
 APPLICATION = "nufleet"
 
 CONNECT_S = 10.0
+"""Limit on the time that the server may take to answer."""
 
 STUDY = Shown(kinds=["ranking"])
-"""What is expected to come, until something else does."""
+"""Content that a new recording is laid out for, until the first events show otherwise."""
 
 log = logging.getLogger(__name__)
 
 
 class RerunSink:
-    """Draws events on one Rerun stream; any call may block for as long as its other end does."""
+    """Draws events on one Rerun stream; calls block for as long as the other end does."""
 
     def __init__(self, stream: rr.RecordingStream, before_write: Callable[[], None]) -> None:
         self._stream = stream
@@ -38,12 +39,12 @@ class RerunSink:
 
     @staticmethod
     def to_file(run_id: str, path: Path) -> RerunSink:
-        """Write to a file; raises InvalidInputError when that fails."""
+        """Return a sink that writes to a file; raises InvalidInputError when that fails."""
         stream = _stream(run_id)
         try:
             stream.set_sinks(rr.FileSink(path), default_blueprint=layout(STUDY))
-            # So a recording that is cut off by a power failure misses a quarter of a second, and
-            # a full disk is noticed: then this raises.
+            # Flush before every write: a power failure then costs a quarter of a second of the
+            # recording, and a full disk is noticed, since flushing raises.
             sink = RerunSink(stream, stream.flush)
             stream.flush()
         except RuntimeError as error:
@@ -52,10 +53,19 @@ class RerunSink:
 
     @staticmethod
     def to_server(run_id: str, url: str, alive: Callable[[], bool]) -> RerunSink:
-        """Write to a server; raises NufleetError when it does not answer."""
+        """Return a sink that writes to a server.
+
+        Args:
+            run_id: Name of the recording.
+            url: Address of the server.
+            alive: Function that returns whether the server still runs.
+
+        Raises:
+            NufleetError: The server does not answer.
+        """
 
         def check() -> None:
-            # Rerun itself would drop everything from then on and say nothing.
+            # Rerun itself silently drops all data once the server is gone.
             if not alive():
                 raise NufleetError("the viewer's server is gone")
 
@@ -69,26 +79,26 @@ class RerunSink:
         return sink
 
     def write(self, events: Sequence[ViewerEvent]) -> None:
-        """Draw events; raises when the file or the server is gone."""
+        """Draw events; raises NufleetError or RuntimeError when the file or the server is gone."""
         self._before_write()
         draws: list[Callable[[], None]] = [partial(self._drawing.draw, event) for event in events]
         for draw in [*draws, *self._drawing.rest]:
             try:
                 draw()
             except Exception:
-                # What cannot be drawn must not cost the study the rest of its recording.
+                # An event that cannot be drawn must not cost the study the rest of its recording.
                 log.exception("the viewer cannot draw something")
         self._lay_out()
 
     def _lay_out(self) -> None:
-        """Send the views that what has come needs; the viewer opens what began last."""
+        """Send a layout for the content so far; the viewer opens the kind that began last."""
         shown = self._drawing.shown
         if shown.kinds and shown != self._laid_out:
             self._laid_out = deepcopy(shown)
             self._stream.send_blueprint(layout(shown))
 
     def close(self) -> None:
-        """Hand everything over and let go; a file gets its footer."""
+        """Flush the stream and disconnect it, which also writes a file's footer."""
         try:
             self._before_write()
             self._stream.flush()
@@ -98,6 +108,6 @@ class RerunSink:
 
 def _stream(run_id: str) -> rr.RecordingStream:
     stream = rr.RecordingStream(APPLICATION, recording_id=run_id)
-    # Otherwise whatever is logged without a time gets the wall time instead of being static.
+    # Otherwise data logged without a time would get the wall time instead of being static.
     stream.set_log_time_enabled(False)
     return stream

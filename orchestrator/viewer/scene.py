@@ -29,7 +29,7 @@ from nufleet.orchestrator.viewer.shown import Shown
 
 
 class Scene:
-    """Everything that is drawn of one study on one stream."""
+    """Everything that one stream shows of a study, drawn by one object per view."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
@@ -45,12 +45,12 @@ class Scene:
         self._tracking = Tracking(stream, self._palette, self.shown)
 
     def begin(self) -> None:
-        """Draw what never changes."""
+        """Draw the static parts, which never change."""
         self._sphere.begin()
         self._surrogates.begin()
 
     def draw(self, event: ViewerEvent) -> None:
-        """Draw an event, or keep it for the rest of its batch."""
+        """Draw an event at once, or keep it until `rest` draws the whole batch."""
         match event:
             case RobotStateEvent():
                 self._robots.add(event)
@@ -71,7 +71,7 @@ class Scene:
 
     @property
     def rest(self) -> tuple[Callable[[], None], ...]:
-        """What draws the events of a batch that were kept to be drawn at once."""
+        """Functions that draw the events kept from a batch, each in one message per signal."""
         return self._robots.draw, self._samples.draw, self._tracking.draw
 
     def _draw_iteration(self, event: IterationEvent) -> None:

@@ -1,4 +1,4 @@
-"""What there is to be shown so far, which decides on the layout."""
+"""The kinds of content that a recording holds so far, which determine its layout."""
 
 from __future__ import annotations
 
@@ -8,34 +8,43 @@ from typing import Literal
 Kind = Literal["ranking", "tracking"]
 
 COMPARED_S = 180.0
-"""Flights of so long a time are shown beside one another."""
+"""Span of time in s whose flights are shown side by side in the view of errors."""
 
 
 @dataclass
 class Shown:
-    """Grows as events come; equal to an earlier copy while the layout may stay as it is."""
+    """A record of the content so far; grows as events arrive.
+
+    It equals an earlier copy of itself for as long as the layout need not change.
+    """
 
     kinds: list[Kind] = field(default_factory=list)
-    """In the order in which they began."""
+    """Kinds of content, in the order in which they began."""
     axes: list[str] = field(default_factory=list)
-    """Of the robots that track, by name."""
+    """Names of the axes of all robots that track."""
     unit: str = ""
-    """Of these axes."""
+    """Unit of these axes."""
     in_plane: bool = False
-    """Whether a robot with two axes or more tracks."""
+    """Whether a robot with two or more axes tracks."""
     on_line: bool = False
     """Whether a robot with one axis tracks."""
     since_s: float = 0.0
-    """When the first flight began."""
+    """Beginning of the first flight on the viewer's clock."""
     long: bool = False
-    """Whether the flights take longer than what is shown of them at once."""
+    """Whether the flights span more time than is shown at once, `COMPARED_S`."""
 
     def ranking(self) -> None:
-        """There are tests or rounds of a study."""
+        """Note that the recording holds tests or rounds of a study."""
         self._add("ranking")
 
     def tracking(self, axes: tuple[str, ...], unit: str, begin_s: float) -> None:
-        """A flight along a path begins."""
+        """Note the beginning of a flight along a path.
+
+        Args:
+            axes: Names of the robot's axes.
+            unit: Unit of these axes.
+            begin_s: Beginning of the flight on the viewer's clock.
+        """
         if "tracking" not in self.kinds:
             self.since_s = begin_s
         self._add("tracking")

@@ -1,4 +1,4 @@
-"""Shows a study as it happens: turns what the fleet and the study say into a viewer's events."""
+"""Shows a study as it happens: turns messages of the fleet and the study into viewer events."""
 
 from __future__ import annotations
 
@@ -21,7 +21,11 @@ from nufleet.shared.wire.messages import RobotState, Telemetry
 
 
 class LiveView:
-    """An observer of a study and its fleet; `emit` must never block or raise."""
+    """An observer of a study and its fleet that emits viewer events.
+
+    The function `emit` that it is given must never block or raise, since it is called from the
+    threads that conduct the study and receive messages.
+    """
 
     def __init__(
         self,
@@ -41,29 +45,29 @@ class LiveView:
         self._watching = False
 
     def watch(self, fleet: Fleet) -> None:
-        """Draw the states and running tests of the study's robots from now on."""
+        """Start to draw the states and running tests of the study's robots."""
         self._watching = True
         fleet.observe_states(self._on_state)
         fleet.observe_telemetry(self._on_telemetry)
 
     def stop_watching(self) -> None:
-        """Draw nothing more of the fleet: the study is over, whatever its robots do next."""
+        """Stop drawing the fleet: the study is over, and its robots may have other tasks."""
         self._watching = False
 
     def asked(self, question: Question) -> None:
-        """A round begins: its samples are drawn from this time on."""
+        """Handle the beginning of a round: its samples are drawn starting at the current time."""
         with self._lock:
             self._asked_s = self._clock.now_s()
             self._omega_rad_s = question.omega_rad_s
             self._drawn.clear()
 
     def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
-        """Log it."""
+        """Log the failed attempt as a warning."""
         text = f"{robot}, attempt {attempt}: {reason}"
         self._emit(MessageEvent(self._clock.now_s(), "warning", text))
 
     def told(self, question: Question, outcomes: Mapping[str, TestOutcome], report: Report) -> None:
-        """Draw what the round taught, and the tests whose telemetry did not arrive whole."""
+        """Draw the result of a round, and any tests whose telemetry arrived incomplete."""
         measured = [o for o in outcomes.values() if isinstance(o, Measured)]
         for outcome in measured:
             result = outcome.result
@@ -135,10 +139,17 @@ class LiveView:
 def together(
     responses: Responses, target: str
 ) -> tuple[tuple[float, ...], dict[str, tuple[complex, ...]]]:
-    """Return the frequencies of the target's test, and z there of every robot that played them.
+    """Return the responses of a round that can be drawn together, at common frequencies.
 
-    Robots may play different tones in one round; only what was played by both is drawn together.
-    When the target rested, the first robot takes its place.
+    Robots may play different tones in one round. Only robots that played all tones of the target's
+    test are returned. When the target rested, the first robot takes its place.
+
+    Args:
+        responses: Frequency responses of the round, by robot.
+        target: Name of the target.
+
+    Returns:
+        Frequencies in rad/s, and the response z(ω) at each of them, by robot.
     """
     if not responses:
         return (), {}

@@ -1,4 +1,4 @@
-"""Writes a running study to a recording and to live viewers, without ever holding it up."""
+"""Writes a running study to a recording and to live viewers, without ever delaying the study."""
 
 from __future__ import annotations
 
@@ -17,31 +17,36 @@ from nufleet.orchestrator.viewer.server.server import ViewerServer
 from nufleet.shared.errors import NufleetError
 
 OPEN_TIMEOUT_S = 30.0
-"""Importing Rerun and its first log take a second or two; on a busy machine more."""
+"""Limit on the time for opening. Importing Rerun and its first log take a second or two, and more
+on a busy machine."""
 
 CLOSE_TIMEOUT_S = 10.0
+"""Limit on the time for writing out what is left."""
 
 LIVE_CLOSE_S = 2.0
-"""The live viewers have so long to take what is left; a recording has the whole time."""
+"""Time that live viewers have to take what is left; the recording has the whole timeout."""
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class ServeOptions:
-    """Where live viewers connect to; a port of 0 stands for any free one, None for no web page."""
+    """The addresses that live viewers connect to."""
 
     grpc_port: int = GRPC_PORT
+    """Port for native viewers; 0 for any free one."""
     web_port: int | None = None
+    """Port of the web page; 0 for any free one, None for no page."""
     bind_ip: str = "127.0.0.1"
+    """Address of the network interface to listen on."""
 
 
 class RerunWriter:
     """Draws a study's events; a context manager.
 
     The recording and the live viewers have a thread, a queue and a Rerun stream each: Rerun makes
-    whoever writes to a server wait for its slowest viewer (measured: 25 s for one that is
-    stopped), and a recording must not wait for that.
+    the writer wait for a server's slowest viewer (25 s measured with a viewer that was stopped),
+    and the recording must not wait for that.
     """
 
     def __init__(self, run_id: str, *, recording: Path | None, serve: ServeOptions | None) -> None:
@@ -58,25 +63,25 @@ class RerunWriter:
 
     @property
     def live_url(self) -> str | None:
-        """What a native viewer connects to, once it is open."""
+        """URL for native viewers, valid once the writer is open; None when nothing is served."""
         return None if self._server is None else self._server.live_url
 
     @property
     def web_url(self) -> str | None:
-        """The page that shows the study in a browser, once it is open."""
+        """URL of the page for browsers, valid once the writer is open; None when there is none."""
         return None if self._server is None else self._server.web_url
 
     @property
     def dropped(self) -> int:
-        """Events that the recording or the live viewers missed, counted for each."""
+        """Number of events that the recording and the live viewers missed, counted separately."""
         return self._unheard + sum(outlet.dropped for outlet in self._outlets)
 
     def open(self) -> None:
-        """Make sure that everything can be written and served, before anything moves.
+        """Open the recording and the server, so that any failure comes before a robot moves.
 
         Raises:
-            InvalidInputError: the recording cannot be written there.
-            EndpointInUseError: a port is taken, or may not be listened on.
+            InvalidInputError: The recording cannot be written there.
+            EndpointInUseError: A port is in use, or may not be listened on.
             NufleetError: Rerun did not start.
         """
         with ExitStack() as undo:
@@ -94,7 +99,7 @@ class RerunWriter:
             undo.pop_all()
 
     def emit(self, event: ViewerEvent) -> None:
-        """Take an event; returns at once, whatever has become of the viewers."""
+        """Accept an event; returns at once, even when the viewers are slow or gone."""
         outlets = self._outlets
         if not outlets:
             self._unheard += 1
@@ -102,10 +107,13 @@ class RerunWriter:
             outlet.offer(event)
 
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
-        """Write out what is waiting and let go; what is stuck is left behind after `timeout_s`.
+        """Write out all queued events and close; calling it again has no effect.
+
+        Args:
+            timeout_s: Limit on the whole closing. A stream that is still stuck then is abandoned.
 
         Returns:
-            Whether everything was written. Calling it again does nothing more.
+            Whether everything was written.
         """
         deadline = time.monotonic() + timeout_s
         for outlet in self._outlets:
@@ -114,7 +122,7 @@ class RerunWriter:
         if self._to_viewers is not None:
             complete &= self._to_viewers.join(min(LIVE_CLOSE_S, timeout_s / 2))
         if self._server is not None:
-            # With it goes whatever a stuck viewer was holding up.
+            # Ending the server also releases a stream that a stuck viewer was holding up.
             self._server.close(timeout_s=max(0.1, min(LIVE_CLOSE_S, timeout_s / 4)))
         for outlet in self._outlets:
             if not outlet.join(deadline - time.monotonic()):
