@@ -1,4 +1,4 @@
-"""What `nufleet demo` does: rank an installed fleet, then show what the prediction was worth."""
+"""The work of `nufleet demo`: rank an installed fleet, then test the prediction in flight."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ DRAWING = "clover"
 SPEED = 0.6
 FLIGHT_S = 60.0
 ARCHITECTURES: dict[str, Architecture] = {"paper_linear": "preview", "paper_quadrotors": "state"}
-"""The paper's own inverse in the air. On the linear fleet the filter that the tests predict: an
-inverse fed with the state is a feedback loop there, which orders the sources differently."""
+"""Architecture of the experiences by fleet. The quadrotors use the paper's own inverse. The linear
+fleet uses the filter whose effect the tests predict: there an inverse fed with the state forms a
+feedback loop, which orders the sources differently."""
 
 
 def demo_and_print(
@@ -39,7 +40,16 @@ def demo_and_print(
     repository: str | None,
     as_json: bool,
 ) -> None:
-    """Demonstrate, with progress on stderr and, when asked for, the document on stdout."""
+    """Run the demonstration, with progress on stderr and, if wanted, the document on stdout.
+
+    Args:
+        fleet_name: Name of an installed fleet, a key of `ARCHITECTURES`.
+        seed: Seed of the study, the learning flights and the networks.
+        live: Whether to serve the recording to live viewers.
+        runs_root: Folder that holds the folders of all runs.
+        repository: Address of the repository; None for the one in `runs_root`.
+        as_json: Whether to print the result as JSON on stdout.
+    """
     check_torch()
     console = stderr_console()
     began_s = time.monotonic()

@@ -1,4 +1,4 @@
-"""What the commands `nufleet drawing ...` share: whose limits count, and what is printed."""
+"""The work that the commands `nufleet drawing ...` share: robots' limits, files and reports."""
 
 from __future__ import annotations
 
@@ -25,15 +25,19 @@ from nufleet.shared.wire.messages import Description
 
 @dataclass(frozen=True)
 class WhoFlies:
-    """The robots whose limits count: of a fleet file, of a running fleet, or none."""
+    """The robots whose limits count: those of a fleet file, of a running fleet, or none."""
 
     fleet_file: str | None
+    """Path or name of a fleet file; None for a running fleet."""
     connect: str
+    """Endpoint of a running fleet."""
     fleet_name: str | None
+    """Name of the fleet; None when only one is running there."""
     robots: tuple[str, ...]
+    """Names of the robots; empty for all robots of the fleet file, or for none."""
 
     def describe(self, console: Console) -> tuple[Description, ...]:
-        """Ask the robots for their limits; nothing moves."""
+        """Return the robots' descriptions, which hold their limits; nothing moves."""
         if self.fleet_file is None and not self.robots:
             return ()
         file = None if self.fleet_file is None else str(find_fleet_file(self.fleet_file))
@@ -45,7 +49,16 @@ class WhoFlies:
 
 
 def output_file(wanted: Path | None, default: str, *, force: bool) -> Path:
-    """Return where to write; raises InvalidInputError when something is there already."""
+    """Return the path to write to.
+
+    Args:
+        wanted: Path that was asked for; None for the default.
+        default: Default path.
+        force: Whether an existing file may be overwritten.
+
+    Raises:
+        InvalidInputError: The file exists, and `force` is not set.
+    """
     path = Path(default) if wanted is None else wanted
     if path.exists() and not force:
         raise InvalidInputError(f"{path} is there already: choose another --out, or --force")
@@ -55,7 +68,14 @@ def output_file(wanted: Path | None, default: str, *, force: bool) -> Path:
 def say(
     console: Console, path: Path, points: FloatArray, robots: tuple[Description, ...]
 ) -> DrawingReport:
-    """Print what is to be known of a drawing, and return it."""
+    """Print the report on a drawing, and return it.
+
+    Args:
+        console: Console to print on.
+        path: File of the drawing.
+        points: Points of the drawing in m, shape (n, 2).
+        robots: Descriptions of the robots whose limits count; empty for the default limits.
+    """
     report = report_of(path.stem, str(path), points, robots)
     console.print(f"[bold]{path.stem}[/]: {shape_text(report.shape)}")
     console.print(durations_table(report))
@@ -65,6 +85,6 @@ def say(
 
 
 def print_document(report: DrawingReport, *, as_json: bool) -> None:
-    """Print the one document, when it was asked for."""
+    """Print the report as JSON on stdout, if wanted."""
     if as_json:
         click.echo(report.document())

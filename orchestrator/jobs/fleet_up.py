@@ -1,4 +1,4 @@
-"""Keeps a simulated fleet up and shows it until it is interrupted."""
+"""Runs a simulated fleet, and shows its state, until it is interrupted."""
 
 from __future__ import annotations
 
@@ -21,16 +21,22 @@ from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.transport import open_client
 
 AGENT_PROCESSES = 2
-"""Robots are dealt to this many processes unless each is to have its own."""
+"""Number of processes that the robots are spread over, unless each robot gets one of its own."""
 
 
 def fleet_up(path: Path, *, listen: str, processes: bool, realtime: float | None) -> None:
-    """Run a router and a file's robots until Ctrl-C, with a live table when on a terminal.
+    """Run a router and the robots of a fleet file until Ctrl-C, with a live table on a terminal.
+
+    Args:
+        path: Path of the fleet file.
+        listen: Endpoint on which the router listens.
+        processes: Whether each robot gets a process of its own.
+        realtime: Speed of the simulated robots relative to real time; None for as fast as possible.
 
     Raises:
-        FleetFileError: the file is not right.
-        EndpointInUseError: the router cannot listen there.
-        NufleetError: a process of the fleet ended by itself.
+        FleetFileError: The file is not valid.
+        EndpointInUseError: The router cannot listen on that endpoint.
+        NufleetError: A process of the fleet ended by itself.
     """
     file = read_fleet_file(path)
     check_settings(file, path)

@@ -1,4 +1,4 @@
-"""How commands that fly reach and take their robots, and keep and show what these do."""
+"""Opens all that a flying command needs: fleet, leases, run folder, recording and pilot."""
 
 from __future__ import annotations
 
@@ -28,17 +28,26 @@ from nufleet.shared.robots.spec import RobotSpec
 
 @dataclass(frozen=True)
 class OpenRun:
-    """A fleet that is reached, and where what it flies is kept and shown."""
+    """A connected fleet with leased robots, and the places that store and show its flights."""
 
     connection: Connection
+    """Connection to the fleet."""
     folder: RunFolder
+    """Folder of the run."""
     writer: RerunWriter
+    """Writer of the recording and of the live view."""
     pilot: Pilot
+    """Pilot that has the robots fly."""
     archive: Archive
+    """Repository that stores studies, with the leases on the robots."""
     view: PathView
+    """Observer that draws flights along paths."""
     table: FlightTable
+    """Table of all samples of these flights."""
     clock: ViewerClock
+    """Time axis of the recording."""
     console: Console
+    """Console for progress, on stderr."""
 
 
 @contextmanager
@@ -51,21 +60,24 @@ def flying(
     live: bool,
     robots: Callable[[tuple[str, ...]], tuple[str, ...]],
 ) -> Iterator[OpenRun]:
-    """Reach a fleet, take robots, and open a run's folder, its recording and table of flights.
+    """Connect to a fleet, lease robots, and open a run's folder, recording and table of flights.
 
-    When it is left early, all robots that fly are brought to rest first.
+    When the body fails or is interrupted, all flying robots are brought to rest first.
 
     Args:
-        reach: the fleet.
-        kind: of the run.
-        storage: where it is kept.
-        console: what is told.
-        live: whether to serve the recording.
-        robots: returns, of the robots that are there, those that will fly.
+        reach: Way to connect to the fleet.
+        kind: Kind of the run, the last part of its folder's name.
+        storage: Places where the run is stored.
+        console: Console for progress.
+        live: Whether to serve the recording to live viewers.
+        robots: Function that selects the robots that will fly from the names of those present.
+
+    Yields:
+        Everything that was opened; leaving the context closes it.
 
     Raises:
-        LeaseHeldError: one of them belongs to another orchestrator.
-        LeaseLostError: another orchestrator has taken one over.
+        LeaseHeldError: A robot belongs to another orchestrator.
+        LeaseLostError: Another orchestrator has taken a robot over.
     """
     make_runs_root(storage.runs_root)
     with ExitStack() as stack:
@@ -107,7 +119,7 @@ def flying(
 
 
 class KeptFlights:
-    """Shows each flight, stores it, and says in one line how it went."""
+    """An observer that draws each flight, stores it, and prints its error in one line."""
 
     def __init__(self, session: OpenRun) -> None:
         self._session = session
@@ -115,13 +127,13 @@ class KeptFlights:
         self._unit = "m"
 
     def begins(self, robot: str, label: str, spec: RobotSpec) -> None:
-        """Begin to draw it."""
+        """Begin to draw a flight."""
         self._axes = tuple(axis.name for axis in spec.axes)
         self._unit = spec.axes[0].unit
         self._session.view.begins(robot, label, spec)
 
     def ended(self, flight: PathFlight) -> None:
-        """Store it and print its error."""
+        """Store the flight and print its error."""
         session = self._session
         session.view.ended(flight)
         session.table.write(flight, self._axes)
@@ -129,7 +141,7 @@ class KeptFlights:
 
 
 def error_text(flight: PathFlight, unit: str) -> str:
-    """Return in a few words how a flight went."""
+    """Return the outcome of a flight in a few words; `unit` is that of the robot's axes."""
     if flight.failure is not None:
         return f"[red]failed: {flight.failure}[/]"
     text = f"RMS error {1000 * flight.rms_error:6.1f} m{unit}"

@@ -1,4 +1,4 @@
-"""Where commands keep what they do, and the words that find it again."""
+"""The places where commands store their runs, and the command line that resumes a run."""
 
 from __future__ import annotations
 
@@ -21,36 +21,39 @@ from nufleet.shared.errors import NufleetError, StudyError
 
 @dataclass(frozen=True)
 class Storage:
-    """Where runs leave their folders, and the repository: None is the one in that folder."""
+    """The places where a command stores its run."""
 
     runs_root: Path
+    """Folder that holds the folders of all runs."""
     repository: str | None = None
+    """Address of the repository; None for the one in `runs_root`."""
 
     @property
     def _address(self) -> str:
         return self.repository or default_url(self.runs_root)
 
     def open(self) -> Repository:
-        """Open the repository; raises RepositoryError."""
+        """Open the repository; raises RepositoryError when that fails."""
         return open_repository(self._address)
 
     def document(self) -> dict[str, str]:
-        """Return both for a run's configuration, without a password."""
+        """Return both places for a run's configuration, without a password."""
         return {"runs_root": str(self.runs_root), "repository": name_of(self._address)}
 
     def resume_command(self, run: str) -> str:
-        """Return what to type to go on with a run."""
+        """Return the command line that resumes a run."""
         words = ["runs", "resume", run]
         if self.runs_root != Path("runs"):
             words += ["--runs", str(self.runs_root)]
-        # Without its password it could not be typed again; the environment still has it.
+        # An address is printed without its password and could not be typed again; one that comes
+        # from the environment need not be, since the environment still holds it.
         if self.repository not in (None, os.environ.get(REPOSITORY_VARIABLE)):
             words += ["--repository", name_of(self._address)]
         return f"{invocation()} {shlex.join(words)}"
 
     @contextmanager
     def saying_how_to_resume(self, console: Console, run: str) -> Iterator[None]:
-        """Say how a run goes on that Ctrl-C ends, or an error that is not the study's own."""
+        """Print how to resume the run if Ctrl-C or an error other than the study's own ends it."""
         try:
             yield
         except (StudyError, LeaseLostError):

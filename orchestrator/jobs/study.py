@@ -1,4 +1,4 @@
-"""Runs a study with everything that shows it: progress, recording, live view, result."""
+"""Runs a study together with its display: progress, recording, live view and result."""
 
 from __future__ import annotations
 
@@ -35,9 +35,19 @@ def show_study(
     live: bool,
     console: Console,
 ) -> RunRecord:
-    """Run a study from where it stands to its result, and print that; see `run_study`.
+    """Run a study from its present state to its result, and print the result; see `run_study`.
 
-    `begin` returns the study, stored; it is called when everything that shows it is there.
+    Args:
+        fleet: Client of the fleet, already connected.
+        ready: Study, prepared and checked.
+        begin: Function that returns the stored study; called once the display is open.
+        archive: Repository that stores the study, with the leases on the robots.
+        folder: Folder of the run.
+        live: Whether to serve the recording to live viewers.
+        console: Console for progress and the result.
+
+    Returns:
+        The record of the run, as stored in its folder.
     """
     with ExitStack() as stack:
         serve = ServeOptions(grpc_port=GRPC_PORT, web_port=WEB_PORT) if live else None

@@ -1,4 +1,4 @@
-"""What `nufleet track` does: check the paths, fly them, say how well."""
+"""The work of `nufleet track`: check the paths, fly them, report the errors."""
 
 from __future__ import annotations
 
@@ -28,26 +28,44 @@ from nufleet.shared.wire.messages import Description
 
 @dataclass(frozen=True)
 class TrackCommand:
-    """The command line of one tracking."""
+    """The options of one `nufleet track`."""
 
     connect: str
+    """Endpoint of the fleet."""
     fleet_name: str | None
+    """Name of the fleet; None when only one is running there."""
     target: str
+    """Name of the robot that flies."""
     drawings: tuple[str, ...]
+    """Paths or names of the drawings to fly."""
     speed: float
+    """Largest speed on the paths, in the unit of the robot's axes per second."""
     scale: float
+    """Factor on the points of the drawings."""
     inverse: Literal["auto", "prior", "zero-prior", "baseline"]
+    """Inverse to fly with; `auto` takes the robot's prior if it has one, else its baseline."""
     horizon_s: float
+    """Horizon of the inverse model that is learned from a zero prior."""
     learn: bool
+    """Whether the online Gaussian process learns in flight."""
     guarded: bool
+    """Whether the guard may withdraw the inverse in flight."""
     live: bool
+    """Whether to serve the recording to live viewers."""
     runs_root: Path
+    """Folder that holds the folders of all runs."""
     repository: str | None
+    """Address of the repository; None for the one in `runs_root`."""
     as_json: bool
+    """Whether to print the result as JSON on stdout."""
 
 
 def track_and_print(command: TrackCommand) -> None:
-    """Track, with progress on stderr and, when asked for, the document on stdout."""
+    """Track the drawings, with progress on stderr and, if wanted, the document on stdout.
+
+    Raises:
+        RobotError: The robot did not finish a path.
+    """
     console = stderr_console()
     drawings = read_drawings(command.drawings)
     reach = Reach(connect=command.connect, fleet_name=command.fleet_name)
@@ -80,11 +98,14 @@ def track_and_print(command: TrackCommand) -> None:
 
 @dataclass(frozen=True)
 class _Inverse:
-    """What gives the prior, whether it acts in front of the baseline, and how it flies a path."""
+    """An inverse to fly paths with."""
 
     name: str
+    """Source of the prior, BASELINE or NO_PRIOR."""
     corrects: bool
+    """Whether it corrects the references of the baseline controller."""
     fly: Callable[[Pilot, FloatArray, str], PathFlight]
+    """Flies a path, shape (samples, axes), under a label."""
 
 
 def _flown(session: OpenRun, target: Description, inverse: _Inverse, leg: Leg) -> FlightRecord:
@@ -98,7 +119,7 @@ def _flown(session: OpenRun, target: Description, inverse: _Inverse, leg: Leg) -
 def _learn_baseline(
     inverse: _Inverse, command: TrackCommand, session: OpenRun, target: Description
 ) -> None:
-    """Let a robot learn what its guard has to know, unless it does or nothing is guarded."""
+    """Have a robot learn its own baseline for the guard, unless it is known or not needed."""
     if not inverse.corrects or not command.guarded or target.baseline_known:
         return
     session.console.print(
@@ -108,7 +129,7 @@ def _learn_baseline(
 
 
 def _inverse(command: TrackCommand, target: Description) -> _Inverse:
-    """Return what flies; raises InvalidInputError where the target lacks it."""
+    """Return the inverse to fly with; raises InvalidInputError when the target does not have it."""
     robot, guarded = target.robot, command.guarded
     wanted = command.inverse
     if wanted == "auto":
@@ -138,7 +159,11 @@ def _inverse(command: TrackCommand, target: Description) -> _Inverse:
 
 
 def _layout(horizon_s: float, target: Description) -> InverseLayout:
-    """Return the layout of a feedback that aims so far ahead."""
+    """Return the layout of a feedback inverse with a horizon in seconds.
+
+    Raises:
+        InvalidInputError: The robot measures no states, or the horizon is too long for it.
+    """
     if not target.state_names:
         raise InvalidInputError(
             f"robot {target.robot} measures no states, so that nothing can be learned in flight; "

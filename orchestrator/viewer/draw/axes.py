@@ -1,4 +1,4 @@
-"""Scales and ticks of a drawn plot: what is shown where, and which round numbers stand beside."""
+"""Scales and ticks of a plot that is drawn by hand: positions of values, and round numbers."""
 
 from __future__ import annotations
 
@@ -12,29 +12,38 @@ from nufleet.orchestrator.study.interface import Curve
 from nufleet.shared.arrays import FloatArray
 
 WIDTH, HEIGHT = 160.0, 125.0
-"""The plot's extent in its own units; x to the right and y down, as in an image."""
+"""Extent of the plot in its own units; x points to the right and y down, as in an image."""
 
 
 @dataclass(frozen=True)
 class Axes:
-    """A logarithmic frequency axis and a linear one from 0 for distances."""
+    """A logarithmic axis for frequencies and a linear axis from 0 for chordal distances."""
 
     omega_min_rad_s: float
+    """Frequency at the left edge."""
     omega_max_rad_s: float
+    """Frequency at the right edge."""
     psi_max: float
+    """Chordal distance at the top."""
 
     def x(self, omega_rad_s: FloatArray) -> FloatArray:
-        """Where frequencies are; what is outside the plot is put on its edge."""
+        """Return the horizontal positions of frequencies, in the plot's units, of the same shape.
+
+        Frequencies outside the plot are placed on its edge.
+        """
         low, high = math.log(self.omega_min_rad_s), math.log(self.omega_max_rad_s)
         share = (np.log(omega_rad_s) - low) / max(high - low, 1e-9)
         return np.clip(share, 0.0, 1.0) * WIDTH
 
     def y(self, psi: FloatArray) -> FloatArray:
-        """Where distances are; what is outside the plot is put on its edge."""
+        """Return the vertical positions of distances, in the plot's units, of the same shape.
+
+        Distances outside the plot are placed on its edge.
+        """
         return (1.0 - np.clip(psi / self.psi_max, 0.0, 1.0)) * HEIGHT
 
     def omega_ticks_rad_s(self) -> list[float]:
-        """1, 2 and 5 of every decade within the band."""
+        """Return 1, 2 and 5 of every decade within the band."""
         first = math.floor(math.log10(self.omega_min_rad_s))
         last = math.ceil(math.log10(self.omega_max_rad_s))
         ticks = [m * 10.0**e for e in range(first, last + 1) for m in (1, 2, 5)]
@@ -42,13 +51,13 @@ class Axes:
         return [tick for tick in ticks if low <= tick <= high]
 
     def psi_ticks(self) -> list[float]:
-        """0 and at most five round distances above it, up to the top of the plot."""
+        """Return 0 and at most five round distances above it, up to the top of the plot."""
         step = round_up(self.psi_max / 5)
         return [k * step for k in range(int(self.psi_max / step * (1 + 1e-9)) + 1)]
 
 
 def fitting_axes(curves: Sequence[Curve]) -> Axes:
-    """Return axes that show the means, the samples and, where they are not huge, the bands."""
+    """Return axes that show all means and samples, and the bands unless these are very wide."""
     highest = max(max(float(c.mean.max()), float(c.sampled_psi.max(initial=0.0))) for c in curves)
     band = max(float((c.mean + 2 * c.std).max()) for c in curves)
     shown = min(max(1.1 * highest, min(band, 3.0 * highest), 1e-6), 1.0)
@@ -67,9 +76,18 @@ def round_up(value: float) -> float:
 
 
 def spread(places: FloatArray, *, gap: float, within: float) -> FloatArray:
-    """Return places at least `gap` apart, in the same order and near where they were.
+    """Return positions at least `gap` apart, in the same order and near the original ones.
 
-    They are pushed back towards 0 where they would end beyond `within`.
+    A first pass pushes positions up until each keeps its distance from the one below; a second pass
+    pushes them back towards 0 where they would exceed `within`.
+
+    Args:
+        places: Positions along one axis, in any order, shape (n,).
+        gap: Smallest distance between two positions.
+        within: Largest position that is allowed.
+
+    Returns:
+        New positions in the order of the given ones, shape (n,).
     """
     order = np.argsort(places, kind="stable")
     moved = np.asarray(places, dtype=np.float64)[order]

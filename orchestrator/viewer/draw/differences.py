@@ -1,4 +1,4 @@
-"""Draws how the sources lie around the target on the sphere, seen from above it. Imports Rerun."""
+"""Draws the sources around the target on the sphere, seen from above it. Imports Rerun."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import chordal_distance, riemann_sphere
 
 RADIUS = 100.0
-"""Of the outermost ring, in the drawing's units."""
+"""Radius of the outermost ring, in the units of the plot."""
 
 
 class Differences:
-    """The target in the middle, each source at its distance ψ: up is more gain, left more lag."""
+    """A view with the target in the middle and each source at its chordal distance ψ from it.
+
+    Up means more gain than the target, left more phase lag.
+    """
 
     def __init__(self, stream: rr.RecordingStream, palette: Palette) -> None:
         self._stream = stream
@@ -26,7 +29,10 @@ class Differences:
         self._drawn: set[str] = set()
 
     def draw(self, event: IterationEvent) -> None:
-        """Draw one round at its most telling tone; the time is set."""
+        """Draw a round, at the tone where the sources are farthest and the time set on the stream.
+
+        See `telling_tone` for the choice of the tone.
+        """
         tone = telling_tone(event)
         now = responses_at(event, tone)
         sources = [s for s in now if s != event.target] if event.target in now else []
@@ -58,7 +64,7 @@ class Differences:
         )
 
     def _name(self, sources: list[str], places: FloatArray, psi: FloatArray) -> None:
-        """Name sources in a column at the right, at about their heights."""
+        """List the sources in a column on the right, each near its own height."""
         heights = spread(places[:, 1], gap=15.0, within=RADIUS)
         colours = [self._palette.of(source) for source in sources]
         self._stream.log(
@@ -103,22 +109,24 @@ class Differences:
 
 
 def _within(places: FloatArray) -> FloatArray:
-    """Bring what is beyond the outermost ring onto it."""
+    """Return positions (n, 2), with those beyond the outermost ring moved onto it."""
     beyond = np.maximum(np.hypot(places[:, 0], places[:, 1]) / RADIUS, 1.0)
     return places / beyond[:, None]
 
 
 def around(centre: complex, z: ComplexArray) -> FloatArray:
-    """Return where responses lie around another one: (right, down), at their chordal distance.
+    """Return the positions of responses around another one, seen from above the sphere.
 
-    Up points along growing gain on the sphere, left along growing phase lag.
+    The chords from `centre` are projected onto the tangent plane at its point of the sphere, and
+    then stretched to the chordal distance ψ (paper, eq. 4). Up points along growing gain, left
+    along growing phase lag.
 
     Args:
-        centre: a response, not 0.
-        z: shape (n,).
+        centre: Response in the middle, not 0.
+        z: Responses around it, shape (n,).
 
     Returns:
-        Shape (n, 2); its norms are ψ(z, centre).
+        Positions (right, down), shape (n, 2), with norms ψ(z, centre).
     """
     middle = np.asarray(centre)
     outward = middle / abs(middle)
@@ -131,7 +139,10 @@ def around(centre: complex, z: ComplexArray) -> FloatArray:
 
 
 def _tangent(z: ComplexArray, direction: ComplexArray) -> FloatArray:
-    """The unit vector on the sphere along which z moves when it moves in a direction."""
+    """Return the unit tangent vector along which the point of z on the sphere moves, shape (3,).
+
+    It is the central difference for a small step of z in a direction of the complex plane.
+    """
     step = 1e-5 * (1 + abs(z)) * direction
     moved = riemann_sphere(z + step) - riemann_sphere(z - step)
     return np.asarray(moved / np.linalg.norm(moved))

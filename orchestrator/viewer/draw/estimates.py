@@ -9,17 +9,18 @@ from nufleet.orchestrator.viewer.draw.palette import Palette
 from nufleet.orchestrator.viewer.events import IterationEvent
 
 TONES_NAMED = 6
+"""Limit on the number of frequencies that the table and the log list."""
 
 
 class Estimates:
-    """ψ̂*_n with one standard deviation over time, and the ranking as a table."""
+    """A view of ψ̂*_n ± one standard deviation over time, and of the ranking as a table."""
 
     def __init__(self, stream: rr.RecordingStream, palette: Palette) -> None:
         self._stream = stream
         self._palette = palette
 
     def draw(self, event: IterationEvent) -> None:
-        """Draw one round; the time is set."""
+        """Draw one round at the time that is set on the stream."""
         for row in event.ranking:
             self._stream.log(
                 f"psi/worst/{row.robot}",
@@ -49,7 +50,7 @@ def ranking_table(event: IterationEvent) -> str:
 
 
 def summary(event: IterationEvent) -> str:
-    """Return what a round taught, in a line for the log."""
+    """Return the result of a round in one line for the log."""
     said = f"round {event.iteration} at {_tones(event)}"
     if not event.ranking:
         return said

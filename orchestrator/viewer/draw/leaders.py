@@ -1,4 +1,4 @@
-"""What is drawn in full: in a large fleet, or of many tones, the rest would hide it."""
+"""Selects the sources and the tone that are drawn in full, so that the rest do not hide them."""
 
 from __future__ import annotations
 
@@ -8,15 +8,19 @@ from nufleet.orchestrator.viewer.events import IterationEvent
 from nufleet.shared.distance.chordal import chordal_distance
 
 LEADERS = 6
+"""Number of sources that are drawn in full."""
 
 
 def leading_sources(event: IterationEvent) -> tuple[str, ...]:
-    """The best of the ranking, best first."""
+    """Return the names of the best sources of the ranking, best first."""
     return tuple(row.robot for row in event.ranking[:LEADERS])
 
 
 def telling_tone(event: IterationEvent) -> int:
-    """The index of the tone at which the leading sources are farthest from the target."""
+    """Return the index of the tone at which the leading sources are farthest from the target.
+
+    The distance is the sum of the chordal distances ψ(z_S, z_T) over the leading sources.
+    """
     target = event.responses.get(event.target, ())
     farness = np.zeros(len(event.omega_rad_s))
     for source in leading_sources(event):
@@ -27,5 +31,5 @@ def telling_tone(event: IterationEvent) -> int:
 
 
 def responses_at(event: IterationEvent, tone: int) -> dict[str, complex]:
-    """The response of each robot that has one at a tone."""
+    """Return the response z(ω) at the tone with the given index, by robot that has one."""
     return {robot: z[tone] for robot, z in event.responses.items() if len(z) > tone}

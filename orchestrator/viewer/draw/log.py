@@ -11,13 +11,13 @@ _LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR"
 
 
 class Log:
-    """Sentences with their times; the view's own column of times is too narrow to be read."""
+    """The log of a study. Times are part of the text: the view's own column is too narrow."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
 
     def say(self, t_s: float, level: MessageLevel, text: str) -> None:
-        """Write a sentence."""
+        """Write a sentence to the log, at a time in seconds on the viewer's clock."""
         self._stream.send_columns(
             "log",
             indexes=[rr.TimeColumn("t", duration=[t_s])],

@@ -1,4 +1,4 @@
-"""The lines, points and texts that the drawings share. Imports Rerun."""
+"""The lines, points and texts that all views are made of. Imports Rerun."""
 
 from __future__ import annotations
 
@@ -18,13 +18,16 @@ _BLOCKS = (
     (0x3A3, 0x3C9),
     (0x400, 0x45F),
 )
-"""Latin, Greek and Cyrillic letters, as code points."""
+"""Ranges of code points that the viewer's font covers: Latin, Greek and Cyrillic letters."""
 
 _SYMBOLS = "‘’“”–—…•−±×→←≤≥∞√№€"
 
 
 def drawable(text: str) -> str:
-    """Replace what the viewer's font may lack: the headless viewer dies of a missing glyph."""
+    """Replace characters that the viewer's font may lack by "?".
+
+    The headless viewer crashes on a missing glyph.
+    """
     return "".join(c if c in "\n" or _has_glyph(c) else "?" for c in text)
 
 
@@ -34,14 +37,14 @@ def _has_glyph(character: str) -> bool:
 
 
 def screen_points(*sizes: float) -> FloatArray:
-    """Return radii that stay the same on the screen, however near one looks; shape (n,)."""
+    """Return radii in points that stay the same on the screen at any magnification, shape (n,)."""
     return np.asarray(rr.Radius.ui_points(np.array(sizes)), dtype=np.float64)
 
 
 def labels_2d(
     places: Sequence[Sequence[float]] | FloatArray, texts: list[str], colours: list[Colour]
 ) -> rr.Points2D:
-    """Return texts at places, shape (n, 2), each in its colour or all in one."""
+    """Return texts at positions of shape (n, 2), with one colour for each or one for all."""
     return rr.Points2D(
         np.asarray(places, dtype=np.float64),
         labels=[drawable(text) for text in texts],
@@ -54,7 +57,7 @@ def labels_2d(
 def labels_3d(
     places: Sequence[Sequence[float]] | FloatArray, texts: list[str], colours: list[Colour]
 ) -> rr.Points3D:
-    """Return texts at places, shape (n, 3), each in its colour or all in one."""
+    """Return texts at positions of shape (n, 3), with one colour for each or one for all."""
     return rr.Points3D(
         np.asarray(places, dtype=np.float64),
         labels=[drawable(text) for text in texts],
@@ -69,7 +72,13 @@ def lines_2d(
     colours: list[Colour],
     width: float,
 ) -> rr.LineStrips2D:
-    """Return polylines of (x, y) in their colours or all in one, `width` points wide each side."""
+    """Return polylines in a plane.
+
+    Args:
+        strips: Points (x, y) of each line, shape (points, 2) each.
+        colours: One colour for each line, or one for all.
+        width: Half width of the lines in points of the screen.
+    """
     return rr.LineStrips2D(
         [np.asarray(strip, dtype=np.float64) for strip in strips],
         colors=colours,
@@ -82,7 +91,13 @@ def lines_3d(
     colours: list[Colour],
     *widths: float,
 ) -> rr.LineStrips3D:
-    """Return polylines of (x, y, z), in their colours and widths or all in one."""
+    """Return polylines in space.
+
+    Args:
+        strips: Points (x, y, z) of each line, shape (points, 3) each.
+        colours: One colour for each line, or one for all.
+        widths: Half width in points of the screen, for each line or once for all.
+    """
     return rr.LineStrips3D(
         [np.asarray(strip, dtype=np.float64) for strip in strips],
         colors=colours,

@@ -1,4 +1,4 @@
-"""Fewer points that draw the same line."""
+"""Reduces the number of points of a line without changing how it looks."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from nufleet.shared.arrays import FloatArray
 def outline(values: FloatArray, points_max: int) -> NDArray[np.intp]:
     """Return the indices of at most `points_max` samples that draw the same line.
 
-    Each of points_max / 2 equal stretches keeps its lowest and its highest sample, so no peak is
-    lost; a short signal keeps all.
+    The signal is divided into points_max / 2 equal stretches, and each keeps its lowest and its
+    highest sample, so that no peak is lost. A signal that is short enough keeps all samples.
 
     Args:
-        values: shape (n,).
+        values: Samples of the signal in any unit, shape (n,).
+        points_max: Limit on the number of samples, at least 2.
 
     Returns:
         Increasing indices, shape (≤ points_max,).
@@ -25,7 +26,7 @@ def outline(values: FloatArray, points_max: int) -> NDArray[np.intp]:
         return np.arange(n)
     edges = np.linspace(0, n, points_max // 2 + 1).astype(int)
     begin, last = edges[:-1, np.newaxis], edges[1:, np.newaxis] - 1
-    # A row for each stretch; shorter ones repeat their last sample.
+    # One row of indices per stretch; shorter stretches repeat their last sample.
     rows = np.minimum(begin + np.arange(np.diff(edges).max(initial=1)), last)
     stretches = values[rows]
     ends = [stretches.argmin(axis=1), stretches.argmax(axis=1)]
@@ -34,13 +35,16 @@ def outline(values: FloatArray, points_max: int) -> NDArray[np.intp]:
 
 
 def thinned(points: FloatArray, points_max: int) -> FloatArray:
-    """Return at most `points_max` points, shape (≤ points_max, axes), that draw the same path.
+    """Return at most `points_max` points that draw the same path.
 
-    The extremes of every axis are kept, stretch by stretch, and both ends.
+    Both ends are kept, and the extremes of every axis in each stretch; see `outline`.
 
     Args:
-        points: in the order in which the path passes them, shape (n, axes).
-        points_max: at least 2 + 2 · axes.
+        points: Points in the order in which the path passes them, shape (n, axes).
+        points_max: Limit on the number of points, at least 2 + 2 · axes.
+
+    Returns:
+        The points that are kept, in the same order, shape (≤ points_max, axes).
     """
     n, axes = points.shape
     if n <= points_max:

@@ -1,4 +1,4 @@
-"""Draws the axes of a path seen from above. Imports Rerun."""
+"""Draws the axes of a path that is seen from above. Imports Rerun."""
 
 from __future__ import annotations
 
@@ -12,13 +12,21 @@ from nufleet.orchestrator.viewer.draw.path_frame import PathAxes
 PLOT = "tracking/plot"
 
 METRES = f"{PLOT}/path"
-"""What is below here is in the axes' unit; the rest of the plot in the drawing's own."""
+"""Entity below which positions are in the unit of the axes; elsewhere in the plot they are in the
+plot's own units."""
 
 
 def draw_axes(
     stream: rr.RecordingStream, axes: PathAxes, names: tuple[str, ...], unit: str
 ) -> None:
-    """Draw grid, ticks and the names of both axes, and put the paths into them; time is set."""
+    """Draw the grid, ticks and names of both axes, and transform the paths into their frame.
+
+    Args:
+        stream: Stream to draw on, with its time set.
+        axes: Range and ticks of the axes.
+        names: Names of the two axes, x and y.
+        unit: Unit of the axes.
+    """
     scale = axes.scale
     stream.log(METRES, rr.Transform3D(translation=[*axes.shift, 0.0], scale=[scale, -scale, 1.0]))
     low, high = axes.place(np.array([axes.low, axes.high]))
@@ -30,7 +38,7 @@ def draw_axes(
     lines += [[[left, y], [right, y]] for _, y in up]
     frame = [[left, top], [left, bottom], [right, bottom]]
     stream.log(f"{PLOT}/grid", lines_2d([*lines, frame], [GRID] * len(lines) + [QUIET], 0.5))
-    # The viewer writes a text below its place.
+    # The viewer writes a text below its position.
     texts = [([x, bottom + 2.0], f"{tick:g}") for tick, x in along]
     texts += [([left - 9.0, y - 3.5], f"{tick:g}") for tick, y in up]
     x_name, y_name = (f"{name} [{unit}]" for name in names)

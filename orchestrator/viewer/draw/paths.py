@@ -1,4 +1,4 @@
-"""Draws the flights along one path, seen from above: who keeps closer to it. Imports Rerun."""
+"""Draws the flights along one path from above, to compare how close they keep. Imports Rerun."""
 
 from __future__ import annotations
 
@@ -15,25 +15,28 @@ from nufleet.orchestrator.viewer.flights import Flight
 from nufleet.shared.arrays import FloatArray
 
 FRAME_S, TRAIL_S = 0.25, 2.0
-"""How often the flight in progress is drawn, and how much of its recent past is bright."""
+"""Interval between drawings of the flight in progress, and span of its past drawn as a bright trail
+behind the robot."""
 
 BODY_FRAME_S = 1.0
-"""How often what lies before the bright part is drawn."""
+"""Interval between drawings of the part before the bright trail."""
 
 TRAIL_POINTS, BODY_POINTS = 60, 400
+"""Limits on the number of points of the trail and of a whole flight."""
 
 BODY, EARLIER = 0.75, 0.45
-"""How bright the flight in progress is before its recent past, and how bright earlier ones."""
+"""Brightness of the flight in progress before its trail, and of earlier flights."""
 
 EARLIER_MAX = 12
-"""Earlier flights along the same path that stay in the picture."""
+"""Limit on the number of earlier flights along the same path that stay in the picture."""
 
 FOLLOW_S = 10.0
-"""Of several robots that fly at once one is shown, until it has been still for so long."""
+"""When several robots fly at once, the view follows one until it has been idle for this many
+seconds."""
 
 
 class Paths:
-    """The path, the flight in progress, those before it, and where a prior was taken back."""
+    """A view of the path, the current and earlier flights, and where priors were withdrawn."""
 
     def __init__(self, stream: rr.RecordingStream, palette: Palette) -> None:
         self._stream = stream
@@ -46,7 +49,7 @@ class Paths:
         self._begun = False
 
     def draw(self, flight: Flight) -> None:
-        """Draw what is new of a flight of a robot with two axes or more."""
+        """Draw the new samples of a flight of a robot with two or more axes."""
         if self._flight is not flight:
             if self._waits_for_another(flight):
                 return
@@ -73,7 +76,7 @@ class Paths:
         before, self._flight = self._flight, flight
         self._drawn = 0
         if before is not None and (before.robot, before.path) == (flight.robot, flight.path):
-            # What is flown, or sent, again replaces what was.
+            # A flight that is flown or sent again replaces its earlier version.
             others = [f for f in (*self._earlier, before) if f.label != flight.label]
             self._earlier = others[-EARLIER_MAX:]
         else:
@@ -87,7 +90,7 @@ class Paths:
             self._stream.reset_time()
 
     def _draw_once(self) -> None:
-        """Put the parts on top of one another in a fixed order."""
+        """Fix the order in which the parts cover one another."""
         for order, part in enumerate(("earlier", "desired", "actual", "trail"), start=40):
             self._stream.log(
                 f"{METRES}/{part}", rr.LineStrips2D.from_fields(draw_order=order), static=True
@@ -98,7 +101,7 @@ class Paths:
             )
 
     def _draw_path(self, flight: Flight) -> None:
-        """Draw the path as far as any of its flights came, and axes that fit it."""
+        """Draw the path as far as its longest flight went, and axes that fit it."""
         if len(flight.desired) <= len(self._longest):
             return
         self._longest = flight.desired[:, :2]
@@ -116,7 +119,7 @@ class Paths:
             self._stream.reset_time()
 
     def _draw_trail(self, flight: Flight, frames: list[int]) -> None:
-        """Draw the recent past up to each frame, and the robot."""
+        """Draw the robot at each frame, with the bright trail behind it."""
         if not frames:
             return
         colour = self._palette.of_prior(flight.prior)
@@ -156,7 +159,7 @@ class Paths:
         )
 
     def _draw_earlier(self) -> None:
-        """Draw what flew before, the better over the worse."""
+        """Draw the earlier flights, those with smaller errors on top."""
         flights = sorted(self._earlier, key=lambda flight: -flight.rms_error)
         self._stream.log(
             f"{METRES}/earlier",
@@ -168,7 +171,7 @@ class Paths:
         )
 
     def _draw_places(self, flight: Flight) -> None:
-        """Draw a ring where a prior was taken back; the one of this flight gets a label."""
+        """Draw a ring at each place where a prior was withdrawn; this flight's ring has a label."""
         taken = [f for f in (*self._earlier, flight) if f.taken_back_s is not None]
         if not taken:
             return
@@ -196,12 +199,12 @@ class Paths:
             self._stream.reset_time()
 
     def _whole(self, flight: Flight) -> bool:
-        """Whether a flight went as far along the path as any before it."""
+        """Return whether a flight went as far along the path as every earlier one."""
         lengths = [len(earlier.time_s) for earlier in self._earlier]
         return bool(lengths) and len(flight.time_s) >= max(lengths)
 
     def _draw_names(self, flight: Flight) -> None:
-        """Name the flights at the right, the better the higher, the one in progress below."""
+        """List the flights on the right by error, the smallest on top, the current one last."""
         done = sorted(self._earlier, key=lambda f: f.rms_error)
         whole = self._whole(flight)
         if whole:
@@ -230,7 +233,7 @@ def _result(flight: Flight, so_far: str = "") -> str:
 
 
 def _frames(time_s: FloatArray, first: int, every_s: float, *, and_last: bool) -> list[int]:
-    """Return the samples from `first` on at which a new frame begins."""
+    """Return the indices of the samples, from `first` on, at which a new frame begins."""
     frame = np.floor((time_s - time_s[0]) / every_s + 1e-9)
     new = np.flatnonzero(np.diff(frame, prepend=0.0) > 0)
     frames = [int(k) for k in new if k >= first]

@@ -1,4 +1,4 @@
-"""Draws what the robots are doing, as lanes over time. Imports Rerun."""
+"""Draws the states of the robots as lanes over time. Imports Rerun."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from nufleet.orchestrator.viewer.draw.log import Log
 from nufleet.orchestrator.viewer.draw.palette import Colour
 from nufleet.orchestrator.viewer.events import RobotStateEvent
 
-# Not the robots' colours: calm for what is planned, warm for what needs a person.
+# These differ from the robots' own colours: calm for planned states, warm for those that need a
+# person's attention.
 _STATES: dict[str, Colour] = {
     "idle": (84, 90, 104),
     "running": (54, 128, 140),
@@ -20,7 +21,7 @@ _STATES: dict[str, Colour] = {
 
 
 class RobotStates:
-    """One lane for each robot: idle, running, resting, stopped, fault or lost, and its progress."""
+    """A view with one lane for each robot that shows its status, and its progress as a series."""
 
     def __init__(self, stream: rr.RecordingStream, log: Log) -> None:
         self._stream = stream
@@ -34,7 +35,7 @@ class RobotStates:
         self._waiting.setdefault(event.robot, []).append(event)
 
     def draw(self) -> None:
-        """Draw what was kept, one message for each robot."""
+        """Draw the events that were kept, in one message for each robot."""
         waiting, self._waiting = self._waiting, {}
         for robot, events in waiting.items():
             self._draw_progress(robot, events)

@@ -1,4 +1,4 @@
-"""Draws the reference and the response of the running tests. Imports Rerun."""
+"""Draws the references and responses of running tests. Imports Rerun."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ from nufleet.orchestrator.viewer.events import TestSamplesEvent
 from nufleet.shared.arrays import FloatArray
 
 POINTS_MAX = 2000
-"""Points drawn of one signal of one test; a screen is not wider."""
+"""Limit on the points drawn of one signal of one test, about the width of a screen."""
 
 POINTS_PER_S = 200.0
-"""Points drawn of one second, for tests that come in parts; a robot follows no faster wave."""
+"""Limit on the points drawn per second, for tests that arrive in parts; enough for any wave that a
+robot can follow."""
 
 
 class TestSamples:
-    """Reference and response over time, one pair of lines for each robot and axis.
+    """A view of references and responses over time, one pair of lines for each robot and axis.
 
-    Before the first round is over all are shown, from then on the target and the leading sources.
+    All robots are shown until the first round is over, then the target and the leading sources.
     """
 
     __test__ = False  # pytest: not a test case
@@ -42,7 +43,7 @@ class TestSamples:
         self._waiting.setdefault((event.robot, event.axis), []).append(event)
 
     def draw(self) -> None:
-        """Draw what was kept, one message for each signal."""
+        """Draw the events that were kept, in one message for each signal."""
         waiting, self._waiting = self._waiting, {}
         for (robot, axis), events in waiting.items():
             if (robot, axis) not in self._units:
@@ -69,7 +70,7 @@ class TestSamples:
         )
 
     def show(self, target: str, leaders: Iterable[str]) -> None:
-        """Show these robots, in the palette's colours, and no others."""
+        """Show the target and the leading sources in the palette's colours, and hide all others."""
         self._shown = {target, *leaders}
         self._paint()
 

@@ -1,4 +1,4 @@
-"""Draws a flight over time: error, what the inverse model says, its share. Imports Rerun."""
+"""Draws a flight over time: its error, the inverse model and its share. Imports Rerun."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ from nufleet.orchestrator.viewer.flights import Flight
 from nufleet.shared.arrays import FloatArray
 
 POINTS_PER_S = 40.0
-"""Points drawn of one second of a signal; its view shows a minute or two."""
+"""Limit on the points drawn per second of a signal, for views that show a minute or two."""
 
 BAND_DEVIATIONS = 2.0
-"""Rerun draws one standard deviation around a measurement; it is told so many of them."""
+"""Half width of the band around the mean, in standard deviations. Rerun draws one standard
+deviation around a measurement, so variances are multiplied by the square of this."""
 
 
 class Signals:
-    """Time series whose colours say who gave the prior; between flights the lines are broken."""
+    """A view of time series coloured by the source of the prior, with gaps between flights."""
 
     def __init__(self, stream: rr.RecordingStream, palette: Palette) -> None:
         self._stream = stream
@@ -32,21 +33,21 @@ class Signals:
         self._marked: dict[str, float] = {}
 
     def draw(self, flight: Flight) -> None:
-        """Draw what is new of a flight, one message for each signal."""
+        """Draw the new samples of a flight, in one message for each signal."""
         new, flight.new = flight.new, []
         if new:
             time_s = flight.time_s[-sum(len(event.actual) for event in new) :]
             self._draw_error(flight, time_s, new)
             if len(flight.axes) == 1:
                 self._draw_position(flight, time_s, new)
-            # Where no inverse is at work, there is nothing to say of one.
+            # Without an inverse at work there is no model to draw.
             if any(event.variance.any() for event in new):
                 self._draw_inverse(flight, time_s, new)
                 self._draw_share(flight, time_s, new)
         self._mark(flight)
 
     def end(self, flight: Flight) -> None:
-        """Break the lines of a flight, so that the next one's are not joined to them."""
+        """End the lines of a flight, so that those of the next one are not joined to them."""
         after_s = float(flight.time_s[-1]) + flight.sample_time_s / 2
         for path in sorted(self._open.pop(flight.robot, set())):
             self._stream.send_columns(
@@ -59,7 +60,7 @@ class Signals:
         self, flight: Flight, time_s: FloatArray, new: list[TrackingSamplesEvent]
     ) -> None:
         error = 1e3 * np.linalg.norm(_joined(new, "actual") - _joined(new, "desired"), axis=1)
-        # By prior and not only by colour, so that the viewer can name the lines.
+        # One entity per prior, and not only one colour, so that the viewer can name the lines.
         path = f"tracking/error/{flight.robot}/{flight.prior}"
         self._line(flight, path, f"{flight.prior} [m{flight.unit}]", 1.5)
         self._send(path, time_s, error, _kept(error, flight))
@@ -115,7 +116,7 @@ class Signals:
         self._send(path, time_s, share, kept)
 
     def _mark(self, flight: Flight) -> None:
-        """Mark where the guard took the prior back, once the samples have come."""
+        """Mark where the guard withdrew the prior, once the samples have arrived."""
         at_s = flight.taken_back_s
         if at_s is None or at_s > flight.time_s[-1] or self._marked.get(flight.robot) == at_s:
             return
@@ -135,7 +136,7 @@ class Signals:
     def _line(
         self, flight: Flight, path: str, name: str, width: float, *, grey: bool = False
     ) -> None:
-        """Give a line its style, and its colour for this flight."""
+        """Set the style of a line, and its colour for this flight."""
         if path not in self._styled:
             self._styled.add(path)
             style = rr.SeriesLines.from_fields(
@@ -154,7 +155,7 @@ class Signals:
             )
 
     def _opened(self, flight: Flight, path: str) -> bool:
-        """Whether this is the first that is drawn of a signal of this flight."""
+        """Return whether nothing of this signal has been drawn in this flight, and note it."""
         paths = self._open.setdefault(flight.robot, set())
         if path in paths:
             return False

@@ -15,23 +15,26 @@ from nufleet.shared.distance.chordal import chordal_distance, riemann_sphere
 CENTRE = np.array([0.0, 0.0, 0.5])
 
 GAINS = (0.2, 0.5, 2.0, 5.0)
-"""Circles of latitude of the grid besides |z| = 1: responses of equal gain."""
+"""Gains |z| of the grid's circles of latitude, in addition to |z| = 1."""
 
 PHASES = 12
-"""Meridians of the grid: responses of equal phase."""
+"""Number of meridians of the grid; each joins responses of equal phase."""
 
 EYE = (0.5, -1.25, 0.85)
-"""Where the view looks from at first: over the responses, whose phases are mostly lags."""
+"""Initial position of the viewer's eye: above the responses, whose phases are mostly lags."""
 
 LABELS_HIGH, LABELS_LOW, LABEL_GAP = 0.32, -0.04, 0.06
-"""Where the chords' labels begin, above or below the sources, and how far apart they stand."""
+"""Height of the first label of the chords, above or below the sources, and distance between two
+labels."""
 
 
 class Sphere:
-    """The sphere (radius ½, standing on the plane at z = 0), the robots on it and the chords.
+    """A view of the Riemann sphere with the responses of the robots and the chords between them.
 
-    A round is drawn at its most telling tone; behind it the responses of all rounds, joined in
-    the order of frequency, show each robot's whole frequency response as far as it is known.
+    The sphere has radius ½ and touches the complex plane at its south pole, z = 0 (paper, Section
+    IV-A and Fig. 1). A round is drawn at the tone where the sources are farthest from the target;
+    behind it the responses of all rounds, joined in the order of frequency, show each robot's
+    frequency response as far as it is known.
     """
 
     def __init__(self, stream: rr.RecordingStream, palette: Palette) -> None:
@@ -42,7 +45,7 @@ class Sphere:
         self._known: dict[str, dict[float, complex]] = {}
 
     def begin(self) -> None:
-        """Draw the sphere itself."""
+        """Draw the static parts: the sphere, its grid and the labels of the phases."""
         self._stream.log(
             "sphere/grid",
             lines_3d(_grid(), [GRID], 0.6),
@@ -73,7 +76,7 @@ class Sphere:
         )
 
     def draw(self, event: IterationEvent) -> None:
-        """Draw one round; the time is set."""
+        """Draw one round at the time that is set on the stream."""
         for robot, tones in event.responses.items():
             self._known.setdefault(robot, {}).update(zip(event.omega_rad_s, tones, strict=False))
         leaders = leading_sources(event)
@@ -126,9 +129,16 @@ class Sphere:
 
 
 def _label_column(sources: FloatArray) -> FloatArray:
-    """Return places for labels before the sphere, one below the other, in the sources' order.
+    """Return positions for labels in front of the sphere, in a column as seen from `EYE`.
 
-    Labels at the chords themselves would cover one another, and what they name.
+    The labels are sorted by the height of their sources. Labels at the chords themselves would
+    cover one another and the chords that they name.
+
+    Args:
+        sources: Positions of the sources on the sphere, shape (n, 3).
+
+    Returns:
+        Positions of the labels in the order of the sources, shape (n, 3).
     """
     forward = (np.array(EYE) - CENTRE) / np.linalg.norm(np.array(EYE) - CENTRE)
     right = np.cross([0.0, 0.0, 1.0], forward) / np.hypot(*forward[:2])
@@ -142,7 +152,14 @@ def _label_column(sources: FloatArray) -> FloatArray:
 
 
 def _refined(path: ComplexArray) -> ComplexArray:
-    """Put points between those of a path, so that it follows the sphere instead of cutting it."""
+    """Return a path with interpolated points, so that it follows the sphere instead of cutting it.
+
+    Args:
+        path: Responses, shape (n,).
+
+    Returns:
+        Responses with 11 more points in each interval, shape (12 (n − 1) + 1,).
+    """
     places = np.linspace(0, len(path) - 1, 12 * (len(path) - 1) + 1)
     return np.asarray(np.interp(places, np.arange(len(path)), path), dtype=np.complex128)
 
@@ -156,7 +173,7 @@ def _grid() -> list[FloatArray]:
 
 
 def _body() -> tuple[FloatArray, FloatArray]:
-    """Vertices and triangles of the sphere, a little inside its grid."""
+    """Return the vertices (n, 3) and the triangles (m, 3) of a sphere slightly inside the grid."""
     rows, columns = 24, 48
     height = np.linspace(0, np.pi, rows + 1)[:, None]
     turn = np.linspace(0, 2 * np.pi, columns + 1)[None, :]

@@ -1,7 +1,7 @@
-"""Draws what is believed of every source's ψ_n(ω), over frequency. Imports Rerun.
+"""Draws the belief about every source's ψ_n(ω) over frequency. Imports Rerun.
 
-Rerun plots against time only. So this is a drawing in a plane at a fixed distance before a
-pinhole camera, whose 2D view can then be moved and magnified like a plot; unlike 2D drawings, it
+Rerun plots against time only. The plot is therefore drawn in a plane at a fixed distance in front
+of a pinhole camera, whose 2D view can be moved and magnified like a plot. Unlike 2D drawings, it
 may hold translucent areas.
 """
 
@@ -20,20 +20,20 @@ from nufleet.shared.arrays import FloatArray
 
 CAMERA = "psi/plot"
 DISTANCE = 400.0
-"""From the camera to the plane, in the plot's units, so that the view spans a usual angle."""
+"""Distance from the camera to the plane in the plot's units, chosen for a usual angle of view."""
 
-# Nearer to the camera is in front.
+# Distances in front of the plane: parts nearer to the camera cover those behind.
 _BAND, _LINE, _SAMPLES = 0.0, 0.5, 1.0
 
 _BANDS = ((2, 30), (1, 50))
-"""Standard deviations and opacity (of 255) of each band."""
+"""Half width in standard deviations and opacity (of 255) of each band."""
 
 FULL_PARTS = ("psi/samples", *(f"psi/band_{deviations}" for deviations, _ in _BANDS))
-"""Where the parts are that only the leading sources have."""
+"""Paths of the parts that are drawn only for the leading sources."""
 
 
 class Surrogates:
-    """The posterior mean, its bands of one and two standard deviations, and the samples."""
+    """A view of the posterior mean, bands of one and two standard deviations, and the samples."""
 
     def __init__(self, stream: rr.RecordingStream, palette: Palette) -> None:
         self._stream = stream
@@ -41,7 +41,7 @@ class Surrogates:
         self._in_full: set[str] = set()
 
     def begin(self) -> None:
-        """Put up the camera."""
+        """Place the camera."""
         self._stream.log(
             CAMERA,
             rr.Pinhole(
@@ -53,7 +53,7 @@ class Surrogates:
         )
 
     def draw(self, event: IterationEvent) -> None:
-        """Draw one round; the time is set."""
+        """Draw one round at the time that is set on the stream."""
         curves = {curve.source: curve for curve in event.curves if len(curve.omega_rad_s)}
         if not curves:
             return
@@ -117,7 +117,7 @@ class Surrogates:
         )
 
     def _draw_worst(self, axes: Axes, event: IterationEvent, leaders: list[str]) -> None:
-        """Lead from every leader's worst case to its name at the right of the plot."""
+        """Draw a line from every leader's worst case to its name on the right of the plot."""
         rows = [row for row in event.ranking if row.robot in leaders]
         across = axes.x(np.array([row.omega_rad_s for row in rows]))
         down = axes.y(np.array([row.psi for row in rows]))
@@ -166,9 +166,17 @@ def _band(
 
 
 def _place(axes: Axes, omega_rad_s: FloatArray, psi: FloatArray, front: float) -> FloatArray:
-    """Return points of the plane before the camera, shape (n, 3), that are seen at x and y.
+    """Return points in front of the camera that are seen at the given ω and ψ of the plot.
 
-    `front` brings them nearer to the camera, and in along the line of sight.
+    Args:
+        axes: Scales of the plot.
+        omega_rad_s: Frequencies, shape (n,).
+        psi: Chordal distances, shape (n,).
+        front: Distance in front of the plane, in the plot's units. Points move along the line of
+            sight, so that they are seen at the same place.
+
+    Returns:
+        Points in the camera's frame (right, down, forward), shape (n, 3).
     """
     depth = DISTANCE - front
     across = (axes.x(omega_rad_s) - WIDTH / 2) * depth / DISTANCE

@@ -1,4 +1,4 @@
-"""Draws flights along paths: where the robot goes and what its model does. Imports Rerun."""
+"""Draws flights along paths: the robot's position and its inverse model. Imports Rerun."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from nufleet.orchestrator.viewer.flights import Flight, Outcomes
 from nufleet.orchestrator.viewer.shown import Shown
 
 TABLE_EVERY_S = 1.0
-"""How often the table of errors is written, in the time of the flights."""
+"""Interval between writes of the table of errors, on the viewer's clock."""
 
 
 class Tracking:
-    """The flights of a robot one after another, or of several robots."""
+    """The views of flights along paths, of one or several robots."""
 
     def __init__(self, stream: rr.RecordingStream, palette: Palette, shown: Shown) -> None:
         self._stream = stream
@@ -33,7 +33,7 @@ class Tracking:
         self._waiting.append(event)
 
     def draw(self) -> None:
-        """Draw what was kept, one message for each signal of each flight."""
+        """Draw the events that were kept, in one message for each signal of each flight."""
         waiting, self._waiting = self._waiting, []
         for event in waiting:
             if isinstance(event, TakenBackEvent):

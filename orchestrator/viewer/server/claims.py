@@ -1,4 +1,4 @@
-"""Checks that a file can be written and a port listened on, before a study relies on it."""
+"""Checks that files can be written and ports listened on, before a study relies on them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,11 @@ from nufleet.shared.errors import EndpointInUseError, InvalidInputError
 
 
 def claim_recording(path: Path) -> Path:
-    """Create an empty recording; raises InvalidInputError where it cannot be, or where one is."""
+    """Create an empty recording and return its path.
+
+    Raises:
+        InvalidInputError: The file exists already, or cannot be written.
+    """
     try:
         with path.open("xb"):
             return path
@@ -24,7 +28,15 @@ def claim_recording(path: Path) -> Path:
 
 
 def claim_port(bind_ip: str, port: int) -> int:
-    """Return the port to listen on, a free one for 0; raises EndpointInUseError when taken."""
+    """Return the port to listen on.
+
+    Args:
+        bind_ip: Address of the network interface.
+        port: Port that is wanted; 0 for any free one.
+
+    Raises:
+        EndpointInUseError: The port is in use, or may not be listened on.
+    """
     family = socket.AF_INET6 if ":" in bind_ip else socket.AF_INET
     with socket.socket(family, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -40,10 +52,10 @@ def claim_port(bind_ip: str, port: int) -> int:
 
 
 def reachable(bind_ip: str) -> str:
-    """Return the address under which this machine reaches what listens on `bind_ip`."""
+    """Return the address under which this machine reaches a server that listens on `bind_ip`."""
     return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(bind_ip, bind_ip)  # noqa: S104 - compared only
 
 
 def host_in_url(ip: str) -> str:
-    """Return an address as URLs write it."""
+    """Return an IP address in the notation of URLs, IPv6 in brackets."""
     return f"[{ip}]" if ":" in ip else ip

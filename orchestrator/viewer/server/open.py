@@ -1,4 +1,4 @@
-"""Opens a recording, or a study that is running: in a window, in a browser, or as a picture."""
+"""Opens a recording or a running study in a window or in a browser."""
 
 from __future__ import annotations
 
@@ -19,11 +19,17 @@ LOCALHOST = "127.0.0.1"
 def open_native(source: Path | str) -> subprocess.Popen[bytes]:
     """Open a recording, or a running study by its `live_url`, in the viewer's own window.
 
-    The window stays when this process ends; wait for the returned process to wait for the window.
+    The window stays open when this process ends.
+
+    Args:
+        source: Path of a recording, or URL of a running study.
+
+    Returns:
+        The viewer's process, which ends when its window is closed.
 
     Raises:
-        InvalidInputError: there is no such recording.
-        NufleetError: there is no display here.
+        InvalidInputError: The recording does not exist.
+        NufleetError: This machine has no display.
     """
     if sys.platform == "linux" and not _has_display():
         raise NufleetError(
@@ -32,7 +38,7 @@ def open_native(source: Path | str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
         [
             *(str(rerun_program()), checked_source(source)),
-            # A port of its own: left to itself the window takes the one a live study is watched at.
+            # Without a port of its own the window would take the one that serves live studies.
             *("--bind", LOCALHOST, "--port", str(claim_port(LOCALHOST, 0))),
         ],
         stdin=subprocess.DEVNULL,
@@ -47,17 +53,17 @@ def open_web(
     """Show a recording, or a running study by its `live_url`, in a browser.
 
     Args:
-        source: a path, or a URL.
-        bind_ip: who may see it: this machine only, unless another address is given.
-        port: of the page; 0 for any free one.
-        browse: open the user's browser, too.
+        source: Path of a recording, or URL of a running study.
+        bind_ip: Address of the network interface to serve on; the default admits this machine only.
+        port: Port of the page; 0 for any free one.
+        browse: Whether to open the user's browser as well.
 
     Returns:
-        The server, whose page is there until it is closed.
+        The server, whose page is available until it is closed.
 
     Raises:
-        InvalidInputError: there is no such recording.
-        EndpointInUseError: the port is taken.
+        InvalidInputError: The recording does not exist.
+        EndpointInUseError: The port is in use.
     """
     server = ViewerServer(checked_source(source), bind_ip=bind_ip, web_port=port)
     server.open()
@@ -67,7 +73,11 @@ def open_web(
 
 
 def checked_source(source: Path | str) -> str:
-    """Return what the viewer is to open; raises InvalidInputError for a file that is not there."""
+    """Return the URL or the absolute path for the viewer to open.
+
+    Raises:
+        InvalidInputError: The file does not exist, or is not a Rerun recording.
+    """
     if isinstance(source, str) and "://" in source:
         return source
     path = Path(source)

@@ -1,4 +1,4 @@
-"""Passes the web viewer's page on to browsers, with orders not to talk to anybody else."""
+"""Serves the web viewer's page to browsers, with a policy that forbids all other connections."""
 
 from __future__ import annotations
 
@@ -18,11 +18,17 @@ PASSED_ON = ("Content-Type", "Content-Length", "Content-Encoding", "rerun-final-
 
 
 def serve_page(bind_ip: str, port: int, *, upstream_port: int, data_port: int) -> None:
-    """Serve on `bind_ip`:`port`, from a thread, what the web viewer serves on `upstream_port`.
+    """Serve the web viewer's page from a thread, as a proxy that adds a security policy.
 
-    In the browser Rerun's viewer sends usage statistics and loads fonts, and no setting of its own
-    keeps it from that. A content security policy does: the page may connect to where it came from
-    and to the data, on `data_port` of any host, and nowhere else.
+    In the browser Rerun's viewer sends usage statistics and loads fonts, and none of its settings
+    prevents that. A content security policy does: the page may connect to its own origin and to the
+    data port of any host, and to nothing else.
+
+    Args:
+        bind_ip: Address of the network interface to listen on.
+        port: Port to listen on.
+        upstream_port: Port on which the web viewer itself listens, at the same address.
+        data_port: Port from which the page reads its data.
     """
     policy = (
         f"connect-src 'self' blob: data: http://*:{data_port}; "
@@ -49,7 +55,7 @@ def serve_page(bind_ip: str, port: int, *, upstream_port: int, data_port: int) -
                 self.send_error(HTTPStatus.BAD_GATEWAY)
 
         def log_message(self, *_: object) -> None:
-            """Say nothing: requests are of no interest."""
+            """Log nothing: by default every request is written to stderr."""
 
     class Server(ThreadingHTTPServer):
         address_family = socket.AF_INET6 if ":" in bind_ip else socket.AF_INET

@@ -26,7 +26,7 @@ TIMEOUT_S = 60.0
 POLL_S = 0.1
 
 NO_GRAPHICS = "No graphics adapter was found"
-"""What the viewer says where no graphics driver is installed."""
+"""Message of the viewer on a machine without a graphics driver."""
 
 
 def screenshot(
@@ -35,17 +35,17 @@ def screenshot(
     """Save a picture of a recording as the viewer shows it.
 
     Args:
-        recording: a file that a study left.
-        png: the file to write.
-        size: width and height in pixels.
-        at_s: the moment of the study; None for its end.
+        recording: File of a study's recording.
+        png: File to write.
+        size: Width and height in pixels.
+        at_s: Time on the viewer's clock to show; None for the end of the recording.
 
     Returns:
-        What the viewer could not draw, in its words; empty when all went well.
+        Messages of the viewer about anything that it could not draw; empty when all went well.
 
     Raises:
-        InvalidInputError: the recording cannot be read or the picture not written.
-        NufleetError: no graphics driver is installed, or the viewer failed.
+        InvalidInputError: The recording cannot be read, or the picture cannot be written.
+        NufleetError: No graphics driver is installed, or the viewer failed.
     """
     source = checked_source(recording)
     deadline = time.monotonic() + TIMEOUT_S
@@ -81,7 +81,7 @@ def _headless_viewer(size: tuple[int, int], deadline: float) -> Iterator[ViewerC
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
-            # What is logged at lower levels would pop up in the picture.
+            # Messages of lower levels would pop up in the picture.
             env={**rerun_environment(), "RUST_LOG": "error"},
         ) as process,
     ):
@@ -121,7 +121,10 @@ def _go_to(viewer: ViewerClient, state: ViewerState, at_s: float | None) -> None
 
 
 def _when_still(viewer: ViewerClient, deadline: float) -> bytes:
-    """Return the picture once two in a row are equal: views load and move into place."""
+    """Return the first picture that equals the one before it.
+
+    Until then views are still loading and moving into place.
+    """
     before = viewer.take_screenshot()
     while True:
         _wait(deadline, "the picture does not come to rest")

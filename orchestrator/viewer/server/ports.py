@@ -1,9 +1,9 @@
-"""Where a running study can be watched, unless it is told otherwise."""
+"""The default ports under which a running study can be watched."""
 
 from __future__ import annotations
 
 GRPC_PORT = 9876
-"""Native viewers connect here; Rerun's own default."""
+"""Port for native viewers, Rerun's own default."""
 
 WEB_PORT = 9090
-"""The page for browsers."""
+"""Port of the page for browsers."""

@@ -1,4 +1,4 @@
-"""Rerun's own program: where it is and the environment it runs in."""
+"""The location of Rerun's viewer program, and the environment that it runs in."""
 
 from __future__ import annotations
 
@@ -10,12 +10,19 @@ from nufleet.shared.errors import NufleetError
 
 
 def rerun_program() -> Path:
-    """Return the viewer's binary; pip's `rerun` command is a wrapper that leaves it orphaned."""
+    """Return the path of the viewer's binary.
+
+    The `rerun` command that pip installs is a wrapper that leaves the viewer running when the
+    wrapper is ended.
+
+    Raises:
+        NufleetError: The viewer is not installed.
+    """
     package = find_spec("rerun_cli")
     if package is None or package.origin is None:
         raise NufleetError("the Rerun viewer is missing; install the package rerun-sdk")
     folder = Path(package.origin).parent
-    # On macOS it may come as an application.
+    # On macOS it may be installed as an application.
     for name in ("rerun", "Rerun.app/Contents/MacOS/Rerun"):
         if (folder / name).exists():
             return folder / name
@@ -23,10 +30,10 @@ def rerun_program() -> Path:
 
 
 def rerun_environment() -> dict[str, str]:
-    """Return the environment in which Rerun sends no usage statistics.
+    """Return the environment variables with which Rerun sends no usage statistics.
 
-    They are on by default. Rerun has a command that turns them off for a user's whole account;
-    `CI` turns them off for one process and leaves the account as it is.
+    Statistics are on by default. Rerun has a command that turns them off for a user's whole
+    account; `CI` turns them off for one process and leaves the account as it is.
     """
     environment = {k: v for k, v in os.environ.items() if k != "FORCE_RERUN_ANALYTICS"}
     return {**environment, "CI": "1"}

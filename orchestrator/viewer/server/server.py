@@ -1,4 +1,4 @@
-"""Rerun's server, as a process of its own: what viewers connect to, and the page for browsers."""
+"""Rerun's server in a process of its own: the data for viewers, and the page for browsers."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ START_TIMEOUT_S = 20.0
 END_TIMEOUT_S = 5.0
 
 MEMORY = "256MB"
-"""A viewer that connects late gets at most so much of the history."""
+"""Limit on the history that the server keeps for viewers that connect late."""
 
-# What the program prints once it listens.
+# Messages that the program prints once it listens.
 _SERVING = "Listening for gRPC connections"
 _HOSTING = "Hosting a web-viewer"
 
@@ -32,9 +32,9 @@ log = logging.getLogger(__name__)
 class ViewerServer:
     """Takes data from one writer, or from a recording, and serves it; a context manager.
 
-    It ends with this process, however that ends. Rerun could also serve from within our process,
-    but then a viewer that hangs makes the study's process keep what it does not read, and the
-    page is served on every network interface.
+    The server ends with this process, even when this process is killed. Rerun could also serve from
+    within this process, but then a viewer that hangs would make the study's process keep all unread
+    data, and the page would be served on every network interface.
     """
 
     def __init__(
@@ -43,12 +43,12 @@ class ViewerServer:
         """Prepare a server.
 
         Args:
-            source: a recording's path, or the URL of another server, for which only the page is
-                served; None to serve what is written to `live_url`.
-            bind_ip: the network interface to listen on, by the address under which browsers reach
-                the page: no other page may read the data.
-            data_port: what viewers connect to; 0 for any free one.
-            web_port: of the page; 0 for any free one, None for no page.
+            source: Path of a recording, or URL of another server, for which only the page is
+                served; None to serve the data that are written to `live_url`.
+            bind_ip: Address of the network interface to listen on. Browsers must reach the page
+                under this address, because no other page may read the data.
+            data_port: Port that viewers connect to; 0 for any free one.
+            web_port: Port of the page; 0 for any free one, None for no page.
         """
         self._source = source
         self._bind_ip = bind_ip
@@ -59,35 +59,35 @@ class ViewerServer:
 
     @property
     def live_url(self) -> str:
-        """What native viewers, and who writes, connect to."""
+        """URL that native viewers and the writer connect to."""
         if self._source is not None and "://" in self._source:
             return self._source
         return f"rerun+http://{self._host}:{self._data_port}/proxy"
 
     @property
     def web_url(self) -> str | None:
-        """The page that shows it in a browser."""
+        """URL of the page for browsers; None when there is none."""
         if self._web_port is None:
             return None
-        # It shows this alone, without what it remembers of the layout of earlier runs.
+        # The page shows this source alone, and does not restore the layout of earlier runs.
         options = "hide_welcome_screen=true&persist=false&theme=dark"
         return f"{self._origin}/?url={quote(self.live_url, safe='')}&{options}"
 
     @property
     def url(self) -> str:
-        """What to open: the page, or without one what native viewers connect to."""
+        """URL to open: that of the page or, without a page, that for native viewers."""
         return self.web_url or self.live_url
 
     @property
     def alive(self) -> bool:
-        """Whether it is being served."""
+        """Whether the server is running."""
         return self._process is not None and self._process.poll() is None
 
     def open(self) -> None:
-        """Start to serve; returns when viewers can connect. Calling it twice does nothing more.
+        """Start to serve, and return when viewers can connect; calling it again has no effect.
 
         Raises:
-            EndpointInUseError: a port is taken, or may not be listened on.
+            EndpointInUseError: A port is in use, or may not be listened on.
         """
         if self._process is not None:
             return
@@ -99,7 +99,8 @@ class ViewerServer:
             stdout=self._output,
             stderr=subprocess.STDOUT,
             env={**rerun_environment(), "RUST_LOG": "info"},
-            # The terminal's Ctrl-C is for this process: the viewers are to see how it ends.
+            # A session of its own keeps the terminal's Ctrl-C away from the server, so that viewers
+            # still see how the study ends.
             start_new_session=True,
         )
         deadline = time.monotonic() + START_TIMEOUT_S
@@ -115,7 +116,7 @@ class ViewerServer:
             self._process.wait()
 
     def close(self, *, timeout_s: float = END_TIMEOUT_S) -> None:
-        """Stop serving. Calling it twice does nothing more."""
+        """Stop serving; calling it again has no effect."""
         if self._process is not None and self._process.stdin is not None:
             self._process.stdin.close()
             try:
@@ -150,7 +151,7 @@ class ViewerServer:
         return f"http://{self._host}:{self._web_port}"
 
     def _command(self) -> tuple[list[str], list[str]]:
-        """The arguments for `tethered`, and what Rerun prints when it serves."""
+        """Return the arguments for `tethered`, and the messages that Rerun prints when it serves."""
         options = ["--bind", self._bind_ip]
         command = [str(rerun_program()), "--bind", self._bind_ip]
         expected = []
@@ -160,8 +161,8 @@ class ViewerServer:
             self._data_port = claim_port(self._bind_ip, self._data_port)
             command += ["--port", str(self._data_port), "--server-memory-limit", MEMORY]
             if self._web_port is not None:
-                # Pages from elsewhere, in the same browser, must not read what a fleet does. Those
-                # of this machine, by the names localhost and 127.0.0.1, Rerun always admits.
+                # Other pages open in the same browser must not read the fleet's data. Rerun always
+                # admits pages of this machine under the names localhost and 127.0.0.1.
                 command += ["--cors-allow-origin", self._origin]
             expected += [_SERVING]
         if self._web_port is None:
@@ -180,5 +181,5 @@ class ViewerServer:
     def _said(self) -> str:
         if self._output is None:
             return ""
-        # The process writes at the same file offset, so it is read without moving that.
+        # The process writes at the shared file offset, so read without moving it.
         return os.pread(self._output.fileno(), 20_000, 0).decode(errors="replace").strip()

@@ -1,6 +1,6 @@
-"""Runs Rerun's server for as long as standard input stays open, and its page beside it.
+"""Runs Rerun's server, and serves its page, for as long as standard input stays open.
 
-Rerun knows nothing of its parent: without this it would live on when that dies.
+Rerun does not watch its parent process: without this wrapper it would outlive a parent that dies.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ from nufleet.orchestrator.viewer.server.page import serve_page
 from nufleet.shared.lifeline import when_stdin_closes
 
 GRACE_S = 1.0
+"""Time that the command has to end after SIGTERM before it is killed."""
 
 
 def main(arguments: list[str]) -> int:
-    """Run the command that follows the options to its end; returns its exit code."""
+    """Run the command that follows the options until it ends, and return its exit code."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--bind", required=True)
     parser.add_argument("--page", type=int, help="serve the web viewer's page on this port")
