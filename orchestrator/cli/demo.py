@@ -1,4 +1,4 @@
-"""`nufleet demo`: the whole job, end to end, on this machine."""
+"""`nufleet demo`: the whole workflow, end to end, on this machine."""
 
 from __future__ import annotations
 

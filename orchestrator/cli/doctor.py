@@ -1,4 +1,4 @@
-"""`nufleet doctor`: is everything there that nufleet needs."""
+"""`nufleet doctor`: check that everything that nufleet needs is installed and works."""
 
 from __future__ import annotations
 

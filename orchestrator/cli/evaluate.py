@@ -1,4 +1,4 @@
-"""`nufleet evaluate`: does the prediction hold in flight."""
+"""`nufleet evaluate`: test in flight whether the prediction holds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nufleet fleet status`: who is there and what each robot does."""
+"""`nufleet fleet status`: list the robots of a fleet and their states."""
 
 from __future__ import annotations
 

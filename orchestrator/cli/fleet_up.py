@@ -1,4 +1,4 @@
-"""`nufleet fleet up`: a router and the simulated robots of a fleet file, in the foreground."""
+"""`nufleet fleet up`: run a router and the simulated robots of a fleet file in the foreground."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nufleet gap`: how far two models are from each other, and what a controller makes of it."""
+"""`nufleet gap`: measure how far apart two models are, and whether a controller suits both."""
 
 from __future__ import annotations
 

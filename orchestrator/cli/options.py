@@ -13,7 +13,7 @@ from nufleet.orchestrator.environment import REPOSITORY_VARIABLE, ROUTER_VARIABL
 
 
 class PositiveNumber(click.ParamType[float]):
-    """A finite number above zero, between bounds if there are some; in words where it is not."""
+    """A finite number above zero, within optional bounds; other values are refused in words."""
 
     name = "number"
 
@@ -23,7 +23,7 @@ class PositiveNumber(click.ParamType[float]):
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> float:
-        """Return the number; fails as click does."""
+        """Return the number; reports an invalid one as click does, by raising its usage error."""
         try:
             number = float(str(value))
         except ValueError:
@@ -112,7 +112,7 @@ def fleet_option(command: F) -> F:
 
 
 def drawing_robots_options(command: F) -> F:
-    """Add --fleet, --connect and --fleet-name, and --robot: whose limits count."""
+    """Add --fleet, --connect, --fleet-name and --robot: the robots whose limits count."""
     robots = click.option(
         "--robot",
         "robots",

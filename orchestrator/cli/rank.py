@@ -1,4 +1,4 @@
-"""`nufleet rank`: which source's experience is closest to the target."""
+"""`nufleet rank`: rank the sources by how close their dynamics are to those of the target."""
 
 from __future__ import annotations
 

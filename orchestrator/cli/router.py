@@ -1,4 +1,4 @@
-"""`nufleet router`: the Zenoh router that a fleet meets at."""
+"""`nufleet router`: run the Zenoh router that connects a fleet."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import click
 
 
 class _Endpoint(click.types.StringParamType):
-    """An endpoint; several in the environment are apart by commas, since paths hold spaces."""
+    """An endpoint. Several in an environment variable are separated by commas, since paths may
+    hold spaces."""
 
     envvar_list_splitter = ","
 

@@ -1,4 +1,4 @@
-"""`nufleet runs`: list what earlier runs left behind, show it, and go on with it."""
+"""`nufleet runs`: list, show, export and resume earlier runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nufleet stop` and `nufleet release`: a latched stop, and the separate act that ends it."""
+"""`nufleet stop` and `nufleet release`: latch a stop, and end it by a separate command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`nufleet transfer`: hand a source's experience to a target."""
+"""`nufleet transfer`: transfer a source's experience to a target."""
 
 from __future__ import annotations
 

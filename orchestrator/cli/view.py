@@ -1,4 +1,4 @@
-"""`nufleet view`: look at a run, or at the one that is running."""
+"""`nufleet view`: open the recording of a run, or watch the one in progress."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ def report_of(
         speeds: Largest speeds to consider, in m/s.
 
     Raises:
-        InvalidInputError: the points are no path.
+        InvalidInputError: The points are no path.
     """
     shape = shape_of(points)
     durations = [_duration(points, speed, robot) for robot in robots for speed in speeds]

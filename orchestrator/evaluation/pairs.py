@@ -158,7 +158,7 @@ def _regrets(target: EvaluationResult, base: float) -> tuple[float, float]:
     largest error of the others if that is larger.
     """
     finished = [s.rms_m for s in target.sources if s.rms_m is not None]
-    unfinished = max([2 * base, *finished])
+    unfinished = max([2 * base, *finished])  # a finite penalty keeps the mean over targets finite
     errors = [unfinished if s.rms_m is None else s.rms_m for s in target.sources]
     best = min(errors)
     return (errors[0] - best) / base, (float(np.mean(errors)) - best) / base

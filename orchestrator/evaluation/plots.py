@@ -40,7 +40,7 @@ def fig4(
             as dashed lines.
 
     Raises:
-        InvalidInputError: no study has a second iteration.
+        InvalidInputError: No study has a second iteration.
     """
     second, last = second_and_last(estimates)
     sources = sorted(last, key=lambda source: float(np.median(last[source])))
@@ -105,7 +105,7 @@ def fig7(png: Path, errors: Sequence[FlightError]) -> None:
         errors: All flights of one target.
 
     Raises:
-        InvalidInputError: there are no flights.
+        InvalidInputError: There are no flights.
     """
     if not errors:
         raise InvalidInputError("there are no flights to be drawn")
@@ -178,7 +178,7 @@ def paths(png: Path, flown: Sequence[FlownPath]) -> None:
         flown: Flights of one target, with their paths in m.
 
     Raises:
-        InvalidInputError: there are no flights.
+        InvalidInputError: There are no flights.
     """
     if not flown:
         raise InvalidInputError("there are no flights to be drawn")

@@ -56,7 +56,7 @@ def repeat_study(
         Estimates of all studies, and all responses that they measured.
 
     Raises:
-        StudyError: a study cannot go on, since the target or every source is gone.
+        StudyError: A study cannot continue, because the target or every source is gone.
     """
     specs = {robot: description.spec for robot, description in ready.descriptions.items()}
     studies = []

@@ -150,6 +150,7 @@ def prepare_robots(
             say(f"{target.robot} flies for {plan.flight_s:.0f} s to know its own baseline")
             pilot.rich(target.robot, duration_s=plan.flight_s, seed=plan.seed)
 
+    # The target's flight and the sources' training take minutes each, so they run side by side.
     with ThreadPoolExecutor(1, thread_name_prefix="baseline") as pool:
         baseline = pool.submit(learn_baseline)
         if lacking:

@@ -28,7 +28,7 @@ def second_and_last(
         source's name to one value per study. Both are dimensionless, in [0, 1].
 
     Raises:
-        InvalidInputError: no study has a second iteration.
+        InvalidInputError: No study has a second iteration.
     """
     ends: dict[int, int] = {}
     for estimate in estimates:
@@ -65,6 +65,7 @@ def reduction(errors: Sequence[FlightError], prior: str) -> float | None:
         for e in errors
         if e.prior == prior and 0 < before.get((e.drawing, e.speed_m_s), 0.0) < np.inf
     ]
+    # An unfinished flight has an infinite error, which no mean can include.
     return 1 - float(np.mean(ratios)) if ratios and np.isfinite(ratios).all() else None
 
 

@@ -30,7 +30,7 @@ def scatter(png: Path, pairs: Sequence[TransferPair]) -> None:
         pairs: Pairs to draw; each target gets a colour.
 
     Raises:
-        InvalidInputError: fewer than two pairs.
+        InvalidInputError: There are fewer than two pairs.
     """
     if len(pairs) < 2:
         raise InvalidInputError(f"a rank correlation needs two pairs at least, got {len(pairs)}")

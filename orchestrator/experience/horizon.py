@@ -66,6 +66,8 @@ def candidate_layouts(
         relative_degree: Delay of the robot in samples, a lower limit of the horizon.
         candidates_s: Horizons to try, in s.
     """
+    # A horizon below the delay would ask for an output that the reference cannot influence yet, and
+    # a preview needs at least four samples to place its inputs.
     least = max(relative_degree, 4 if architecture == "preview" else 1)
     horizons = sorted(
         {min(max(least, round(s / sample_time_s)), HORIZON_SAMPLES_MAX) for s in candidates_s}
@@ -108,14 +110,14 @@ def choose_horizon(
         The layout with the chosen horizon, and the errors of all candidates.
 
     Raises:
-        StudyError: no candidate could be flown.
+        StudyError: No candidate could be flown.
     """
     errors = {layout.horizon_samples: math.inf for layout in layouts}
     failures = 0
     for layout in reversed(layouts):
         if failures == FAILURES_MAX:
             break
-        best = min(errors.values())
+        best = min(errors.values())  # infinite until a horizon has worked
         data = TrainingData(*pooled_pairs(layout, record, columns))
         worst = fly(linear_experience(data, layout, origin))
         # The second flight is only needed when the first leaves the horizon in the running.
@@ -137,5 +139,6 @@ def choose_horizon(
             f"baseline; let it learn the other kind (--architecture {other}), or from a longer "
             "flight (--duration)"
         )
+    # Trials are in ascending order of the horizon: the last is the longest, the first the shortest.
     alike = [i for i, trial in enumerate(trials) if trial.rms_error <= _CLOSE * best]
     return HorizonChoice(layouts[alike[-1 if layouts[0].architecture == "state" else 0]], trials)

@@ -29,6 +29,7 @@ def linear_experience(
     Returns:
         An experience with a single linear layer.
     """
+    # The floor avoids a division by zero for an input that never changes.
     scale = np.maximum(data.inputs.std(axis=0), 1e-12)
     scaled = data.inputs / scale
     weights = ridge(scaled, data.gamma, _RIDGE)
@@ -52,6 +53,7 @@ def linear_experience(
         seed=0,
         training_version="linear",
     )
+    # The manifest's input_scale divides the inputs again, so the weights fit scaled inputs.
     arrays = {
         "weight_0": (gain * weights[:, np.newaxis]).astype(np.float32),
         "bias_0": np.zeros(1, np.float32),

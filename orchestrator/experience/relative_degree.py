@@ -43,12 +43,15 @@ def relative_degree(reference: FloatArray, response: FloatArray) -> int:
     asked = reference[window] - reference[steps - 1, np.newaxis]
     signs, height = np.sign(asked[:, -1:]), float(np.abs(asked[:, -1]).max())
     ends = np.flatnonzero(moves[:-1] & ~moves[1:])
+    # The level before each step is an average over a 32nd of the shortest held stretch, directly
+    # before the step, where the response to the previous step has settled most.
     held = int((steps[1:] - ends[: len(steps) - 1]).min())
     before = response[steps[:, np.newaxis] - 1 - np.arange(max(1, held // 32))]
     answers = (response[window] - before.mean(axis=1, keepdims=True)) * signs
     # The standard error at the step itself, where nothing can have responded yet. It covers the
     # noise and the remains of earlier steps, which enter with either sign equally often.
     error = answers[:, 0].std(ddof=1) / math.sqrt(len(steps))
+    # The second term is for simulators without noise, whose standard error is only rounding.
     stands_out = np.abs(answers.mean(axis=0)) > _NOISES * error + 1e-9 * height
     if not stands_out.any():
         raise StudyError(f"the robot did not answer to steps of {height:g}")

@@ -119,9 +119,11 @@ def train(
         )
     chosen = np.linspace(0, len(data.gamma) - 1, points).round().astype(int)
     inputs, gamma = data.inputs[chosen], data.gamma[chosen]
+    # The middle one of every five stretches is held back, so that learned ones surround it.
     held_back = (
         np.arange(points) * _BLOCKS // points
     ) % _VALIDATION_EVERY == _VALIDATION_EVERY // 2
+    # Standardize with the points learned from alone: those held back must stay unseen.
     mean, scale = inputs[~held_back].mean(axis=0), inputs[~held_back].std(axis=0)
     offset, spread = float(gamma[~held_back].mean()), float(gamma[~held_back].std())
     if spread == 0 or (scale == 0).any():
@@ -210,6 +212,8 @@ def _descend(
 ) -> tuple[torch.nn.Sequential, float]:
     import torch
 
+    # AdamW with a cosine schedule (Loshchilov and Hutter 2017, 2019). The network with the smallest
+    # error on the points held back is kept, whichever step it came from (early stopping).
     optimizer = torch.optim.AdamW(
         network.parameters(), lr=_LEARNING_RATE, weight_decay=_WEIGHT_DECAY
     )
@@ -255,6 +259,8 @@ def _network(linear: FloatArray, generator: torch.Generator) -> torch.nn.Sequent
             bound = layer.in_features**-0.5  # torch's own choice for a linear layer
             layer.weight.uniform_(-bound, bound, generator=generator)
             layer.bias.uniform_(-bound, bound, generator=generator)
+        # Units 0 and 1 of each hidden layer pass max(0, w·x) and max(0, −w·x) on: they take nothing
+        # from the random units, and ReLU leaves their non-negative values unchanged.
         for layer in layers[:-1]:
             layer.weight[:2] = 0.0
             layer.bias[:2] = 0.0

@@ -65,7 +65,7 @@ def trajectory(points: FloatArray, speed: float, spec: RobotSpec, robot: str) ->
         Desired positions, one row per sample of the robot, shape (samples, axes).
 
     Raises:
-        InvalidInputError: the drawing leaves the workspace, or is faster than the robot may go.
+        InvalidInputError: The drawing leaves the workspace, or is faster than the robot may go.
     """
     limits = tracking_limits(spec, robot)
     unit = spec.axes[0].unit

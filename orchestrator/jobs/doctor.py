@@ -1,4 +1,4 @@
-"""What `nufleet doctor` looks at."""
+"""The checks that `nufleet doctor` makes."""
 
 from __future__ import annotations
 
@@ -27,11 +27,14 @@ ROUTER_PORT = 7447
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at, what was found, and whether that is in order."""
+    """The result of one check."""
 
     what: str
+    """Name of what was checked."""
     verdict: Literal["ok", "note", "missing"]
+    """`ok`, `note` for a limitation, or `missing` for something that nufleet needs."""
     found: str
+    """Description of what was found."""
 
     def as_json(self) -> dict[str, Any]:
         """Return the finding as a JSON object."""
@@ -39,7 +42,12 @@ class Finding:
 
 
 def checkup(endpoint: str, fleet_name: str | None) -> list[Finding]:
-    """Look at everything and return what was found."""
+    """Make all checks and return their findings.
+
+    Args:
+        endpoint: Endpoint at which to look for a running fleet.
+        fleet_name: Name of that fleet; None when only one is running there.
+    """
     return [
         _python(),
         *_packages(),

@@ -52,7 +52,7 @@ def output_file(wanted: Path | None, default: str, *, force: bool) -> Path:
     """Return the path to write to.
 
     Args:
-        wanted: Path that was asked for; None for the default.
+        wanted: Path that the user gave; None for the default.
         default: Default path.
         force: Whether an existing file may be overwritten.
 

@@ -1,4 +1,4 @@
-"""What `nufleet evaluate` does: reach the fleet, evaluate one target or all, print it."""
+"""The work of `nufleet evaluate`: connect, evaluate one target or all, print the result."""
 
 from __future__ import annotations
 
@@ -34,12 +34,15 @@ from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.paths.installed import drawing_names
 
 Drawings = dict[str, FloatArray]
-"""Points, (n, 2), by the drawing's name."""
+"""Points of each drawing in m, shape (n, 2), by the drawing's name."""
 
 SPEEDS = (0.3, 0.6, 0.9)
-"""The paper's, Section VI-D, in m/s."""
+"""Largest speeds in m/s of the paper's trajectories (Section VI)."""
 
 STUDIES = 10
+"""Number of repeated studies of one target, unless the command says otherwise."""
+
+# The settings of --quick.
 QUICK_DRAWINGS = 2
 QUICK_SPEED = 0.6
 QUICK_STUDIES = 2
@@ -48,37 +51,57 @@ QUICK_FLIGHT_S = 60.0
 
 @dataclass(frozen=True)
 class EvaluateCommand:
-    """The command line of one evaluation."""
+    """The options of one `nufleet evaluate`."""
 
     fleet_file: Path | None
+    """Path of the fleet file to start; None for a running fleet."""
     connect: str
+    """Endpoint of a running fleet."""
     fleet_name: str | None
+    """Name of the running fleet; None when only one is running there."""
     target: str | None
+    """Name of the robot that flies; None for the fleet file's target."""
     sources: tuple[str, ...] | None
+    """Names of the sources; None for all robots but the target."""
     architecture: Architecture
+    """Architecture of the experiences to compare."""
     drawings: tuple[str, ...] | None
+    """Paths or names of the drawings to fly; None for the installed ones."""
     speeds: tuple[float, ...] | None
+    """Largest speeds on the paths, in the unit of the target's axes per second; None for those of
+    the paper."""
     scale: float
+    """Factor on the points of the drawings."""
     studies: int | None
+    """Number of repeated studies of each target; None for the default."""
     iterations: int
+    """Number of iterations of each study."""
     quick: bool
+    """Whether to shorten the evaluation: fewer drawings, speeds and studies, shorter flights."""
     all_pairs: bool
+    """Whether to evaluate every robot as the target of all others."""
     guarded: bool
+    """Whether the guard may withdraw an inverse in flight."""
     seed: int
+    """Seed of the first study, of the flights and of the networks."""
     live: bool
+    """Whether to serve the recording to live viewers."""
     runs_root: Path
+    """Folder that holds the folders of all runs."""
     repository: str | None
+    """Address of the repository; None for the one in `runs_root`."""
     as_json: bool
+    """Whether to print the result as JSON on stdout."""
 
     @property
     def reach(self) -> Reach:
-        """Which fleet."""
+        """Way to connect to the fleet."""
         file = None if self.fleet_file is None else str(self.fleet_file)
         return Reach(connect=self.connect, fleet_name=self.fleet_name, fleet_file=file)
 
     @property
     def chosen_drawings(self) -> tuple[str, ...]:
-        """What is flown."""
+        """Paths or names of the drawings that are flown."""
         if self.drawings is not None:
             return self.drawings
         names = drawing_names()
@@ -86,26 +109,31 @@ class EvaluateCommand:
 
     @property
     def chosen_speeds(self) -> tuple[float, ...]:
-        """How fast."""
+        """Largest speeds on the paths, in the unit of the target's axes per second."""
         if self.speeds is not None:
             return self.speeds
         return (QUICK_SPEED,) if self.quick else SPEEDS
 
     @property
     def flight_s(self) -> float:
-        """How long robots fly to learn."""
+        """Duration of each flight that a robot learns from."""
         return QUICK_FLIGHT_S if self.quick else FLIGHT_S
 
     @property
     def seeds(self) -> range:
-        """Of the studies."""
+        """Seeds of the repeated studies of each target."""
         default = 1 if self.all_pairs else QUICK_STUDIES if self.quick else STUDIES
         count = self.studies or default
         return range(self.seed, self.seed + count)
 
 
 def evaluate_and_print(command: EvaluateCommand) -> None:
-    """Evaluate, with progress on stderr and, when asked for, the document on stdout."""
+    """Evaluate one target or all, with progress on stderr and, if wanted, the document on stdout.
+
+    Raises:
+        InvalidInputError: The options contradict each other or do not fit the fleet, or torch is
+            not installed.
+    """
     check_torch()
     if command.all_pairs and (command.target is not None or command.sources is not None):
         raise InvalidInputError(
@@ -124,7 +152,7 @@ def evaluate_and_print(command: EvaluateCommand) -> None:
 
     with flying(command.reach, kind, storage, console, live=command.live, robots=robots) as session:
         targets = session.connection.robots if command.all_pairs else (_target(command),)
-        # Nobody learns for minutes before it is known that all can fly what is asked for.
+        # Check all targets first, so that no robot learns for minutes before a plan is refused.
         plans = [_plan(command, session, drawings, target) for target in targets]
         configuration = {
             **asdict(command),
@@ -178,7 +206,7 @@ def _all_pairs(
 def _plan(
     command: EvaluateCommand, session: OpenRun, drawings: Drawings, target: str
 ) -> EvaluationPlan:
-    """Check what is asked of one target, and return it; raises InvalidInputError."""
+    """Return the checked plan for one target; raises InvalidInputError when it cannot be flown."""
     fleet, _, there = session.connection
     file = command.reach.file
     request = RankRequest(
@@ -234,5 +262,5 @@ def _target(command: EvaluateCommand) -> str:
 
 
 def _is_papers(session: OpenRun) -> bool:
-    """Whether the fleet stands for the paper's own, so that its Table I can stand beside."""
+    """Return whether the fleet models the paper's own, so that its Table I can be compared."""
     return session.connection.name == "paper-quadrotors"

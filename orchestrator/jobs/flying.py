@@ -141,7 +141,7 @@ class KeptFlights:
 
 
 def error_text(flight: PathFlight, unit: str) -> str:
-    """Return the outcome of a flight in a few words; `unit` is that of the robot's axes."""
+    """Return the outcome of a flight in a few words, with its error in thousandths of `unit`."""
     if flight.failure is not None:
         return f"[red]failed: {flight.failure}[/]"
     text = f"RMS error {1000 * flight.rms_error:6.1f} m{unit}"

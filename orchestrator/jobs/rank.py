@@ -1,4 +1,4 @@
-"""What `nufleet rank` does: reach a fleet, check the request, run the study, print the result."""
+"""The work of `nufleet rank`: connect, check the request, run the study, print the result."""
 
 from __future__ import annotations
 
@@ -38,32 +38,53 @@ from nufleet.shared.wire.transport import DEFAULT_ENDPOINT
 
 @dataclass(frozen=True)
 class RankCommand:
-    """The command line of one ranking."""
+    """The options of one `nufleet rank`."""
 
     runs_root: Path
+    """Folder that holds the folders of all runs."""
     fleet_file: Path | None = None
+    """Path of the fleet file to start; None for a running fleet."""
     connect: str = DEFAULT_ENDPOINT
+    """Endpoint of a running fleet."""
     fleet_name: str | None = None
+    """Name of the running fleet; None when only one is running there."""
     target: str | None = None
+    """Name of the robot that needs experience; None for the target that the fleet file names."""
     sources: tuple[str, ...] | None = None
+    """Names of the sources; None for all robots but the target."""
     band_rad_s: tuple[float, float] | None = None
+    """Lower and upper end of the frequency band W (paper, eq. 6); None for the band of the fleet
+    file or of the robots."""
     axis: str | None = None
+    """Name of the axis to test; None for the target's first."""
     iterations: int = 7
+    """Limit on the number of iterations."""
     seed: int = 0
+    """Seed of the study."""
     algorithm: Algorithm = "adaptive"
+    """Algorithm that selects the tests."""
     realtime: float | None = None
+    """Speed of the simulated robots relative to real time; None for as fast as possible."""
     wait_s: float = 0.0
+    """Time to wait for a running fleet's router and robots."""
     live: bool = False
+    """Whether to serve the recording to live viewers."""
     as_json: bool = False
+    """Whether to print the result as JSON on stdout."""
     processes: int | None = 2
+    """Number of processes that the robots of a fleet file are spread over; None for one each."""
     trajectory: str | None = None
+    """Path or name of the drawing that transfer is to help on; None for no particular one."""
     speed_m_s: float | None = None
+    """Largest speed on that drawing; None for the default."""
     repository: str | None = None
+    """Address of the repository; None for the one in `runs_root`."""
     reuse_days: float | None = None
+    """Largest age of stored responses that replace tests, in days; None to test all sources."""
 
 
 def rank_and_print(command: RankCommand) -> None:
-    """Rank, with progress on stderr and, when asked for, the document on stdout."""
+    """Rank, with progress on stderr and, if wanted, the document on stdout."""
     console = stderr_console()
     record = rank(command, console)
     if command.as_json:
@@ -71,7 +92,16 @@ def rank_and_print(command: RankCommand) -> None:
 
 
 def rank(command: RankCommand, console: Console) -> RunRecord:
-    """Rank a fleet and return the stored record; raises before anything moves when it cannot."""
+    """Rank the sources of a fleet and return the record of the run, as stored in its folder.
+
+    A request that cannot be carried out is refused before anything moves.
+
+    Raises:
+        InvalidInputError: The options contradict each other, or do not fit the fleet.
+        FleetFileError: The fleet file is not valid.
+        LeaseHeldError: A robot belongs to another orchestrator.
+        StudyError: The study cannot continue, because the target or every source is gone.
+    """
     if command.band_rad_s is not None:
         check_band(command.band_rad_s)
     drawing = _drawing(command)
@@ -136,7 +166,7 @@ def _ready(
     repository: Repository,
     console: Console,
 ) -> tuple[ReadyStudy, Mapping[str, tuple[str, ...]]]:
-    """Return the study, checked, and the stored goals that stand for tests, by source."""
+    """Return the checked study, and by source the ids of stored goals that replace its tests."""
     request = _request(command, drawing)
     if command.reuse_days is None:
         return prepare(fleet, request, there), {}
@@ -169,7 +199,7 @@ def _reach(command: RankCommand) -> Reach:
 
 
 def _check_against_file(command: RankCommand, file: FleetFile) -> None:
-    """Find what cannot be right before any process is started."""
+    """Raise InvalidInputError for names that are not in the file, before any process starts."""
     there = tuple(file.robots)
     target = _target(command)
     sources = command.sources or tuple(robot for robot in there if robot != target)

@@ -1,4 +1,4 @@
-"""What `nufleet runs resume` does: find an interrupted run and go on where it was."""
+"""The work of `nufleet runs resume`: find an interrupted run and continue it."""
 
 from __future__ import annotations
 
@@ -43,26 +43,38 @@ LATEST = "latest"
 
 @dataclass(frozen=True)
 class ResumeCommand:
-    """The command line of a resumption; `latest` is the latest run that can go on."""
+    """The options of one `nufleet runs resume`."""
 
     runs_root: Path
+    """Folder that holds the folders of all runs."""
     run: str = LATEST
+    """Name of the run, path of its folder, or `latest` for the latest that can be resumed."""
     repository: str | None = None
+    """Address of the repository; None for the one in `runs_root`."""
     connect: str | None = None
+    """Endpoint of the fleet; None for the one that the run used before."""
     wait_s: float = 0.0
+    """Time to wait for the fleet's router and robots."""
     live: bool = False
+    """Whether to serve the recording to live viewers."""
     as_json: bool = False
+    """Whether to print the result as JSON on stdout."""
 
 
 def resume_and_print(command: ResumeCommand) -> None:
-    """Go on with a run, with progress on stderr and, when asked for, the document on stdout."""
+    """Resume a run, with progress on stderr and, if wanted, the document on stdout."""
     record = resume_run(command, stderr_console())
     if command.as_json:
         click.echo(record.result.document())
 
 
 def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
-    """Go on with a run and return its stored record."""
+    """Resume a run and return its record, as stored in its folder.
+
+    Raises:
+        InvalidInputError: The run cannot be resumed, or a robot that it needs is missing.
+        StudyError: The study cannot continue, because the target or every source is gone.
+    """
     storage = Storage(command.runs_root, command.repository)
     with ExitStack() as stack:
         repository = stack.enter_context(storage.open())
@@ -95,7 +107,7 @@ def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
         return show_study(
             fleet,
             ready,
-            # Whoever held the robots may have ended it.
+            # Read again: the orchestrator that held the robots until now may have ended the study.
             lambda: _open_study(path, repository),
             Archive(repository, study.fleet, leases),
             folder=folder,
@@ -105,7 +117,7 @@ def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
 
 
 def can_reach_again(folder: Path) -> bool:
-    """Return whether a run's folder says how it reached its fleet, as those of rankings do."""
+    """Return whether a run's folder records how the run connected to its fleet; rankings do so."""
     try:
         reach_of(folder)
     except InvalidInputError:
@@ -114,7 +126,7 @@ def can_reach_again(folder: Path) -> bool:
 
 
 def reach_of(folder: Path) -> Reach:
-    """Return how a run reached its fleet; raises InvalidInputError."""
+    """Return how a run connected to its fleet; raises InvalidInputError when that is not known."""
     path = folder / CONFIGURATION
     try:
         document = json.loads(path.read_bytes())
@@ -160,7 +172,7 @@ def _open_study(path: Path, repository: Repository) -> StudyRecord:
 
 
 def _given_up(trials: tuple[TrialRecord, ...]) -> set[str]:
-    """Return the robots that the study goes on without."""
+    """Return the robots that the study has given up, after a failure that was not retried."""
     return {
         trial.intent.robot
         for trial in trials

@@ -1,4 +1,4 @@
-"""What `nufleet runs list`, `show` and `export` do."""
+"""The work of `nufleet runs list`, `show` and `export`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,12 @@ INTERRUPTED = "interrupted, or not over yet"
 
 
 def list_and_print(runs_root: Path, *, as_json: bool) -> None:
-    """List all runs, the newest last."""
+    """Print a list of all runs, the newest last.
+
+    Args:
+        runs_root: Folder that holds the folders of all runs.
+        as_json: Whether to print the list as JSON on stdout instead of a table on stderr.
+    """
     runs = read_runs(runs_root)
     if as_json:
         documents = [_document(run) for run in runs]
@@ -34,7 +39,8 @@ def list_and_print(runs_root: Path, *, as_json: bool) -> None:
         click.echo(f"no runs in {runs_root}", err=True)
         return
     table = Table()
-    # A run's name says its fleet. The name is what other commands take, so it is shown whole.
+    # There is no column for the fleet, which the run's name begins with. Other commands take the
+    # name as an argument, so it is never truncated.
     table.add_column("run", no_wrap=True, min_width=42)
     table.add_column("kind", no_wrap=True)
     table.add_column("what it came to", min_width=20)
@@ -50,7 +56,13 @@ def list_and_print(runs_root: Path, *, as_json: bool) -> None:
 
 
 def show_and_print(runs_root: Path, name: str, *, as_json: bool) -> None:
-    """Show one run: its tables, its files, and how to go on with it or look at it."""
+    """Print one run: its tables, its files, and the commands that resume it or open its recording.
+
+    Args:
+        runs_root: Folder that holds the folders of all runs.
+        name: Name of the run, path of its folder, or `latest`.
+        as_json: Whether to print the run's document as JSON on stdout instead of tables on stderr.
+    """
     run = read_run(find_run(runs_root, name))
     if as_json:
         click.echo(json.dumps(_full(run)))
@@ -80,7 +92,16 @@ def export_and_print(
     *,
     as_json: bool,
 ) -> None:
-    """Write the responses of a run to files, and name these."""
+    """Write the responses of a run to files, and print their paths.
+
+    Args:
+        runs_root: Folder that holds the folders of all runs.
+        name: Name of the run, path of its folder, or `latest`.
+        to: Folder to write to; None for `responses` in the run's folder.
+        suffix: Suffix of the files, `json` or `csv`, which selects their format.
+        repository: Address of the repository; None for the one in `runs_root`.
+        as_json: Whether to print the paths as JSON on stdout.
+    """
     folder = find_run(runs_root, name)
     responses = run_responses(folder, Storage(runs_root, repository).open)
     written = export_responses(responses, to or folder / "responses", suffix)
@@ -93,7 +114,7 @@ def export_and_print(
 
 
 def _unfinished(runs_root: Path, runs: list[Run]) -> dict[Path, str]:
-    """Return why runs have no result, as far as the repository beside them knows."""
+    """Return the reason why each run has no result, as far as their own repository knows it."""
     found = {run.folder: INTERRUPTED for run in runs}
     if runs and (runs_root / FILE_NAME).exists():
         with Storage(runs_root).open() as repository:
@@ -104,7 +125,7 @@ def _unfinished(runs_root: Path, runs: list[Run]) -> dict[Path, str]:
 
 
 def _document(run: Run | Damaged) -> dict[str, Any]:
-    """Return what a list says of a run; what a ranking printed is its result."""
+    """Return the entry of a run in the list; the result of a ranking is the document it printed."""
     if isinstance(run, Damaged):
         return {"run": str(run.folder), "result": None, "error": run.reason}
     full = _full(run)
@@ -119,7 +140,7 @@ def _document(run: Run | Damaged) -> dict[str, Any]:
 
 
 def _full(run: Run) -> dict[str, Any]:
-    """Return the document that a run left; without a result where it did not end."""
+    """Return the document that a run left, with a result of None when the run did not finish."""
     if run.result is None:
         return {"run": str(run.folder), "result": None}
     document: dict[str, Any] = json.loads((run.folder / KINDS[run.kind].document).read_bytes())

@@ -1,4 +1,4 @@
-"""What `nufleet train` does: reach robots, have them learn, print what they offer now."""
+"""The work of `nufleet train`: connect, have robots learn, print the experiences they offer."""
 
 from __future__ import annotations
 
@@ -23,21 +23,30 @@ from nufleet.shared.experience.layout import Architecture
 
 @dataclass(frozen=True)
 class TrainCommand:
-    """The command line of one training."""
+    """The options of one `nufleet train`."""
 
     connect: str
+    """Endpoint of the fleet."""
     fleet_name: str | None
+    """Name of the fleet; None when only one is running there."""
     robots: tuple[str, ...]
+    """Names of the robots that learn; empty for all."""
     architectures: tuple[Architecture, ...]
+    """Architectures of the experiences to learn."""
     duration_s: float
+    """Duration of each flight that a robot learns from."""
     seed: int
+    """Seed of the flights and of the networks' first weights."""
     runs_root: Path
+    """Folder that holds the folders of all runs."""
     repository: str | None
+    """Address of the repository; None for the one in `runs_root`."""
     as_json: bool
+    """Whether to print the result as JSON on stdout."""
 
 
 def train_and_print(command: TrainCommand) -> None:
-    """Train, with progress on stderr and, when asked for, the document on stdout."""
+    """Train, with progress on stderr and, if wanted, the document on stdout."""
     check_torch()
     make_runs_root(command.runs_root)
     console = stderr_console()

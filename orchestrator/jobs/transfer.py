@@ -1,4 +1,4 @@
-"""What `nufleet transfer` does: find the source, hand over, say what the target has now."""
+"""The work of `nufleet transfer`: find the source, transfer its experience, print the result."""
 
 from __future__ import annotations
 
@@ -26,21 +26,31 @@ from nufleet.shared.experience.layout import Architecture
 
 @dataclass(frozen=True)
 class TransferCommand:
-    """The command line of one transfer: either a source or a file."""
+    """The options of one `nufleet transfer`, with either a source or a file."""
 
     connect: str
+    """Endpoint of the fleet."""
     fleet_name: str | None
+    """Name of the fleet; None when only one is running there."""
     target: str
+    """Name of the robot that receives the experience."""
     source: str | None
+    """Name of the source, `best` for the best of the latest ranking, or `none` to remove the prior
+    of the target; None when a file is given."""
     file: Path | None
+    """File of an experience; None to take one from a source."""
     architecture: Architecture | None
+    """Architecture of the experience to take; None for the only one on offer."""
     runs_root: Path
+    """Folder that holds the folders of all runs."""
     repository: str | None
+    """Address of the repository; None for the one in `runs_root`."""
     as_json: bool
+    """Whether to print the result as JSON on stdout."""
 
 
 def transfer_and_print(command: TransferCommand) -> None:
-    """Transfer, and print what the target flies with from now on."""
+    """Transfer an experience, and print which one the target flies with from now on."""
     console = stderr_console()
     payload = None if command.file is None else read_experience(command.file)
     make_runs_root(command.runs_root)

@@ -24,7 +24,7 @@ class RobotStateEvent:
     robot: str
     """Name of the robot."""
     status: RobotStatus
-    """What the robot is doing."""
+    """Status of the robot."""
     goal_id: str | None
     """Id of the goal in progress; None when there is none."""
     progress: float

@@ -70,7 +70,7 @@ class Flight:
 
     @property
     def rms_error(self) -> float:
-        """Root mean square of the distance to the path so far, in the unit of the axes."""
+        """RMS distance to the path over the known samples, in the unit of the axes."""
         return math.sqrt(float(np.mean(np.sum((self.actual - self.desired) ** 2, axis=1))))
 
     def continued_by(self, event: TrackingSamplesEvent) -> bool:
@@ -93,7 +93,7 @@ class Flight:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of a flight, or its state so far."""
+    """The outcome of a flight, which is provisional while the flight is in progress."""
 
     rms_error: float
     """RMS tracking error in the unit of the axes."""
@@ -109,7 +109,7 @@ class Outcomes:
         self._unit = ""
 
     def note(self, flight: Flight) -> None:
-        """Keep the outcome of a flight so far."""
+        """Keep the present outcome of a flight."""
         outcome = Outcome(flight.rms_error, flight.taken_back_s is not None)
         self._of.setdefault((flight.robot, flight.path), {})[flight.prior] = outcome
         self._unit = flight.unit

@@ -31,7 +31,7 @@ def tracking(shown: Shown, log: rrb.View) -> rrb.Container:
     """Return the views of flights: tracking on the left, the inverse model on the right.
 
     Args:
-        shown: Content of the recording so far.
+        shown: Present content of the recording.
         log: View of the log, placed in the lower right.
     """
     places = [_paths()] if shown.in_plane else []

@@ -91,7 +91,7 @@ class RerunSink:
         self._lay_out()
 
     def _lay_out(self) -> None:
-        """Send a layout for the content so far; the viewer opens the kind that began last."""
+        """Send a layout for the present content; the viewer opens the kind that began last."""
         shown = self._drawing.shown
         if shown.kinds and shown != self._laid_out:
             self._laid_out = deepcopy(shown)

@@ -1,4 +1,4 @@
-"""The kinds of content that a recording holds so far, which determine its layout."""
+"""The kinds of content that a growing recording holds, which determine its layout."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ COMPARED_S = 180.0
 
 @dataclass
 class Shown:
-    """A record of the content so far; grows as events arrive.
+    """A record of the present content, which grows as events arrive.
 
     It equals an earlier copy of itself for as long as the layout need not change.
     """

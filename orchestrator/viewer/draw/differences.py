@@ -133,6 +133,8 @@ def around(centre: complex, z: ComplexArray) -> FloatArray:
     north, east = _tangent(middle, outward), _tangent(middle, 1j * outward)
     towards = riemann_sphere(z) - riemann_sphere(middle)
     flat = np.column_stack([towards @ east, -(towards @ north)])
+    # The projection onto the tangent plane shortens each chord; its direction is kept, and its
+    # length is set to ψ.
     length = np.hypot(flat[:, 0], flat[:, 1])
     psi = chordal_distance(z, middle)
     return flat * np.divide(psi, length, out=np.zeros_like(psi), where=length > 0)[:, None]
@@ -143,6 +145,7 @@ def _tangent(z: ComplexArray, direction: ComplexArray) -> FloatArray:
 
     It is the central difference for a small step of z in a direction of the complex plane.
     """
+    # The step grows with |z|, since the sphere compresses the plane far from the origin.
     step = 1e-5 * (1 + abs(z)) * direction
     moved = riemann_sphere(z + step) - riemann_sphere(z - step)
     return np.asarray(moved / np.linalg.norm(moved))

@@ -234,6 +234,7 @@ def _result(flight: Flight, so_far: str = "") -> str:
 
 def _frames(time_s: FloatArray, first: int, every_s: float, *, and_last: bool) -> list[int]:
     """Return the indices of the samples, from `first` on, at which a new frame begins."""
+    # The small term keeps a sample exactly on a frame's boundary from rounding into the one before.
     frame = np.floor((time_s - time_s[0]) / every_s + 1e-9)
     new = np.flatnonzero(np.diff(frame, prepend=0.0) > 0)
     frames = [int(k) for k in new if k >= first]

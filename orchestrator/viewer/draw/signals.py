@@ -111,6 +111,7 @@ class Signals:
         share = np.concatenate([event.share for event in new])
         path = f"tracking/share/{flight.robot}"
         self._line(flight, path, "share", 1.5)
+        # The share is mostly constant: both ends of each change draw the whole line.
         change = np.flatnonzero(np.diff(share))
         kept = np.unique(np.concatenate([[0, len(share) - 1], change, change + 1]))
         self._send(path, time_s, share, kept)
@@ -177,5 +178,6 @@ def _joined(events: list[TrackingSamplesEvent], name: str) -> FloatArray:
 
 
 def _kept(values: FloatArray, flight: Flight) -> NDArray[np.intp]:
+    # An even number of points, since `outline` keeps two for each stretch.
     seconds = len(values) * flight.sample_time_s
     return outline(values, 2 * math.ceil(seconds * POINTS_PER_S / 2))

@@ -140,6 +140,7 @@ def _label_column(sources: FloatArray) -> FloatArray:
     Returns:
         Positions of the labels in the order of the sources, shape (n, 3).
     """
+    # Unit vectors of the view: from the centre towards the eye, to its right, and up.
     forward = (np.array(EYE) - CENTRE) / np.linalg.norm(np.array(EYE) - CENTRE)
     right = np.cross([0.0, 0.0, 1.0], forward) / np.hypot(*forward[:2])
     up = np.cross(forward, right)
@@ -167,6 +168,8 @@ def _refined(path: ComplexArray) -> ComplexArray:
 def _grid() -> list[FloatArray]:
     around = np.linspace(-np.pi, np.pi, 97)
     latitudes = [riemann_sphere(gain * np.exp(1j * around)) for gain in GAINS]
+    # A gain tan(a) lies at the polar angle 2a from the south pole, so that equal steps of a give
+    # equal steps along a meridian.
     gains = np.tan(np.linspace(0, np.pi / 2, 49)[:-1])
     phases = np.arange(PHASES) * 2 * np.pi / PHASES
     return latitudes + [riemann_sphere(gains * np.exp(1j * phase)) for phase in phases]

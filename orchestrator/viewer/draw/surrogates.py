@@ -178,6 +178,7 @@ def _place(axes: Axes, omega_rad_s: FloatArray, psi: FloatArray, front: float) -
     Returns:
         Points in the camera's frame (right, down, forward), shape (n, 3).
     """
+    # Pinhole projection: a point at (x, y, depth) is seen at (x, y) · DISTANCE / depth.
     depth = DISTANCE - front
     across = (axes.x(omega_rad_s) - WIDTH / 2) * depth / DISTANCE
     down = (axes.y(psi) - HEIGHT / 2) * depth / DISTANCE

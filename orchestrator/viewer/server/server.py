@@ -151,7 +151,7 @@ class ViewerServer:
         return f"http://{self._host}:{self._web_port}"
 
     def _command(self) -> tuple[list[str], list[str]]:
-        """Return the arguments for `tethered`, and the messages that Rerun prints when it serves."""
+        """Return the arguments for `tethered`, and Rerun's messages once it serves."""
         options = ["--bind", self._bind_ip]
         command = [str(rerun_program()), "--bind", self._bind_ip]
         expected = []
