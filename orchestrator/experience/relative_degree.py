@@ -35,7 +35,8 @@ def relative_degree(reference: FloatArray, response: FloatArray) -> int:
     Raises:
         StudyError: Nothing responded before the next step.
     """
-    # A step begins at the first changed sample after a held level, and ends at the next held one.
+    # A step begins at its first sample that differs from the held level before; `ends` below are
+    # the last samples that still differ from the one before.
     moves = np.diff(reference, prepend=reference[0]) != 0
     steps = np.flatnonzero(moves[1:] & ~moves[:-1]) + 1
     wait = int(np.diff(steps).min())
