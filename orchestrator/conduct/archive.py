@@ -1,4 +1,4 @@
-"""The repository as one orchestrator uses it for one fleet, under the leases that it holds."""
+"""One orchestrator's access to the repository for one fleet, under the leases that it holds."""
 
 from __future__ import annotations
 
@@ -22,14 +22,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Archive:
-    """Where studies of a fleet are kept; `leases` are those of its robots."""
+    """Storage for the studies of one fleet."""
 
     repository: Repository
+    """Repository in which the studies are stored."""
     fleet: str
+    """Name under which the fleet's robots are leased and stored."""
     leases: HeldLeases
+    """Leases under which this orchestrator commands the robots."""
 
     def log(self, study_id: str) -> TrialLog:
-        """Return what stores the trials of a study that has begun."""
+        """Return the log that stores the trials of a study that has begun."""
         return TrialLog(self.repository.studies, study_id, self.leases.epochs)
 
     def begin(
@@ -41,19 +44,22 @@ class Archive:
         descriptions: Mapping[str, Description],
         stored: Mapping[str, tuple[str, ...]] | None = None,
     ) -> StudyRecord:
-        """Store a study before anything of it is sent.
+        """Store a study before any of its tests is sent.
 
         Args:
-            study_id: the prefix of its goal ids.
+            study_id: Id of the study, the prefix of all its goal ids.
             algorithm: `paper` or `adaptive`.
-            plan: what is to be found out.
-            seed: of its generator.
-            descriptions: of the target and every source.
-            stored: the goals of earlier studies whose responses it begins with, by robot.
+            plan: Checked plan of the study.
+            seed: Seed of the study's random generator.
+            descriptions: Descriptions of the target and every source, by robot.
+            stored: Goal ids of earlier studies whose responses replace tests, by robot.
+
+        Returns:
+            The record that was stored.
 
         Raises:
-            RecordConflictError: there is a study of that id.
-            RepositoryError: it cannot be stored.
+            RecordConflictError: A study of that id exists already.
+            RepositoryError: The study cannot be stored.
         """
         specs = {robot: description.spec for robot, description in descriptions.items()}
         recipe = Recipe(specs=specs, stored=dict(stored or {}))
@@ -70,9 +76,16 @@ class Archive:
 
     @contextmanager
     def conducting(self, study_id: str, interrupt: Callable[[], None]) -> Iterator[None]:
-        """Have a study interrupted when a lease is lost, and stored as failed when it cannot go on.
+        """Interrupt a study when a lease is lost, and store it as failed when it cannot continue.
 
-        Whatever else ends it leaves it open, so that it can be resumed.
+        Any other error leaves the stored study open, so that it can be resumed.
+
+        Args:
+            study_id: Id of the study.
+            interrupt: Function that makes the enclosed operation raise `Interrupted`.
+
+        Raises:
+            LeaseLostError: Another orchestrator has taken over a robot.
         """
         try:
             with self.leases.guarding(interrupt):

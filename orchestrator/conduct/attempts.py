@@ -1,7 +1,7 @@
-"""What follows from the end of an attempt at a test: an answer, another attempt, or giving up.
+"""Decides what follows the end of an attempt at a test: an outcome, another attempt, or giving up.
 
-Every end is stored before anything else is done about its robot. There is no network here, no
-thread and no clock, so that the same code runs in simulations of the whole protocol.
+The end of every attempt is stored before any further action concerning its robot. This module uses
+no network, thread or clock, so that the same code runs in simulations of the whole protocol.
 """
 
 from __future__ import annotations
@@ -24,31 +24,32 @@ from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import GoalAccepted, GoalResult, Outcome
 
 ATTEMPTS = 3
-"""Failed attempts after which a robot is given up in a round."""
+"""Number of failed attempts after which a robot is given up in a round."""
 
 ATTEMPTS_IN_ALL = 50
-"""And attempts that ended for whatever reason, also one that is nobody's failure."""
+"""Limit on attempts of any kind, including those interrupted through no fault of the robot."""
 
 CANCELLED = "cancelled"
-"""The refusal of a goal that was cancelled before it came."""
+"""Code of the refusal of a goal whose cancellation arrived before the goal itself."""
 
 _LENGTHEN = 2.0
-"""How much longer a test is repeated whose response was not usable."""
+"""Factor by which a test is lengthened when its response was not usable."""
 
 _LENGTHEN_STEPS = 8
+"""Number of factors to try, from the full one down in equal ratios, until the test is accepted."""
 
 Estimate = Callable[[GoalResult], FrequencyResponse]
 
 
 class Log(Protocol):
-    """Where attempts are stored, as `TrialLog` does it; every method may raise RepositoryError."""
+    """Storage of attempts, as `TrialLog` implements it; every method may raise RepositoryError."""
 
     @property
     def study_id(self) -> str:
-        """The study whose attempts they are."""
+        """Id of the study to which the attempts belong."""
 
     def accepted(self, test: OpenTest, accepted: GoalAccepted) -> None:
-        """Store that its robot has taken a test."""
+        """Store that the robot has accepted a test."""
 
     def measured(self, test: OpenTest, result: GoalResult, response: FrequencyResponse) -> None:
         """Store a usable response."""
@@ -63,34 +64,40 @@ class Log(Protocol):
         result: GoalResult | None = None,
         response: FrequencyResponse | None = None,
     ) -> None:
-        """Store that an attempt gave nothing usable."""
+        """Store that an attempt gave no usable response, and the excitation of its retry."""
 
     def lost(
         self, test: OpenTest, reason: str, *, retry: Excitation | None, interrupted: bool
     ) -> None:
-        """Store that nobody will know what came of an attempt."""
+        """Store that the result of an attempt is lost for good."""
 
 
 @dataclass(frozen=True)
 class Settled:
-    """What follows from an attempt: an `outcome`, or the `following` attempt, or neither.
+    """The decision about an ended attempt: an outcome, another attempt, or neither.
 
-    Neither is what an interrupted round leaves. `failure` is why this attempt gave no usable
-    response; None when it did, and when it says nothing about the robot.
+    There is neither when the round was interrupted.
     """
 
     outcome: TestOutcome | None = None
+    """Final outcome of the test; None when it is not decided."""
     following: OpenTest | None = None
+    """Next attempt to be sent; None when there is none."""
     failure: str | None = None
+    """Reason why this attempt gave no usable response.
+
+    None when it gave one, when the robot refused it, and when the interruption of the round
+    leaves it undecided.
+    """
 
 
 def estimated(result: GoalResult) -> FrequencyResponse:
-    """Return the response that a complete test shows."""
+    """Return the frequency response estimated from the samples of a complete test."""
     return estimate_frequency_response(result.reference, result.response, result.test_plan)
 
 
 class Attempts:
-    """The attempts of one round of tests; may be used from many threads, for different robots."""
+    """The attempts of one round of tests; threads may use it at once for different robots."""
 
     def __init__(
         self, log: Log, specs: Mapping[str, RobotSpec], *, estimate: Estimate = estimated
@@ -98,9 +105,9 @@ class Attempts:
         """Begin a round.
 
         Args:
-            log: where the end of every attempt is stored.
-            specs: what each robot of the round says of itself.
-            estimate: makes a response of the samples of a complete test.
+            log: Storage for the end of every attempt.
+            specs: Spec of each robot in the round, by name.
+            estimate: Function that estimates a response from the result of a complete test.
         """
         self._log = log
         self._specs = specs
@@ -108,18 +115,21 @@ class Attempts:
         self._robot_time_s: dict[str, float] = {}
 
     def settle(self, test: OpenTest, ended: Ended, *, interrupted: bool) -> Settled:
-        """Store how an attempt ended, and say what follows.
+        """Store how an attempt ended, and decide what follows.
 
         Args:
-            test: the attempt.
-            ended: how it ended.
-            interrupted: whether the round is to end without further attempts.
+            test: The attempt that ended.
+            ended: The way in which it ended.
+            interrupted: Whether the round is to end without further attempts.
+
+        Returns:
+            The outcome of the test or its next attempt; neither when the round is interrupted.
 
         Raises:
-            RepositoryError: it could not be stored.
+            RepositoryError: The end could not be stored.
         """
         if ended.interrupted and ended.result is None:
-            # Nothing is known of it; who resumes the study asks its robot again.
+            # The result is unknown, not lost: resuming the study asks the robot for it again.
             return Settled()
         if ended.result is not None:
             settled = self._settle_result(test, ended.result, interrupted)
@@ -128,8 +138,9 @@ class Attempts:
             self._log.failed(test, reason, retry=None)
             settled = Settled(outcome=self._failed(test, reason))
         else:
-            # An earlier orchestrator's goal may have gone with it: cancelled before it came, or
-            # with the whole fleet that was its own.
+            # If the previous orchestrator was killed, its goal may have been cancelled before it
+            # arrived, or the fleet it had started may have died with it. Neither is a failure of
+            # the robot.
             excuse = isinstance(ended.error, RefusedError) or test.accepted_by is not None
             settled = self._settle_loss(test, str(ended.error), excuse)
         if interrupted and not isinstance(settled.outcome, Measured):
@@ -175,32 +186,41 @@ class Attempts:
 
 
 def _excuse(test: OpenTest, result: GoalResult, interrupted: bool) -> bool:
-    """Return whether a motion ended early for a reason that says nothing against its robot."""
+    """Return whether a motion ended early for a reason that is no failure of its robot."""
     if result.outcome is Outcome.ABORTED:
-        # Cut off from its orchestrator, or told to end by somebody else.
+        # The robot lost contact with its orchestrator, or was stopped by someone else.
         return True
     if result.outcome in (Outcome.CANCELLED, Outcome.LOST):
-        # With its orchestrator. One whose agent died by itself may do so again.
+        # Excused only where the motion ended with its orchestrator, this one or an earlier one. An
+        # agent that died on its own may do so again, so that counts against the robot.
         return interrupted or test.record is not None
     return False
 
 
 def _retry(test: OpenTest, excitation: Excitation, excuse: bool = False) -> Excitation | None:
-    """Return what is played after an attempt failed; None when there were enough of them."""
+    """Return the excitation of the next attempt; None once either limit on attempts is reached."""
     failures = test.failures + (not excuse)
     given_up = failures >= ATTEMPTS or test.attempt >= ATTEMPTS_IN_ALL
     return None if given_up else excitation
 
 
 def lengthened(excitation: Excitation, result: GoalResult, spec: RobotSpec) -> Excitation:
-    """Return a test with up to twice the settling and measuring time of one that was played.
+    """Return a test with up to twice the settling and measuring time of a completed one.
 
-    It lasts at most as long as the robot accepts; where nothing longer fits, it is the same test.
+    Args:
+        excitation: Excitation of the completed test.
+        result: Result of the completed test, with the plan that the robot executed.
+        spec: Spec of the robot, which limits the duration of a test.
+
+    Returns:
+        The longest of the lengthened excitations that the robot accepts, or `excitation` itself
+        where nothing longer fits.
     """
     plan = result.test_plan
     settle_s = max(plan.settle_samples, plan.ramp_samples) * plan.sample_time_s
     segment_s = plan.segment_samples * plan.sample_time_s
     for step in range(_LENGTHEN_STEPS):
+        # 2, 2^(7/8), ... 2^(1/8): the first that fits is the longest.
         factor = _LENGTHEN ** (1 - step / _LENGTHEN_STEPS)
         longer = excitation.model_copy(
             update={"settle_s": factor * settle_s, "segment_min_s": factor * segment_s}

@@ -1,4 +1,4 @@
-"""Conducts a study on a fleet: asks it, tests the robots, tells it, until it is done."""
+"""Conducts a study on a fleet: asks, tests the robots and passes on the answers, until it ends."""
 
 from __future__ import annotations
 
@@ -16,34 +16,55 @@ from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 
 
 class RankingObserver(Protocol):
-    """Is told what happens; `asked` and `told` come from the thread that conducts the study."""
+    """Receives the events of a study.
+
+    `asked` and `told` are called on the thread that conducts the study.
+    """
 
     def asked(self, question: Question) -> None:
-        """A round of tests begins."""
+        """Handle the beginning of a round of tests."""
 
     def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
-        """A test gave nothing usable and is repeated or given up; comes from other threads."""
+        """Handle an attempt without a usable response; called on other threads.
+
+        Args:
+            robot: Name of the robot under test.
+            attempt: Number of the attempt in the round, from 1.
+            reason: Reason why there is no usable response.
+        """
 
     def told(self, question: Question, outcomes: Mapping[str, TestOutcome], report: Report) -> None:
-        """A round ended, and this is what it taught."""
+        """Handle the end of a round.
+
+        Args:
+            question: Tests of the round.
+            outcomes: Outcome of each test, by robot.
+            report: Report of the study after these outcomes.
+        """
 
 
 @dataclass(frozen=True)
 class Conclusion:
-    """What a study came to: ranking best first, iterations done, robot-seconds, sources lost.
-
-    `responses` are all that are known of each robot, from before the study too.
-    """
+    """The final result of a study."""
 
     ranking: tuple[SourceEstimate, ...]
+    """Estimates of all remaining sources, best first."""
     iterations: int
+    """Number of rounds that were completed."""
     robot_time_s: float
+    """Time that all robots together have moved for the study, in s."""
     dropped: Mapping[str, str]
+    """Reason for each source that the study lost, by source."""
     responses: Mapping[str, Sequence[FrequencyResponse]] = field(default_factory=dict)
+    """All known responses of each robot, including those from before the study."""
     confidence: float | None = None
+    """Probability that the selection is right; None from an algorithm that does not estimate it."""
     eliminated: Mapping[str, str] = field(default_factory=dict)
+    """Reason why a source can no longer win, by source."""
     findings: tuple[str, ...] = ()
+    """Observations that weaken the confidence."""
     stopped_because: str | None = None
+    """Reason why the study ended; None from an algorithm that gives none."""
 
     @property
     def selected(self) -> str:
@@ -54,18 +75,21 @@ class Conclusion:
 def conduct(
     study: Study, log: TrialLog, dispatcher: Dispatcher, observer: RankingObserver
 ) -> Conclusion:
-    """Run a study from where its stored trials leave it to its end.
+    """Replay a study's stored trials, then run it to its end.
 
     Args:
-        study: new, not asked yet.
-        log: the study's trials; none are stored of a study that begins.
-        dispatcher: tests the robots.
-        observer: is told the rounds that are stored, too.
+        study: Newly built study that has not been asked yet.
+        log: Trials of the study; empty for a study that begins.
+        dispatcher: Dispatcher that runs the tests on the robots.
+        observer: Object that is notified of every round, replayed rounds included.
+
+    Returns:
+        The final result of the study.
 
     Raises:
-        StudyError: it cannot go on, since the target or every source is gone.
-        ResumeError: the stored trials are not those of this study.
-        RepositoryError: something could not be stored.
+        StudyError: The study cannot continue, because the target or every source is gone.
+        ResumeError: The stored trials do not belong to this study.
+        RepositoryError: Something could not be stored.
     """
     at = resume(log.study_id, study, log.trials())
     robot_time_s = at.robot_time_s
@@ -79,7 +103,7 @@ def conduct(
         tested = dispatcher.run(now.tests)
         robot_time_s += sum(outcome.robot_time_s for outcome in tested.values())
         known = {robot: _outcome(trial, log) for robot, trial in now.answers.items()}
-        # In the order of the question, whoever answered first.
+        # In the order of the question, not of arrival, so that a replay gives the same study.
         outcomes = {robot: {**known, **tested}[robot] for robot in now.question.tests}
         report = study.tell(
             {r: o.response for r, o in outcomes.items() if isinstance(o, Measured)},
@@ -111,7 +135,7 @@ def _show(told: ToldRound, log: TrialLog, observer: RankingObserver) -> None:
 
 
 def _outcome(trial: TrialRecord, log: TrialLog) -> TestOutcome:
-    """Return what came of a test that is stored."""
+    """Return the outcome of a stored test."""
     intent = trial.intent
     if trial.status is TrialStatus.MEASURED and trial.response is not None:
         result = log.result(intent.goal_id)

@@ -1,4 +1,4 @@
-"""The trajectory that a ranking is for: a drawing, flown at some speed by the target."""
+"""The trajectory that a ranking is made for: a drawing that the target flies at some speed."""
 
 from __future__ import annotations
 
@@ -16,38 +16,43 @@ from nufleet.shared.robots.spec import RobotSpec
 
 @dataclass(frozen=True, eq=False)
 class TimedPath:
-    """A drawing that was asked for: its points in m, shape (n, 2), and its largest speed.
-
-    Without a speed the target chooses: what its axis allows.
-    """
+    """A drawing to be flown, and its speed."""
 
     name: str
+    """Name of the drawing."""
     points: FloatArray
+    """Points along the drawing in m, shape (points, 2)."""
     speed_m_s: float | None
+    """Largest speed in m/s; None takes the velocity limit of the target's axis."""
 
 
 def read_motion(path_or_name: str, speed_m_s: float | None) -> TimedPath:
-    """Read a drawing given as a path or by the name it is installed under.
+    """Read a drawing, given as a file path or as the name of an installed drawing.
+
+    Args:
+        path_or_name: Path of a drawing file, or the name of an installed drawing.
+        speed_m_s: Largest speed in m/s; None leaves it to the target.
 
     Raises:
-        InvalidInputError: there is none, or it is not a path that can be flown.
+        InvalidInputError: There is no such drawing, or it is not a path that can be flown.
     """
     path = find_drawing(path_or_name)
     return TimedPath(path.stem, read_drawing(path), speed_m_s)
 
 
 def desired_motion(drawing: TimedPath, spec: RobotSpec, axis: str) -> DesiredMotion:
-    """Return how a drawing's motion is distributed over frequency when the target flies it.
+    """Return the spectrum of a drawing's motion when the target flies it.
 
-    Both axes of the drawing are added up: their responses are taken to be alike, as in the paper.
+    The power of both axes of the drawing is summed, because their responses are assumed to be
+    similar, as in the paper (Sec. V-B).
 
     Args:
-        drawing: what was asked for.
-        spec: the target's.
-        axis: the axis that is tested.
+        drawing: Drawing to be flown, and its speed.
+        spec: Spec of the target, whose axis limits the speed (m/s) and acceleration (m/s²).
+        axis: Name of the axis under test.
 
     Raises:
-        InvalidInputError: the axis does not move in m, or the drawing cannot be flown.
+        InvalidInputError: The axis does not move in m, or the drawing cannot be flown.
     """
     limits = spec.axis(axis)
     if limits.unit != "m":

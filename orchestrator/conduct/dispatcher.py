@@ -1,4 +1,4 @@
-"""Runs one round of tests on many robots at once, with retries, and says what came of each."""
+"""Runs one round of tests on many robots at once, with retries, and returns their outcomes."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ from nufleet.shared.wire.messages import GoalAccepted
 OnAttempt = Callable[[str, int, str], None]
 
 STORING_AT_ONCE = 32
-"""How many robots' answers are judged and stored together: they share one commit."""
+"""Number of robots whose answers are judged and stored at once, so that they share one commit."""
 
 
 class Dispatcher:
-    """Sends tests to robots; `interrupt` ends a round from another thread with robots at rest.
+    """Sends tests to robots and stores what they return.
 
-    What is sent is stored before, what comes of it before anything else is sent to that robot.
+    Each test is stored before it is sent, and its result before anything else is sent to the same
+    robot. `interrupt`, called from another thread, ends a round with all robots at rest.
     """
 
     def __init__(
@@ -40,13 +41,14 @@ class Dispatcher:
         *,
         on_attempt_failed: OnAttempt,
     ) -> None:
-        """Prepare.
+        """Prepare; nothing is sent yet.
 
         Args:
-            fleet: whose robots are tested; it holds their leases.
-            log: where everything that is sent and measured is stored.
-            specs: what each robot says of itself; a longer test than it accepts is not sent.
-            on_attempt_failed: is told robot, attempt and reason, from other threads.
+            fleet: Client of the fleet whose robots are tested; it holds their leases.
+            log: Storage for everything that is sent and measured.
+            specs: Spec of each robot, by name; no test longer than the robot accepts is sent.
+            on_attempt_failed: Callback that receives robot, attempt number and reason of every
+                failed attempt, on other threads.
         """
         self._goals = GoalRunner(fleet)
         self._log = log
@@ -54,18 +56,18 @@ class Dispatcher:
         self._on_attempt_failed = on_attempt_failed
 
     def run(self, tests: Sequence[OpenTest]) -> dict[str, TestOutcome]:
-        """Run one test on every robot named, all at the same time.
+        """Run one test on each of several robots, all at the same time.
 
         Args:
-            tests: of different robots. One that an earlier orchestrator sent already is sent again
-                under its id, so that it stays one motion.
+            tests: Tests to run, at most one per robot. A test that an earlier orchestrator sent
+                already keeps its goal id, so that the robot moves only once.
 
         Returns:
-            What came of each test, by robot.
+            The outcome of each test, by robot.
 
         Raises:
             Interrupted: `interrupt` was called; every robot that answers is at rest.
-            RepositoryError: something could not be stored; every robot that answers is at rest.
+            RepositoryError: Something could not be stored; every robot that answers is at rest.
         """
         self._log.intend(tests)
         attempts = Attempts(self._log, self._specs)
@@ -84,16 +86,16 @@ class Dispatcher:
         return {test.robot: tested.outcomes[test.robot] for test in tests}
 
     def interrupt(self) -> None:
-        """End the round: cancel every goal at once, so that the robots come to rest."""
+        """End the round by cancelling all goals at once, so that the robots come to rest."""
         self._goals.interrupt()
 
     def acknowledge_all(self) -> None:
-        """Tell every robot that its last results arrived."""
+        """Acknowledge the last results of every robot, so that it may discard them."""
         self._goals.acknowledge_all()
 
 
 class _Round:
-    """One round. Its methods run on the loop's thread; storing, which takes time, does not."""
+    """One round of tests; its methods run on the loop's thread, slow storage on other threads."""
 
     def __init__(
         self,
@@ -114,7 +116,7 @@ class _Round:
         self.over = threading.Event()
 
     def open(self, tests: Sequence[OpenTest]) -> None:
-        """Pursue the first attempts."""
+        """Start pursuing the first attempt at every test."""
         self._open = len(tests)
         for test in tests:
             self._pursue(test)
@@ -163,7 +165,7 @@ class _Round:
         self._store(_Job(test.robot, intend, decides=True))
 
     def _store(self, job: _Job) -> None:
-        """Do a job on a thread that may wait for the disk, after all earlier ones of its robot."""
+        """Run a job on a thread that may wait for the disk, after all earlier jobs of its robot."""
         waiting = self._storing.setdefault(job.robot, deque())
         waiting.append(job)
         if len(waiting) == 1:
@@ -180,7 +182,7 @@ class _Round:
             self._begin(waiting[0])
         error = done.exception()
         if error is not None:
-            # What cannot be stored must not be done.
+            # A motion that cannot be stored must not happen, or a resumed study would not know it.
             self.failure = self.failure or error
             self._goals.interrupt()
             if job.decides:
@@ -198,11 +200,14 @@ class _Round:
 
 @dataclass(frozen=True)
 class _Job:
-    """What waits for the disk; `work` returns what is done on the loop's thread afterwards.
-
-    One that `decides` says what becomes of its robot in this round, so that its failure ends it.
-    """
+    """A write to the repository, and the step that follows it."""
 
     robot: str
+    """Name of the robot; jobs of one robot run in order."""
     work: Callable[[], Callable[[], None] | None]
+    """Writes, and returns a follow-up for the loop's thread, or None."""
     decides: bool = False
+    """Whether the robot's next step depends on this job.
+
+    If such a job fails, the robot's part in the round is over.
+    """

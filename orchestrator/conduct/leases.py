@@ -23,18 +23,26 @@ if TYPE_CHECKING:
 
 
 TERM_S = 8.0
-"""So long a lease outlives its owner, and so long may a database be away during a study."""
+"""How long a lease stays valid without renewal, in s.
+
+A robot is therefore blocked for this long after its owner dies, and the database may be
+unreachable for this long during a study.
+"""
 
 RENEW_EVERY_S = 2.0
+"""Interval between renewals, in s; several of them fit into one term."""
+
 _LOOK_EVERY_S = 0.2
+"""Interval between attempts to acquire a lease that another orchestrator holds, in s."""
 
 _log = logging.getLogger(__name__)
 
 
 class HeldLeases:
-    """Renews leases in a thread of its own for as long as it is entered, then releases them.
+    """A context manager that renews leases in a background thread and releases them on exit.
 
-    When one is lost the robots are somebody else's, and what moves them is interrupted.
+    When a lease is lost, another orchestrator owns the robots: every operation that moves them is
+    interrupted.
     """
 
     def __init__(self, store: LeaseStore, leases: tuple[Lease, ...]) -> None:
@@ -62,7 +70,7 @@ class HeldLeases:
         self.give_back()
 
     def give_back(self) -> None:
-        """Release the leases; done by the exit of the context, where it was entered."""
+        """Release the leases; needed only where the context was never entered, as exit does it."""
         try:
             self._store.release(self._leases)
         except RepositoryError as problem:
@@ -70,13 +78,15 @@ class HeldLeases:
 
     @contextmanager
     def guarding(self, interrupt: Callable[[], None]) -> Iterator[None]:
-        """Have what moves robots interrupted once a lease is lost, and raise why.
+        """Interrupt the enclosed operation as soon as a lease is lost, and raise the reason.
 
         Args:
-            interrupt: ends what runs with `Interrupted`; called from another thread.
+            interrupt: Function that makes the operation raise `Interrupted`; it is called from the
+                renewing thread.
 
         Raises:
-            LeaseLostError: another orchestrator has taken a robot over.
+            LeaseLostError: Another orchestrator has taken over a robot, or the lease could not be
+                renewed for a whole term.
         """
         with self._lock:
             self._interrupts.append(interrupt)
@@ -127,24 +137,29 @@ def hold_leases(
     patient: bool = False,
     on_wait: Callable[[LeaseHeldError], None] = lambda held: None,
 ) -> HeldLeases:
-    """Take robots for this orchestrator; enter what is returned.
+    """Acquire leases on robots for this orchestrator.
 
     Args:
-        store: the repository's leases.
-        fleet: the robots'.
-        robots: who is to be commanded.
-        owner: this orchestrator's id.
-        above_epochs: per robot, the latest epoch that it has seen.
-        patient: whether to wait for an owner that renews nothing any more; one that does is alive.
-            After the clock was set back there is always a wait, since nothing else tells them
-            apart.
-        on_wait: is told once for whom.
+        store: Lease store of the repository.
+        fleet: Name under which the robots are leased.
+        robots: Names of the robots to be commanded.
+        owner: Id of this orchestrator.
+        above_epochs: Latest epoch that each robot has seen, by robot.
+        patient: Whether to wait for an owner that may no longer renew its leases; one that renews
+            is alive, which ends the wait with an error. After the database's clock was set back
+            there is always a wait, since nothing else distinguishes a dead owner from a living one.
+        on_wait: Callback that receives, once per lease, the lease that is being waited for.
+
+    Returns:
+        The acquired leases; enter the context to keep them renewed.
 
     Raises:
-        LeaseHeldError: another orchestrator owns one of them; it says who and for how long.
+        LeaseHeldError: Another orchestrator owns one of the robots; the error holds its id and the
+            remaining time.
     """
     names = tuple(robots)
-    # Since when each lease of others has not been renewed, by a clock that nobody sets.
+    # When each foreign lease was first seen with its present renewal, by the monotonic clock of
+    # this process: unlike the database's wall clock, it cannot be set.
     watched: dict[tuple[str, str, int], tuple[Renewal, float]] = {}
     while True:
         now_s = time.monotonic()
@@ -163,7 +178,7 @@ def hold_leases(
             for renewal in held.renewals:
                 key = (renewal.robot, renewal.owner, renewal.epoch)
                 if watched.setdefault(key, (renewal, now_s))[0] != renewal:
-                    raise  # it was renewed: its owner lives
+                    raise  # renewed since the last look, so its owner is alive
         time.sleep(_LOOK_EVERY_S)
 
 
@@ -176,26 +191,31 @@ def lease_robots(
     patient: bool = False,
     on_wait: Callable[[LeaseHeldError], None] = lambda held: None,
 ) -> HeldLeases:
-    """Take robots, so that only this orchestrator commands them; enter what is returned.
+    """Acquire leases on robots, so that this orchestrator alone commands them.
 
-    A robot remembers who commanded it and under which epoch. Epochs of two repositories cannot be
-    compared, so an owner to whom this one did not give exactly that lease keeps another; and the
-    clock by which a lease ran out may have been set. In both cases the network is asked whether the
-    owner is alive, and a living owner keeps its robot.
+    Each robot stores its last owner and that owner's epoch. Epochs of two repositories cannot be
+    compared, so an owner to whom this repository did not grant exactly that lease must be using
+    another repository; and a lease may appear to have expired only because the clock was set. In
+    both cases the network is asked whether the owner is alive, and a living owner keeps its robot.
 
     Args:
-        store: the repository's leases.
-        fleet: the fleet, reached; commands carry the leases' epochs from now on.
-        scope: the name under which its robots are leased.
-        robots: who is to be commanded.
-        patient: whether to wait for an owner that is not heard of any more.
-        on_wait: is told once for whom.
+        store: Lease store of the repository.
+        fleet: Client of the fleet, already connected; its commands carry the epochs of these leases
+            from now on.
+        scope: Name under which the fleet's robots are leased.
+        robots: Names of the robots to be commanded.
+        patient: Whether to wait for an owner that may no longer renew its leases.
+        on_wait: Callback that receives, once per lease, the lease that is being waited for.
+
+    Returns:
+        The acquired leases; enter the context to keep them renewed.
 
     Raises:
-        LeaseHeldError: another orchestrator owns one of them; it says who and for how long.
-        RobotOwnedError: one does that keeps another repository, or whose lease ran out although it
-            is alive.
-        NoReplyError: a robot does not answer.
+        LeaseHeldError: Another orchestrator owns one of the robots; the error holds its id and the
+            remaining time.
+        RobotOwnedError: A living orchestrator owns one of the robots, although it uses another
+            repository or its lease has expired.
+        NoReplyError: A robot does not answer.
     """
     descriptions = fleet.describe_all(tuple(robots))
     check_others(fleet, descriptions, store.last(scope))
@@ -216,7 +236,8 @@ def lease_robots(
         on_wait=noted,
     )
     if waited:
-        # Who keeps another repository knew nothing of the wait, and may have taken one meanwhile.
+        # An orchestrator with another repository is not held up by these leases, so it may have
+        # taken a robot during the wait.
         try:
             check_others(fleet, fleet.describe_all(tuple(descriptions)), store.last(scope))
         except NufleetError:
@@ -229,15 +250,15 @@ def lease_robots(
 def check_others(
     fleet: Fleet, descriptions: Mapping[str, Description], given: Mapping[str, LastLease]
 ) -> None:
-    """Check that no robot has a living owner that this repository's leases say nothing of.
+    """Check that no robot has a living owner besides the one in this repository's valid leases.
 
     Args:
-        fleet: asked who is alive.
-        descriptions: what each robot says of itself, its last owner and epoch among it.
-        given: the lease that this repository gave out last, by robot.
+        fleet: Client of the fleet, used to find out which owners are alive.
+        descriptions: Description of each robot, which includes its last owner and epoch.
+        given: Last lease that this repository granted, by robot.
 
     Raises:
-        RobotOwnedError: one has; it says who.
+        RobotOwnedError: A robot has such an owner; the message names it.
     """
     is_alive = functools.cache(fleet.is_alive)
     for robot, found in descriptions.items():

@@ -1,4 +1,4 @@
-"""What is checked of a study before any robot moves."""
+"""Checks of a study that are made before any robot moves."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nufleet.shared.wire.messages import Description
 
 
 def check_band(band_rad_s: tuple[float, float]) -> None:
-    """Raise InvalidInputError for a band that no robot could be tested over."""
+    """Raise InvalidInputError unless a band is finite, positive and rising, in rad/s."""
     low, high = band_rad_s
     if not (math.isfinite(low) and math.isfinite(high)):
         raise InvalidInputError(f"the band must be two finite frequencies, got {low} {high}")
@@ -29,7 +29,13 @@ def check_band(band_rad_s: tuple[float, float]) -> None:
 
 
 def check_names(target: str, sources: tuple[str, ...], there: tuple[str, ...]) -> None:
-    """Raise InvalidInputError unless target and sources are different robots that are there."""
+    """Raise InvalidInputError unless target and sources are different robots of the fleet.
+
+    Args:
+        target: Name of the target.
+        sources: Names of the sources, at least one.
+        there: Names of the robots that may take part.
+    """
     check_robots((target, *sources), there)
     if target in sources:
         raise InvalidInputError(f"the target {target!r} is among the sources; take it out of them")
@@ -40,7 +46,7 @@ def check_names(target: str, sources: tuple[str, ...], there: tuple[str, ...]) -
 
 
 def check_robots(robots: tuple[str, ...], there: tuple[str, ...]) -> None:
-    """Raise InvalidInputError unless there are robots, and all of them are there."""
+    """Raise InvalidInputError unless at least one robot is named, and all are in `there`."""
     for robot in robots:
         if robot not in there:
             raise InvalidInputError(
@@ -51,7 +57,7 @@ def check_robots(robots: tuple[str, ...], there: tuple[str, ...]) -> None:
 
 
 def chosen_axis(axis: str | None, target: Description) -> str:
-    """Return the axis to test: the one asked for, or the target's first."""
+    """Return the axis to test: the requested one, or the target's first when it is None."""
     return target.spec.axes[0].name if axis is None else axis
 
 

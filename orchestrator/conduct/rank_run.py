@@ -1,4 +1,4 @@
-"""One `nufleet rank` from the request to the stored result, on a fleet that is already reached."""
+"""Runs one `nufleet rank` on a fleet that is already reached, from request to stored result."""
 
 from __future__ import annotations
 
@@ -47,24 +47,34 @@ Algorithm = Literal["adaptive", "paper"]
 
 @dataclass(frozen=True)
 class RankRequest:
-    """What to rank; None leaves the choice to what the fleet says of itself."""
+    """A ranking as it was requested; None leaves the choice to the robots' own descriptions."""
 
     target: str
+    """Name of the robot that is to receive an experience."""
     sources: tuple[str, ...] | None
+    """Names of the candidate sources; None takes every other robot of the fleet."""
     band_rad_s: tuple[float, float] | None
+    """Lowest and highest frequency in rad/s; None takes the band common to all robots."""
     iterations: int
+    """Maximum number of rounds of tests."""
     seed: int
+    """Seed of the study's random generator."""
     axis: str | None
+    """Name of the axis to test; None takes the first axis of the target."""
     drawing: TimedPath | None = None
+    """Trajectory to rank for; None ranks by distance over the whole band."""
 
 
 @dataclass(frozen=True)
 class ReadyStudy:
-    """A study that passed every check, and the robots' own descriptions."""
+    """A study that passed every check, ready to begin or to continue."""
 
     plan: StudyPlan
+    """The study's plan, with every choice made."""
     descriptions: Mapping[str, Description]
+    """Descriptions of the target and of every source, by robot."""
     closed_form: Mapping[str, ClosedForm]
+    """True worst-case distances, for the sources whose model and the target's are both known."""
 
 
 def prepare(
@@ -76,14 +86,18 @@ def prepare(
     """Check a request against the fleet before anything moves.
 
     Args:
-        fleet: the fleet, reached.
-        request: what to rank.
-        there: the robots that are there.
-        known: what sources said of themselves that need not be there.
+        fleet: Client of the fleet, already connected.
+        request: The ranking that was requested.
+        there: Names of the robots that are alive now.
+        known: Last known specs, by robot, of sources that may take part without being alive,
+            because stored responses can stand for tests of them.
+
+    Returns:
+        The checked plan, with the descriptions of all its robots.
 
     Raises:
-        InvalidInputError: what is asked cannot be done with these robots.
-        NoReplyError: a robot does not answer.
+        InvalidInputError: These robots cannot do what is requested.
+        NoReplyError: A robot does not answer.
     """
     if request.band_rad_s is not None:
         check_band(request.band_rad_s)
@@ -116,16 +130,19 @@ def prepare(
 
 
 def prepare_again(fleet: Fleet, study: StudyRecord, gone: Collection[str]) -> ReadyStudy:
-    """Check that a study can go on: its robots are there, and what they were when it began.
+    """Check that a study can resume: its robots answer, and their specs have not changed.
 
     Args:
-        fleet: the fleet, reached.
-        study: as it is stored.
-        gone: the robots that are not tested any more.
+        fleet: Client of the fleet, already connected.
+        study: The stored study.
+        gone: Names of the robots that the study no longer tests.
+
+    Returns:
+        The stored plan, with the descriptions of all its robots.
 
     Raises:
-        InvalidInputError: a robot has changed since.
-        NoReplyError: a robot does not answer.
+        InvalidInputError: A robot's spec has changed since the study began.
+        NoReplyError: A robot does not answer.
     """
     specs = recipe_of(study).specs
     needed = tuple(robot for robot in specs if robot not in gone)
@@ -149,13 +166,24 @@ def run_study(
     folder: RunFolder,
     observers: Sequence[RankingObserver],
 ) -> RunRecord:
-    """Run a study that has begun, from where it stands, with what it learns kept in the folder.
+    """Run a stored study from its current state to its end, and keep its results in the folder.
+
+    Args:
+        fleet: Client of the fleet, already connected.
+        ready: The study's plan and robots, as checked by `prepare` or `prepare_again`.
+        study: The stored study; its trials decide where it continues.
+        archive: Repository and leases under which the robots are commanded.
+        folder: Run folder that receives samples, results, plots and the report.
+        observers: Objects that are notified of every round, replayed rounds included.
+
+    Returns:
+        The record that was also written to the folder.
 
     Raises:
-        StudyError: it cannot go on, since the target or every source is gone.
-        ResumeError: what is stored of it does not belong to it.
-        LeaseLostError: another orchestrator has taken a robot over; all are at rest.
-        RepositoryError: something could not be stored; all robots are at rest.
+        StudyError: The study cannot continue, because the target or every source is gone.
+        ResumeError: The stored trials do not belong to this study.
+        LeaseLostError: Another orchestrator has taken over a robot; all robots are at rest.
+        RepositoryError: Something could not be stored; all robots are at rest.
     """
     began_s = time.monotonic()
     recorder = _Recorder(folder)
@@ -198,7 +226,7 @@ def _common_band(descriptions: Any) -> tuple[float, float]:
 
 
 def _closed_form(plan: StudyPlan, descriptions: Mapping[str, Description]) -> dict[str, ClosedForm]:
-    """Return the true distances of the sources whose model, like the target's, is known."""
+    """Return max ψ_n(ω) over the band for the sources whose model, like the target's, is known."""
     at_target = descriptions[plan.target].spec.axis(plan.axis).model
     known: dict[str, ClosedForm] = {}
     for source in plan.sources:
@@ -210,7 +238,7 @@ def _closed_form(plan: StudyPlan, descriptions: Mapping[str, Description]) -> di
 
 
 def _true_psi(ready: ReadyStudy, curves: tuple[Curve, ...]) -> dict[str, FloatArray]:
-    """Return ψ_n(ω) on each curve's grid, for the sources whose closed form is known."""
+    """Return the true ψ_n(ω) by source, for known models; each has its curve's shape (grid,)."""
     axis = ready.plan.axis
     at_target = ready.descriptions[ready.plan.target].spec.axis(axis).model
     true_psi: dict[str, FloatArray] = {}
@@ -225,7 +253,7 @@ def _true_psi(ready: ReadyStudy, curves: tuple[Curve, ...]) -> dict[str, FloatAr
 
 
 def configuration(ready: ReadyStudy, seed: int) -> dict[str, Any]:
-    """Return what a study is made from, in full, for its run's folder."""
+    """Return the complete configuration of a study, as it is written to the run folder."""
     return {
         "kind": "rank",
         "plan": asdict(ready.plan),
@@ -242,7 +270,8 @@ def _result(
 ) -> RankResult:
     ranking = conclusion.ranking
     if plan.motion is not None:
-        # The paper's algorithm knows of no trajectory; the other one has selected for it.
+        # The paper's algorithm ignores the trajectory, so its selection does not lead the ranking
+        # here. The adaptive algorithm, the one with a confidence, has already selected for it.
         selected = None if conclusion.confidence is None else conclusion.selected
         ranking = by_predicted_error(ranking, judgement.verdicts, first=selected)
     return RankResult(
@@ -263,7 +292,7 @@ def _result(
 
 
 class _Recorder:
-    """Keeps what each round gave in the run's folder and for its record."""
+    """Writes each round's samples to the run folder and collects the history for its record."""
 
     def __init__(self, folder: RunFolder) -> None:
         self._folder = folder
@@ -271,13 +300,13 @@ class _Recorder:
         self.curves: tuple[Curve, ...] = ()
 
     def asked(self, question: Question) -> None:
-        """Nothing is known yet."""
+        """Do nothing: a round that only begins has no results yet."""
 
     def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
-        """What failed for good is in the report that follows."""
+        """Do nothing: the report at the end of the round holds every final failure."""
 
     def told(self, question: Question, outcomes: Mapping[str, TestOutcome], report: Report) -> None:
-        """Store samples and beliefs."""
+        """Write the samples, and keep the curves and estimates of the round."""
         for outcome in outcomes.values():
             if isinstance(outcome, Measured):
                 self._folder.write_samples(question.iteration, outcome)
@@ -293,22 +322,22 @@ class _Recorder:
 
 
 class _Together:
-    """Several observers as one."""
+    """Forwards every notification to several observers, in order."""
 
     def __init__(self, observers: Sequence[RankingObserver]) -> None:
         self._observers = observers
 
     def asked(self, question: Question) -> None:
-        """Tell all."""
+        """Forward the beginning of a round."""
         for observer in self._observers:
             observer.asked(question)
 
     def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
-        """Tell all."""
+        """Forward a failed attempt."""
         for observer in self._observers:
             observer.attempt_failed(robot, attempt, reason)
 
     def told(self, question: Question, outcomes: Mapping[str, TestOutcome], report: Report) -> None:
-        """Tell all."""
+        """Forward the end of a round."""
         for observer in self._observers:
             observer.told(question, outcomes, report)

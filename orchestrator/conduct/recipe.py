@@ -1,6 +1,6 @@
-"""What a study is made from besides its plan and seed, as it is stored; and the study made of it.
+"""The stored parameters of a study besides its plan and seed, and the study built from them.
 
-A study that begins and one that is resumed are made in the same way, from what is stored.
+A new study and a resumed one are built in the same way, from the stored record.
 """
 
 from __future__ import annotations
@@ -26,23 +26,25 @@ if TYPE_CHECKING:
 
 
 class Recipe(Strict):
-    """The parameters of a study.
-
-    `specs` is what each robot said of itself when the study began, `stored` are the goals of
-    earlier studies whose responses are taken instead of tests, by robot.
-    """
+    """The parameters of a study, besides its plan and seed."""
 
     specs: dict[Name, RobotSpec]
+    """Spec of each robot when the study began, by name."""
     stored: Annotated[dict[Name, tuple[Identifier, ...]], Field(default_factory=dict)]
+    """Goal ids of earlier studies whose responses replace tests, by robot."""
 
     def parameters(self) -> Mapping[str, JsonValue]:
-        """Return them as they are stored."""
+        """Return the parameters as the JSON object that is stored."""
         document: dict[str, JsonValue] = json.loads(self.model_dump_json())
         return document
 
 
 def recipe_of(record: StudyRecord) -> Recipe:
-    """Return the parameters of a stored study; raises DamagedRecordError."""
+    """Return the parameters of a stored study.
+
+    Raises:
+        DamagedRecordError: The stored parameters are not valid.
+    """
     try:
         return Recipe.model_validate_json(json.dumps(dict(record.parameters)))
     except ValidationError as error:
@@ -52,11 +54,15 @@ def recipe_of(record: StudyRecord) -> Recipe:
 
 
 def make_study(record: StudyRecord, studies: StudyStore) -> Study:
-    """Return a study as it was before its first question.
+    """Build a study from its record, in its state before the first question.
+
+    Args:
+        record: Stored plan, seed, algorithm and parameters.
+        studies: Store of the responses that replace tests.
 
     Raises:
-        ResumeError: its algorithm is not known here.
-        RepositoryError: its parameters or stored responses are not there, or damaged.
+        ResumeError: This version does not know the study's algorithm.
+        RepositoryError: The parameters or the stored responses are missing or damaged.
     """
     recipe = recipe_of(record)
     rng = np.random.default_rng(record.seed)

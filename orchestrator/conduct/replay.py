@@ -1,8 +1,9 @@
-"""Rebuilds a study from its stored trials and says what is open still. No network, no database.
+"""Rebuilds a study from its stored trials and finds its open tests. No network, no database.
 
-A study is deterministic: made anew from its plan and seed and told the same answers, it asks the
-same questions. So the trials are all that has to be kept, and what the study asks on the way is
-compared with what was sent: a record of another algorithm or version is refused, not mixed in.
+A study is deterministic: rebuilt from the same plan and seed and given the same answers, it asks
+the same questions. Its trials are therefore all that has to be stored. During the replay every
+question is compared with the test that was sent, so that a record of another algorithm or version
+is refused rather than mixed in.
 """
 
 from __future__ import annotations
@@ -17,32 +18,42 @@ from nufleet.shared.frequency_test.excitation import Excitation
 
 
 class ResumeError(StudyError):
-    """The stored trials are not those of this study."""
+    """The stored trials do not belong to this study."""
 
 
 @dataclass(frozen=True)
 class OpenTest:
-    """A test without an answer: what is to be sent next, or was sent already.
-
-    `record` is what is stored of exactly this attempt; None when it was never meant to be sent.
-    `failures` counts the attempts before it that say something against the robot.
-    """
+    """An attempt at a test that has no answer yet: to be sent next, or sent already."""
 
     goal_id: str
+    """Id of the attempt's goal; see `goal_id_of`."""
     iteration: int
+    """Number of the round, from 1."""
     robot: str
+    """Name of the robot under test."""
     attempt: int
+    """Number of this attempt in the round, from 1."""
     excitation: Excitation
+    """Motion that the robot is to play."""
     record: TrialRecord | None
+    """Stored trial of this very attempt; None when no intent to send it was ever stored."""
     failures: int = 0
+    """Number of earlier attempts in the round that count as failures of the robot."""
 
     @property
     def accepted_by(self) -> str | None:
-        """The agent process that is known to have accepted it."""
+        """Boot id of the agent process known to have accepted it; None when none is known."""
         return None if self.record is None else self.record.boot_id
 
     def followed_by(self, study_id: str, excitation: Excitation, *, interrupted: bool) -> OpenTest:
-        """Return the attempt after this one, which ended without an answer."""
+        """Return the attempt that follows this one.
+
+        Args:
+            study_id: Prefix of all goal ids of this study.
+            excitation: Motion that the robot is to play in the next attempt.
+            interrupted: Whether this attempt ended through no fault of the robot, and hence does
+                not count as a failure.
+        """
         number = self.attempt + 1
         return OpenTest(
             goal_id_of(study_id, self.iteration, self.robot, number),
@@ -57,48 +68,62 @@ class OpenTest:
 
 @dataclass(frozen=True)
 class ToldRound:
-    """A round that is complete: the trial that decided for each robot, and what was learned."""
+    """A complete round, as it was replayed."""
 
     question: Question
+    """Tests that the study asked for."""
     answers: Mapping[str, TrialRecord]
+    """Trial that decided each robot's test, by robot."""
     report: Report
+    """Report that the study returned for these answers."""
 
 
 @dataclass(frozen=True)
 class OpenRound:
-    """A round in progress: the answers that there are, and the tests that have none."""
+    """A round in progress."""
 
     question: Question
+    """Tests that the study asked for."""
     answers: Mapping[str, TrialRecord]
+    """Trials that are decided, by robot."""
     tests: tuple[OpenTest, ...]
+    """Attempts that are still open, one for each robot without an answer."""
 
 
 @dataclass(frozen=True)
 class Resumed:
-    """Where a study stands; `open` is None when it is complete."""
+    """The state of a study after its replay."""
 
     told: tuple[ToldRound, ...]
+    """Complete rounds, in order."""
     open: OpenRound | None
+    """Round in progress; None when the study is complete."""
     robot_time_s: float
+    """Time that all robots together have moved for the study, in s."""
 
 
 def goal_id_of(study_id: str, iteration: int, robot: str, attempt: int) -> str:
-    """Return the id of an attempt's goal: the same whoever sends it, and however often."""
+    """Return the id of an attempt's goal, which is the same for every sender and every sending."""
     return f"{study_id}.{iteration}.{robot}.{attempt}"
 
 
 def resume(study_id: str, study: Study, trials: Sequence[TrialRecord]) -> Resumed:
-    """Bring a study that was just made to where its stored trials leave it.
+    """Replay stored trials to a newly built study, up to its first open round.
 
     Args:
-        study_id: the study's.
-        study: made from the stored plan, seed and parameters, and not asked yet; afterwards it has
-            been told every complete round, and asking it gives the open one.
-        trials: all that are stored of it.
+        study_id: Prefix of all goal ids of this study.
+        study: Study built from the stored plan, seed and parameters, and not asked yet. On return
+            it has received the answers of every complete round, and its last question is the open
+            round.
+        trials: All stored trials of this study, in any order.
+
+    Returns:
+        The replayed rounds and the round in progress.
 
     Raises:
-        ResumeError: the trials are not those that this study asks for.
-        StudyError: it could not go on after one of its rounds, as it could not the first time.
+        ResumeError: The trials do not match the study's questions.
+        StudyError: The study cannot continue after one of its rounds, as it could not the first
+            time.
     """
     left: _Attempts = {}
     for trial in sorted(trials, key=lambda t: t.intent.attempt):
@@ -125,10 +150,15 @@ _Attempts = dict[tuple[int, str], list[TrialRecord]]
 
 
 def round_of(study_id: str, question: Question, stored: _Attempts | None = None) -> OpenRound:
-    """Return a round as its stored attempts leave it, which are taken out of `stored`.
+    """Return the state of a round after its stored attempts.
+
+    Args:
+        study_id: Prefix of all goal ids of this study.
+        question: Tests that the study asks for in this round.
+        stored: Stored attempts by iteration and robot, in order; those of this round are removed.
 
     Raises:
-        ResumeError: the attempts do not follow from what is asked.
+        ResumeError: The attempts do not match the question.
     """
     answers: dict[str, TrialRecord] = {}
     tests: list[OpenTest] = []
@@ -143,7 +173,15 @@ def round_of(study_id: str, question: Question, stored: _Attempts | None = None)
 
 
 def tell(study: Study, answers: Mapping[str, TrialRecord]) -> Report:
-    """Tell a study the answers to its last question, as the trials that decided hold them."""
+    """Give a study the answers to its last question and return its report.
+
+    Args:
+        study: Study that waits for answers.
+        answers: Trial that decided each robot's test, by robot.
+
+    Raises:
+        StudyError: The study cannot continue, because the target or every source is gone.
+    """
     return study.tell(
         {
             robot: trial.response
@@ -165,17 +203,17 @@ def next_of(
     excitation: Excitation,
     attempts: Sequence[TrialRecord],
 ) -> TrialRecord | OpenTest:
-    """Return the trial that answers for a robot in a round, or the test that is to be done next.
+    """Return the trial that decided a robot's test in a round, or its open attempt.
 
     Args:
-        study_id: the study's.
-        iteration: the round's.
-        robot: the robot's.
-        excitation: what the study asks it to play.
-        attempts: what is stored of them, in order.
+        study_id: Prefix of all goal ids of this study.
+        iteration: Round number, from 1.
+        robot: Name of the robot under test.
+        excitation: Test requested in this round.
+        attempts: Stored attempts at this test, in order.
 
     Raises:
-        ResumeError: the attempts do not follow from what is asked.
+        ResumeError: The attempts do not match the requested test.
     """
     failures = 0
     for number, trial in enumerate(attempts, start=1):

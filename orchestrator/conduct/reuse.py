@@ -1,4 +1,4 @@
-"""Which sources need not fly, since what was measured of them is stored and still holds."""
+"""Finds the sources that need no tests, because stored responses of theirs are still valid."""
 
 from __future__ import annotations
 
@@ -21,10 +21,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Reuse:
-    """What of a fleet is taken from the repository: `known` by source, `unusable` with reasons."""
+    """The stored responses that replace tests in a study."""
 
     known: Mapping[str, tuple[str, ...]]
+    """Goal ids of the responses that are reused, oldest first, by source."""
     unusable: Mapping[str, str]
+    """Reason why a source has no usable stored response, for every other source."""
 
 
 def find_stored(
@@ -35,20 +37,21 @@ def find_stored(
     *,
     newer_than: datetime,
 ) -> Reuse:
-    """Find the sources whose stored responses can stand for tests of them.
+    """Find the sources whose stored responses can replace tests.
 
-    Those of a robot that says today what it said then count, on the same axis, from studies whose
-    band contains this one's. The target is always tested: it is what the ranking is for.
+    A response is reused if the robot's spec has not changed since, the axis is the same and the
+    band of its study contains the band of this one. The target is always tested, because the
+    ranking is made for its present state.
 
     Args:
-        repository: where to look.
-        fleet: the robots'.
-        plan: what is to be found out.
-        specs: what each source says of itself now, or said last if it is not there.
-        newer_than: what was measured before counts no more.
+        repository: Repository to search.
+        fleet: Name of the fleet to which the sources belong.
+        plan: Plan of the study that is about to begin.
+        specs: Spec of each source, by name: the current one, or the last known of an absent robot.
+        newer_than: Time before which a measurement is too old to be reused.
 
     Returns:
-        The goals of the responses, oldest first, and for every other source why there are none.
+        The goals of the reused responses, and for every other source the reason why there are none.
     """
     known: dict[str, tuple[str, ...]] = {}
     unusable: dict[str, str] = {}
@@ -68,7 +71,16 @@ def find_stored(
 
 
 def check_absent(absent: Sequence[str], reuse: Reuse, fleet: str) -> None:
-    """Raise InvalidInputError unless those that are not there need not fly."""
+    """Check that stored responses replace the tests of every absent robot.
+
+    Args:
+        absent: Names of the sources that are not alive.
+        reuse: Stored responses that were found.
+        fleet: Name of the fleet, for the message.
+
+    Raises:
+        InvalidInputError: An absent robot has no usable stored response.
+    """
     for robot in absent:
         if robot not in reuse.known:
             raise InvalidInputError(
@@ -78,14 +90,22 @@ def check_absent(absent: Sequence[str], reuse: Reuse, fleet: str) -> None:
 
 
 def oldest_reused(days: float, now: datetime) -> datetime:
-    """Return the time before which responses count no more."""
+    """Return the time before which a response is too old to be reused, `days` before `now`."""
     return now - timedelta(days=days)
 
 
 def stored_responses(
     studies: StudyStore, goals: Mapping[str, tuple[str, ...]]
 ) -> dict[str, StoredResponses]:
-    """Return what stood for tests, by source; raises RepositoryError."""
+    """Return a summary of the stored responses that replaced tests, by source.
+
+    Args:
+        studies: Store of the responses.
+        goals: Goal ids of the reused responses, at least one, by source.
+
+    Raises:
+        RepositoryError: A response cannot be read.
+    """
     found = {robot: [studies.response(goal) for goal in ids] for robot, ids in goals.items()}
     return {
         robot: StoredResponses(
@@ -99,7 +119,7 @@ def stored_responses(
 
 
 def said_of(robot: str, stored: StoredResponses, now: datetime) -> str:
-    """Return in a sentence that a robot did not fly, and how old its data are."""
+    """Return a sentence that says that a robot did not fly and how old its data are."""
     measured = (stored.measured_to, stored.measured_from)
     ages = dict.fromkeys(_age(now - datetime.fromisoformat(when)) for when in measured)
     tests = "1 stored test stands" if stored.tests == 1 else f"{stored.tests} stored tests stand"

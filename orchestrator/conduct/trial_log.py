@@ -1,4 +1,4 @@
-"""What a study stores of its tests: before each is sent, when it is taken and when it ends."""
+"""Stores each test of a study before it is sent, when it is accepted and when it ends."""
 
 from __future__ import annotations
 
@@ -16,26 +16,29 @@ if TYPE_CHECKING:
 
 
 class TrialLog:
-    """One study's part of a repository; usable from many threads. Raises RepositoryError."""
+    """The trials of one study in a repository.
+
+    Many threads may use it at once, and every method may raise RepositoryError.
+    """
 
     def __init__(self, studies: StudyStore, study_id: str, epochs: Mapping[str, int]) -> None:
         """Prepare to store.
 
         Args:
-            studies: where; the study has begun there.
-            study_id: which.
-            epochs: per robot, the epoch of the lease under which this process commands it.
+            studies: Store in which the study has already begun.
+            study_id: Id of the study.
+            epochs: Epoch of the lease under which this process commands each robot, by robot.
         """
         self._studies = studies
         self.study_id = study_id
         self.epochs = epochs
 
     def trials(self) -> tuple[TrialRecord, ...]:
-        """Return all that is stored."""
+        """Return all stored trials of the study."""
         return self._studies.trials(self.study_id)
 
     def result(self, goal_id: str) -> GoalResult:
-        """Return what a robot returned of a test that ended."""
+        """Return the result, with its samples, that a robot returned for an ended test."""
         return self._studies.result(goal_id)
 
     def intend(self, tests: Iterable[OpenTest]) -> None:
@@ -56,11 +59,11 @@ class TrialLog:
         )
 
     def accepted(self, test: OpenTest, accepted: GoalAccepted) -> None:
-        """Store that its robot has taken a test."""
+        """Store that the robot has accepted a test."""
         self._studies.accepted(accepted, epoch=self.epochs[test.robot])
 
     def measured(self, test: OpenTest, result: GoalResult, response: FrequencyResponse) -> None:
-        """Store a usable response and the samples that it came from."""
+        """Store a usable response and the samples it was estimated from."""
         self._studies.measured(result, response, epoch=self.epochs[test.robot])
 
     def failed(
@@ -73,7 +76,16 @@ class TrialLog:
         result: GoalResult | None = None,
         response: FrequencyResponse | None = None,
     ) -> None:
-        """Store that a test gave nothing usable, and what its robot plays next."""
+        """Store that a test gave no usable response, and the excitation of its retry.
+
+        Args:
+            test: The attempt that failed.
+            reason: Reason of the failure.
+            retry: Excitation of the next attempt; None when the robot is given up.
+            interrupted: Whether the attempt ended through no fault of the robot.
+            result: Result that the robot returned, if any.
+            response: Unusable response that was estimated from the result, if any.
+        """
         self._studies.failed(
             test.goal_id,
             reason,
@@ -87,7 +99,7 @@ class TrialLog:
     def lost(
         self, test: OpenTest, reason: str, *, retry: Excitation | None, interrupted: bool
     ) -> None:
-        """Store that nobody will know what came of a test."""
+        """Store that the result of a test is lost for good; see `failed`."""
         self._studies.lost(
             test.goal_id,
             reason,
