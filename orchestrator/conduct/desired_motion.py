@@ -44,7 +44,7 @@ def desired_motion(drawing: TimedPath, spec: RobotSpec, axis: str) -> DesiredMot
     """Return the spectrum of a drawing's motion when the target flies it.
 
     The power of both axes of the drawing is summed, because their responses are assumed to be
-    similar, as in the paper (Sec. V-B).
+    similar, as in the paper (Sec. VI-B).
 
     Args:
         drawing: Drawing to be flown, and its speed.

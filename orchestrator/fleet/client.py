@@ -1,4 +1,4 @@
-"""The fleet as an orchestrator sees it: who is there, what each robot does, and requests to it."""
+"""An orchestrator's client of a fleet: the robots' presence and states, and requests to them."""
 
 from __future__ import annotations
 
@@ -44,17 +44,21 @@ from nufleet.shared.wire.transport import Session
 QUERY_TIMEOUT_S = 3.0
 RESULT_TIMEOUT_S = 20.0
 TELEMETRY_MAX_BYTES = 4 * 2**20
-"""Of one batch: what a simulated robot without a pace plays in a tenth of a second."""
+"""Largest batch: the samples that an unpaced simulated robot plays in a tenth of a second."""
 
 _log = logging.getLogger(__name__)
 R = TypeVar("R", bound=Message)
 
 
 class Fleet:
-    """A client of all robots of one fleet, alive under its own id as long as its session is.
+    """A client of all robots of one fleet, alive under its own id for as long as its session is.
 
     Observers are called on network threads, in order per robot; they must return at once. Requests
-    that command a robot carry the epoch of the lease under which that is done; see `hold`.
+    that command a robot carry the epoch of the lease under which it is commanded; see `hold`.
+
+    Every request to a robot raises NoReplyError when the robot does not answer, RobotLostError when
+    several agents answer under its name, RefusedError when it refuses, and MalformedMessageError
+    when its reply cannot be decoded.
     """
 
     def __init__(self, session: Session, keys: FleetKeys, orchestrator_id: str) -> None:
@@ -72,17 +76,21 @@ class Fleet:
         session.subscribe_state(keys.every_robot("state"), self._on_state)
 
     def hold(self, epochs: Mapping[str, int]) -> None:
-        """Command robots under leases of these epochs from now on, all others without one."""
+        """Set the epochs of the leases under which robots are commanded from now on.
+
+        Args:
+            epochs: Epoch of the lease, by robot; all other robots are commanded without a lease.
+        """
         self._epochs = dict(epochs)
 
     def epoch(self, robot: str) -> int:
         """Return the epoch of the lease under which a robot is commanded; 0 without one."""
         return self._epochs.get(robot, 0)
 
-    # Who is there.
+    # Presence and states.
 
     def watch(self, robot: str) -> RobotWatch:
-        """Return the latest that is known of a robot, updated as it changes."""
+        """Return the watch on a robot, which always holds its latest known state."""
         with self._lock:
             return self._watches.setdefault(robot, RobotWatch(robot))
 
@@ -93,7 +101,15 @@ class Fleet:
         return tuple(sorted(watch.robot for watch in watches if watch.alive))
 
     def wait_for(self, robots: tuple[str, ...], *, timeout_s: float) -> None:
-        """Wait until all these robots are alive; raises RobotLostError naming who is not."""
+        """Wait until all these robots are alive.
+
+        Args:
+            robots: Names of the robots to wait for.
+            timeout_s: Longest time to wait, in s.
+
+        Raises:
+            RobotLostError: Some robots did not appear in time; the message names them.
+        """
         deadline = time.monotonic() + timeout_s
         for robot in robots:
             left_s = max(0.0, deadline - time.monotonic())
@@ -104,7 +120,7 @@ class Fleet:
                 )
 
     def is_alive(self, orchestrator_id: str) -> bool:
-        """Return whether an orchestrator is there; raises TransportError."""
+        """Return whether the orchestrator with this id is alive; raises TransportError."""
         key = self._keys.orchestrator_alive(orchestrator_id)
         return bool(self._session.alive(key, timeout_s=QUERY_TIMEOUT_S))
 
@@ -113,7 +129,7 @@ class Fleet:
         self._state_observers.append(observer)
 
     def observe_telemetry(self, observer: Callable[[str, Telemetry], None]) -> None:
-        """Call an observer with every batch of samples that arrives, and the robot it is of."""
+        """Call an observer with the robot's name and every batch of samples that arrives."""
         if not self._telemetry_observers:
             key = self._keys.every_robot("telemetry/motion")
             self._session.subscribe(
@@ -124,7 +140,7 @@ class Fleet:
         self._telemetry_observers.append(observer)
 
     def observe_tracking(self, observer: Callable[[str, TrackingTelemetry], None]) -> None:
-        """Call an observer with every batch of samples along a path, and the robot it is of."""
+        """Call an observer with the robot's name and every batch of samples along a path."""
         if not self._tracking_observers:
             key = self._keys.every_robot("telemetry/tracking")
             self._session.subscribe(
@@ -137,11 +153,11 @@ class Fleet:
     # Requests.
 
     def describe(self, robot: str) -> Description:
-        """Return what a robot is.
+        """Return a robot's description of itself.
 
         Raises:
-            NoReplyError: it does not answer.
-            RobotLostError: two agents answer under this name.
+            NoReplyError: The robot does not answer.
+            RobotLostError: Several agents answer under this name.
         """
         try:
             return self._ask(robot, "describe", DescribeRequest(), Description)
@@ -152,12 +168,12 @@ class Fleet:
             ) from error
 
     def describe_all(self, robots: tuple[str, ...]) -> dict[str, Description]:
-        """Return what each of some robots is, asked at the same time; raises as `describe`."""
+        """Return the descriptions of several robots, asked at the same time; see `describe`."""
         with ThreadPoolExecutor(min(32, len(robots)), thread_name_prefix="describe") as pool:
             return dict(zip(robots, pool.map(self.describe, robots), strict=True))
 
     def submit(self, robot: str, request: GoalRequest) -> GoalAccepted:
-        """Ask for a motion; the same request may be sent again at any time."""
+        """Send a goal to a robot; the same request may safely be sent again at any time."""
         return self._ask(robot, "goal", request, GoalAccepted)
 
     def cancel(self, robot: str, goal_id: str) -> None:
@@ -172,13 +188,18 @@ class Fleet:
         return self._ask(robot, "result", request, GoalResult, timeout_s=RESULT_TIMEOUT_S)
 
     def acknowledge(self, robot: str, goal_ids: tuple[str, ...]) -> None:
-        """Tell a robot that these results arrived."""
+        """Acknowledge results, so that the robot may discard them."""
         sender, epoch = self.orchestrator_id, self.epoch(robot)
         request = AcknowledgeRequest(sender=sender, epoch=epoch, goal_ids=goal_ids)
         self._ask(robot, "acknowledge", request, Done)
 
     def fetch(self, robot: str, sha256: str) -> bytes:
-        """Return the file of an experience or prior of a robot; the caller checks what is in it."""
+        """Return the file of a robot's experience or prior; the caller must check its content.
+
+        Args:
+            robot: Name of the robot.
+            sha256: SHA-256 digest of the requested file, in hexadecimal.
+        """
         request = FetchRequest(sha256=sha256)
         file = self._ask(robot, "experience", request, ExperienceFile, timeout_s=RESULT_TIMEOUT_S)
         return file.payload
@@ -190,30 +211,50 @@ class Fleet:
         payload: bytes,
         sha256: str,
     ) -> ExperienceOffer:
-        """Give a robot an experience: as its own, or as the prior that it flies with."""
+        """Install an experience on a robot.
+
+        Args:
+            robot: Name of the robot.
+            slot: `experience` for the robot's own experience, `prior` for the prior that corrects
+                its references.
+            payload: Content of the experience file.
+            sha256: SHA-256 digest of the payload, in hexadecimal.
+
+        Returns:
+            The offer under which the robot now holds the experience.
+        """
         sender, epoch = self.orchestrator_id, self.epoch(robot)
         request = InstallRequest(sender=sender, epoch=epoch, sha256=sha256, payload=payload)
         leaf = f"{slot}/install"
         return self._ask(robot, leaf, request, ExperienceOffer, timeout_s=RESULT_TIMEOUT_S)
 
     def remove_prior(self, robot: str) -> None:
-        """Take a robot's prior away."""
+        """Remove a robot's prior."""
         request = RemovePriorRequest(sender=self.orchestrator_id, epoch=self.epoch(robot))
         self._ask(robot, "prior/remove", request, Done)
 
     def predict(self, robot: str, sha256: str, inputs: FloatArray) -> FloatArray:
-        """Return what an experience of a robot makes of inputs (m, inputs): γ in unit/s, (m,)."""
+        """Evaluate an experience that a robot holds.
+
+        Args:
+            robot: Name of the robot.
+            sha256: SHA-256 digest of the experience file, in hexadecimal.
+            inputs: Inputs ξ of the inverse model, shape (m, inputs).
+
+        Returns:
+            Outputs γ of the inverse model in the axis's unit per s, shape (m,).
+        """
         request = PredictRequest(sha256=sha256, inputs=inputs)
         return self._ask(robot, "predict", request, Prediction).gamma
 
     def stop(self, robot: str, reason: str) -> None:
-        """Stop a robot; returns when it says that it has, else raises."""
+        """Stop a robot; return once it confirms the stop, and raise if it does not."""
         request = StopRequest(sender=self.orchestrator_id, reason=reason)
         self._session.put_urgent(self._keys.robot(robot, "stop"), encode(request))
         self._ask(robot, "stop", request, Done)
 
     def stop_everyone(self, reason: str) -> None:
-        """Send one stop to the whole fleet; who heard it is found out with `stop` on each."""
+        """Send one unconfirmed stop to the whole fleet; call `stop` on each robot to confirm it."""
         request = StopRequest(sender=self.orchestrator_id, reason=reason)
         self._session.put_urgent(self._keys.stop, encode(request))
 
@@ -295,7 +336,7 @@ class Fleet:
 
 
 def _no_reply(robot: str, leaf: str, request: Message, waited_s: float | None) -> str:
-    """Say who did not answer what; `waited_s` is None when nobody was there to answer."""
+    """Return the message about a missing reply; `waited_s` is None when no agent could answer."""
     goal_id = getattr(request, "goal_id", None)
     asked = repr(leaf) if goal_id is None else f"{leaf!r} about goal {goal_id}"
     if waited_s is None:

@@ -1,4 +1,4 @@
-"""How a command reaches a fleet: a running one through its router, or one started for it alone."""
+"""Connects a command to a fleet: a running one through its router, or one started for it alone."""
 
 from __future__ import annotations
 
@@ -24,11 +24,14 @@ START_TIMEOUT_S = 60.0
 
 
 class Connection(NamedTuple):
-    """A fleet that can be reached, its name, and the robots that are there."""
+    """A fleet that is connected."""
 
     fleet: Fleet
+    """Client of the fleet."""
     name: str
+    """Name of the fleet."""
     robots: tuple[str, ...]
+    """Names of the robots that are alive."""
 
 
 @contextmanager
@@ -42,15 +45,18 @@ def running_fleet(
     """Join the fleet at a router.
 
     Args:
-        endpoint: where the router listens.
-        fleet_name: which fleet; None takes the only one there is.
-        robots: who is needed.
-        wait_s: how long to wait for router, fleet and robots to appear.
+        endpoint: Endpoint at which the router listens.
+        fleet_name: Name of the fleet; None takes the only one at the router.
+        robots: Names of the robots that have to be alive.
+        wait_s: Longest time to wait for router, fleet and robots to appear, in s.
+
+    Yields:
+        The connected fleet.
 
     Raises:
-        NoRouterError: no router answers.
-        InvalidInputError: there is no fleet, or several and none was named.
-        RobotLostError: a robot that was waited for did not appear.
+        NoRouterError: No router answers.
+        InvalidInputError: There is no fleet, or there are several and none was named.
+        RobotLostError: A robot that has to be alive did not appear.
     """
     deadline_s = time.monotonic() + wait_s
     with open_client(endpoint, timeout_s=max(CONNECT_TIMEOUT_S, wait_s)) as session:
@@ -77,14 +83,18 @@ def running_fleet(
 def started_fleet(
     path: Path, *, processes: int | None = None, realtime: float | None = None
 ) -> Iterator[Connection]:
-    """Start the fleet of a file with a router of its own, and end it all afterwards.
+    """Start the fleet of a file with a router of its own, and end both afterwards.
 
-    It remembers nothing of what it learned before.
+    The fleet starts with empty state: it knows nothing of what it learned in earlier runs.
 
     Args:
-        path: the fleet file.
-        processes: how many processes to deal the robots to; None gives each its own.
-        realtime: at which multiple of real time simulated robots play; None as fast as they can.
+        path: Path of the fleet file.
+        processes: Number of processes that share the robots; None gives each robot its own.
+        realtime: Multiple of real time at which simulated robots play; None plays as fast as
+            possible.
+
+    Yields:
+        The connected fleet, with all robots of the file alive.
     """
     file = read_fleet_file(path)
     check_settings(file, path)
@@ -100,7 +110,7 @@ def started_fleet(
 
 
 def wait_for_robots(fleet: Fleet, started: FleetProcesses, file: FleetFile) -> None:
-    """Wait until all robots of a file are there; raise at once when a process of theirs died."""
+    """Wait until all robots of a file are alive; raise at once when one of their processes died."""
     waited_s = 0.0
     missing = tuple(file.robots)
     while missing:

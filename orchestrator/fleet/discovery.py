@@ -1,4 +1,4 @@
-"""Who is at a router, found without joining any fleet; light enough for a stop."""
+"""Finds the robots at a router without joining any fleet; light enough for an urgent stop."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ DISCOVERY_TIMEOUT_S = 3.0
 
 
 def robots_at(session: Session) -> tuple[tuple[str, str], ...]:
-    """Return fleet and name of every robot that is alive at a router, sorted.
+    """Return the fleet and the name of every robot that is alive at a router, sorted.
 
-    Tokens whose names cannot be any are passed over. Ask before the session watches tokens.
+    Tokens that are not valid names are ignored. Call this before the session watches any tokens.
     """
     keys = session.alive(EVERY_FLEETS_ROBOTS_ALIVE, timeout_s=DISCOVERY_TIMEOUT_S)
     found = set()

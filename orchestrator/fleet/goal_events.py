@@ -1,4 +1,4 @@
-"""What happens to a goal on its way, what is asked of its robot, and how it ends: plain values."""
+"""Plain values of a goal's pursuit: its events, the questions to its robot, and how it ends."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from nufleet.shared.wire.messages import GoalAccepted, GoalResult, RobotState
 
 
 class Question(StrEnum):
-    """What is asked of a robot; at most one of each kind is open at a time."""
+    """The kinds of questions to a robot; at most one of each kind is open at a time."""
 
     GOAL = "goal"
     RESULT = "result"
     CANCEL = "cancel"
 
 
-# Events: what happened.
+# Events.
 
 
 @dataclass(frozen=True)
 class Accepted:
-    """The robot has taken the goal."""
+    """The robot has accepted the goal."""
 
     accepted: GoalAccepted
     question: ClassVar[Question] = Question.GOAL
@@ -32,7 +32,7 @@ class Accepted:
 
 @dataclass(frozen=True)
 class Fetched:
-    """The robot says how the goal ended."""
+    """The robot returned the goal's result."""
 
     result: GoalResult
     question: ClassVar[Question] = Question.RESULT
@@ -40,7 +40,7 @@ class Fetched:
 
 @dataclass(frozen=True)
 class CancelTaken:
-    """The robot says that the goal ends now, or will never begin."""
+    """The robot confirmed that the goal ends now, or will never begin."""
 
     question: ClassVar[Question] = Question.CANCEL
 
@@ -55,7 +55,7 @@ class Refused:
 
 @dataclass(frozen=True)
 class Unanswered:
-    """A question has no answer: none came in time, or what came is none."""
+    """A question remained without an answer: none arrived in time, or it cannot be decoded."""
 
     question: Question
     error: NufleetError
@@ -75,17 +75,17 @@ class TokenLost:
 
 @dataclass(frozen=True)
 class TokenBack:
-    """The robot's liveliness token is there again."""
+    """The robot's liveliness token reappeared."""
 
 
 @dataclass(frozen=True)
 class InterruptAsked:
-    """The goal is to end, or must never begin: Ctrl-C, or the lease is lost."""
+    """The goal is to end, or must never begin, because of Ctrl-C or a lost lease."""
 
 
 @dataclass(frozen=True)
 class Passed:
-    """Nothing but time."""
+    """Time passed, and nothing else happened."""
 
 
 Event = (
@@ -104,7 +104,7 @@ Event = (
 
 @dataclass(frozen=True)
 class Ask:
-    """Ask the robot a question about a goal; one of its answers is to come back as an event."""
+    """A question to be put to the robot; exactly one of its answers must come back as an event."""
 
     question: Question
     goal_id: str
@@ -112,21 +112,23 @@ class Ask:
 
 @dataclass(frozen=True)
 class Ended:
-    """How a pursuit ended: with a result, or with the reason why there is none.
-
-    `interrupted` says that there is no result because the end was asked for. `abandoned` are the
-    goals that may still move the robot, since it has not confirmed the opposite.
-    """
+    """The end of a pursuit: a result, or the reason why there is none."""
 
     result: GoalResult | None = None
+    """Result that the robot returned."""
     error: NufleetError | None = None
+    """Reason why there is no result, unless the pursuit was only interrupted."""
     interrupted: bool = False
+    """Whether the pursuit ended without a result after an interruption."""
     abandoned: tuple[str, ...] = ()
+    """Ids of the goals that may still move the robot, since it did not confirm their end."""
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """What is known of a robot when a pursuit begins; `heard_s` is when it was last heard."""
+    """What is known of a robot when a pursuit begins."""
 
     alive: bool
+    """Whether the robot's liveliness token is present."""
     heard_s: float = -math.inf
+    """Monotonic time at which the robot was last heard, in s; −∞ if never."""

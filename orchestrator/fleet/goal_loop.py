@@ -1,6 +1,6 @@
-"""Runs the pursuits of many goals: one thread takes their events, others wait for answers.
+"""Runs the pursuits of many goals: one thread handles their events, others wait for answers.
 
-This is the shell around `goal_pursuit`; it decides nothing.
+This module is the shell with all effects around `goal_pursuit`; it makes no decisions itself.
 """
 
 from __future__ import annotations
@@ -36,34 +36,36 @@ from nufleet.shared.errors import NufleetError, RefusedError
 from nufleet.shared.wire.messages import GoalAccepted, GoalRequest
 
 TICK_S = 0.05
-"""How often the pursuits are looked at for which time alone matters."""
+"""Interval at which pursuits are checked for deadlines, in s."""
 
 _LOOK_S = 0.2
 
 ASKING_AT_ONCE = 256
-"""Questions that may wait for their answers at the same time."""
+"""Number of questions that may wait for their answers at the same time."""
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
 class Errand:
-    """A goal to be pursued.
-
-    `on_accepted` is told once when the robot has taken it, `on_ended` how it ended; both are called
-    on the loop's thread and must return at once.
-    """
+    """A goal to be pursued; its callbacks run on the loop's thread and must return at once."""
 
     robot: str
+    """Name of the robot."""
     request: GoalRequest
+    """Request that is sent to the robot."""
     on_accepted: Callable[[GoalAccepted], None]
+    """Callback that is called once, when the robot has accepted the goal."""
     on_ended: Callable[[Ended], None]
+    """Callback that is called once, when the pursuit has ended."""
     taken_before: bool = False
+    """Whether the robot accepted the goal from an earlier orchestrator already."""
     abandoned: Iterable[str] = ()
+    """Ids of earlier goals that may still move the robot; they are cancelled first."""
 
 
 class GoalLoop:
-    """Pursues errands; a context manager, whose exit waits for no robot."""
+    """Pursues errands; a context manager whose exit does not wait for any robot."""
 
     def __init__(self, fleet: Fleet) -> None:
         self._fleet = fleet
@@ -89,26 +91,26 @@ class GoalLoop:
         self._askers.shutdown(wait=False, cancel_futures=True)
 
     def begin(self, errand: Errand) -> None:
-        """Pursue an errand from now on; after an interrupt it ends before it is sent."""
+        """Start pursuing an errand; after an interrupt, the errand ends without being sent."""
         self.post(lambda: self._begin(errand))
 
     def interrupt(self) -> None:
-        """Have every errand end with its robot at rest, and those that follow not begin."""
+        """End every errand with its robot at rest, and keep later errands from starting."""
         self.post(self._interrupt)
 
     @property
     def is_interrupted(self) -> bool:
-        """Whether the end of all errands was asked for."""
+        """Whether `interrupt` was called."""
         return self._interrupted
 
     def post(self, job: Callable[[], None]) -> None:
-        """Have the loop's thread do something."""
+        """Run a job on the loop's thread."""
         self._inbox.put(job)
 
     def wait_for(self, done: threading.Event) -> None:
-        """Wait until an event is set by what errands call.
+        """Wait until an errand's callback sets an event.
 
-        An error on the loop's thread, which nobody foresaw, is raised once all robots are at rest.
+        An unexpected error on the loop's thread is raised here, once all robots are at rest.
         """
         while not done.wait(_LOOK_S):
             if self._crash is not None and not self._running:
@@ -156,12 +158,13 @@ class GoalLoop:
         self._have_taken(InterruptAsked(), self._running.values())
 
     def _have_taken(self, event: Event, runs: Iterable[_Run]) -> None:
-        # Each in a job of its own: an error about one robot must not keep it from the others.
+        # One job per pursuit: an error concerning one robot must not keep the event from the
+        # others.
         for run in runs:
             self.post(partial(run.take, event))
 
     def ended(self, errand: Errand, ended: Ended) -> None:
-        """Say how an errand ended, and let it go."""
+        """Report the end of an errand and forget it."""
         try:
             errand.on_ended(ended)
         finally:
@@ -169,7 +172,7 @@ class GoalLoop:
 
 
 class _Run:
-    """One pursuit and its effects."""
+    """One pursuit, with the network requests and callbacks that it causes."""
 
     def __init__(
         self, loop: GoalLoop, fleet: Fleet, errand: Errand, askers: ThreadPoolExecutor
@@ -200,7 +203,7 @@ class _Run:
             self.take(Passed())
 
     def leave(self) -> None:
-        """Follow the robot no more."""
+        """Stop following the robot's states."""
         self._unfollow()
 
     def take(self, event: Event) -> None:

@@ -1,18 +1,19 @@
-"""One goal on one robot, as its orchestrator pursues it: a pure state machine.
+"""Pursues one goal on one robot on behalf of its orchestrator: a pure state machine.
 
-It holds no socket, thread or clock. `take` is given what happened and the time, and returns what is
-to be asked of the robot; `wake_s` says when time alone will matter; `ended` is set once.
+It holds no socket, thread or clock. `take` receives an event and the time, and returns the
+questions to be put to the robot; `wake_s` is the time of its next deadline; `ended` is set once.
 
 Every rule follows from four facts about the network and the robot:
 
 - A question may be lost, and so may its answer. Asking again is always safe: a goal id moves its
-  robot at most once, a result is kept until it is acknowledged.
-- States may be lost or late. So a state is only ever a reason to *ask* how the goal stands; what
-  the robot answers decides. A robot that is heard, by whatever message, is not given up.
-- A goal that was asked for may arrive late. So nobody may assume that it will not begin before
-  the robot has confirmed that it is cancelled; the robot remembers that by the goal's id.
-- A robot that was given up may return, moving still. So a goal that ended without its robot's word
-  is abandoned, not over: before the next goal is sent it is cancelled until the robot confirms.
+  robot at most once, and a result is kept until it is acknowledged.
+- States may be lost or late. A state is therefore only ever a reason to *ask* about the goal; the
+  robot's answer decides. A robot that is heard, through any message, is not given up for silence.
+- A goal may arrive long after it was sent. It must therefore be expected to begin until the robot
+  has confirmed its cancellation; the robot stores the ids of cancelled goals.
+- A robot that was given up may return and still be moving. A goal that ended without the robot's
+  confirmation is therefore abandoned, not over: before the next goal is sent, the abandoned one is
+  cancelled until the robot confirms.
 """
 
 from __future__ import annotations
@@ -43,34 +44,37 @@ from nufleet.shared.errors import NufleetError, RefusedError, RobotLostError
 from nufleet.shared.wire.messages import GoalAccepted, Outcome, RobotState
 
 RETURN_PATIENCE_S = 10.0
-"""A robot that is not heard for this long is given up."""
+"""Time in s after which a robot that is not heard is given up."""
 
 ANSWER_PATIENCE_S = 300.0
-"""A robot that is heard, and answers none of the questions asked in this time, is given up."""
+"""Time in s after which a robot that is heard but answers no question is given up."""
 
 ANSWER_TRIES = 10
-"""But not before this many questions in a row stayed without an answer."""
+"""Number of consecutive unanswered questions that such a robot must also have reached."""
 
 REFUSAL_PATIENCE_S = 10.0
-"""How long a refusal may last that says nothing about the goal itself."""
+"""Time in s for which a refusal is tolerated whose cause is not the goal itself."""
 
 REST_PATIENCE_S = 90.0
-"""How long a robot may take to come to rest after a cancel; longer than any driver's `rest`."""
+"""Time in s that a robot has to come to rest after a cancel; longer than any driver's `rest`."""
 
 ASK_AGAIN_S = 0.05
 LOOK_AGAIN_S = 0.5
-"""How long to wait before asking how a goal stands that was running still: one heartbeat."""
+"""Interval in s between requests for the result of a goal that is still running: one heartbeat."""
 
 PASSING = frozenset({"owner-not-alive", "overloaded", "shutting-down", "two-agents", "frozen"})
-"""Refusals that say nothing about the goal. After a restart of the router a robot may hear of it
-before its owner; an agent that restarts or was frozen takes it a little later."""
+"""Codes of refusals whose cause is temporary and not the goal itself.
+
+After a restart of the router, the robot may learn of the goal before it learns that the goal's
+owner is alive; an agent that restarts or was frozen accepts the goal a little later.
+"""
 
 NEVER_BEGINS = frozenset({"goal-ended", "stale-epoch"})
-"""Refusals to cancel a goal that say as much as a yes: it moves its robot no more."""
+"""Codes of refused cancellations that amount to a confirmation: the goal can no longer move."""
 
 
 class Pursuit:
-    """Pursues one goal until it has ended; see the module for its rules."""
+    """Pursues one goal until it has ended; the module docstring explains the rules."""
 
     def __init__(
         self,
@@ -82,16 +86,16 @@ class Pursuit:
         taken_before: bool = False,
         abandoned: Iterable[str] = (),
     ) -> None:
-        """Begin; `take(Passed(), now_s)` gives the first questions.
+        """Begin a pursuit; `take(Passed(), now_s)` then returns the first questions.
 
         Args:
-            robot: who is to do it.
-            goal_id: the goal's.
-            sighting: what is known of the robot now.
-            now_s: the time, of the clock that all later times are of.
-            taken_before: an earlier orchestrator knows that the robot took this goal. Then it is
-                never sent again; only what became of it is asked.
-            abandoned: goals of this robot that may be moving it still; they are cancelled first.
+            robot: Name of the robot.
+            goal_id: Id of the goal.
+            sighting: What is known of the robot now.
+            now_s: Current time in s, on the same clock as all later times.
+            taken_before: Whether the robot accepted this goal from an earlier orchestrator. If so,
+                the goal is never sent again; only its result is requested.
+            abandoned: Ids of goals that may still move this robot; they are cancelled first.
         """
         self.robot = robot
         self.goal_id = goal_id
@@ -121,7 +125,7 @@ class Pursuit:
 
     @property
     def wake_s(self) -> float:
-        """When `take` is to be called with `Passed`, should nothing happen before."""
+        """Time in s at which `take` must be called with `Passed`, if no other event comes first."""
         if self.ended is not None:
             return math.inf
         times = [self._give_up_s, *self._not_before_s.values()]
@@ -134,12 +138,12 @@ class Pursuit:
         return min(times)
 
     def take(self, event: Event, now_s: float) -> tuple[Ask, ...]:
-        """Take in what happened; return what is to be asked now.
+        """Handle an event and return the questions to ask now.
 
         Args:
-            event: what happened. An answer belongs to the open question of its kind; one too many
-                says nothing.
-            now_s: the time; it never goes back.
+            event: Event to handle. An answer belongs to the open question of its kind; an answer
+                without an open question is ignored.
+            now_s: Current time in s; it never decreases.
         """
         if self.ended is None:
             self._note(event, now_s)
@@ -147,7 +151,7 @@ class Pursuit:
             self._note_time(now_s)
         return () if self.ended is not None else tuple(self._questions(now_s))
 
-    # What happened.
+    # Handling of events.
 
     def _note(self, event: Event, now_s: float) -> None:
         match event:
@@ -163,7 +167,7 @@ class Pursuit:
             case TokenBack():
                 self._alive = True
                 self._heard_s = now_s
-                # The goal may have ended meanwhile, in a state that nobody heard.
+                # The goal may have ended meanwhile, and the state that said so been lost.
                 self._fetch = self._taken
             case InterruptAsked():
                 self._interrupted = True
@@ -203,7 +207,8 @@ class Pursuit:
         if state.goal_id == self.goal_id:
             self._progress = state.progress
         elif self._taken:
-            # The goal has ended, or this state is from before it: the robot's answer decides.
+            # Either the goal has ended or this state is older than the goal: the robot's answer
+            # decides.
             self._fetch = True
             if state.last_goal_id == self.goal_id:
                 self._over = True
@@ -245,7 +250,7 @@ class Pursuit:
             self._not_before_s[Question.GOAL] = now_s + ASK_AGAIN_S
 
     def _outlasts(self, question: Question, patience_s: float, now_s: float) -> bool:
-        """Return whether a question has been refused for that long."""
+        """Return whether a question has been refused for at least `patience_s`."""
         return now_s >= self._refused_since_s.setdefault(question, now_s) + patience_s
 
     def _note_silence(self, question: Question, error: NufleetError, now_s: float) -> None:
@@ -259,7 +264,7 @@ class Pursuit:
         if tries + 1 >= ANSWER_TRIES and now_s - since_s >= ANSWER_PATIENCE_S:
             self._give_up(error)
 
-    # What time says.
+    # Deadlines.
 
     @property
     def _give_up_s(self) -> float:
@@ -276,13 +281,13 @@ class Pursuit:
             )
             self._give_up(RobotLostError(reason))
         elif self._may_be_overdue and overdue.is_late(self._progress, now_s):
-            # It is heard, so it can be brought to rest before it is given up.
+            # The robot is still heard, so it can be brought to rest before it is given up.
             self._given_up = RobotLostError(
                 f"robot {self.robot} is overdue with {self.goal_id}: for {overdue.grace_s:.0f} s "
                 f"it got no further than {overdue.progress:.0%}; see whether its agent hangs"
             )
         if self._taken and now_s >= self._heard_s + HEARTBEAT_LOST_S:
-            # Its states do not arrive; perhaps its answers do.
+            # The robot's states do not arrive, but its answers may.
             self._fetch = True
 
     def _silent(self, now_s: float) -> str:
@@ -298,7 +303,7 @@ class Pursuit:
             f"{now_s - max(self._heard_s, self._lost_s):.1f} s"
         )
 
-    # How it ends.
+    # Ends of the pursuit.
 
     def _end_if_never_sent(self) -> None:
         if not self._sent and not self._taken and not self._abandoned:
@@ -321,7 +326,7 @@ class Pursuit:
             abandoned=(*self._abandoned, *own),
         )
 
-    # What is to be asked.
+    # Questions to the robot.
 
     @property
     def _may_be_overdue(self) -> bool:
@@ -333,7 +338,7 @@ class Pursuit:
 
     @property
     def _may_begin_yet(self) -> bool:
-        """Whether the goal is to be cancelled, and the robot has not confirmed that it is."""
+        """Whether the goal is being cancelled and the robot has not confirmed it yet."""
         return self._cancelling and self._cancelled_s is None
 
     def _questions(self, now_s: float) -> Iterator[Ask]:

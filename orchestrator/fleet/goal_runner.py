@@ -1,4 +1,4 @@
-"""Has robots do motions: each sent once, waited for, fetched, acknowledged with the next one."""
+"""Runs motions on robots: sends each one, waits, fetches and later acknowledges its result."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Interrupted(Exception):  # noqa: N818 - not an error: somebody asked for t
 
 
 class GoalRunner:
-    """Runs motions on the robots of a fleet; may be used from many threads.
+    """Runs motions on the robots of a fleet; many threads may use it at once.
 
-    `interrupt` ends all of them from another thread, with robots at rest.
+    `interrupt`, called from another thread, ends all motions with the robots at rest.
     """
 
     def __init__(self, fleet: Fleet) -> None:
@@ -37,12 +37,12 @@ class GoalRunner:
 
     @property
     def interrupted(self) -> bool:
-        """Whether the end was asked for."""
+        """Whether `interrupt` was called."""
         return self._interrupted
 
     @contextmanager
     def pursuing(self) -> Iterator[GoalLoop]:
-        """Open a loop for errands, which `interrupt` ends as well."""
+        """Open a loop for errands, all of which `interrupt` ends as well."""
         with GoalLoop(self._fleet) as loop:
             with self._lock:
                 self._loops.append(loop)
@@ -64,15 +64,17 @@ class GoalRunner:
         on_accepted: Callable[[GoalAccepted], None] = lambda accepted: None,
         taken_before: bool = False,
     ) -> Errand:
-        """Return what is to be pursued, with what this runner knows of the robot's earlier goals.
+        """Return an errand that also accounts for the robot's earlier goals.
+
+        It acknowledges their results and cancels the goals that were abandoned.
 
         Args:
-            robot: who.
-            goal_id: unique; the same id and motion again is the same goal.
-            motion: what.
-            on_ended: is told how it ended.
-            on_accepted: is told when the robot has taken it.
-            taken_before: an earlier orchestrator knows that the robot has taken it.
+            robot: Name of the robot that is to move.
+            goal_id: Unique id of the goal; the same id with the same motion is the same goal.
+            motion: Motion that the robot is to execute.
+            on_ended: Callback that receives the end of the pursuit, on the loop's thread.
+            on_accepted: Callback that receives the robot's acceptance, on the loop's thread.
+            taken_before: Whether the robot accepted the goal from an earlier orchestrator.
         """
         acknowledges = self._unacknowledged.get(robot, ())
 
@@ -107,19 +109,22 @@ class GoalRunner:
         return Errand(robot, request, accepted, ended, taken_before, abandoned)
 
     def run(self, robot: str, goal_id: str, motion: Motion) -> GoalResult:
-        """Have a robot do a motion and return what it measured, however that ended.
+        """Run a motion on a robot and return its result, whatever the outcome of the motion.
 
         Args:
-            robot: who.
-            goal_id: unique; the same id and motion again is the same goal.
-            motion: what.
+            robot: Name of the robot that is to move.
+            goal_id: Unique id of the goal; the same id with the same motion is the same goal.
+            motion: Motion that the robot is to execute.
+
+        Returns:
+            The result with the measured samples, also of a motion that ended early.
 
         Raises:
-            RefusedError: the robot refuses, and says why.
-            RobotLostError: it is gone and does not return, knows nothing of the goal when it
+            RefusedError: The robot refuses the goal; the error holds its reason.
+            RobotLostError: The robot is gone and does not return, no longer knows the goal when it
                 does, or is overdue.
-            NoReplyError: it is heard, and does not answer.
-            MalformedMessageError: its answers are none.
+            NoReplyError: The robot is heard but does not answer.
+            MalformedMessageError: The reply cannot be decoded.
             Interrupted: `interrupt` was called, and there is no result.
         """
         how: list[Ended] = []
@@ -140,9 +145,10 @@ class GoalRunner:
         raise ended.error
 
     def wait_for(self, loop: GoalLoop, done: threading.Event) -> None:
-        """Wait until errands set an event; Ctrl-C meanwhile interrupts all, and is raised then.
+        """Wait until an errand's callback sets an event.
 
-        A second Ctrl-C is raised at once: robots stop by themselves when this process has ended.
+        Ctrl-C during the wait interrupts all errands and is raised once they have ended. A second
+        Ctrl-C is raised at once: robots stop by themselves when this process has ended.
         """
         try:
             loop.wait_for(done)
@@ -152,14 +158,14 @@ class GoalRunner:
             raise
 
     def interrupt(self) -> None:
-        """Bring every robot to rest, all at once; nothing is sent afterwards that moves one."""
+        """Bring all robots to rest at once; from then on no goal is sent."""
         with self._lock:
             self._interrupted = True
             for loop in self._loops:
                 loop.interrupt()
 
     def acknowledge_all(self) -> None:
-        """Tell every robot that its last results arrived."""
+        """Acknowledge the last results of every robot, so that it may discard them."""
         for robot, goal_ids in self._unacknowledged.items():
             try:
                 self._fleet.acknowledge(robot, goal_ids)

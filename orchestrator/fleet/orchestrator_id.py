@@ -1,4 +1,4 @@
-"""The ids under which orchestrators, and people at a command line, are known to robots."""
+"""Ids by which robots know orchestrators and the people at a command line."""
 
 from __future__ import annotations
 
@@ -7,6 +7,6 @@ import re
 
 
 def new_orchestrator_id() -> str:
-    """Return an id that no other orchestrator has: with host and process, to find it by."""
+    """Return a unique id that contains host and process, so that a person can find its owner."""
     host = re.sub("[^0-9a-z-]", "-", os.uname().nodename.lower())[:32]
     return f"orchestrator-{host}-{os.getpid()}-{os.urandom(4).hex()}"

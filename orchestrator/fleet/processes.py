@@ -1,4 +1,4 @@
-"""Starts a router and the agents of a fleet file as processes, and ends them all, always."""
+"""Starts a router and the agents of a fleet file as processes, and makes sure that all end."""
 
 from __future__ import annotations
 
@@ -23,9 +23,11 @@ from nufleet.shared.robots.fleet_file import FleetFile
 from nufleet.shared.wire.transport import open_client
 
 GRACE_S = 90.0
-"""How long a process may take to leave its robots at rest before it is killed.
+"""Time in s that a process has to bring its robots to rest before it is killed.
 
-Longer than an agent takes to find that a driver hangs, so that it can say so itself."""
+It is longer than an agent needs to detect a hanging driver, so that the agent can report that
+itself.
+"""
 
 ROUTER = "router"
 LANDING = "landing: the robots of this fleet are coming to rest, and then it ends by itself"
@@ -40,18 +42,18 @@ class _Child:
     log: IO[bytes]
 
     def last_words(self) -> str:
-        """The end of what the process printed."""
-        # The child writes at the same file offset, so it is read without moving that.
+        """The last lines that the process printed."""
+        # The child shares the file offset for writing, so the file is read without moving it.
         size = os.fstat(self.log.fileno()).st_size
         start = max(0, size - 4000)
         return os.pread(self.log.fileno(), 4000, start).decode(errors="replace").strip()
 
 
 class FleetProcesses:
-    """A router and agents as child processes; a context manager that leaves none behind.
+    """A context manager that runs a router and agents as child processes and leaves none behind.
 
-    Each child holds the other end of a pipe and ends when that closes, so even a killed parent
-    leaves nothing running.
+    Each child holds the other end of a pipe and ends when the pipe closes, so that even a killed
+    parent leaves nothing running.
     """
 
     def __init__(self) -> None:
@@ -69,7 +71,15 @@ class FleetProcesses:
         self.stop()
 
     def start_router(self, endpoint: str, *, timeout_s: float = 20.0) -> None:
-        """Start a router and wait until it answers; raises EndpointInUseError when it cannot."""
+        """Start a router and wait until it answers.
+
+        Args:
+            endpoint: Endpoint at which the router is to listen.
+            timeout_s: Longest time to wait for its first answer, in s.
+
+        Raises:
+            EndpointInUseError: The endpoint is taken.
+        """
         child = self._start(ROUTER, ["router"], {"NUFLEET_LISTEN": endpoint})
         deadline = time.monotonic() + timeout_s
         while "router listening on" not in child.last_words():
@@ -90,9 +100,16 @@ class FleetProcesses:
         *,
         state_folder: Path | None = None,
     ) -> None:
-        """Start one process for each group of robots; they appear when they are ready.
+        """Start one process for each group of robots; the robots appear once they are ready.
 
-        What they have to remember lies in `state_folder`, or where agents keep it by themselves.
+        Args:
+            path: Path of the fleet file.
+            groups: Names of the robots in each process.
+            endpoint: Endpoint of the router.
+            realtime: Multiple of real time at which simulated robots play; None plays as fast as
+                possible.
+            state_folder: Folder for the persistent state of the agents; None takes their default
+                folder.
         """
         for group in groups:
             arguments = ["agent", str(path)]
@@ -105,7 +122,7 @@ class FleetProcesses:
             self._start(f"agent of {', '.join(group)}", arguments, reached)
 
     def dead(self) -> list[str]:
-        """Say of each process that ended on its own what it was and what it said."""
+        """Return the name and the last output of each process that ended on its own."""
         return [
             f"{child.what} ended with exit code {child.process.returncode}: {child.last_words()}"
             for child in self._children
@@ -113,13 +130,13 @@ class FleetProcesses:
         ]
 
     def pids(self) -> dict[str, int]:
-        """Return the process id of each child, by what it is."""
+        """Return the process id of each child, by its role."""
         return {child.what: child.process.pid for child in self._children}
 
     def stop(self) -> None:
-        """End all processes: agents first, so that robots rest while the router still is there.
+        """End all processes, agents first, so that robots come to rest while the router still runs.
 
-        Whoever interrupts this is told that the robots are landing; it goes on all the same.
+        An interruption prints that the robots are landing, and does not stop the procedure.
         """
         with Interrupts(LANDING, held=True):
             self._stop()
@@ -138,7 +155,7 @@ class FleetProcesses:
             self._children.clear()
 
     def _start(self, what: str, arguments: list[str], environment: dict[str, str]) -> _Child:
-        """Start a process; what other users may not see is in its environment."""
+        """Start a process; secrets are passed in its environment, which other users cannot read."""
         log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", "nufleet", *arguments, "--until-stdin-closes"],
@@ -154,7 +171,7 @@ class FleetProcesses:
 
 
 def _end(children: list[_Child]) -> None:
-    """Ask processes to end, all at once, and kill those that do not within `GRACE_S`."""
+    """Ask all processes to end at the same time, and kill those still running after `GRACE_S`."""
     for child in children:
         if child.process.stdin is not None:
             child.process.stdin.close()
@@ -173,10 +190,17 @@ def _end(children: list[_Child]) -> None:
 
 
 def grouped(fleet: FleetFile, *, processes: int) -> list[tuple[str, ...]]:
-    """Deal a fleet's robots to at most so many processes, keeping together what must share one.
+    """Distribute a fleet's robots over processes, and keep together those that must share one.
+
+    Args:
+        fleet: Fleet file with the robots.
+        processes: Largest number of processes, at least 1.
+
+    Returns:
+        The names of the robots in each process.
 
     Raises:
-        ValueError: for no processes at all.
+        ValueError: The number of processes is less than 1.
     """
     if processes < 1:
         raise ValueError(f"a fleet needs at least one process, got {processes}")
@@ -195,7 +219,7 @@ def grouped(fleet: FleetFile, *, processes: int) -> list[tuple[str, ...]]:
 
 @contextmanager
 def private_folder() -> Iterator[Path]:
-    """Yield a folder that no other process knows, for as long as it is needed."""
+    """Yield a temporary folder that no other process uses, and delete it on exit."""
     folder = tempfile.mkdtemp(prefix="nufleet-")
     try:
         yield Path(folder)

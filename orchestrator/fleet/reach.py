@@ -1,4 +1,4 @@
-"""Which fleet a command reaches and how, kept with its run so that it can be reached again."""
+"""How a command reaches its fleet, stored with its run so that a resumed run can reach it again."""
 
 from __future__ import annotations
 
@@ -16,22 +16,25 @@ from nufleet.shared.robots.fleet_file import FleetFile, read_fleet_file
 from nufleet.shared.strict import Name, Positive, Strict
 
 REACH = "reach"
-"""Its key in a run's configuration."""
+"""Key of the stored `Reach` in a run's configuration."""
 
 
 class Reach(Strict):
-    """A running fleet at a router's endpoint, or that of a file, started for one run alone.
+    """A running fleet at a router, or the fleet of a file, started for one run alone.
 
-    It is stored without what may be secret in the endpoint, and then needs it again to be reached.
-    `processes` says to how many processes the robots of a file are dealt, None gives each its own;
-    `realtime` at which multiple of real time they play, None as fast as they can.
+    Secrets in the endpoint are not stored, so they have to be supplied again to reach the fleet.
     """
 
     connect: str
+    """Endpoint of the router of a running fleet."""
     fleet_name: Name | None = None
+    """Name of the running fleet; None takes the only one at the router."""
     fleet_file: str | None = None
+    """Path of the fleet file; None for a running fleet."""
     realtime: Positive | None = None
+    """Multiple of real time at which robots of the file play; None plays as fast as possible."""
     processes: Annotated[int, Field(ge=1)] | None = 2
+    """Number of processes that share the robots of the file; None gives each its own."""
 
     @field_serializer("connect")
     def _without_secrets(self, connect: str) -> str:
@@ -39,13 +42,19 @@ class Reach(Strict):
 
     @property
     def file(self) -> FleetFile | None:
-        """The fleet file, read; None for a running fleet."""
+        """The content of the fleet file; None for a running fleet."""
         return None if self.fleet_file is None else read_fleet_file(Path(self.fleet_file))
 
     def connection(
         self, console: Console, robots: tuple[str, ...] = (), *, wait_s: float = 0.0
     ) -> AbstractContextManager[Connection]:
-        """Start the fleet, or join it and wait so long for these robots; enter what is returned."""
+        """Return a context manager that starts the fleet, or joins the running one.
+
+        Args:
+            console: Console for progress messages.
+            robots: Names of the robots that have to be alive in a running fleet.
+            wait_s: Longest time to wait for them, in s.
+        """
         file = self.file
         if self.fleet_file is None or file is None:
             if self.connect.endswith(f"#{HIDDEN}"):
@@ -60,8 +69,13 @@ class Reach(Strict):
         )
 
     def lease_scope(self, fleet: str, run_id: str) -> str:
-        """Return the name of the fleet whose robots are leased.
+        """Return the name under which the robots are leased.
 
-        A fleet that was started for a run is another one than all others of that name.
+        A fleet that was started for a run is distinct from all others of the same name, so its
+        scope also depends on the run.
+
+        Args:
+            fleet: Name of the fleet.
+            run_id: Id of the run.
         """
         return fleet if self.fleet_file is None else f"{fleet}/{run_id}"

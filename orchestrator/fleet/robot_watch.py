@@ -1,4 +1,4 @@
-"""The latest that is known of one robot, and waiting for it to change."""
+"""The latest known state of one robot, and ways to wait for its changes."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from nufleet.shared.wire.messages import RobotState
 OnSign = Callable[[Heard | TokenBack | TokenLost], None]
 
 HEARTBEAT_LOST_S = 2.5
-"""A robot that is silent for longer is lost: five heartbeats."""
+"""Time in s, five heartbeats, after which a silent robot counts as lost."""
 
 
 class RobotWatch:
-    """Set from network threads, read and waited on from others."""
+    """The latest known state of one robot; network threads set it, other threads read it."""
 
     def __init__(self, robot: str) -> None:
         self.robot = robot
@@ -28,28 +28,28 @@ class RobotWatch:
 
     @property
     def alive(self) -> bool:
-        """Whether the robot's liveliness token is there."""
+        """Whether the robot's liveliness token is present."""
         return self._alive
 
     @property
     def state(self) -> RobotState | None:
-        """The last state heard; None before the first."""
+        """The last state received; None before the first."""
         return self._state
 
     @property
     def silent_s(self) -> float:
-        """Seconds since the robot was last heard of (its own clock plays no part)."""
+        """Time in s since the robot was last heard, measured by this process's clock."""
         return time.monotonic() - self._heard_s
 
     def set_alive(self, alive: bool) -> None:
-        """Note that the token appeared or disappeared."""
+        """Record that the liveliness token appeared or disappeared."""
         with self._changed:
             self._alive = alive
             self._heard_s = time.monotonic()
             self._tell(TokenBack() if alive else TokenLost())
 
     def set_state(self, state: RobotState) -> None:
-        """Note a state; one that is older than the last of the same boot is passed over."""
+        """Record a state, unless it is older than the last one of the same boot."""
         with self._changed:
             last = self._state
             same_boot = last is not None and last.boot_id == state.boot_id
@@ -60,15 +60,23 @@ class RobotWatch:
             self._tell(Heard(state))
 
     def wait_until(self, condition: Callable[[RobotWatch], bool], *, timeout_s: float) -> bool:
-        """Wait until a condition on this watch holds; return whether it does."""
+        """Wait until a condition on this watch holds.
+
+        Args:
+            condition: Predicate, evaluated after every change.
+            timeout_s: Longest time to wait, in s.
+
+        Returns:
+            Whether the condition holds.
+        """
         with self._changed:
             return self._changed.wait_for(lambda: condition(self), timeout_s)
 
     def follow(self, follower: OnSign) -> tuple[Sighting, Callable[[], None]]:
-        """Tell a follower, on network threads, what happens from now on.
+        """Call a follower, on network threads, with every sign of the robot from now on.
 
         Returns:
-            What is known now, and what ends the following.
+            What is known of the robot now, and a function that removes the follower.
         """
         with self._changed:
             self._followers.append(follower)

@@ -1,6 +1,6 @@
-"""Stops robots, all at once, and finds out which of them did not confirm.
+"""Stops many robots at once and finds out which of them did not confirm.
 
-Imports nothing heavy before the robots have been told: a person waits for this.
+Nothing heavy is imported before the stops are sent, because a person waits for them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MOST_AT_ONCE = 64
 _log = logging.getLogger(__name__)
 
 OnAnswer = Callable[[str, str | None], None]
-"""Takes a robot and why it did not confirm its stop; None when it did."""
+"""Callback with a robot's name and the reason why it did not confirm its stop, None if it did."""
 
 
 def stop_at_router(
@@ -36,22 +36,23 @@ def stop_at_router(
     fleet_name: str | None,
     on_answer: OnAnswer,
 ) -> bool:
-    """Stop the named robots, or all there are, and return whether each of them confirmed.
+    """Stop the named robots, or all robots, and return whether each of them confirmed.
 
-    Never asks which fleet is meant: without a name it is every fleet at the router.
+    An ambiguous request is never an error: without a fleet name, every fleet at the router is
+    stopped.
 
     Args:
-        endpoint: where the router listens.
-        robots: whom to stop; None for all.
-        reason: any text.
-        fleet_name: of one fleet; None for every fleet at the router.
-        on_answer: called for each robot as soon as it is known, under `fleet/robot` where there are
-            several fleets.
+        endpoint: Endpoint at which the router listens.
+        robots: Names of the robots to stop; None stops all.
+        reason: Reason for the stop, in any words.
+        fleet_name: Name of the fleet; None means every fleet at the router.
+        on_answer: Callback for each robot as soon as its answer is known; robots are named
+            `fleet/robot` where there are several fleets.
 
     Raises:
-        NoRouterError: no router answers, so nobody can be told.
-        InvalidInputError: the fleet's name cannot be one.
-        RobotLostError: the stop was sent, but nobody is there who could confirm it.
+        NoRouterError: No router answers, so no robot can be reached.
+        InvalidInputError: The fleet's name is not valid.
+        RobotLostError: The stop was sent, but no robot is there that could confirm it.
     """
     sender = new_orchestrator_id()
     order = stop_frame(sender, reason)
@@ -59,7 +60,8 @@ def stop_at_router(
     with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as telling:
         for key in keys:
             telling.put_urgent(key, order)
-        # On another session: the router may hold up the first for a robot that does not read.
+        # Confirmations use a session of their own: a robot that does not read may make the router
+        # hold up the session on which the stop was sent.
         with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as asking:
             there = robots_at(asking)
             for fleet, robot in there:
@@ -70,7 +72,7 @@ def stop_at_router(
 
 
 def stop_robots(fleet: Fleet, robots: tuple[str, ...], reason: str) -> dict[str, str]:
-    """Send a stop to every robot named; return why each that did not confirm it did not."""
+    """Stop the named robots, and return the reason for each robot that did not confirm."""
     unconfirmed: dict[str, str] = {}
 
     def told(target: _Target, why: str | None) -> None:
@@ -82,7 +84,7 @@ def stop_robots(fleet: Fleet, robots: tuple[str, ...], reason: str) -> dict[str,
 
 
 def _keys(robots: tuple[str, ...] | None, fleet_name: str | None) -> list[str]:
-    """Return the keys that reach whom is meant without knowing yet who is there."""
+    """Return the keys that reach the robots to stop, before it is known which are alive."""
     fleet = None if fleet_name is None else FleetKeys(fleet_name)
     if robots is None:
         return [EVERY_FLEETS_STOP if fleet is None else fleet.stop]
@@ -92,7 +94,7 @@ def _keys(robots: tuple[str, ...] | None, fleet_name: str | None) -> list[str]:
             in_all = robot_in_every_fleet(robot, "stop")
             keys.append(in_all if fleet is None else fleet.robot(robot, "stop"))
         except InvalidInputError:
-            continue  # said when it is asked; the others are told all the same
+            continue  # reported when its confirmation is requested; the others are stopped anyway
     return keys
 
 
@@ -124,7 +126,7 @@ def _all_confirm(
         one = len(fleets) == 1
         on_answer(target.robot if one else f"{target.fleet_name}/{target.robot}", why)
 
-    # Again until nobody is new: robots may appear while others are asked.
+    # Repeat until no new robot appears: some may appear while others are being asked.
     while new := [target for target in _targets(fleets, robots) if target not in asked]:
         asked.update(new)
         _stop(new, reason, told)
@@ -139,7 +141,7 @@ def _all_confirm(
 
 
 def _targets(fleets: dict[str, Fleet], robots: tuple[str, ...] | None) -> list[_Target]:
-    """Return who is to be asked now: of those who are named also who does not seem to be there."""
+    """Return the robots to ask now; named robots are included even if they do not seem alive."""
     there = [_Target(f, name, robot) for name, f in fleets.items() for robot in f.robots()]
     if robots is None:
         return there
@@ -150,7 +152,7 @@ def _targets(fleets: dict[str, Fleet], robots: tuple[str, ...] | None) -> list[_
 
 
 def _stop(targets: list[_Target], reason: str, told: Callable[[_Target, str | None], None]) -> None:
-    """Stop robots, all at once, and tell of each as soon as it is known."""
+    """Stop all robots at once, and report the answer of each as soon as it is known."""
     from concurrent.futures import ThreadPoolExecutor, as_completed
 
     def stop_one(target: _Target) -> str | None:

@@ -1,4 +1,4 @@
-"""The table of a fleet's robots and what each of them does."""
+"""The table of a fleet's robots with their current activity."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _COLOURS = {"idle": "green", "running": "cyan", "resting": "blue", "stopped": "r
 
 
 def fleet_table(fleet: str, watches: Iterable[RobotWatch]) -> Table:
-    """Return one row per robot: status, progress of its goal, flown time, and why it is so."""
+    """Return one row per robot: status, progress of its goal, flown time, and the reason."""
     table = Table(title=f"fleet {fleet}", title_justify="left")
     for heading in ("robot", "status", "goal"):
         table.add_column(heading)
