@@ -207,10 +207,10 @@ class _Run:
         self._unfollow()
 
     def take(self, event: Event) -> None:
-        """Take in an event, and ask what follows from it."""
+        """Handle an event, and put the questions that follow from it to the robot."""
         if self.pursuit.ended is not None:
             return
-        # Asked first: an error in what is told must not lose a question.
+        # Questions go out before the callbacks run: an error in a callback must not lose one.
         for ask in self.pursuit.take(event, time.monotonic()):
             self._askers.submit(self._ask, ask)
         if self.pursuit.accepted is not None and not self._accepted:

@@ -1,10 +1,10 @@
-"""The default algorithm: multi-tone tests, one response model per robot, and an end when sure.
+"""The default algorithm: multi-tone tests, one response model per robot, and a stopping rule.
 
-Every robot without stored responses is tested once, over the whole band. From then on a test is
-chosen by what it is expected to take off the probability of a wrong selection, per second of robot
-time; sources that cannot win any more are not tested again; and the study is complete when the
-source selected is, with probability 1 − δ, within ε of the closest (the stopping rule of
-Garivier and Kaufmann, COLT 2016, with ε as a difference that does not matter).
+Every robot without stored responses is tested once, over the whole band. Further tests are chosen
+by how much they are expected to reduce the probability of a wrong selection per second of robot
+time, and sources that can no longer win are not tested again. The study is complete when the
+selected source is, with probability 1 − δ, within ε of the closest (the stopping rule of Garivier
+and Kaufmann, COLT 2016, with ε as the difference that does not matter).
 """
 
 from __future__ import annotations
@@ -36,30 +36,34 @@ from nufleet.shared.robots.spec import RobotSpec
 
 @dataclass(frozen=True)
 class AdaptiveSettings:
-    """When to stop, and what a test may look like.
-
-    `delta` is the probability of a wrong selection that is accepted, `epsilon` the difference of
-    two distances that does not matter. The first test measures for `first_periods` periods of the
-    band's upper end or for `share_of_settling` of the robot's settling time, whichever is longer;
-    later ones for `lengths` times that. A simulated robot's time costs `simulated_cost` of a real
-    one's.
-    """
+    """The stopping rule, and the tests that the algorithm may choose."""
 
     delta: float = 0.05
+    """Accepted probability δ of a wrong selection."""
     epsilon: float = 0.01
+    """Difference ε of two chordal distances, or relative errors, that does not matter."""
     first_periods: int = 11
+    """Least length of the first test's measuring part, in periods of the band's upper end."""
     share_of_settling: float = 0.7
+    """Least length of the first test's measuring part, as a share of the settling time."""
     lengths: tuple[float, ...] = (1.0, 1.7, 3.0)
+    """Lengths of later tests, as multiples of the first test's measuring time."""
     window_tones: int = 5
+    """Number of tones in a test around one frequency."""
     contenders: int = 4
+    """Number of rivals, the most probable winners, that are considered for tests in a round."""
     together: float = 0.5
+    """Share of the best gain per second that another robot's test needs to join the round."""
     simulated_cost: float = 0.01
+    """Cost of a simulated robot's time, relative to that of a real one."""
     samples: int = 600
+    """Number of samples drawn from the belief about each robot's response."""
     grid_points: int = 256
+    """Number of frequencies, evenly spaced over the band, at which distances are computed."""
 
 
 class AdaptiveStudy:
-    """The default algorithm in the middle of its work."""
+    """A study in progress that follows the default algorithm."""
 
     def __init__(
         self,
@@ -73,11 +77,11 @@ class AdaptiveStudy:
         """Begin a study.
 
         Args:
-            plan: what is to be found out; `iterations` is the most rounds there may be.
-            specs: what the target and every source say of themselves.
-            rng: draws the samples of the belief.
-            stored: responses of earlier tests; a source with some is not tested.
-            settings: when to stop, and what a test may look like.
+            plan: Robots, band, axis and motion; `iterations` is the largest number of rounds.
+            specs: Specs of the target and of every source, by robot.
+            rng: Generator that draws the samples of the belief.
+            stored: Responses of earlier tests, by robot; a source that has some is not tested.
+            settings: Stopping rule and choice of tests; None takes the defaults.
         """
         self._plan = plan
         self._settings = settings or AdaptiveSettings()
@@ -116,7 +120,7 @@ class AdaptiveStudy:
 
     @property
     def responses(self) -> dict[str, list[FrequencyResponse]]:
-        """Every response known of each robot that was ever tested."""
+        """All known responses, by robot, of every robot that was ever tested."""
         return {name: robot.responses for name, robot in self._robots.items() if robot.tests}
 
     def ask(self) -> Question | None:
@@ -131,7 +135,7 @@ class AdaptiveStudy:
         return self._open
 
     def tell(self, responses: Responses, failed: Mapping[str, str]) -> Report:
-        """Take in the answers to the last question; see `Study`."""
+        """Learn from the answers to the last question; see `Study`."""
         question = self._open
         if question is None:
             raise ValueError("nothing was asked")
@@ -174,7 +178,7 @@ class AdaptiveStudy:
         return tuple(source for source in self._plan.sources if source not in self._dropped)
 
     def _lose(self, name: str, reason: str) -> None:
-        """A robot that was tested before keeps what is known of it and is not tested again."""
+        """Drop a robot whose test failed; one with earlier tests stays in the ranking, untested."""
         if self._robots[name].tests:
             self._grounded[name] = reason
         elif name == self._plan.target:
@@ -206,7 +210,7 @@ class AdaptiveStudy:
         leader: str,
         hopeless: Mapping[str, str],
     ) -> dict[str, ToneChoice]:
-        """Return the next tests: each robot's best one, where it is worth its time."""
+        """Return the next round: each robot's best test, if its gain per second is competitive."""
         chances = belief.probability_best()
         rivals = sorted(
             (s for s in belief.sources if s not in hopeless and s != leader),
@@ -246,6 +250,7 @@ class AdaptiveStudy:
             cost_s = choice.duration_s(robot.spec)
             if cost_s > robot.spec.duration_max_s:
                 continue
+            # Samples exist on the grid only, so each tone takes them from the next grid point.
             gain = expected_gain(
                 belief.loss,
                 belief.sources.index(leader),
@@ -253,6 +258,7 @@ class AdaptiveStudy:
                 robot.expected_variance(choice.omega_rad_s, choice.measure_s / first_s),
                 self._settings.epsilon,
             )
+            # Gains below the floor cannot be told from sampling noise; the cheapest test then wins.
             rate = max(gain, 1e-6) / (price * cost_s)
             if rate > best[0]:
                 best = (rate, choice)
@@ -261,12 +267,12 @@ class AdaptiveStudy:
     def _contested(
         self, belief: SelectionBelief, leader: str, rivals: Sequence[str]
     ) -> tuple[float, ...]:
-        """Return where it is decided how good those in the contest are."""
+        """Return the frequencies (rad/s) that decide the losses of the leader and two rivals."""
         found = [belief.decisive_omega_rad_s(source) for source in (leader, *rivals[:2])]
         return tuple(dict.fromkeys(found))
 
     def _sampled(self, responses: Responses) -> dict[str, float]:
-        """Return each source's largest ψ̂ at the tones that it and the target both played now."""
+        """Return each source's largest measured ψ over the tones it shared with the target now."""
         at_target = responses.get(self._plan.target)
         found: dict[str, float] = {}
         for source in self._remaining():
@@ -290,7 +296,7 @@ class AdaptiveStudy:
         )
 
     def _ranking(self, belief: SelectionBelief, leader: str) -> tuple[SourceEstimate, ...]:
-        """Return the leader first, the others by what they are ranked by."""
+        """Return the estimates with the leader first and the others by rising typical loss."""
         estimates = []
         for n, source in enumerate(belief.sources):
             top = int(np.argmax(belief.psi[n].mean(axis=0)))

@@ -1,4 +1,4 @@
-"""A study as ask and tell: which tests next, what has been learned. No network, no clock."""
+"""The ask-and-tell interface of a study: next tests, and what they taught. No network, no clock."""
 
 from __future__ import annotations
 
@@ -11,99 +11,127 @@ from nufleet.shared.frequency_test.excitation import Excitation
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 
 Responses = Mapping[str, FrequencyResponse]
-"""Per robot, the response at the tones of its test."""
+"""Response at the tones of its test, by robot."""
 
 
 @dataclass(frozen=True)
 class DesiredMotion:
-    """A trajectory that the target is to fly: its name, and its mean square at each frequency."""
+    """The spectrum of a trajectory that the target is to fly."""
 
     name: str
+    """Name of the trajectory, for people."""
     omega_rad_s: tuple[float, ...]
+    """Frequencies in rad/s, rising."""
     power: tuple[float, ...]
+    """Mean square position at each frequency, in m²; see `spectrum_of`."""
 
 
 @dataclass(frozen=True)
 class StudyPlan:
-    """What is to be found out: which source's experience is the best for the target, on one axis.
+    """The question of a study: which source's experience is the best for the target on one axis.
 
-    That is the one closest to it over the band or, of a `motion`, the one whose inverse is expected
-    to leave the smallest error.
+    The best source is the closest to the target over the band or, where a `motion` is given, the
+    one whose inverse model is expected to leave the smallest error on it.
     """
 
     target: str
+    """Name of the robot that is to receive an experience."""
     sources: tuple[str, ...]
+    """Names of the candidate robots."""
     band_rad_s: tuple[float, float]
+    """Lowest and highest frequency of the band 𝒲, in rad/s."""
     iterations: int
+    """Largest number of rounds of tests."""
     axis: str
+    """Name of the axis that is tested on every robot."""
     motion: DesiredMotion | None = None
+    """Trajectory that the target is to fly, if one is known."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """The next round: what each robot plays, all at the same time."""
+    """A round of tests, which all robots play at the same time."""
 
     iteration: int
+    """Number of the round, from 1."""
     tests: Mapping[str, Excitation]
+    """Excitation that each robot is to play, by robot."""
 
     @property
     def robots(self) -> tuple[str, ...]:
-        """The robots that are tested."""
+        """Names of the robots under test."""
         return tuple(self.tests)
 
     @property
     def omega_rad_s(self) -> tuple[float, ...]:
-        """Every frequency that any of the robots plays, rising."""
+        """All frequencies that any of the robots plays, in rad/s, rising."""
         played = {tone.omega_rad_s for test in self.tests.values() for tone in test.tones}
         return tuple(sorted(played))
 
 
 @dataclass(frozen=True)
 class SourceEstimate:
-    """A source's worst-case chordal distance to the target: mean, standard deviation and where."""
+    """The estimate of a source's worst-case chordal distance ψ* to the target."""
 
     robot: str
+    """Name of the source."""
     psi: float
+    """Estimated distance, from 0 to 1."""
     psi_std: float
+    """Standard deviation of the estimate."""
     omega_rad_s: float
+    """Frequency in rad/s at which the mean distance is largest."""
     tests: int
+    """Number of tests of the source that the estimate rests on."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """What is believed of one source's ψ_n(ω): posterior mean and standard deviation, and samples.
-
-    `omega_rad_s`, `mean` and `std` have shape (grid,), the samples shape (tests,).
-    """
+    """The belief about one source's chordal distance ψ_n(ω) to the target."""
 
     source: str
+    """Name of the source."""
     omega_rad_s: FloatArray
+    """Frequencies of the grid in rad/s, shape (grid,)."""
     mean: FloatArray
+    """Posterior mean of ψ_n, shape (grid,)."""
     std: FloatArray
+    """Posterior standard deviation of ψ_n, shape (grid,)."""
     sampled_omega_rad_s: FloatArray
+    """Frequencies at which the source was tested, in rad/s, shape (tones,)."""
     sampled_psi: FloatArray
+    """Value of ψ_n to mark at each tested frequency, shape (tones,)."""
 
 
 @dataclass(frozen=True)
 class Report:
-    """What one round taught: the ranking (best first), the curves, and who was dropped and why.
+    """What a study has learned after a round.
 
-    An algorithm that knows how sure it is says so: `confidence` is the probability that the source
-    selected is the right one, `eliminated` names the sources that cannot win any more and why,
-    `findings` what weakens the confidence, and `stopped_because` is set once the study is complete.
+    The last four fields are set only by an algorithm that estimates its own confidence.
     """
 
     iteration: int
+    """Number of the round, from 1."""
     omega_rad_s: tuple[float, ...]
+    """All frequencies that were played in the round, in rad/s, rising."""
     responses: Responses
+    """Responses that were measured in the round, by robot."""
     sampled_psi: Mapping[str, float]
+    """Largest chordal distance measured in the round, by source."""
     curves: tuple[Curve, ...]
+    """Belief about each remaining source's ψ_n(ω)."""
     ranking: tuple[SourceEstimate, ...]
+    """Estimates of the remaining sources, best first."""
     dropped: Mapping[str, str]
+    """Reason for each source that the study lost, by source."""
     confidence: float | None = None
+    """Probability that the selected source is the right one."""
     eliminated: Mapping[str, str] = field(default_factory=dict)
+    """Reason for each source that can no longer win, by source."""
     findings: tuple[str, ...] = ()
+    """Observations that weaken the confidence."""
     stopped_because: str | None = None
+    """Reason why the study is complete; None while it is not."""
 
     @property
     def selected(self) -> str:
@@ -112,22 +140,25 @@ class Report:
 
 
 class Study(Protocol):
-    """An algorithm in the middle of its work."""
+    """A study in progress; every algorithm implements this interface."""
 
     @property
     def responses(self) -> Mapping[str, Sequence[FrequencyResponse]]:
-        """Every response known of each robot, of this study's tests and from before."""
+        """All known responses by robot, from this study and from before it."""
 
     def ask(self) -> Question | None:
         """Return the next round of tests; None when the study is complete."""
 
     def tell(self, responses: Responses, failed: Mapping[str, str]) -> Report:
-        """Take in the answers to the last question.
+        """Learn from the answers to the last question.
 
         Args:
-            responses: of the robots whose test succeeded.
-            failed: the reasons of those whose test did not.
+            responses: Responses of the robots whose test succeeded, by robot.
+            failed: Reasons of the failed tests, by robot.
+
+        Returns:
+            What the study has learned so far.
 
         Raises:
-            StudyError: the study cannot go on, because the target or every source is gone.
+            StudyError: The study cannot continue, because the target or every source is gone.
         """

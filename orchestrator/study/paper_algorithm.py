@@ -2,7 +2,8 @@
 
 One zero-mean Gaussian process with a Matérn 3/2 kernel models ψ_n(ω), the chordal distance of each
 source n to the target. All robots are tested at the ω that maximises max_n EI_n(ω) / ψ̂*_n over the
-band: where a source that looks close may yet turn out to be far.
+band: where a source that looks close may still turn out to be far. Equation numbers in this module
+are the paper's.
 """
 
 from __future__ import annotations
@@ -32,29 +33,34 @@ GRID_POINTS = 1001
 
 SEGMENTS = 4
 SEGMENT_MIN_S = 2.0
-"""A measuring segment is at least this long, so that fast tones are averaged over many periods."""
+"""Least length of a measuring segment in s, so that fast tones are averaged over many periods."""
 
 
 @dataclass(frozen=True)
 class PaperSettings:
-    """What the paper leaves open.
-
-    `exploration` is ξ of the expected improvement (eq. 7). `psi_floor` keeps the acquisition's
-    divisor ψ̂*_n (eq. 9) from zero, which a posterior mean can reach or cross while there are few
-    points. The lengthscale is searched between these fractions of the band's width: a longer one
-    cannot be told from a constant, a shorter one would call for more tests than anybody runs.
-    `noise_variance` is what responses scatter beyond their measured uncertainty.
-    """
+    """Parameters whose values the paper does not give."""
 
     exploration: float = 1e-3
+    """Exploration parameter ξ of the expected improvement (eq. 9)."""
     psi_floor: float = 1e-3
+    """Lower bound of the divisor ψ̂*_n in the acquisition function (eq. 11).
+
+    A posterior mean can reach or cross zero while there are few samples.
+    """
     lengthscale_fractions: tuple[float, float] = (0.05, 1.0)
+    """Bounds of the lengthscale, as fractions of the band's width.
+
+    A longer lengthscale cannot be distinguished from a constant; a shorter one would require more
+    tests than are practical.
+    """
     signal_variance: tuple[float, float] = (1e-6, 10.0)
+    """Bounds of the kernel's signal variance."""
     noise_variance: tuple[float, float] = (1e-10, 1e-6)
+    """Bounds of the variance of ψ_n beyond the measured uncertainty of the responses."""
 
 
 class PaperStudy:
-    """Algorithm 1 in the middle of its work."""
+    """A study in progress that follows Algorithm 1."""
 
     def __init__(
         self, plan: StudyPlan, rng: np.random.Generator, settings: PaperSettings | None = None
@@ -62,9 +68,10 @@ class PaperStudy:
         """Begin a study.
 
         Args:
-            plan: what is to be found out.
-            rng: draws the first frequency, uniform over the band; nothing else is random.
-            settings: what the paper leaves open.
+            plan: Robots, band, axis and number of rounds.
+            rng: Generator that draws the first frequency, uniformly over the band as in the
+                initialisation of Algorithm 1; nothing else is random.
+            settings: Parameters whose values the paper does not give; None takes the defaults.
         """
         self._plan = plan
         self._settings = settings or PaperSettings()
@@ -79,7 +86,7 @@ class PaperStudy:
 
     @property
     def responses(self) -> dict[str, list[FrequencyResponse]]:
-        """Every response that the study was told of each robot."""
+        """All responses measured in this study, by robot."""
         return self._responses
 
     def ask(self) -> Question | None:
@@ -100,7 +107,7 @@ class PaperStudy:
         return self._open
 
     def tell(self, responses: Responses, failed: Mapping[str, str]) -> Report:
-        """Take in the answers to the last question; see `Study`."""
+        """Learn from the answers to the last question; see `Study`."""
         question = self._open
         if question is None:
             raise ValueError("nothing was asked")
@@ -130,6 +137,7 @@ class PaperStudy:
         curves, improvements = self._believe()
         ranking = tuple(sorted((_estimate(curve) for curve in curves), key=lambda e: e.psi))
         psi_stars = {estimate.robot: estimate.psi for estimate in ranking}
+        # α(ω) = max_n EI_n(ω) / ψ̂*_n (eq. 11), on the grid; the next test is at its maximum.
         acquisition = np.max(
             [
                 improvement / max(psi_stars[curve.source], self._settings.psi_floor)
@@ -152,7 +160,11 @@ class PaperStudy:
         return tuple(source for source in self._plan.sources if source not in self._dropped)
 
     def _believe(self) -> tuple[tuple[Curve, ...], FloatArray]:
-        """Fit every remaining source's surrogate; return its curve and expected improvement."""
+        """Fit a Gaussian process to each remaining source's samples of ψ_n.
+
+        Returns:
+            The curve of each source, and EI_n on the grid, shape (sources, grid).
+        """
         sources = self._remaining()
         samples = [np.array(self._samples[source]) for source in sources]
         batch = Batch.ragged(
@@ -165,6 +177,7 @@ class PaperStudy:
             lengthscale=(shortest * width, longest * width),
             noise_variance=self._settings.noise_variance,
         )
+        # The prior mean is zero, so E ψ² of the samples is the natural signal variance to start at.
         start = Hyperparameters(
             signal_variance=[max(float(np.mean(s[:, 1] ** 2)), 1e-6) for s in samples],
             lengthscale=0.2 * width,
@@ -172,6 +185,7 @@ class PaperStudy:
         )
         found = fit(batch, bounds.starts(start, 3), bounds)
         mean, variance = posterior(batch, found.hyperparameters, self._grid)
+        # Rounding may leave a variance just below 0 at a sampled frequency.
         std = np.sqrt(np.maximum(variance, 0.0))
         curves = tuple(
             Curve(source, self._grid, mean[n], std[n], samples[n][:, 0], samples[n][:, 1])
@@ -194,28 +208,28 @@ class PaperStudy:
 def expected_improvement(
     mean: FloatArray, std: FloatArray, best: float, exploration: float
 ) -> FloatArray:
-    """Return EI(ω) = (ψ̂ − ψ_max − ξ) Φ(Z) + σ̂ φ(Z), Z = (ψ̂ − ψ_max − ξ) / σ̂ (paper, eq. 7).
+    """Return EI(ω) = (ψ̂ − ψ_max − ξ) Φ(Z) + σ̂ φ(Z), Z = (ψ̂ − ψ_max − ξ) / σ̂ (paper, eq. 9).
 
     Args:
-        mean: posterior mean ψ̂, shape (grid,).
-        std: posterior standard deviation σ̂, shape (grid,).
-        best: the largest sample ψ_max.
-        exploration: ξ ≥ 0.
+        mean: Posterior mean ψ̂, shape (grid,).
+        std: Posterior standard deviation σ̂, shape (grid,).
+        best: Largest sample ψ_max.
+        exploration: Exploration parameter ξ ≥ 0.
 
     Returns:
-        Shape (grid,), never negative; 0 where σ̂ is 0.
+        Expected improvement, shape (grid,); never negative, and 0 where σ̂ is 0.
     """
     gain = mean - best - exploration
     certain = std <= 0.0
     z = gain / np.where(certain, 1.0, std)
     density = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
     improvement = gain * ndtr(z) + std * density
-    # Far in the tail the two terms cancel to rounding error of either sign.
+    # Far in the tail the two terms cancel, and leave a rounding error of either sign.
     return np.asarray(np.where(certain, 0.0, np.maximum(improvement, 0.0)))
 
 
 def _estimate(curve: Curve) -> SourceEstimate:
-    """Return ψ̂*_n, the maximum of the posterior mean, with the deviation there (eq. 8, Fig. 4)."""
+    """Return ψ̂*_n = max ψ̂_n(ω) with the standard deviation at its ω (eq. 10, Fig. 4)."""
     top = int(np.argmax(curve.mean))
     return SourceEstimate(
         robot=curve.source,

@@ -1,4 +1,4 @@
-"""The tracking error to be expected of every source's inverse on paths, from frequency tests."""
+"""Predicts, from frequency tests, the tracking error that each source's inverse leaves on paths."""
 
 from __future__ import annotations
 
@@ -20,13 +20,12 @@ GRID_POINTS = 1024
 
 @dataclass(frozen=True)
 class PredictedRms:
-    """Root mean square errors, averaged over the paths, in the paths' unit.
-
-    `without` is the target's with its own baseline.
-    """
+    """Predicted root mean square errors, averaged over the paths, in the paths' unit."""
 
     without: float
+    """Error of the target's baseline, without any transfer."""
     of: Mapping[str, float]
+    """Error of the target with the inverse of each source, by source."""
 
 
 def predict_rms(
@@ -39,20 +38,22 @@ def predict_rms(
     *,
     omega_max_rad_s: float,
 ) -> PredictedRms:
-    """Return the errors that the responses let expect; see `nufleet.orchestrator.study.verdict`.
+    """Return the predicted errors; `nufleet.orchestrator.study.verdict` derives the equations.
 
-    The inverse is taken to be a prefilter that is exact, and the response of the axis that was
-    tested to be that of all axes. Where a path moves outside the tested band, the response is what
-    the model of it continues to.
+    The prediction assumes that the inverse is an exact prefilter, and that all axes respond like
+    the tested one. Outside the tested band it relies on the extrapolation of the response model.
 
     Args:
-        target: who is to fly.
-        sources: whose inverses.
-        specs: of all of them.
-        responses: all usable tests of each, at least one.
-        paths: each of shape (samples, axes), at the target's sample time.
-        rng: draws the samples of what is believed.
-        omega_max_rad_s: the upper end of the band that was tested.
+        target: Name of the robot that is to fly the paths.
+        sources: Names of the robots whose inverse models are compared.
+        specs: Specs of target and sources, by robot.
+        responses: All usable tests of each robot, at least one per robot.
+        paths: Positions along each path, shape (samples, axes), at the target's sample time.
+        rng: Generator that draws the samples of each response.
+        omega_max_rad_s: Upper end of the tested band in rad/s.
+
+    Returns:
+        The predicted errors in the paths' unit.
     """
     spectra = [spectrum_of(path, specs[target].sample_time_s) for path in paths]
     omega = np.linspace(0.0, max(float(s.omega_rad_s[-1]) for s in spectra), GRID_POINTS)[1:]
@@ -65,6 +66,9 @@ def predict_rms(
         z[robot] = known.model.draw(omega, SAMPLES, rng)
 
     def mean_rms(errors: FloatArray) -> float:
+        # Parseval: the mean square error on a path is Σ_ω |error gain|² power. `errors` has shape
+        # (samples, frequencies), `powers` (paths, frequencies); the median is over the samples,
+        # because the error of an inverse has no finite mean.
         return float(np.mean(np.median(np.sqrt(errors**2 @ powers.T), axis=0)))
 
     return PredictedRms(
@@ -74,7 +78,10 @@ def predict_rms(
 
 
 def _on_grid(spectrum: Spectrum, omega_rad_s: FloatArray) -> FloatArray:
-    """Return weights on a grid: Σ weight g equals Σ power g of any g that is linear in between."""
+    """Distribute a spectrum's power onto a grid, as weights of shape (grid,).
+
+    For any function g that is linear between grid points, Σ weight g equals Σ power g.
+    """
     places = np.interp(spectrum.omega_rad_s, omega_rad_s, np.arange(len(omega_rad_s)))
     lower = np.minimum(places.astype(np.int64), len(omega_rad_s) - 2)
     above = places - lower

@@ -1,4 +1,4 @@
-"""What is believed of every source's worth for the target, from samples of all responses."""
+"""The belief about how useful each source is to the target, from samples of all responses."""
 
 from __future__ import annotations
 
@@ -17,14 +17,13 @@ from nufleet.shared.distance.chordal import chordal_distance
 
 @dataclass(frozen=True)
 class PredictedErrors:
-    """What each source's inverse would leave of the target's error on a trajectory.
-
-    `parts`, shape (sources, samples, frequencies), is each frequency's share of the mean square
-    error relative to the trajectory's, at the trajectory's frequencies.
-    """
+    """Samples of the error that each source's inverse would leave on a trajectory."""
 
     omega_rad_s: FloatArray
+    """Frequencies of the trajectory in rad/s, shape (frequencies,)."""
     parts: FloatArray
+    """Contribution of each frequency to the mean square error, relative to the mean square of the
+    trajectory, shape (sources, samples, frequencies)."""
 
     @property
     def total(self) -> FloatArray:
@@ -34,17 +33,22 @@ class PredictedErrors:
 
 @dataclass(frozen=True)
 class SelectionBelief:
-    """Joint samples: row i of everything comes from one draw of all robots' responses.
+    """Joint samples of all sources' distances and errors.
 
-    `psi` has shape (sources, samples, frequencies), `psi_star` shape (sources, samples). The best
-    source has the smallest ψ* or, where there is a trajectory, leaves the smallest error on it.
+    Sample i of every field comes from the same draw of all robots' responses. The best source has
+    the smallest ψ* or, where there is a trajectory, leaves the smallest error on it.
     """
 
     sources: tuple[str, ...]
+    """Names of the sources, in the order of the arrays' first axis."""
     omega_rad_s: FloatArray
+    """Frequencies of the distances in rad/s, shape (frequencies,)."""
     psi: FloatArray
+    """Chordal distance ψ_n(ω), shape (sources, samples, frequencies)."""
     psi_star: FloatArray
+    """Worst-case distance ψ*_n = max ψ_n(ω) (paper, eq. 6), shape (sources, samples)."""
     errors: PredictedErrors | None = None
+    """Predicted errors on the trajectory, if one is known."""
 
     @staticmethod
     def of(
@@ -53,14 +57,14 @@ class SelectionBelief:
         sources: Mapping[str, ComplexArray],
         spectrum: Spectrum | None = None,
     ) -> SelectionBelief:
-        """Compare samples of the target's z with each source's.
+        """Compare samples of the target's response with samples of each source's response.
 
         Args:
-            omega_rad_s: where distances are wanted.
-            target: samples at these frequencies and at the spectrum's after them, of shape
-                (samples, frequencies).
-            sources: the same of each source.
-            spectrum: of the trajectory to be flown, if one is known.
+            omega_rad_s: Frequencies of the distances in rad/s, shape (frequencies,).
+            target: Samples of the target's z at these frequencies, followed by those at the
+                spectrum's frequencies, shape (samples, all frequencies).
+            sources: Samples of each source's z, by source, in the same shape.
+            spectrum: Spectrum of the trajectory to be flown, if one is known.
         """
         count = len(omega_rad_s)
         psi = np.stack(
@@ -75,11 +79,14 @@ class SelectionBelief:
 
     @cached_property
     def loss(self) -> FloatArray:
-        """What the best source has least of, shape (sources, samples)."""
+        """The quantity that the best source minimises, ψ* or the error; (sources, samples)."""
         return self.psi_star if self.errors is None else self.errors.total
 
     def decisive_omega_rad_s(self, source: str) -> float:
-        """Return where a source's loss mostly comes from: the middle of all samples' largest."""
+        """Return the frequency (rad/s) that dominates a source's loss.
+
+        It is the median, over the samples, of the frequency with the largest contribution.
+        """
         n = self.sources.index(source)
         omega, parts = (
             (self.omega_rad_s, self.psi[n])
@@ -90,7 +97,7 @@ class SelectionBelief:
 
     @cached_property
     def typical_loss(self) -> FloatArray:
-        """Each source's mean distance or, since errors have no upper bound, its median error."""
+        """Mean distance or, since errors have no upper bound, median error; shape (sources,)."""
         if self.errors is None:
             return np.asarray(self.loss.mean(axis=1))
         return np.asarray(np.median(self.loss, axis=1))
@@ -98,24 +105,32 @@ class SelectionBelief:
     def leader(self, epsilon: float, delta: float) -> tuple[str, float]:
         """Return the source to select, and the probability that it is within ε of the best.
 
-        Of the sources that are so with probability 1 − δ it is the one with the smallest loss; as
-        long as there is none, the most probable one.
+        Among the sources that are within ε of the best with probability 1 − δ, it is the one with
+        the smallest typical loss; while there is none, it is the most probable one.
+
+        Args:
+            epsilon: Difference ε of two losses that does not matter.
+            delta: Accepted probability δ of a wrong selection.
         """
         within = np.mean(self.loss <= self.loss.min(axis=0) + epsilon, axis=1)
         order = np.lexsort((self.typical_loss, -np.minimum(within, 1 - delta)))
         return self.sources[order[0]], float(within[order[0]])
 
     def probability_best(self) -> FloatArray:
-        """Return for each source the share of samples in which it is the best."""
+        """Return the share of samples in which each source is the best, shape (sources,)."""
         best = np.argmin(self.loss, axis=0)
         counts = np.bincount(best, minlength=len(self.sources))
         return np.asarray(counts / self.loss.shape[1], dtype=np.float64)
 
     def hopeless(self, leader: str, delta: float) -> dict[str, str]:
-        """Return the sources that cannot win, with the reason.
+        """Return the sources that cannot win, with the reasons.
 
-        A source is out when it was the best in no sample and when, its lead over the leader
-        taken as normal, it is ahead with a probability below δ / (2 sources).
+        A source cannot win if it is the best in no sample and if the probability that it is ahead
+        of the leader, with its lead assumed to be normal, is below δ / (2 sources).
+
+        Args:
+            leader: Name of the source that is selected now.
+            delta: Accepted probability δ of a wrong selection.
         """
         ahead = self.loss[self.sources.index(leader)]
         what = "worst-case distance" if self.errors is None else "predicted error"

@@ -1,4 +1,4 @@
-"""Which tones a test may play: a first look over the band, and candidates for a closer one."""
+"""Chooses the tones of tests: a first test over the whole band, and candidates for closer ones."""
 
 from __future__ import annotations
 
@@ -15,39 +15,46 @@ from nufleet.shared.frequency_test.multitone import multitone
 from nufleet.shared.robots.spec import RobotSpec
 
 SEGMENTS = 3
-"""As few as possible: a segment lasts a period of the slowest tone, so that more of them cost time
-at low frequency; the variance they measure poorly is pooled over tones."""
+"""Number of measuring segments, as few as possible.
+
+A segment lasts at least one period of the slowest tone, so more segments would cost time at low
+frequency. The variance, which few segments measure poorly, is pooled over tones.
+"""
 
 STEP = 2
-"""Tones are harmonics of 2π/T of the measuring time T this far apart: two beats, so that least
-squares separates them as if each were alone."""
+"""Spacing of the tones, in harmonics of 2π/T, where T is the measuring time.
+
+At a spacing of two beats, least squares separates the tones as if each were alone.
+"""
 
 WEIGHT_EXPONENT = -0.5
-"""Amplitudes fall with ω by this power, between equal amplitudes and equal speeds."""
+"""Exponent of ω in the tones' amplitudes, between equal amplitudes (0) and equal speeds (−1)."""
 
 TONES_MAX = 64
 
 
 @dataclass(frozen=True)
 class ToneChoice:
-    """Harmonics of 2π/T within a window, T being the measuring time."""
+    """The tones of a test: harmonics of 2π/T, where T is the measuring time."""
 
     measure_s: float
+    """Measuring time T in s."""
     harmonics: tuple[int, ...]
+    """Numbers of the harmonics, rising."""
 
     @property
     def omega_rad_s(self) -> FloatArray:
-        """The tones' frequencies, rising."""
+        """Frequencies of the tones in rad/s, rising, shape (tones,)."""
         return np.asarray(np.array(self.harmonics) * (2 * math.pi / self.measure_s))
 
     def excitation(self, axis: str) -> Excitation:
-        """Return the request for this test."""
+        """Return the excitation that plays these tones on an axis."""
         weights = np.asarray(self.omega_rad_s**WEIGHT_EXPONENT)
         tones = multitone(2 * math.pi / self.measure_s, self.harmonics, weights)
         return Excitation(axis=axis, tones=tones, segments=SEGMENTS)
 
     def duration_s(self, spec: RobotSpec) -> float:
-        """Return how long the test takes on a robot; phases do not matter for that."""
+        """Return the duration of the test on a robot in s, which does not depend on the phases."""
         tones = tuple(Tone(omega_rad_s=omega) for omega in self.omega_rad_s.tolist())
         return duration_s(Excitation(axis="any", tones=tones, segments=SEGMENTS), spec)
 
@@ -55,16 +62,26 @@ class ToneChoice:
 def first_look(
     band_rad_s: tuple[float, float], spec: RobotSpec, periods: int, share_of_settling: float
 ) -> ToneChoice:
-    """Return tones over the whole band, as close as the robot's resonances can be narrow.
+    """Return tones over the whole band, spaced as closely as the robot's resonances require.
 
-    A transient that takes long to settle belongs to a resonance as narrow as its decay is slow, and
-    a test of such a robot costs its settling time anyway: so the measuring part lasts a share of
-    it, or so many periods of the band's upper end, whichever is longer.
+    A resonance is as narrow as its transient is slow to decay, so a long settling time requires
+    closely spaced tones, that is a long measuring time. A test of such a robot costs its settling
+    time anyway. The measuring part therefore lasts a share of the settling time or a number of
+    periods of the band's upper end, whichever is longer.
+
+    Args:
+        band_rad_s: Lowest and highest frequency in rad/s.
+        spec: Spec of the robot, with its settling time.
+        periods: Least measuring time, in periods of the band's upper end.
+        share_of_settling: Least measuring time, as a share of the settling time.
+
+    Returns:
+        At most `TONES_MAX` tones.
     """
     high = band_rad_s[1]
     wanted = share_of_settling * spec.settling_time_s * high / (2 * math.pi)
     highest = max(periods, math.ceil(wanted))
-    highest += 1 - highest % 2  # odd, as the lowest is: three periods make three segments
+    highest += 1 - highest % 2  # odd like the lowest, 3: each of the 3 segments holds one period
     while highest > 3:
         choice = _between(band_rad_s, highest * 2 * math.pi / high, 0)
         if choice is not None and len(choice.harmonics) <= TONES_MAX:
@@ -80,10 +97,17 @@ def closer_looks(
     centres_rad_s: Sequence[float],
     window_tones: int,
 ) -> list[ToneChoice]:
-    """Return candidates for a next test, without doubles.
+    """Return the candidates for a next test, without duplicates.
 
-    For each length, a multiple of `measure_s`: the whole band, on both combs of harmonics, and the
+    For each length there are tests of the whole band, on even and on odd harmonics, and one of
     `window_tones` harmonics around each centre.
+
+    Args:
+        band_rad_s: Lowest and highest frequency in rad/s.
+        measure_s: Measuring time of the first test in s.
+        lengths: Measuring times of the candidates, as multiples of `measure_s`.
+        centres_rad_s: Frequencies in rad/s to look at more closely.
+        window_tones: Number of tones around each centre.
     """
     low, high = band_rad_s
     found: dict[ToneChoice, None] = {}
@@ -96,6 +120,7 @@ def closer_looks(
                 found[choice] = None
         for centre in centres_rad_s:
             half = base * STEP * (window_tones - 1) / 2
+            # A window that would reach beyond the band is moved inside it.
             middle = min(max(centre, low + half), high - half)
             choice = _between((max(low, middle - half), min(high, middle + half)), total_s, 0)
             if choice is not None:
@@ -104,7 +129,7 @@ def closer_looks(
 
 
 def _between(window_rad_s: tuple[float, float], measure_s: float, offset: int) -> ToneChoice | None:
-    """Return every second harmonic in a window, from the top; none if there is none."""
+    """Return every second harmonic in a window, counted from the top; None if it has none."""
     base = 2 * math.pi / measure_s
     top = math.floor(window_rad_s[1] / base * (1 + 1e-9)) - offset
     lowest = max(SEGMENTS, math.ceil(window_rad_s[0] / base * (1 + 1e-9)))
@@ -113,9 +138,10 @@ def _between(window_rad_s: tuple[float, float], measure_s: float, offset: int) -
 
 
 def _up_to(high_rad_s: float, measure_s: float, harmonics: tuple[int, ...]) -> ToneChoice:
-    """Return the choice with its highest tone not above `high_rad_s`, where robots refuse.
+    """Return the choice whose highest tone is not above `high_rad_s`, where robots refuse tests.
 
-    Rounding may put a tone that belongs on the band's edge just outside of it.
+    Rounding may put a tone at the band's edge just outside the band; the measuring time is then
+    lengthened by the smallest possible steps until the tone is inside.
     """
     choice = ToneChoice(measure_s, harmonics)
     while choice.omega_rad_s[-1] > high_rad_s:

@@ -1,4 +1,4 @@
-"""How a trajectory's motion is distributed over frequency."""
+"""The spectrum of a trajectory: how its motion is distributed over frequency."""
 
 from __future__ import annotations
 
@@ -13,36 +13,38 @@ from nufleet.shared.errors import InvalidInputError
 BINS_MAX = 1000
 
 NEGLIGIBLE = 1e-4
-"""The fastest part of the motion, up to this share of it, counts as one frequency."""
+"""Share of the motion, as mean square speed, whose highest frequencies are joined into one."""
 
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Mean square of a trajectory at each frequency, both of shape (frequencies,), ω rising.
+    """The mean square of a trajectory at each frequency.
 
-    The mean position is left out: a constant is tracked or not whatever is learned.
+    The mean position is left out, because learning does not change how a constant is tracked.
     """
 
     omega_rad_s: FloatArray
+    """Frequencies in rad/s, rising, shape (frequencies,)."""
     power: FloatArray
+    """Mean square position at each frequency, in the square of its unit, shape (frequencies,)."""
 
     @staticmethod
     def flat(band_rad_s: tuple[float, float], points: int = 128) -> Spectrum:
-        """Return equal power everywhere in a band, for trajectories that are not known yet."""
+        """Return equal power throughout a band (rad/s), for a trajectory that is not known yet."""
         return Spectrum(np.linspace(*band_rad_s, points), np.full(points, 1 / points))
 
     @staticmethod
     def of_motion(motion: DesiredMotion) -> Spectrum:
-        """Return the spectrum that a study's plan holds."""
+        """Return the spectrum that is stored in a study's plan."""
         return Spectrum(np.array(motion.omega_rad_s), np.array(motion.power))
 
     @property
     def shares(self) -> FloatArray:
-        """The power at each frequency as its share of all, shape (frequencies,)."""
+        """Share of the total power at each frequency, shape (frequencies,)."""
         return np.asarray(self.power / self.power.sum())
 
     def outside(self, band_rad_s: tuple[float, float]) -> tuple[float, float]:
-        """Return the shares of the motion, as mean square speed, below and above a band."""
+        """Return the shares of the mean square speed below and above a band (rad/s)."""
         motion = self.power * self.omega_rad_s**2
         total = float(motion.sum()) or 1.0
         low, high = band_rad_s
@@ -53,16 +55,20 @@ class Spectrum:
 def spectrum_of(positions: FloatArray, sample_time_s: float) -> Spectrum:
     """Return the spectrum of a sampled trajectory.
 
-    A line through both ends is taken off first, since the transform repeats the trajectory for ever
-    and a jump between its ends would look like fast motion. Of a long trajectory neighbouring
-    frequencies are joined.
+    The line through both ends is subtracted first, because the transform treats the trajectory as
+    periodic and a jump between its ends would look like fast motion. For a long trajectory,
+    neighbouring frequencies are joined.
 
     Args:
-        positions: shape (samples,) or (samples, axes); axes are added up.
-        sample_time_s: time between samples.
+        positions: Positions, shape (samples,) or (samples, axes); the power of all axes is summed.
+        sample_time_s: Time between samples in s.
+
+    Returns:
+        The spectrum, with about `BINS_MAX` frequencies at most.
 
     Raises:
-        InvalidInputError: fewer than four samples, a number that is not finite, or no motion.
+        InvalidInputError: There are fewer than four samples, a number is not finite, or the
+            trajectory does not move.
     """
     columns = positions[:, None] if positions.ndim == 1 else positions
     if columns.ndim != 2 or len(columns) < 4 or not np.all(np.isfinite(columns)):
@@ -71,12 +77,14 @@ def spectrum_of(positions: FloatArray, sample_time_s: float) -> Spectrum:
         )
     line = np.linspace(columns[0], columns[-1], len(columns))
     amplitudes = np.fft.rfft(columns - line, axis=0)[1:] / len(columns)
+    # Parseval: bin k > 0 of the one-sided transform X carries the mean square 2 |X_k / samples|².
     power = 2 * np.sum(np.abs(amplitudes) ** 2, axis=1)
     if not power.any():
         raise InvalidInputError("the trajectory does not move, or moves along a straight line only")
     omega = 2 * np.pi * np.arange(1, len(power) + 1) / (len(columns) * sample_time_s)
     motion = np.cumsum(power * omega**2)
     told_apart = int(np.searchsorted(motion, (1 - NEGLIGIBLE) * motion[-1])) + 1
+    # Groups of ceil(told_apart / BINS_MAX) bins, each at its power-weighted mean frequency.
     starts = np.arange(0, told_apart, -(-told_apart // BINS_MAX))
     if told_apart < len(power):
         starts = np.append(starts, told_apart)

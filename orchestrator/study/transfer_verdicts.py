@@ -1,4 +1,4 @@
-"""Whether each source's experience will help the target, from all tests, however chosen."""
+"""Judges from all tests, of either algorithm, whether each source's experience helps the target."""
 
 from __future__ import annotations
 
@@ -19,15 +19,20 @@ SAMPLES = 600
 CURVE_POINTS = 33
 
 JUDGED_MAX = 64
-"""Judging takes up to a third of a second per robot; nobody transfers from the hundredth."""
+"""Number of sources that are judged without a motion.
+
+Judging takes up to a third of a second per robot, and low-ranked sources are not transferred from.
+"""
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """The verdicts by source, in the ranking's order, and what the tests revealed of the robots."""
+    """The verdicts on all transfers to one target."""
 
     verdicts: Mapping[str, TransferVerdict]
+    """Verdict on each source, by source, in the order of the ranking."""
     findings: tuple[str, ...]
+    """Observations about the robots that weaken the verdicts."""
 
 
 def judge_transfers(
@@ -42,14 +47,17 @@ def judge_transfers(
     """Judge the transfer from the sources that were tested to the target.
 
     Args:
-        plan: of the study; with a `motion` the verdicts are for that, otherwise for a motion with
-            all frequencies of the band alike.
-        ranking: what the study came to; of a large fleet without a `motion` only the first
-            `JUDGED_MAX` are judged.
-        specs: what each robot says of itself.
-        responses: all usable tests of each robot, in the order of the tests.
-        rng: draws the samples of what is believed.
-        delta: probability of a wrong verdict that is accepted.
+        plan: Plan of the study; the verdicts are for its `motion` or, where it has none, for a
+            motion with equal power throughout the band.
+        ranking: Final ranking of the study; without a `motion`, only its first `JUDGED_MAX` sources
+            are judged.
+        specs: Spec of each robot, by name.
+        responses: All usable tests of each robot, in the order of the tests, by robot.
+        rng: Generator that draws the samples of each response.
+        delta: Accepted probability of a wrong verdict.
+
+    Returns:
+        The verdicts; none where the target was never tested.
     """
     flat = Spectrum.flat(plan.band_rad_s, CURVE_POINTS)
     spectrum = flat if plan.motion is None else Spectrum.of_motion(plan.motion)
@@ -85,7 +93,7 @@ def judge_transfers(
 
 
 def _gaps(source: RobotKnowledge, target: RobotKnowledge) -> Iterator[str]:
-    """Yield what the tests of two robots leave to their models alone."""
+    """Yield the comparisons that rest on the robots' models alone, since no test covers them."""
     bands = []
     for known in (source, target):
         omega = known.omega_rad_s
@@ -111,10 +119,13 @@ def by_predicted_error(
     *,
     first: str | None = None,
 ) -> tuple[SourceEstimate, ...]:
-    """Return a ranking with the smallest predicted error first.
+    """Return a ranking sorted by predicted error, smallest first.
 
-    With `first` that source leads: the one that is most surely good need not have the smallest
-    median.
+    Args:
+        ranking: Estimates to sort.
+        verdicts: Verdict on each source, by source.
+        first: Name of the source to put first in any case; the source that is most certainly good
+            need not have the smallest median error.
     """
 
     def place(estimate: SourceEstimate) -> tuple[bool, float]:

@@ -1,4 +1,4 @@
-"""What a test is worth: how much less probable a wrong selection is expected to be after it."""
+"""The value of a test: the expected decrease of the probability of a wrong selection."""
 
 from __future__ import annotations
 
@@ -15,16 +15,21 @@ def expected_gain(
 ) -> float:
     """Return the expected decrease of Σ_n P(source n is closer than the leader by more than ε).
 
-    Every lead d_n = ψ*_n − ψ*_leader is taken as normal, with a linear relation between it and what
-    the test will measure, both estimated from the samples. A test that explains a share R² of d_n's
-    variance moves its mean by √R² σ_n and leaves σ_n √(1 − R²).
+    Every lead d_n = ψ*_n − ψ*_leader is assumed to be normal and linearly related to the test's
+    measurements; both the distribution and the relation are estimated from the samples. A test that
+    explains a share R² of the variance of d_n changes its mean by a normal variable with standard
+    deviation √R² σ_n, and leaves the standard deviation σ_n √(1 − R²).
 
     Args:
-        psi_star: joint samples, shape (sources, samples).
-        leader: index of the source selected now.
-        z: the same samples of the tested robot's response at the test's tones, (samples, tones).
-        variance: E|ẑ − z|² that the test will have, shape (tones,).
-        epsilon: a difference that does not matter.
+        psi_star: Joint samples of the losses, shape (sources, samples).
+        leader: Index of the source that is selected now.
+        z: Response of the tested robot at the test's tones, in the same draws, shape
+            (samples, tones).
+        variance: Predicted variance E|ẑ − z|² of the test, shape (tones,).
+        epsilon: Difference ε of two losses that does not matter.
+
+    Returns:
+        The expected decrease, summed over all sources but the leader.
     """
     samples = psi_star.shape[1]
     leads = np.delete(psi_star - psi_star[leader], leader, axis=0)
@@ -33,15 +38,19 @@ def expected_gain(
     mean, deviation = leads.mean(axis=1), leads.std(axis=1)
     measured = np.concatenate([z.real, z.imag], axis=1)
     measured = measured - measured.mean(axis=0)
+    # The error ẑ − z is circular: its real and imaginary parts have half the variance each.
     noise = np.concatenate([variance, variance]) / 2
     scale = np.sqrt(np.mean(measured**2, axis=0) + noise)
     measured, noise = measured / scale, noise / scale**2
+    # R²_n = c_n Σ⁻¹ c_nᵀ / σ_n², with the measurements' covariance Σ and their covariance c_n with
+    # d_n. Measurements are scaled to unit variance, which keeps Σ well conditioned.
     covariance = measured.T @ measured / samples + np.diag(noise + RIDGE)
     centred = leads - mean[:, None]
     cross = centred @ measured / samples
     explained = np.einsum("nj,jn->n", cross, np.linalg.solve(covariance, cross.T))
     share = explained / np.maximum(deviation**2, 1e-300)
-    # Regression on noise explains something too: about as many parts in `samples` as regressors.
+    # Adjusted R²: even unrelated regressors explain about 1 / `samples` of the variance each, so
+    # the share expected by chance is removed. A noisy tone counts as a part of a regressor.
     effective = float(np.sum(1 - noise / np.diag(covariance)))
     share = np.clip((share - effective / samples) / (1 - effective / samples), 0.0, 1.0)
     return float(np.sum(_wrong(mean, deviation, epsilon) - _after(mean, deviation, share, epsilon)))
@@ -51,15 +60,28 @@ def _wrong(mean: FloatArray, deviation: FloatArray, epsilon: float) -> FloatArra
     return np.asarray(ndtr(-(mean + epsilon) / np.maximum(deviation, 1e-12)))
 
 
-# Equally likely values of a normal variable: the error has a kink, which quadrature would miss.
+# Midpoints of 101 equally likely intervals of a standard normal variable. The error has a kink
+# where the selection changes, which makes Gauss–Hermite quadrature inaccurate.
 _NODES = ndtri((np.arange(101) + 0.5) / 101)
 
 
 def _after(
     mean: FloatArray, deviation: FloatArray, share: FloatArray, epsilon: float
 ) -> FloatArray:
-    """Return the expected probability of error when the better of the two is selected then."""
+    """Return the expected probability of error when the better of the two is selected afterwards.
+
+    Args:
+        mean: Means of the leads d_n before the test, shape (leads,).
+        deviation: Standard deviations σ_n of the leads, shape (leads,).
+        share: Shares R² of the variances that the test explains, shape (leads,).
+        epsilon: Difference ε of two losses that does not matter.
+
+    Returns:
+        The probability for each lead, shape (leads,).
+    """
     moved = mean[:, None] + np.sqrt(share)[:, None] * deviation[:, None] * _NODES
     left = np.maximum(deviation * np.sqrt(1 - share), 1e-12)[:, None]
+    # The leader stays selected where d_n ≥ 0 is expected, and is wrong if d_n < −ε; otherwise
+    # source n is selected, and is wrong if d_n > ε.
     error = np.where(moved >= 0, ndtr(-(moved + epsilon) / left), ndtr((moved - epsilon) / left))
     return np.asarray(error.mean(axis=1))

@@ -1,8 +1,8 @@
-"""To share or not to share: whether a source's experience will help the target, before it is tried.
+"""Decides whether a source's experience will help the target, before the transfer is tried.
 
-Put before the target as a prefilter, the source's inverse leaves the error e = (1 − z_T/z_S) y_d;
-without it the target's own loop leaves (1 − z_T) y_d. Transfer helps where the first is smaller; it
-is not symmetric, since |1 − z_T/z_S| = |z_S − z_T| / |z_S|.
+Placed before the target as a prefilter, the source's inverse leaves the error
+e = (1 − z_T/z_S) y_d; without it the target's own loop leaves (1 − z_T) y_d. Transfer helps where
+the first error is smaller. It is not symmetric, since |1 − z_T/z_S| = |z_S − z_T| / |z_S|.
 """
 
 from __future__ import annotations
@@ -17,14 +17,18 @@ from nufleet.shared.arrays import ComplexArray, FloatArray
 
 OUTSIDE_MAX = 0.05
 OUTSIDE_REPORTED = 0.001
-"""Share of the motion outside the tested band: above the first nothing can be said of the whole."""
+"""Shares of the motion outside the tested band.
+
+Above `OUTSIDE_MAX` no verdict on the whole motion is possible; above `OUTSIDE_REPORTED` the share
+is mentioned in the reason.
+"""
 
 GAIN_MIN = 1e-9
-"""A source that answers less than this cannot be inverted."""
+"""Gain |z_S| below which a source's response cannot be inverted."""
 
 
 class Verdict(StrEnum):
-    """What to do with a source's experience."""
+    """The recommendation about a source's experience."""
 
     TRANSFER = "transfer"
     DO_NOT_TRANSFER = "do not transfer"
@@ -33,30 +37,38 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Interval:
-    """The median of what is believed of a quantity, and the bounds it lies in with 1 − δ."""
+    """The median of a quantity and the bounds that contain it with probability 1 − δ."""
 
     low: FloatArray
+    """Lower bound; all three fields have the shape of the quantity."""
     median: FloatArray
+    """Median."""
     high: FloatArray
+    """Upper bound."""
 
     @staticmethod
     def of(samples: FloatArray, delta: float) -> Interval:
-        """Return the interval of samples along their first axis."""
+        """Return the interval of samples of shape (samples, ...), elementwise over the rest."""
         low, median, high = np.quantile(samples, [delta / 2, 0.5, 1 - delta / 2], axis=0)
         return Interval(low, median, high)
 
     @staticmethod
     def of_magnitude(samples: ComplexArray, delta: float) -> Interval:
-        """Return the interval of the norm of samples along their last axis; the first are samples.
+        """Return the interval of the norm along the last axis.
 
-        A norm is never negative, so samples of it lie above 0 even where there is none. Where the
-        ball that holds the vector with probability 1 − δ also holds 0, the lower bound is 0.
+        A norm is never negative, so its samples lie above 0 even where the true vector is 0. Where
+        the ball that contains the vector with probability 1 − δ also contains 0, the lower bound is
+        therefore set to 0.
+
+        Args:
+            samples: Samples of vectors, shape (samples, ..., components).
+            delta: Probability δ that the interval misses the norm.
         """
         norm = np.linalg.norm(samples, axis=-1)
         interval = Interval.of(norm, delta)
         centre = samples.mean(axis=0)
         reach = np.quantile(np.linalg.norm(samples - centre, axis=-1), 1 - delta, axis=0)
-        # There only the upper bound can be missed.
+        # Where 0 is the lower bound, only the upper one can be missed: it takes all of δ.
         touching = np.linalg.norm(centre, axis=-1) <= reach
         high = np.where(touching, np.quantile(norm, 1 - delta, axis=0), interval.high)
         return Interval(np.where(touching, 0.0, interval.low), interval.median, high)
@@ -64,27 +76,42 @@ class Interval:
 
 @dataclass(frozen=True)
 class TransferPrediction:
-    """What transfer from `source` to `target` is expected to do, and the verdict.
-
-    The gains |error / trajectory| with and without transfer have shape (frequencies,); the errors
-    are root mean squares relative to that of the trajectory; `reduction` is 1 − with / without.
-    """
+    """The expected effect of a transfer from `source` to `target`, and the verdict on it."""
 
     source: str
+    """Name of the robot that offers its experience."""
     target: str
+    """Name of the robot that would receive it."""
     omega_rad_s: FloatArray
+    """Frequencies of the gains in rad/s, shape (frequencies,)."""
     gain_with: Interval
+    """Gain |1 − z_T/z_S| from trajectory to error with transfer, shape (frequencies,)."""
     gain_without: Interval
+    """Gain |1 − z_T| from trajectory to error without transfer, shape (frequencies,)."""
     error_with: Interval
+    """Root mean square error with transfer, relative to the trajectory's root mean square."""
     error_without: Interval
+    """Root mean square error without transfer, relative to the trajectory's root mean square."""
     reduction: Interval
+    """Relative reduction of the error, 1 − with / without."""
     probability_helps: float
+    """Probability that transfer reduces the error."""
     verdict: Verdict
+    """Recommendation."""
     reason: str
+    """Reason for the recommendation, for people."""
 
 
 def error_with_transfer(z_source: ComplexArray, z_target: ComplexArray) -> ComplexArray:
-    """Return 1 − z_T/z_S, what the source's inverse leaves of each frequency of a trajectory."""
+    """Return 1 − z_T/z_S, the gain from trajectory to error with the source's inverse.
+
+    Args:
+        z_source: Response of the source, shape (..., frequencies).
+        z_target: Response of the target, in the same shape.
+
+    Returns:
+        The complex gain in the same shape; finite also where the source does not respond.
+    """
     answering = np.abs(z_source) > GAIN_MIN
     return np.asarray((z_source - z_target) / np.where(answering, z_source, GAIN_MIN))
 
@@ -97,18 +124,21 @@ def predict_transfer(
     *,
     delta: float = 0.05,
 ) -> TransferPrediction:
-    """Judge a transfer in one direction; exchange source and target for the other.
+    """Judge a transfer in one direction; exchange source and target to judge the other.
 
     Args:
-        source: its name, and joint samples of its response at the spectrum's frequencies, shape
-            (samples, frequencies).
-        target: the same of the robot that the experience would go to.
-        spectrum: of the trajectory to be flown, or flat.
-        tested_band_rad_s: where the responses were measured.
-        delta: probability of a wrong verdict that is accepted.
+        source: Name of the source, and joint samples of its response at the spectrum's frequencies,
+            shape (samples, frequencies).
+        target: Name of the robot that would receive the experience, and samples of its response in
+            the same shape.
+        spectrum: Spectrum of the trajectory to be flown, or a flat one.
+        tested_band_rad_s: Lowest and highest frequency in rad/s at which responses were measured.
+        delta: Accepted probability of a wrong verdict.
     """
     (source_name, z_source), (target_name, z_target) = source, target
     left_with, left_without = error_with_transfer(z_source, z_target), 1 - z_target
+    # Parseval: the norm over frequencies, weighted with the roots of the power shares, is the root
+    # mean square error relative to the trajectory's.
     scale = np.sqrt(spectrum.shares)
     error_with = Interval.of_magnitude(left_with * scale, delta)
     error_without = Interval.of_magnitude(left_without * scale, delta)
@@ -117,6 +147,7 @@ def predict_transfer(
     )
     helps = float(np.mean(relative < 1))
     reduction = Interval.of(1 - relative, delta)
+    # Where no error at all is possible, a reduction of 100 % is, too.
     if error_with.low == 0:
         reduction = replace(reduction, high=np.ones(()))
     verdict, reason = _judge(helps, reduction, spectrum.outside(tested_band_rad_s), delta)
@@ -136,7 +167,7 @@ def predict_transfer(
 
 
 def best_first(predictions: list[TransferPrediction]) -> list[TransferPrediction]:
-    """Return the predictions of several sources for one target, smallest error first."""
+    """Return the predictions for one target, sorted by median error with transfer."""
     return sorted(predictions, key=lambda p: float(p.error_with.median))
 
 
@@ -153,7 +184,8 @@ def _judge(
     low, median, high = (100 * float(x) for x in (reduction.low, reduction.median, reduction.high))
     if below + above > OUTSIDE_MAX:
         return Verdict.NEED_MORE_TESTS, f"too much of it has not been tested{leaves}"
-    # An interval with both ends on one side of 0, so that the words never contradict the numbers.
+    # Both ends of the interval must lie on one side of 0, so that the verdict never contradicts the
+    # numbers in its reason.
     if helps >= 1 - delta and low > 0:
         text = f"the error is expected to fall by {median:.0f} % ({low:.0f} to {high:.0f} %)"
         return Verdict.TRANSFER, text + leaves

@@ -1,4 +1,4 @@
-"""The verdict on one transfer as other programs read it."""
+"""The verdict on one transfer, as the document that other programs read."""
 
 from __future__ import annotations
 
@@ -13,42 +13,64 @@ Probability = Annotated[float, Field(ge=0, le=1)]
 
 
 class Bounds(Strict):
-    """A number's median, and the bounds that hold it with probability 0.95."""
+    """The median of a number, and the bounds that contain it with probability 0.95."""
 
     low: float
+    """Lower bound."""
     median: float
+    """Median."""
     high: float
+    """Upper bound."""
 
 
 class GainCurve(Strict):
-    """The same of the gain |error / trajectory| at each frequency."""
+    """The gain |error / trajectory|: its median, and bounds that contain it with probability 0.95.
+
+    The fields have one entry per frequency.
+    """
 
     low: tuple[NonNegative, ...]
+    """Lower bound at each frequency."""
     median: tuple[NonNegative, ...]
+    """Median at each frequency."""
     high: tuple[NonNegative, ...]
+    """Upper bound at each frequency."""
 
 
 class TransferVerdict(Strict):
-    """What transfer from one source is expected to do.
+    """The expected effect of a transfer from one source, and the verdict on it.
 
-    Errors are root mean squares relative to that of the motion: of the trajectory asked for, or of
-    one with all frequencies of the band alike. `reduction` is 1 − with / without. The gains
-    |1 − z_T/z_S| with and |1 − z_T| without transfer are those at `omega_rad_s`, over the band.
+    Errors are root mean squares relative to the root mean square of the motion: the requested
+    trajectory or, without one, a motion with equal power throughout the band.
     """
 
     verdict: Verdict
+    """Recommendation."""
     reason: Reason
+    """Reason for the recommendation, for people."""
     probability_helps: Probability
+    """Probability that transfer reduces the error."""
     error_with: Bounds
+    """Relative error with transfer."""
     error_without: Bounds
+    """Relative error without transfer."""
     reduction: Bounds
+    """Relative reduction of the error, 1 − with / without."""
     omega_rad_s: tuple[float, ...]
+    """Frequencies of the gains in rad/s, over the band."""
     gain_with: GainCurve
+    """Gain |1 − z_T/z_S| with transfer at each frequency."""
     gain_without: GainCurve
+    """Gain |1 − z_T| without transfer at each frequency."""
 
 
 def verdict_document(found: TransferPrediction, curve: TransferPrediction) -> TransferVerdict:
-    """Return the document of a prediction, with the gains of another over the band."""
+    """Return the document of a prediction.
+
+    Args:
+        found: Prediction for the motion; gives the verdict, the errors and the reduction.
+        curve: Prediction over the band; gives the frequencies and the gains.
+    """
     return TransferVerdict(
         verdict=found.verdict,
         reason=found.reason,
