@@ -1,9 +1,9 @@
-"""What responses of stable loops are made of: a second-order loop with delay, modes, a residual.
+"""The parts of a stable loop's response: a second-order loop with delay, modes, and a residual.
 
-z(ω) = e^{−jωτ} [loop(ω) + Σ modes(ω)] + residual(ω), with x = ω/ω₀ and D = 1 + 2jζx − x²:
-a loop is (b₀ + j b₁x)/D, a mode 2ζ(c₀ + j c₁x)/D, so that |c₀ + j c₁| is its height, and the
-residual Σ h_k e^{−jωkΔ} is a causal impulse response whose prior variance decays (the diagonal
-kernel of Chen, Ohlsson and Ljung, Automatica 48, 2012).
+z(ω) = e^{−jωτ} [loop(ω) + Σ modes(ω)] + residual(ω), with x = ω/ω₀ and D = 1 + 2jζx − x².
+The loop is (b₀ + j b₁x)/D. A mode is 2ζ(c₀ + j c₁x)/D, so that |c₀ + j c₁| is the height of its
+resonance. The residual Σ h_k e^{−jωkΔ} is a causal impulse response whose prior variance decays
+(the diagonal kernel of Chen, Ohlsson and Ljung, Automatica 48, 2012).
 """
 
 from __future__ import annotations
@@ -15,14 +15,15 @@ import numpy as np
 from nufleet.shared.arrays import ComplexArray, FloatArray
 
 LOOP_PARAMETERS = 5
-"""b₀, b₁, ln ω₀, ln ζ, τ."""
+"""Number of the loop's parameters: b₀, b₁, ln ω₀, ln ζ, τ."""
 
 MODE_PARAMETERS = 4
-"""c₀, c₁, ln ω₀, ln ζ of each mode."""
+"""Number of each mode's parameters: c₀, c₁, ln ω₀, ln ζ."""
 
 TAPS = 24
 TAPS_BANDWIDTH = 1.2
-"""The residual's impulse response has so many taps; it repeats beyond this multiple of the band."""
+"""Number of taps in the residual's impulse response, and half the period of the residual in ω as a
+multiple of the band's upper end; beyond it, the residual repeats."""
 
 MODE_DECAYS = 5
 MODE_DAMPING_MIN = 0.02
@@ -30,23 +31,29 @@ MODE_DAMPING_MIN = 0.02
 
 @dataclass(frozen=True)
 class ResponsePrior:
-    """What is believed of any robot's loop before its first test.
+    """The belief about any robot's loop before its first test.
 
     Feedback loops that follow a reference have a gain near 1 at low frequency, a bandwidth near the
-    band they are operated in, and a delay that does not turn the phase much more than once. A mode
-    decays no slower than the robot says that its transients do: `decay_min_1_s`.
+    band they are operated in, and a delay that does not turn the phase much more than once.
     """
 
     omega_max_rad_s: float
+    """Upper end of the tested band in rad/s."""
     decay_min_1_s: float
+    """Slowest decay rate σ = ζω₀ of a mode in 1/s, from the robot's declared settling time."""
     gain_std: float = 0.5
+    """Standard deviation of the gain b₀ about 1."""
     lead_std: float = 1.5
+    """Standard deviation of the lead b₁ about 0."""
     log_bandwidth_std: float = 0.8
+    """Standard deviation of ln ω₀ about the logarithm of 0.7 times the band's upper end."""
     log_damping_std: float = 1.0
+    """Standard deviation of ln ζ about ln 0.5."""
     mode_height_std: float = 0.3
+    """Standard deviation of a mode's c₀ and c₁ about 0."""
 
     def loop(self) -> tuple[FloatArray, FloatArray]:
-        """Return mean and standard deviation of the loop's parameters, shape (5,)."""
+        """Return mean and standard deviation of the loop's parameters, each of shape (5,)."""
         mean = [1.0, 0.0, np.log(0.7 * self.omega_max_rad_s), np.log(0.5), 0.0]
         std = [
             self.gain_std,
@@ -58,16 +65,21 @@ class ResponsePrior:
         return np.array(mean), np.array(std)
 
     def mode(self, omega_rad_s: float, damping: float) -> tuple[FloatArray, FloatArray]:
-        """Return mean and standard deviation of a mode's parameters near a point of the grid."""
+        """Return mean and standard deviation of a mode's parameters, each of shape (4,).
+
+        Args:
+            omega_rad_s: Frequency ω₀ of the grid point that the mode lies near, in rad/s.
+            damping: Damping ratio ζ of that grid point.
+        """
         mean = np.array([0.0, 0.0, np.log(omega_rad_s), np.log(damping)])
         return mean, np.array([self.mode_height_std, self.mode_height_std, 0.2, 0.7])
 
     def mode_grid(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return ω₀, ζ and log prior weight of the modes looked for, each of shape (modes,).
+        """Return ω₀ (rad/s), ζ and log prior weight of all candidate modes, each of shape (modes,).
 
-        For each decay σ = ζω₀ they are σ apart, which is half the width of the resonance. There
-        are none when the slowest decay is faster than any mode of the band: its modes are gone
-        before they could be seen.
+        For each decay σ = ζω₀, the candidates are spaced by σ, half the width of the resonance.
+        There are none when the slowest decay is faster than any mode of the band, since such modes
+        decay before they could be observed.
         """
         top = 1.3 * self.omega_max_rad_s
         slowest = max(self.decay_min_1_s, MODE_DAMPING_MIN * 0.5 * top)
@@ -77,18 +89,35 @@ class ResponsePrior:
         counts = np.array([len(omega) for omega in omegas], dtype=np.int64)
         omega = np.concatenate([np.empty(0), *omegas])
         damping = np.minimum(np.repeat(decays, counts) / omega, 1.0)
+        # Uniform weights over the decays, and over the frequencies of each decay.
         return omega, damping, -np.log(np.repeat(counts, counts) * len(decays))
 
 
 def response(theta: FloatArray, omega_rad_s: FloatArray) -> ComplexArray:
-    """Return z of a loop and its modes without residual; θ (…, 5 + 4m) to (…, frequencies)."""
+    """Return the response of a loop and its modes, without the residual.
+
+    Args:
+        theta: Parameters θ of the loop and of m modes, shape (..., 5 + 4m).
+        omega_rad_s: Frequencies in rad/s, shape (frequencies,).
+
+    Returns:
+        Response z, shape (..., frequencies).
+    """
     return response_and_slope(theta, omega_rad_s)[0]
 
 
 def response_and_slope(
     theta: FloatArray, omega_rad_s: FloatArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Return z, shape (…, frequencies), and ∂z/∂θ, shape (…, frequencies, parameters)."""
+    """Return the response of a loop and its modes, and its derivative.
+
+    Args:
+        theta: Parameters θ of the loop and of m modes, shape (..., 5 + 4m).
+        omega_rad_s: Frequencies in rad/s, shape (frequencies,).
+
+    Returns:
+        Response z, shape (..., frequencies), and ∂z/∂θ, shape (..., frequencies, 5 + 4m).
+    """
     delay = np.exp(-1j * omega_rad_s * theta[..., 4:5])
     total = np.zeros(delay.shape, dtype=np.complex128)
     columns: list[ComplexArray] = []
@@ -100,6 +129,8 @@ def response_and_slope(
         inverse = delay * height / (1 + 2j * damping * x - x**2)
         part = (n_0 + 1j * n_1 * x) * inverse
         bare = inverse / (delay * height)
+        # ∂D/∂ln ζ = 2jζx, and since ∂x/∂ln ω₀ = −x, ∂D/∂ln ω₀ = −(2jζx − 2x²). The height 2ζ of a
+        # mode adds the mode itself to its derivative in ln ζ.
         by_damping = -part * 2j * damping * x * bare + (0.0 if first == 0 else part)
         by_omega = -1j * n_1 * x * inverse + part * (2j * damping * x - 2 * x**2) * bare
         columns += [inverse, 1j * x * inverse, by_omega, by_damping]
@@ -111,7 +142,17 @@ def response_and_slope(
 def mode_columns(
     omega_0_rad_s: FloatArray, damping: FloatArray, delay_s: float, omega_rad_s: FloatArray
 ) -> ComplexArray:
-    """Return what c₀ = 1 and c₁ = 1 give of each mode, shape (modes, frequencies, 2)."""
+    """Return the response of each mode to unit coefficients c₀ and c₁.
+
+    Args:
+        omega_0_rad_s: Frequency ω₀ of each mode in rad/s, shape (modes,).
+        damping: Damping ratio ζ of each mode, shape (modes,).
+        delay_s: Delay τ of the loop in s.
+        omega_rad_s: Frequencies in rad/s, shape (frequencies,).
+
+    Returns:
+        Responses for c₀ = 1 and for c₁ = 1, shape (modes, frequencies, 2).
+    """
     x = omega_rad_s / omega_0_rad_s[:, None]
     bare = 2 * damping[:, None] / (1 + 2j * damping[:, None] * x - x**2)
     late = bare * np.exp(-1j * omega_rad_s * delay_s)
@@ -119,17 +160,26 @@ def mode_columns(
 
 
 def tap_columns(omega_max_rad_s: float, omega_rad_s: FloatArray) -> ComplexArray:
-    """Return e^{−jωkΔ} of the residual's taps, shape (frequencies, taps)."""
+    """Return e^{−jωkΔ} at each frequency (rad/s) for each tap k, shape (frequencies, taps)."""
     times_s = np.arange(TAPS) * tap_spacing_s(omega_max_rad_s)
     return np.exp(-1j * np.outer(omega_rad_s, times_s))
 
 
 def tap_spacing_s(omega_max_rad_s: float) -> float:
-    """Return Δ, the time between the residual's taps."""
+    """Return Δ, the time between the residual's taps, in s."""
     return float(np.pi / (TAPS_BANDWIDTH * omega_max_rad_s))
 
 
 def tap_std(size: float, memory_s: float, omega_max_rad_s: float) -> FloatArray:
-    """Return the prior deviations of the taps, shape (taps,): of a residual of E|·|² = `size`²."""
+    """Return the prior standard deviations of the residual's taps.
+
+    Args:
+        size: Root mean square of the residual: E|residual(ω)|² = `size`².
+        memory_s: Time in s over which the deviations decay by a factor e.
+        omega_max_rad_s: Upper end of the tested band in rad/s.
+
+    Returns:
+        Standard deviations, shape (taps,).
+    """
     share = np.exp(-np.arange(TAPS) * tap_spacing_s(omega_max_rad_s) / memory_s)
     return np.asarray(size * share / np.linalg.norm(share))

@@ -11,19 +11,30 @@ from nufleet.shared.arrays import ComplexArray, FloatArray
 
 ITERATIONS = 40
 CONVERGED = 1e-6
-"""Ends the search when no start lowers its cost by this share any more."""
+"""Relative decrease of the cost; the search ends when no start achieves it any more."""
 
 
 @dataclass(frozen=True)
 class Tones:
-    """All that was measured of a robot: frequencies, ẑ and E|ẑ − z|², each of shape (tones,)."""
+    """The measured tones of a robot."""
 
     omega_rad_s: FloatArray
+    """Frequencies in rad/s, shape (tones,)."""
     z: ComplexArray
+    """Estimated response ẑ, shape (tones,)."""
     variance: FloatArray
+    """Variance E|ẑ − z|² of each estimate, shape (tones,)."""
 
     def whiten(self, values: ComplexArray) -> FloatArray:
-        """Return real and imaginary parts over their deviation; (…, tones) to (…, 2 tones)."""
+        """Return real and imaginary parts divided by their standard deviations.
+
+        Args:
+            values: Complex values at the tones, shape (..., tones).
+
+        Returns:
+            Real parts followed by imaginary parts, shape (..., 2 tones).
+        """
+        # Each part has half the variance of the circular complex error.
         scaled = values / np.sqrt(self.variance / 2)
         return np.concatenate([scaled.real, scaled.imag], axis=-1)
 
@@ -31,17 +42,17 @@ class Tones:
 def fit_from(
     starts: FloatArray, tones: Tones, prior_mean: FloatArray, prior_std: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Descend from every start by Levenberg and Marquardt's method.
+    """Minimise the negative log posterior from every start by the Levenberg–Marquardt method.
 
     Args:
-        starts: shape (starts, parameters).
-        tones: the measurements.
-        prior_mean: of the parameters, shape (parameters,) or (starts, parameters).
-        prior_std: the same.
+        starts: Initial parameters, shape (starts, parameters).
+        tones: Measurements to fit.
+        prior_mean: Prior mean of the parameters, shape (parameters,) or (starts, parameters).
+        prior_std: Prior standard deviation of the parameters, in either shape.
 
     Returns:
         The parameters found, shape (starts, parameters), and their costs, shape (starts,): half the
-        squared deviations from measurements and prior, in standard deviations.
+        sum of squared deviations from measurements and prior, in standard deviations.
     """
     theta = starts.copy()
     damping = np.full(len(starts), 1e-2)
@@ -51,9 +62,11 @@ def fit_from(
         normal = np.einsum("sij,sik->sjk", slope, slope)
         gradient = np.einsum("sij,si->sj", slope, residual)
         diagonal = np.einsum("sjj->sj", normal)
+        # Marquardt's damping scales with the diagonal, so that steps do not depend on units:
+        # (JᵀJ + λ diag JᵀJ) step = Jᵀr, with its own λ for every start.
         damped = normal + np.eye(theta.shape[1]) * (damping[:, None] * diagonal)[:, None, :]
         trial = theta - np.linalg.solve(damped, gradient[..., None])[..., 0]
-        # Farther than this from the prior no robot is, and exp() would overflow.
+        # No real robot lies farther from the prior, and the exp() of ln ω₀ and ln ζ would overflow.
         trial = np.clip(trial, prior_mean - 8 * prior_std, prior_mean + 8 * prior_std)
         trial_residual, trial_slope = _deviations(trial, tones, prior_mean, prior_std)
         trial_cost = 0.5 * np.sum(trial_residual**2, axis=1)
@@ -70,7 +83,10 @@ def fit_from(
 def _deviations(
     theta: FloatArray, tones: Tones, prior_mean: FloatArray, prior_std: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return deviations from measurements and prior, and their slopes in θ."""
+    """Return the deviations from measurements and prior in standard deviations, and their slopes.
+
+    The shapes are (starts, 2 tones + parameters) and (starts, 2 tones + parameters, parameters).
+    """
     z, by_theta = response_and_slope(theta, tones.omega_rad_s)
     misfit = tones.whiten(z - tones.z)
     from_prior = (theta - prior_mean) / prior_std

@@ -1,10 +1,10 @@
-"""One belief per robot about its response z(ω) over the band, from all its tests.
+"""The belief about one robot's response z(ω) over the band, from all its tests.
 
-A mixture of Gaussians. Each component linearises a second-order loop with delay (and none, one or
-two modes) about a maximum a posteriori fit, adds a causal residual of some size and memory, and
-perhaps one more narrow mode somewhere, which the tones have neither shown nor excluded. Weights are
-marginal likelihoods, so that the data choose the complexity, and what hides between the tones stays
-believed in proportion to how well it can hide.
+It is a mixture of Gaussians. Each component linearises a second-order loop with delay (and none,
+one or two modes) about a maximum a posteriori fit, adds a causal residual of some size and memory,
+and possibly one more narrow mode that the tones have neither shown nor excluded. The weights are
+marginal likelihoods, so that the data choose the complexity, and a mode between the tones keeps a
+probability in proportion to how well it fits the data unseen.
 """
 
 from __future__ import annotations
@@ -35,35 +35,44 @@ MODE_CANDIDATES = 4
 
 @dataclass(frozen=True)
 class ModelSettings:
-    """What the mixture is made of.
-
-    `residual_sizes` are prior deviations of the residual, with their prior weights, and
-    `residual_memories` its memories in units of 1/ω_max. `fit_floor` is a deviation added to every
-    measurement while fitting, since no loop is exactly of second order. `one_more_mode` is the
-    prior probability of a mode beyond those fitted, of which there are at most `modes_max`.
-    """
+    """The components of the mixture."""
 
     residual_sizes: tuple[float, ...] = (3e-4, 3e-3, 1e-2, 3e-2, 0.1)
+    """Prior standard deviations of the residual."""
     residual_size_weights: tuple[float, ...] = (0.3, 0.3, 0.2, 0.15, 0.05)
+    """Prior probability of each size."""
     residual_memories: tuple[float, ...] = (4.0, 16.0)
+    """Memories of the residual, in units of 1/ω_max."""
     fit_floor: float = 2e-3
+    """Standard deviation added to every measurement during the fit, since no loop is exactly of
+    second order."""
     one_more_mode: float = 0.3
+    """Prior probability of a mode beyond those fitted."""
     modes_max: int = 2
+    """Largest number of fitted modes."""
 
 
 @dataclass(frozen=True)
 class _Expansion:
-    """A fit with 0, 1 or 2 modes that components linearise about."""
+    """A fit with 0, 1 or 2 modes, about which components are linearised."""
 
     theta: FloatArray
+    """Fitted parameters, shape (parameters,)."""
     mean: FloatArray
+    """Prior mean of the parameters, shape (parameters,)."""
     std: FloatArray
+    """Prior standard deviation of the parameters, shape (parameters,)."""
     log_prior: float
+    """Logarithm of the prior probability of this number of modes."""
 
 
 @dataclass(frozen=True)
 class _Component:
-    """All components that share expansion and residual: without another mode, and with each."""
+    """All components with the same expansion and residual: without another mode, and with each.
+
+    The whitened data are r = Φ w + X h + noise, with weights w of loop and residual, columns X of
+    one more mode, its coefficients h, and w, h and the noise standard normal.
+    """
 
     expansion: _Expansion
     tap_std: FloatArray
@@ -76,17 +85,17 @@ class _Component:
 
 
 class ResponseModel:
-    """What is believed of one robot's response after its tests."""
+    """The belief about one robot's response after its tests."""
 
     def __init__(
         self, tones: Tones, prior: ResponsePrior, settings: ModelSettings | None = None
     ) -> None:
-        """Fit everything.
+        """Fit all components and compute their weights.
 
         Args:
-            tones: all measurements, at least one.
-            prior: what is believed before.
-            settings: what the mixture is made of.
+            tones: All measurements of the robot, at least one.
+            prior: Belief about the robot before its tests.
+            settings: Components of the mixture; None takes the defaults.
         """
         self.tones = tones
         self._settings = settings or ModelSettings()
@@ -99,7 +108,16 @@ class ResponseModel:
         self._weights /= self._weights.sum()
 
     def draw(self, omega_rad_s: FloatArray, count: int, rng: np.random.Generator) -> ComplexArray:
-        """Return samples of z at these frequencies, shape (count, frequencies)."""
+        """Draw samples of the response.
+
+        Args:
+            omega_rad_s: Frequencies in rad/s, shape (frequencies,).
+            count: Number of samples.
+            rng: Generator that draws them.
+
+        Returns:
+            Samples of z, in random order, shape (count, frequencies).
+        """
         chosen = np.sort(rng.choice(len(self._weights), size=count, p=self._weights))
         per_component = 1 + len(self._grid_omega)
         parts = []
@@ -138,7 +156,7 @@ class ResponseModel:
     def _fit_mode(
         self, before: _Expansion, components: Sequence[_Component], floored: Tones
     ) -> _Expansion:
-        """Add the mode that the grid finds most likely, and refine everything."""
+        """Add the most likely mode of the grid to an expansion, and refit all parameters."""
         best = max(components, key=lambda c: float(c.log_weights[1:].max()))
         ranked = np.argsort(best.log_weights[1:])[::-1][:MODE_CANDIDATES]
         starts, means, stds = [], [], []
@@ -157,7 +175,7 @@ class ResponseModel:
     def _components_about(self, expansion: _Expansion) -> list[_Component]:
         tones, settings = self.tones, self._settings
         z, slope = response_and_slope(expansion.theta, tones.omega_rad_s)
-        # δ = θ − prior mean has mean 0, so the linearised z(δ = 0) is taken off the data.
+        # δ = θ − prior mean has mean 0, so the linearised z(δ = 0) is subtracted from the data.
         at_prior = z + slope @ (expansion.mean - expansion.theta)
         residual = tones.whiten(tones.z - at_prior)
         loop = tones.whiten((slope * expansion.std).T).T
@@ -177,6 +195,7 @@ class ResponseModel:
             columns = np.concatenate([loop, taps * deviations], axis=1)
             factor = np.linalg.cholesky(np.eye(columns.shape[1]) + columns.T @ columns)
             half = solve_triangular(factor, columns.T @ residual, lower=True)
+            # ln p(r) = ½ ‖L⁻¹Φᵀr‖² − ½ ‖r‖² − Σ ln L_ii + const, with A = I + ΦᵀΦ = LLᵀ.
             log_evidence = (
                 expansion.log_prior
                 + np.log(weight / len(settings.residual_memories))
@@ -185,6 +204,8 @@ class ResponseModel:
             )
             cross = solve_triangular(factor, columns.T @ extra, lower=True)
             by_mode = cross.reshape(len(half), -1, 2)
+            # With w eliminated, h has the posterior precision S = I + XᵀX − XᵀΦ A⁻¹ ΦᵀX and the
+            # mean S⁻¹u, u = Xᵀr − XᵀΦ A⁻¹ Φᵀr; S is 2 × 2 and inverted by hand for all modes.
             precision = np.eye(2) + gram - np.einsum("imc,imd->mcd", by_mode, by_mode)
             u = toward - (half @ cross).reshape(-1, 2)
             determinant = precision[:, 0, 0] * precision[:, 1, 1] - precision[:, 0, 1] ** 2
@@ -198,6 +219,7 @@ class ResponseModel:
                 )
                 / determinant[:, None]
             )
+            # One more mode multiplies the evidence by exp(½ uᵀS⁻¹u) / √det S.
             gain = 0.5 * np.sum(u * mean, axis=1) - 0.5 * np.log(determinant)
             with_mode = np.log(settings.one_more_mode) + self._grid_log_weight + gain
             log_weights = log_evidence + np.concatenate(
@@ -228,6 +250,7 @@ class ResponseModel:
         with_mode = modes >= 0
         heights = np.zeros((count, 2))
         mine = modes[with_mode]
+        # First h from N(S⁻¹u, S⁻¹), then w given h from N(A⁻¹Φᵀ(r − Xh), A⁻¹).
         spread = np.linalg.cholesky(np.linalg.inv(component.mode_precision[mine]))
         noise = rng.standard_normal((len(mine), 2, 1))
         heights[with_mode] = component.mode_mean[mine] + (spread @ noise)[..., 0]

@@ -1,4 +1,4 @@
-"""All that is known of one robot's response: its tests, a model of them, and whether they agree."""
+"""Knowledge of one robot's response: its tests, a model of them, and their contradictions."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.robots.spec import RobotSpec
 
 DECAYS_UNTIL_SETTLED = 3.0
-"""A robot's settling time holds at least so many time constants of its slowest mode."""
+"""Least number of time constants of the slowest mode in a robot's declared settling time."""
 
 NONLINEAR_DEVIATION = 0.02
-"""What a response that is not linear may be off, relative to itself, at another amplitude."""
+"""Assumed relative change of a nonlinear robot's response at another amplitude."""
 
 CHANGE_SIGNIFICANCE = 1e-3
 CHECK_SAMPLES = 400
 VARIANCE_MIN = 1e-10
-"""No response is known better than to 1e-5; smaller variances would only be rounded away."""
+"""Lower bound of a variance: no response is known better than to 1e-5, and smaller variances would
+be lost to rounding."""
 
 
 class RobotKnowledge:
-    """What the tests of one robot have taught so far."""
+    """The knowledge of one robot that its tests have provided so far."""
 
     def __init__(self, robot: str, spec: RobotSpec, omega_max_rad_s: float) -> None:
         self.robot = robot
@@ -44,15 +45,15 @@ class RobotKnowledge:
     def learn(
         self, response: FrequencyResponse, rng: np.random.Generator, *, check: bool = True
     ) -> None:
-        """Take in a test's usable estimates; what contradicts earlier tests becomes a finding.
+        """Learn a test's usable estimates; a contradiction to earlier tests becomes a finding.
 
         Args:
-            response: the test's response.
-            rng: draws what was expected of the test.
-            check: whether to look for contradictions, which takes as long as a fit of the model.
+            response: Response that the test measured.
+            rng: Generator that draws the responses expected from the earlier tests.
+            check: Whether to look for contradictions, which takes as long as a fit of the model.
 
         Raises:
-            InvalidInputError: the test has no usable estimate.
+            InvalidInputError: The test has no usable estimate.
         """
         known = np.isfinite(response.z) & np.isfinite(response.variance)
         if not known.any():
@@ -73,23 +74,23 @@ class RobotKnowledge:
                 variance = variance + (NONLINEAR_DEVIATION * np.abs(z)) ** 2
         new = Tones(omega, z, variance)
         doubt = self._contradiction(new, rng) if check and not first else 0.0
-        # Which of the tests is right is not known, so none is believed as before.
+        # It is not known which of the tests is right, so all of them become less certain.
         self._tones = [Tones(t.omega_rad_s, t.z, t.variance + doubt) for t in (*self._tones, new)]
         self._model = None
 
     @property
     def tests(self) -> int:
-        """How many tests there are of it."""
+        """Number of tests of the robot."""
         return len(self.responses)
 
     @property
     def omega_rad_s(self) -> FloatArray:
-        """Every frequency tested, in the order of the tests."""
+        """All tested frequencies in rad/s, in the order of the tests, shape (tones,)."""
         return np.concatenate([tones.omega_rad_s for tones in self._tones])
 
     @property
     def model(self) -> ResponseModel:
-        """The belief after all tests; there has to be one."""
+        """The belief after all tests, of which there must be at least one."""
         if self._model is None:
             self._model = ResponseModel(
                 Tones(
@@ -102,21 +103,28 @@ class RobotKnowledge:
         return self._model
 
     def expected_variance(self, omega_rad_s: FloatArray, times_as_long: float) -> FloatArray:
-        """Return what the variance of a test will be, from those before it.
+        """Predict the variances of a test's estimates from the earlier tests.
 
-        Power is shared by a test's tones and gathers with time, so variances are in proportion to
-        their number and against the time.
+        The tones of a test share its power, and their energy grows with time, so variances are
+        proportional to the number of tones and inversely proportional to the measuring time.
 
         Args:
-            omega_rad_s: the test's tones.
-            times_as_long: how long it measures, relative to the first test.
+            omega_rad_s: Frequencies of the test's tones in rad/s, shape (tones,).
+            times_as_long: Measuring time of the test, as a multiple of that of the first test.
+
+        Returns:
+            Predicted variances E|ẑ − z|², shape (tones,).
         """
         omega, density = np.concatenate(self._noise, axis=1)
         nearest = np.argmin(np.abs(omega - omega_rad_s[:, None]), axis=1)
         return np.asarray(density[nearest] * len(omega_rad_s) / times_as_long)
 
     def _contradiction(self, new: Tones, rng: np.random.Generator) -> float:
-        """Return the variance to add when a test is not what all before it made of the robot."""
+        """Return the variance to add to all tests if a new one contradicts the earlier ones.
+
+        The test statistic is the squared Mahalanobis distance of the new ẑ from its prediction; its
+        distribution is χ² with one degree of freedom for each real and imaginary part.
+        """
         expected = self.model.draw(new.omega_rad_s, CHECK_SAMPLES, rng)
         parts = np.concatenate([expected.real, expected.imag], axis=1)
         noise = np.concatenate([new.variance, new.variance]) / 2

@@ -1,4 +1,4 @@
-"""A measured frequency response, and how far it is from another response over a band."""
+"""A measured frequency response, and its distance from another response over a band."""
 
 from __future__ import annotations
 
@@ -15,25 +15,32 @@ from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.models.transfer_models import ModelError, StateSpace
 
 VARIANCE_MIN = 1e-150
-"""A smaller variance counts as this one, so that a weight is finite."""
+"""Lower bound of a variance, which keeps its inverse, the weight, finite."""
 
 
 class BandError(InvalidInputError):
-    """A band in which there is nothing to compare."""
+    """A band in which two responses cannot be compared."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredResponse:
-    """z(ω) at rising frequencies, shape (k,), with E|ẑ − z|² where it is known."""
+    """A frequency response that was measured at some frequencies."""
 
     omega_rad_s: FloatArray
+    """Frequencies in rad/s, rising, shape (k,)."""
     z: ComplexArray
+    """Response at each frequency, shape (k,)."""
     variance: FloatArray | None = None
+    """Variance E|ẑ − z|² at each frequency, shape (k,); None if it is not known."""
 
     def at(self, omega_rad_s: FloatArray) -> tuple[ComplexArray, FloatArray]:
-        """Return z and its variance between the measured points: linear in ω, errors independent.
+        """Interpolate the response linearly in ω, with independent errors at the measured points.
 
-        The variance is 0 where none is known.
+        Args:
+            omega_rad_s: Frequencies in rad/s within the measured range, shape (m,).
+
+        Returns:
+            Response z and its variance, each of shape (m,); the variance is 0 if it is not known.
         """
         right = np.searchsorted(self.omega_rad_s, omega_rad_s).clip(1, len(self.omega_rad_s) - 1)
         start, end = self.omega_rad_s[right - 1], self.omega_rad_s[right]
@@ -46,12 +53,15 @@ class MeasuredResponse:
 
 
 def combined(responses: Sequence[FrequencyResponse]) -> MeasuredResponse:
-    """Return what a robot's tests found together: usable ones, repeated frequencies averaged.
+    """Combine all usable tests of a robot into one response.
 
-    Weights are the inverse variances.
+    Estimates at the same frequency are averaged with the inverse variances as weights.
+
+    Args:
+        responses: Responses of the robot's tests, unusable ones included.
 
     Raises:
-        InvalidInputError: no test is usable.
+        InvalidInputError: No test is usable.
     """
     usable = [response for response in responses if response.quality.usable]
     if not usable:
@@ -70,17 +80,22 @@ def combined(responses: Sequence[FrequencyResponse]) -> MeasuredResponse:
 
 @dataclass(frozen=True)
 class BandDistance:
-    """max ψ over the compared points of a band; `standard_deviation` is 0 where none is known.
+    """The largest chordal distance over a band (paper, eq. 6).
 
     It is a lower bound of the ν-gap of the two systems, which also depends on all other frequencies
     and on the winding condition.
     """
 
     value: float
+    """Largest ψ over the compared frequencies, from 0 to 1."""
     omega_rad_s: float
+    """Frequency of the largest distance in rad/s."""
     band_rad_s: tuple[float, float]
+    """Lowest and highest compared frequency in rad/s."""
     points: int
+    """Number of compared frequencies."""
     standard_deviation: float
+    """Standard deviation of ψ at that frequency; 0 if no variance is known."""
 
 
 def band_distance(
@@ -88,14 +103,19 @@ def band_distance(
     second: MeasuredResponse | StateSpace,
     band_rad_s: tuple[float, float] | None = None,
 ) -> BandDistance:
-    """Compare two responses, at least one of them measured, where both are known.
+    """Compare two responses, at least one of them measured, over the band where both are known.
 
-    Looks at every measured frequency in the common band and at the band's ends; between its points
-    a measured response is interpolated, a model is exact.
+    The comparison covers every measured frequency in the common band and the band's ends. Between
+    its points a measured response is interpolated; a model is evaluated exactly.
+
+    Args:
+        first: One response or model.
+        second: The other response or model.
+        band_rad_s: Lowest and highest frequency in rad/s; None takes the whole common band.
 
     Raises:
-        BandError: a band of no width, or none that is common to all.
-        ModelError: a model with more than one input or output.
+        BandError: The band has no width, or it does not overlap with both responses.
+        ModelError: A model has more than one input or output.
     """
     low, high = (0.0, math.inf) if band_rad_s is None else band_rad_s
     if not 0 <= low < high or (band_rad_s is not None and math.isinf(high)):

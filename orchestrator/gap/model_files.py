@@ -1,13 +1,13 @@
-"""Files that hold a model or a measured frequency response, and what to make of a bad one.
+"""Reads and writes files that hold a model or a measured frequency response.
 
-JSON holds one object; its fields tell which kind:
+A JSON file holds one object, whose fields determine its kind:
 - a transfer function, as in python-control: `num`, `den` from the highest power down, for several
   inputs and outputs num[i][j] from input j to output i; `dt` in s, 0 or absent in continuous time;
 - a state-space model: `A`, `B`, `C`, `D` as lists of rows, and `dt`;
 - a measured response: `omega_rad_s`, `real`, `imag` and, where known, `variance`, E|ẑ − z|².
 CSV holds a measured response, with those four or three names as its header.
 
-A measured response goes on to python-control in three lines::
+Three lines pass a measured response to python-control::
 
     measured = read_model(Path("response.csv"))
     response = control.frd(measured.z, measured.omega_rad_s, name="robot")
@@ -38,15 +38,18 @@ Column = Annotated[tuple[float, ...], Field(min_length=2, max_length=1_000_000)]
 
 
 class ModelFileError(InvalidInputError):
-    """A model file that cannot be used: names the file, the field and what was expected."""
+    """A model file cannot be used; the message names the file, the field and the expectation."""
 
 
 class TransferFunctionFile(Strict):
-    """num/den, one input and one output."""
+    """A transfer function num/den with one input and one output."""
 
     num: Polynomial
+    """Coefficients of the numerator, from the highest power down."""
     den: Polynomial
+    """Coefficients of the denominator, from the highest power down."""
     dt: NonNegative = 0.0
+    """Sample time in s; 0 in continuous time."""
 
     def model(self) -> StateSpace:
         """Return the model that the file describes."""
@@ -54,7 +57,7 @@ class TransferFunctionFile(Strict):
 
 
 class TransferMatrixFile(Strict):
-    """num[i][j]/den[i][j] from input j to output i."""
+    """A matrix of transfer functions num[i][j]/den[i][j] from input j to output i."""
 
     num: Annotated[tuple[tuple[Polynomial, ...], ...], Field(min_length=1, max_length=64)]
     den: Annotated[tuple[tuple[Polynomial, ...], ...], Field(min_length=1, max_length=64)]
@@ -66,7 +69,7 @@ class TransferMatrixFile(Strict):
 
 
 class StateSpaceFile(Strict):
-    """A, B, C, D as lists of rows."""
+    """A state-space model with A, B, C and D as lists of rows, and the sample time `dt` in s."""
 
     a: Rows = Field(alias="A")
     b: Rows = Field(alias="B")
@@ -83,14 +86,17 @@ class StateSpaceFile(Strict):
 
     def model(self) -> StateSpace:
         """Return the model that the file describes."""
-        # Without states A and B have no rows, and so cannot say how many columns they have.
+        # Without states, A and B have no rows, so the file cannot state their numbers of columns.
         a = np.array(self.a) if self.a else np.empty((0, 0))
         b = np.array(self.b) if self.b else np.empty((0, len(self.d[0])))
         return StateSpace(a, b, np.array(self.c), np.array(self.d), self.dt)
 
 
 class FrequencyResponseFile(Strict):
-    """A measured z(ω): columns of equal length, at least two frequencies, rising."""
+    """A measured response z(ω): columns of equal length with at least two rising frequencies.
+
+    The frequencies are in rad/s, and `variance` is E|ẑ − z|².
+    """
 
     omega_rad_s: Annotated[tuple[NonNegative, ...], Field(min_length=2, max_length=1_000_000)]
     real: Column
@@ -122,8 +128,8 @@ def read_model(path: Path) -> StateSpace | MeasuredResponse:
     """Return the model or the measured response in a .json or .csv file.
 
     Raises:
-        ModelFileError: the file is missing, too large, not what it should be, or holds a model that
-            does not make sense; names the file, the field and what was expected.
+        ModelFileError: The file is missing, too large or malformed, or its model is inconsistent;
+            the message names the file, the field and the expectation.
     """
     try:
         if path.stat().st_size > SIZE_MAX_BYTES:
@@ -148,10 +154,14 @@ def read_model(path: Path) -> StateSpace | MeasuredResponse:
 def write_response(path: Path, response: MeasuredResponse) -> None:
     """Write a measured response as .json or .csv; reading it back gives the same numbers.
 
+    Args:
+        path: File to write; its suffix selects the format.
+        response: Response to write.
+
     Raises:
-        ModelFileError: another suffix, a value that is not finite, fewer than two frequencies, or
-            frequencies that do not rise.
-        OSError: the file cannot be written.
+        ModelFileError: The suffix is another one, a value is not finite, there are fewer than two
+            frequencies, or the frequencies do not rise.
+        OSError: The file cannot be written.
     """
     columns = {
         "omega_rad_s": response.omega_rad_s,
@@ -228,7 +238,7 @@ def _from_csv(path: Path, text: str) -> FrequencyResponseFile:
 
 
 def _explain(path: Path, error: ValidationError) -> str:
-    """Say the first thing that is wrong, and how many others there are."""
+    """Return a message with the first validation error and the number of further ones."""
     details = error.errors(include_url=False)
     first = details[0]
     field = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in first["loc"])

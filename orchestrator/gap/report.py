@@ -1,4 +1,4 @@
-"""What `nufleet gap` found out, for programs and for people."""
+"""The result of `nufleet gap`, for programs and for people."""
 
 from __future__ import annotations
 
@@ -19,42 +19,53 @@ from nufleet.shared.strict import Strict
 
 
 class WindingCondition(Strict):
-    """wno det(I + P₂*P₁) + η(P₁) − η(P₂) − η₀(P₂) = 0, and each term of it."""
+    """The winding condition wno det(I + P₂*P₁) + η(P₁) − η(P₂) − η₀(P₂) = 0, term by term."""
 
     holds: bool
+    """Whether the condition holds."""
     winding_number: int | None
+    """Winding number wno det(I + P₂*P₁); None where the determinant is 0 at some frequency."""
     poles_unstable: tuple[int, int]
+    """Numbers of unstable poles η(P₁) and η(P₂)."""
     poles_on_axis: tuple[int, int]
+    """Numbers of poles on the stability boundary, η₀(P₁) and η₀(P₂)."""
     reason: str
+    """Explanation for people."""
 
 
 class BandReport(Strict):
-    """The largest chordal distance over a band, and how sure it is where responses are measured.
-
-    `band_rad_s` is the measured part of what was asked for.
-    """
+    """The band in which the largest chordal distance was found, and the certainty of the result."""
 
     band_rad_s: tuple[float, float]
+    """Compared band in rad/s: the measured part of the requested one."""
     band_asked_rad_s: tuple[float, float] | None
+    """Requested band in rad/s; None if there was none."""
     omega_max_rad_s: float
+    """Frequency of the largest distance in rad/s."""
     standard_deviation: float | None
+    """Standard deviation of the distance where responses are measured; None otherwise."""
 
 
 class ControllerReport(Strict):
-    """Margins b_{P,C} of both loops, and what the ν-gap alone promised for the second."""
+    """The stability margins of both loops, and the guarantee that the ν-gap alone gives."""
 
     controller: str
+    """File of the controller."""
     margin_first: float
+    """Margin b_{P₁,C} of the loop with the first model."""
     margin_second: float
+    """Margin b_{P₂,C} of the loop with the second model."""
     guaranteed: bool
+    """Whether the ν-gap alone guarantees that the second loop is stable."""
     margin_second_at_least: float
+    """Lower bound of the second margin that follows from the ν-gap."""
 
 
 class GapReport(Strict):
-    """The document of `nufleet gap --json`; a frequency is null where it is infinite.
+    """The document of `nufleet gap --json`.
 
-    `nu_gap` is null where a response was measured: there is then no ν-gap, only
-    `chordal_max_in_band`.
+    A frequency is null where it is infinite. `nu_gap` is null where a response was measured: there
+    is then no ν-gap, only `chordal_max_in_band`.
     """
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
@@ -73,11 +84,18 @@ class GapReport(Strict):
 def gap_report(
     first: Path, second: Path, band_rad_s: tuple[float, float] | None, controller: Path | None
 ) -> GapReport:
-    """Read the files and compare what is in them.
+    """Read two files and compare their models or responses.
+
+    Args:
+        first: File of the first model or response.
+        second: File of the second model or response.
+        band_rad_s: Band to compare, in rad/s; None compares a measured response over all of its
+            frequencies that both have, and two models by their ν-gap only.
+        controller: File of a controller whose loops are examined, if any.
 
     Raises:
-        InvalidInputError: a bad file, models that cannot be compared, a band with nothing in it, or
-            a controller together with a measured response.
+        InvalidInputError: A file cannot be used, the models cannot be compared, the band is empty,
+            or a controller is given together with a measured response.
     """
     p1, p2 = read_model(first), read_model(second)
     if isinstance(p1, MeasuredResponse) or isinstance(p2, MeasuredResponse):

@@ -68,7 +68,7 @@ def predict_rms(
     def mean_rms(errors: FloatArray) -> float:
         # Parseval: the mean square error on a path is Σ_ω |error gain|² power. `errors` has shape
         # (samples, frequencies), `powers` (paths, frequencies); the median is over the samples,
-        # because the error of an inverse has no finite mean.
+        # because the error that an inverse leaves has no upper bound.
         return float(np.mean(np.median(np.sqrt(errors**2 @ powers.T), axis=0)))
 
     return PredictedRms(
