@@ -1,7 +1,8 @@
-"""Arrays as bytes in a database and back, bit for bit, with every claim about them checked.
+"""Converts arrays to bytes for a database and back, bit for bit, with full validation.
 
 A blob is `NUA1`, the dtype's code, the number of dimensions, each length as a little-endian uint64,
-the CRC-32 of the data, and the data. NaN and infinity are kept: an estimate that failed has them.
+the CRC-32 of the data, and the data. NaN and infinity are preserved, because failed estimates
+contain them.
 """
 
 from __future__ import annotations
@@ -34,17 +35,26 @@ def pack_array(array: FloatArray | ComplexArray) -> bytes:
 
 
 def unpack_floats(blob: bytes, shape: tuple[int, ...], what: str) -> FloatArray:
-    """Return the float64 array of that shape in a blob; raises DamagedRecordError."""
+    """Return the float64 array in a blob.
+
+    Args:
+        blob: Bytes made by `pack_array`.
+        shape: Expected shape.
+        what: Name of the array in the error message.
+
+    Raises:
+        DamagedRecordError: The blob does not hold exactly such an array.
+    """
     return np.frombuffer(_data(blob, _FLOAT, shape, what), dtype="<f8").reshape(shape)
 
 
 def unpack_complex(blob: bytes, shape: tuple[int, ...], what: str) -> ComplexArray:
-    """Return the complex128 array of that shape in a blob; raises DamagedRecordError."""
+    """Return the complex128 array in a blob; see `unpack_floats`."""
     return np.frombuffer(_data(blob, _COMPLEX, shape, what), dtype="<c16").reshape(shape)
 
 
 def _data(blob: bytes, code: bytes, shape: tuple[int, ...], what: str) -> bytes:
-    """Return the data of a blob that is exactly what was expected."""
+    """Return the data of a blob with the expected dtype and shape; raises DamagedRecordError."""
     head = _HEAD.pack(_MAGIC, code, len(shape)) + b"".join(_LENGTH.pack(n) for n in shape)
     start = len(head) + _CRC.size
     size_bytes = math.prod(shape) * _ITEM_BYTES[code]

@@ -1,4 +1,4 @@
-"""One database: its address, its connections and transactions, and its errors by name."""
+"""One database: its address, its connections and transactions, and its errors as typed ones."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from nufleet.shared.redaction import without_secrets
 
 FILE_NAME = "nufleet.sqlite"
 BUSY_S = 10.0
-"""How long a transaction waits for those of other processes."""
+"""Time in s that a transaction waits for those of other processes."""
 
 _WRITES = "nufleet_writes"
 _Classes = tuple[tuple[str, type[RepositoryError]], ...]
@@ -65,25 +65,28 @@ _ADVICE = {
 
 
 def default_url(runs: Path) -> str:
-    """Return the address of the repository of a folder of runs.
+    """Return the address of the default repository for a folder of runs.
 
-    It lies beside the runs that it tells of, so that one option names both, a copy of the folder
-    is complete, and two folders know nothing of each other.
+    The file lies in the same folder as the runs it describes, so that one option names both, a copy
+    of the folder is complete, and two folders are independent of each other.
     """
     return f"sqlite:///{runs / FILE_NAME}"
 
 
 def parse_url(address: str) -> URL:
-    """Return the URL of a database given as such, or as the path of an SQLite file.
+    """Return the URL of a database.
+
+    Args:
+        address: URL of a database, or path of an SQLite file.
 
     Raises:
-        RepositoryUrlError: it names no file of SQLite and no database of PostgreSQL.
+        RepositoryUrlError: The address is neither an SQLite file nor a PostgreSQL database.
     """
     expected = "expected a file, sqlite:///FILE or postgresql://USER@HOST/DATABASE"
     try:
         url = make_url(address) if ":" in address else URL.create("sqlite", database=address)
     except (ArgumentError, ValueError):
-        # Neither the address nor the cause is shown: there may be a password in both.
+        # The message shows neither the address nor the cause: both may contain a password.
         raise RepositoryUrlError(f"the repository's address is no URL; {expected}") from None
     if "@" in (url.host or ""):
         raise RepositoryUrlError(
@@ -111,10 +114,10 @@ def _shown(url: URL) -> str:
 
 
 class Database:
-    """Connections to one database; close it. Usable from many threads."""
+    """The connections to one database, which must be closed; many threads may use it at once."""
 
     def __init__(self, url: URL) -> None:
-        """Prepare; nothing is opened yet."""
+        """Prepare; no connection is opened yet."""
         self.name = _shown(url)
         self.is_sqlite = url.get_backend_name() == "sqlite"
         self._engine = _sqlite(url) if self.is_sqlite else _postgresql(url)
@@ -126,26 +129,30 @@ class Database:
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
-        """A transaction that only reads."""
+        """Open a transaction that only reads."""
         with self._named_errors(), self._engine.begin() as connection:
             yield connection
 
     @contextmanager
     def write(self) -> Iterator[Connection]:
-        """A transaction that may write: committed and on disk at its end, or undone on an error."""
+        """Open a transaction that may write.
+
+        It is committed and on disk when the context is left, or undone on an error.
+        """
         writing = self._engine.execution_options(**{_WRITES: True})
         with self._named_errors(), writing.begin() as connection:
             yield connection
 
     def write_together(self, work: Work) -> None:
-        """Write with what other threads write meanwhile; returns when it is on disk.
+        """Run some work in one transaction with the writes of other threads.
 
-        `work` is undone alone when it raises, which this raises then.
+        The work is on disk when this returns. If the work raises an error, it alone is undone and
+        the error is raised here.
         """
         self._group.run(work)
 
     def now_s(self, connection: Connection) -> float:
-        """Return the database's own time in seconds: one clock for all who use it."""
+        """Return the database's own time in s, which is one clock for all of its users."""
         if self.is_sqlite:
             query = "SELECT (julianday('now') - 2440587.5) * 86400.0"
         else:
@@ -153,9 +160,9 @@ class Database:
         return float(connection.execute(text(query)).scalar_one())
 
     def prepare(self) -> None:
-        """Make sure that an SQLite file is there and keeps a write-ahead log.
+        """Create an SQLite file if it is missing, and enable its write-ahead log.
 
-        With that, readers and writers do not wait for each other.
+        With that log, readers and writers do not wait for each other.
         """
         if not self.is_sqlite:
             return
@@ -168,10 +175,10 @@ class Database:
             time.sleep(0.01)
 
     def _create_privately(self) -> None:
-        """Create an SQLite file that only its user may read; its logs are as private as it is."""
+        """Create an SQLite file that only its user may read; its logs inherit the permissions."""
         file = self._engine.url.database or ""
-        if not file.startswith("file:"):  # a URI of SQLite's own, which knows more than a path
-            with suppress(OSError):  # SQLite itself says better why it cannot be opened
+        if not file.startswith("file:"):  # a URI of SQLite's own may hold more than a path
+            with suppress(OSError):  # SQLite's own error is clearer
                 os.close(os.open(file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
 
     def _use_write_ahead_log(self) -> RepositoryError | None:
@@ -186,7 +193,7 @@ class Database:
 
     @contextmanager
     def savepoint(self, connection: Connection) -> Iterator[None]:
-        """A part of a transaction: undone alone when it is left by an error."""
+        """Open a part of a transaction, which alone is undone when an error leaves the context."""
         with connection.begin_nested(), self._named_errors():
             yield
 
@@ -207,14 +214,13 @@ def _sqlite(url: URL) -> Engine:
     def configure(connection: Any, _: object) -> None:
         connection.isolation_level = None  # transactions begin below, not where the driver guesses
         connection.execute("PRAGMA foreign_keys = ON")
-        # What was said to be stored must survive a power cut: an intent that is lost is a motion
-        # that nobody knows of.
+        # A committed record must survive a power cut: a lost intent is a motion without any record.
         connection.execute("PRAGMA synchronous = FULL")
 
     @event.listens_for(engine, "begin")
     def begin(connection: Connection) -> None:
         writes = connection.get_execution_options().get(_WRITES, False)
-        # Taking the lock at once, since a read that becomes a write may find itself out of date.
+        # The lock is taken at once, since a read that later writes may be out of date by then.
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
     return engine
@@ -234,7 +240,7 @@ def _postgresql(url: URL) -> Engine:
 
 
 def _named(cause: BaseException | None, database: str) -> RepositoryError:
-    """Return a driver's error as one of ours, with what to do about it."""
+    """Return the repository error for a driver's error, with advice on what to do."""
     if isinstance(cause, sqlite3.Error):
         code = getattr(cause, "sqlite_errorname", "")
         kind = _first(_SQLITE_CLASSES, code) or RepositoryError

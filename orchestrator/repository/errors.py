@@ -1,4 +1,4 @@
-"""What can go wrong with the repository, each with a name."""
+"""The errors of the repository."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ if TYPE_CHECKING:
 
 
 class RepositoryUrlError(InvalidInputError):
-    """A repository's address that names no database that nufleet can use."""
+    """The repository's address does not name a database that nufleet can use."""
 
 
 class RepositoryError(NufleetError):
-    """The database did not do what was asked; what was to be stored is not stored."""
+    """The database did not carry out a request; nothing of the request is stored."""
 
 
 class RepositoryUnreachableError(RepositoryError):
@@ -24,49 +24,51 @@ class RepositoryUnreachableError(RepositoryError):
 
 
 class RepositoryFullError(RepositoryError):
-    """There is no room left for what was to be stored."""
+    """There is no space left for the data."""
 
 
 class RepositoryReadOnlyError(RepositoryError):
-    """The database may be read and not written."""
+    """The database can be read but not written."""
 
 
 class RepositoryBusyError(RepositoryError):
-    """Other processes held the database for longer than anybody should."""
+    """Other processes locked the database for too long."""
 
 
 class DamagedRecordError(RepositoryError):
-    """What the database returned is not what nufleet stores: altered, or cut off."""
+    """The database returned a record that nufleet cannot have stored: altered or truncated."""
 
 
 class SchemaVersionError(RepositoryError):
-    """The database was written by a nufleet that this one does not know."""
+    """The database was written by a version of nufleet that this one does not know."""
 
 
 class UnknownRecordError(RepositoryError):
-    """Something refers to a robot, study or trial that was never stored."""
+    """A request refers to a robot, study or trial that was never stored."""
 
 
 class RecordConflictError(RepositoryError):
-    """Something is stored under that id already, with another content."""
+    """Another record is already stored under the same id."""
 
 
 class TrialEndedError(RepositoryError):
-    """A trial that has ended cannot end in another way, nor begin again."""
+    """The trial has ended; it cannot end in another way or begin again."""
 
 
 class StaleEpochError(RepositoryError):
-    """A robot's owner of the past wrote about a trial that a later owner has taken over."""
+    """A former owner of a robot wrote about a trial that a later owner has taken over."""
 
 
 class EpochOutOfRangeError(RepositoryError):
-    """There is no epoch for a robot that it would obey and that is above all before it."""
+    """No valid epoch is left for a robot that is above every epoch it has seen."""
 
 
 class LeaseHeldError(RepositoryError):
-    """Another orchestrator owns a robot; `owner` is who, `remaining_s` for how long at least.
+    """Another orchestrator owns a robot.
 
-    `renewals` are those of every robot that was asked for and belongs to others, this one first.
+    `owner` is its id and `remaining_s` the least time in s for which it keeps the robot.
+    `renewals` holds the renewal of every requested robot that belongs to another orchestrator, this
+    one first.
     """
 
     def __init__(self, renewals: Sequence[Renewal], remaining_s: float) -> None:
@@ -83,7 +85,7 @@ class LeaseHeldError(RepositoryError):
 
 
 class LeaseLostError(RepositoryError):
-    """A lease ran out or was taken over; `robot` must be commanded no more."""
+    """A lease expired or was taken over; `robot` must no longer be commanded."""
 
     def __init__(self, robot: str, owner: str, epoch: int, reason: str) -> None:
         super().__init__(

@@ -1,7 +1,7 @@
-"""Commits what several threads write at the same time together, so that they share one wait.
+"""Commits simultaneous writes of several threads together, so that they share one disk wait.
 
-A commit waits for the disk for milliseconds, and a fleet's robots answer by the hundred: while one
-thread commits, the others gather, and the next of them commits what has gathered.
+A commit waits milliseconds for the disk, and hundreds of robots may answer at once. While one
+thread commits, the writes of the others accumulate; the next thread commits all of them.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ Work = Callable[[Connection], None]
 
 
 class Transactions(Protocol):
-    """What commits: a database."""
+    """A database's transactions."""
 
     def write(self) -> AbstractContextManager[Connection]:
-        """A transaction, on disk when it has been left."""
+        """Open a transaction that is on disk when the context has been left."""
 
     def savepoint(self, connection: Connection) -> AbstractContextManager[None]:
-        """A part of one, undone alone when it is left by an error."""
+        """Open a part of a transaction, which alone is undone on an error."""
 
 
 @dataclass(eq=False)
 class _Job:
-    """Work and what came of it, which is an error until it is known to be on disk."""
+    """Work and its outcome, which counts as an error until the work is known to be on disk."""
 
     work: Work
     done: bool = False
@@ -43,7 +43,7 @@ class _Job:
 
 
 class GroupCommit:
-    """Shared by all threads that write to one database."""
+    """The common commit of all threads that write to one database."""
 
     def __init__(self, database: Transactions) -> None:
         self._database = database
@@ -52,7 +52,7 @@ class GroupCommit:
         self._jobs: list[_Job] = []
 
     def run(self, work: Work) -> None:
-        """Do some work and return when it is on disk; raise what it raised, and then undo it."""
+        """Run some work and return when it is on disk; if it raises an error, undo it and raise."""
         job = _Job(work)
         with self._gathering:
             self._jobs.append(job)
@@ -70,7 +70,7 @@ class GroupCommit:
             with self._database.write() as connection:
                 errors = [self._try(job, connection) for job in jobs]
         except Exception as error:  # noqa: BLE001 - each thread raises it where it wrote
-            # Nothing of it is on disk, whatever each part came to.
+            # The common commit failed, so no part is on disk, even if its work succeeded.
             errors = [error] * len(jobs)
         for job, outcome in zip(jobs, errors, strict=True):
             job.error, job.done = outcome, True

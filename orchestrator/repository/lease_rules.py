@@ -1,17 +1,17 @@
-"""Who owns a robot, as pure functions over a stored lease and the database's time.
+"""The rules of robot ownership, as pure functions of a stored lease and the database's time.
 
-That somebody who was replaced can do no harm rests on the epoch, which never falls: robots and
-trials refuse a lower one. Time decides only when a silent owner may be replaced, and the database's
-clock is a wall clock, which may be set at any moment:
+A replaced owner can do no harm because the epoch never decreases: robots and trials refuse a lower
+one. Time only decides when a silent owner may be replaced, and the database's clock is a wall
+clock, which may be set at any moment:
 
-- An owner keeps its lease as long as nobody else has taken it, whatever the clock says: it renews
-  what is still stored under its name and epoch, and thereby brings it to the clock as it is now.
+- An owner keeps its lease until another one has taken it, regardless of the clock: it renews the
+  lease that is still stored under its name and epoch, and thereby adapts it to the current clock.
 - Another may take a lease that its owner released, or did not renew for a whole term by the clock.
   When the clock is set forward, leases of living owners look like that until their next renewal;
   before one is taken, the network is asked whether its owner lives
   (`nufleet.orchestrator.conduct.leases`).
-- A lease that would hold for longer than a term was renewed before the clock was set back, and
-  nobody knows when. It holds for another term, measured by those who wait for it: an owner whose
+- A lease that would hold for longer than a term was renewed before the clock was set back, at an
+  unknown time. It holds for another term, measured by the waiting orchestrators: an owner whose
   `Renewal` they saw unchanged for that long is silent.
 """
 
@@ -29,37 +29,43 @@ from nufleet.orchestrator.repository.records import Lease, Renewal
 from nufleet.shared.wire.messages import EPOCH_MAX
 
 EPOCH_BELIEVED_MAX = EPOCH_MAX // 2
-"""A robot that saw a higher one was told nonsense; believed, it would leave no room above it."""
+"""Highest plausible epoch; accepting a higher one from a robot would leave no epochs above it."""
 
 RELEASED_S = 0.0
-"""The time at which a lease that was given back ran out."""
+"""Expiry time in s that marks a released lease."""
 
 _CLOCK_S = 0.1
-"""A difference that no clock was set by: rounding, and ticks of a millisecond."""
+"""Difference in s that is due to rounding and millisecond ticks rather than to a set clock."""
 
 
 @dataclass(frozen=True)
 class StoredLease:
-    """The row of a robot; `owner` is who had it last, None when nobody ever did."""
+    """A robot's lease as it is stored."""
 
     fleet: str
+    """Name under which the robot's fleet is leased."""
     robot: str
+    """Name of the robot."""
     owner: str | None
+    """Id of the last owner; None if the robot was never owned."""
     epoch: int
+    """Epoch of the last lease."""
     term_s: float
+    """Time in s for which the lease holds without being renewed."""
     expires_s: float
+    """Time at which the lease expires, in s on the database's clock."""
 
     @property
     def released(self) -> bool:
-        """Whether nobody has it, by its last owner's own word."""
+        """Whether the last owner released the robot, or there never was one."""
         return self.owner is None or self.expires_s == RELEASED_S
 
     def remaining_s(self, now_s: float) -> float:
-        """Return for how long it holds still, which is a term at most; 0 when nobody holds it."""
+        """Return the remaining time in s, at most one term; 0 when the robot is not owned."""
         return 0.0 if self.released else min(self.term_s, max(0.0, self.expires_s - now_s))
 
     def renewal(self, now_s: float) -> Renewal | None:
-        """Return its latest renewal; None when nobody holds it."""
+        """Return the latest renewal; None when the robot is not owned."""
         if self.owner is None or self.remaining_s(now_s) == 0.0:
             return None
         set_back = self.expires_s - now_s > self.term_s + _CLOCK_S
@@ -82,20 +88,20 @@ def acquired(
     now_s: float,
     silent: Collection[Renewal] = (),
 ) -> Lease:
-    """Return the lease that an owner gets.
+    """Return the lease that is granted to an owner.
 
     Args:
-        stored: what is known of the robot.
-        owner: who asks; who holds it already gets the same epoch again.
-        term_s: how long it holds without being renewed.
-        above_epoch: the latest epoch that the robot has seen, perhaps from another repository.
-        now_s: the database's time.
-        silent: renewals that the owner who asks saw unchanged for a whole term of its own clock.
+        stored: Stored lease of the robot.
+        owner: Id of the requesting owner; the present owner gets the same epoch again.
+        term_s: Time in s for which the lease holds without being renewed.
+        above_epoch: Latest epoch that the robot has seen, possibly from another repository.
+        now_s: Current time in s on the database's clock.
+        silent: Renewals that the requesting owner saw unchanged for a whole term of its own clock.
 
     Raises:
-        LeaseHeldError: another holds it.
-        EpochOutOfRangeError: the robot was told an epoch that no repository gives out, or this one
-            has none left.
+        LeaseHeldError: Another orchestrator owns the robot.
+        EpochOutOfRangeError: The robot has seen an epoch that no repository grants, or this
+            repository has no epoch left.
     """
     held = stored.renewal(now_s)
     if above_epoch > EPOCH_BELIEVED_MAX:
@@ -119,7 +125,7 @@ def acquired(
 
 
 def check_held(stored: StoredLease, lease: Lease) -> None:
-    """Check that nobody has taken a lease over; raises LeaseLostError with the reason."""
+    """Check that a lease has not been taken over; raises LeaseLostError with the reason."""
     reason = None
     if (stored.owner, stored.epoch) != (lease.owner, lease.epoch):
         reason = f"{stored.owner or 'nobody'} owns it under epoch {stored.epoch}"

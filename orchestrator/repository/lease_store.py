@@ -1,4 +1,4 @@
-"""Leases on robots, given out so that of several orchestrators one wins."""
+"""Grants leases on robots so that exactly one of several competing orchestrators succeeds."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from nufleet.orchestrator.repository.upsert import insert_new
 
 
 class LeaseStore:
-    """Acquires, renews and releases leases; each call does all that it names, or nothing."""
+    """Acquires, renews and releases leases; each call changes all of them or none."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -35,19 +35,22 @@ class LeaseStore:
         above_epochs: Mapping[str, int] | None = None,
         silent: Collection[Renewal] = (),
     ) -> tuple[Lease, ...]:
-        """Take robots for an owner, all or none.
+        """Acquire leases on all the robots, or on none.
 
         Args:
-            fleet: the fleet.
-            robots: of that fleet.
-            owner: an id that no other process has.
-            term_s: how long a lease holds without being renewed.
-            above_epochs: per robot, the latest epoch that it has seen; the new one is higher.
-            silent: renewals that the owner saw unchanged for a whole term of its own clock.
+            fleet: Name under which the fleet is leased.
+            robots: Names of the robots to acquire.
+            owner: Id of the owner, unique to this process.
+            term_s: Time in s for which a lease holds without being renewed.
+            above_epochs: Latest epoch that each robot has seen, by robot; the new one is higher.
+            silent: Renewals that the owner saw unchanged for a whole term of its own clock.
+
+        Returns:
+            One lease per robot.
 
         Raises:
-            LeaseHeldError: one of them belongs to another owner.
-            EpochOutOfRangeError: one of them was told an epoch that no repository gives out.
+            LeaseHeldError: A robot belongs to another owner.
+            EpochOutOfRangeError: A robot has seen an epoch that no repository grants.
         """
         names = sorted(set(robots))
         seen = above_epochs or {}
@@ -81,22 +84,22 @@ class LeaseStore:
         return tuple(leases)
 
     def renew(self, leases: Iterable[Lease]) -> None:
-        """Begin the term of leases anew.
+        """Restart the term of leases.
 
         Raises:
-            LeaseLostError: one of them holds no more; none is renewed.
+            LeaseLostError: One of the leases is lost; none is renewed.
         """
         self._change(tuple(leases), renewing=True)
 
     def release(self, leases: Iterable[Lease]) -> None:
-        """Give leases back, so that others need not wait; one that is lost already is left alone.
+        """Release leases, so that other orchestrators need not wait; lost leases are ignored.
 
-        The epoch stays, so that the next is higher.
+        The epoch stays stored, so that the next one is higher.
         """
         self._change(tuple(leases), renewing=False)
 
     def held(self, fleet: str) -> Mapping[str, tuple[str, int, float]]:
-        """Return, per robot that is owned now, its owner, the epoch and the seconds left."""
+        """Return owner, epoch and remaining time in s for each robot that is owned now."""
         rows, now_s = self._rows(fleet)
         return {
             row.robot: (row.owner, row.epoch, row.remaining_s(now_s))
@@ -105,7 +108,7 @@ class LeaseStore:
         }
 
     def last(self, fleet: str) -> Mapping[str, LastLease]:
-        """Return, per robot that was ever owned, who was given it last."""
+        """Return the last lease of each robot that was ever owned, by robot."""
         rows, now_s = self._rows(fleet)
         return {
             row.robot: LastLease(
@@ -116,7 +119,7 @@ class LeaseStore:
         }
 
     def _rows(self, fleet: str) -> tuple[list[StoredLease], float]:
-        """Return what is stored of a fleet's robots, and the database's time."""
+        """Return the stored leases of a fleet's robots, and the database's time in s."""
         query = select(LEASES).where(LEASES.c.fleet == fleet).order_by(LEASES.c.robot)
         with self._database.read() as connection:
             rows = [StoredLease(*row) for row in connection.execute(query)]
@@ -138,9 +141,9 @@ class LeaseStore:
 def _locked(
     connection: Connection, keys: list[tuple[str, str]]
 ) -> dict[tuple[str, str], StoredLease]:
-    """Return the rows of robots, which nobody else can change before the transaction ends.
+    """Return the rows of robots, locked until the transaction ends.
 
-    They are locked in one order by all, so that no two wait for each other.
+    All processes lock them in the same order, so that no two wait for each other.
     """
     query = (
         select(LEASES)

@@ -1,4 +1,4 @@
-"""What the repository takes and returns: frozen values, without anything of the database."""
+"""The values that the repository stores and returns: frozen, and independent of the database."""
 
 from __future__ import annotations
 
@@ -19,16 +19,20 @@ from nufleet.shared.wire.messages import Outcome
 
 @dataclass(frozen=True)
 class RobotRecord:
-    """A robot as it last described itself, and the agent process that did."""
+    """A robot's last description of itself."""
 
     fleet: str
+    """Name of the fleet."""
     robot: str
+    """Name of the robot."""
     spec: RobotSpec
+    """Spec that the robot reported."""
     boot_id: str
+    """Boot id of the agent process that reported it."""
 
 
 class StudyStatus(StrEnum):
-    """How far a study is; an open one can be resumed."""
+    """The status of a study; an open one can be resumed."""
 
     OPEN = "open"
     COMPLETE = "complete"
@@ -37,26 +41,30 @@ class StudyStatus(StrEnum):
 
 @dataclass(frozen=True)
 class StudyRecord:
-    """All that a study is made from, so that it can be made again.
-
-    `study_id` is the prefix of its goal ids. `parameters` is what the algorithm was given besides
-    plan and seed, for example the goal ids of the earlier responses that it began with. `result` is
-    the document that a complete one printed.
-    """
+    """Everything that is needed to rebuild a study, and its result."""
 
     study_id: str
+    """Id of the study, the prefix of all its goal ids."""
     fleet: str
+    """Name of the fleet."""
     algorithm: str
+    """Name of the algorithm, `paper` or `adaptive`."""
     plan: StudyPlan
+    """Plan of the study."""
     seed: int
+    """Seed of its random generator."""
     parameters: Mapping[str, JsonValue] = field(default_factory=dict)
+    """Further input of the algorithm, for example the goal ids of reused responses."""
     status: StudyStatus = StudyStatus.OPEN
+    """Status of the study."""
     reason: str = ""
+    """Reason why the study ended."""
     result: Mapping[str, JsonValue] | None = None
+    """Document that the study printed; None unless it is complete."""
 
 
 class TrialStatus(StrEnum):
-    """How far one attempt at one test is; the last three are ends."""
+    """The status of one attempt at a test; the last three are final."""
 
     INTENDED = "intended"
     ACCEPTED = "accepted"
@@ -66,66 +74,81 @@ class TrialStatus(StrEnum):
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more can come of it."""
+        """Whether the status is final."""
         return self in (TrialStatus.MEASURED, TrialStatus.FAILED, TrialStatus.LOST)
 
 
 @dataclass(frozen=True)
 class TrialIntent:
-    """What is about to be sent: stored first. `epoch` is of the lease under which it is sent."""
+    """An attempt at a test, stored before it is sent."""
 
     goal_id: str
+    """Id of the goal to be sent."""
     study_id: str
+    """Id of the study."""
     iteration: int
+    """Number of the round, from 1."""
     robot: str
+    """Name of the robot under test."""
     attempt: int
+    """Number of the attempt in the round, from 1."""
     excitation: Excitation
+    """Motion that the robot is to play."""
     epoch: int
+    """Epoch of the lease under which the goal is sent."""
 
 
 @dataclass(frozen=True)
 class TrialRecord:
-    """One attempt and what came of it.
-
-    `boot_id` is of the agent process that accepted it, `plan` what was played. `reason` says why a
-    trial gave no usable response, and `retry` what its robot plays in the next attempt; None there
-    means that it is given up in this iteration. One that was `interrupted` ended with its
-    orchestrator and says nothing against the robot. `response` is there for every complete test,
-    also one that failed because the response is not usable.
-    """
+    """One attempt at a test and its outcome."""
 
     intent: TrialIntent
+    """The attempt as it was about to be sent."""
     status: TrialStatus
+    """Status of the attempt."""
     boot_id: str | None = None
+    """Boot id of the agent process that accepted it."""
     plan: ExcitationPlan | None = None
+    """Excitation as the robot executed it."""
     outcome: Outcome | None = None
+    """Outcome of the motion, as the robot reported it."""
     reason: str = ""
+    """Reason why the attempt gave no usable response."""
     retry: Excitation | None = None
+    """Excitation of the next attempt; None if the robot is given up in this round."""
     interrupted: bool = False
+    """Whether the attempt ended with its orchestrator, and so is no failure of the robot."""
     robot_time_s: float = 0.0
+    """Time that the robot moved, in s."""
     response: FrequencyResponse | None = None
+    """Response of a complete test, even if it is not usable."""
 
 
 @dataclass(frozen=True)
 class ResponseRecord:
-    """A robot's response on one axis, the goal that measured it, and when, in UTC.
-
-    `kind` is what the robot said of itself then; empty where that was not stored.
-    """
+    """A robot's measured response on one axis."""
 
     fleet: str
+    """Name of the fleet."""
     robot: str
+    """Name of the robot."""
     axis: str
+    """Name of the axis."""
     goal_id: str
+    """Id of the goal that measured it."""
     study_id: str
+    """Id of the study that the goal belonged to."""
     kind: str
+    """Kind that the robot reported at the time; empty if it was not stored."""
     measured_at: datetime
+    """Time of the measurement, in UTC."""
     response: FrequencyResponse
+    """The response."""
 
 
 @dataclass(frozen=True)
 class ExperienceRecord:
-    """A trained model as the bytes of its file, and what is known of it."""
+    """A trained model as the bytes of its file, with its manifest."""
 
     fleet: str
     robot: str
@@ -134,7 +157,7 @@ class ExperienceRecord:
 
     @property
     def sha256(self) -> str:
-        """Its id: the hash of the bytes, in hexadecimal."""
+        """Id of the experience: the SHA-256 digest of the bytes, in hexadecimal."""
         return hashlib.sha256(self.data).hexdigest()
 
 
@@ -151,7 +174,7 @@ class ExperienceSummary:
 
 @dataclass(frozen=True)
 class Lease:
-    """A robot is `owner`'s under `epoch` until it is released or was not renewed for `term_s`."""
+    """A lease: `owner` owns the robot under `epoch` until release, or `term_s` without renewal."""
 
     fleet: str
     robot: str
@@ -162,22 +185,25 @@ class Lease:
 
 @dataclass(frozen=True)
 class Renewal:
-    """A lease as it was last renewed; while its owner lives, another one follows within seconds.
-
-    `expires_s` is by the database's clock, and means nothing where that was set back since.
-    """
+    """The latest renewal of a lease; a living owner renews it again within seconds."""
 
     robot: str
+    """Name of the robot."""
     owner: str
+    """Id of the owner."""
     epoch: int
+    """Epoch of the lease."""
     term_s: float
+    """Time in s for which the lease holds without being renewed."""
     expires_s: float
+    """Expiry time in s on the database's clock; meaningless if the clock was set back since."""
     before_set_back: bool = field(default=False, compare=False)
+    """Whether the renewal happened before the database's clock was set back."""
 
 
 @dataclass(frozen=True)
 class LastLease:
-    """Who was given a robot last. A `silent` owner did not renew in time and released nothing."""
+    """The last lease of a robot; a `silent` owner neither renewed it in time nor released it."""
 
     owner: str
     epoch: int

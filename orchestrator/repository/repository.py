@@ -13,7 +13,7 @@ from nufleet.orchestrator.repository.study_store import StudyStore
 
 
 class Repository:
-    """Stores by what they hold; a context manager. Usable from many threads and processes."""
+    """The stores of one database; a context manager that many threads and processes may use."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
@@ -43,16 +43,16 @@ class Repository:
 
 
 def open_repository(address: str, *, migrations: Path = MIGRATIONS) -> Repository:
-    """Open a repository, make it if it is new, and bring its schema up to date.
+    """Open a repository, create it if it is new, and bring its schema up to date.
 
     Args:
-        address: a file, `sqlite:///FILE` or `postgresql://USER@HOST/DATABASE`.
-        migrations: the folder of the schemas known.
+        address: File path, `sqlite:///FILE` or `postgresql://USER@HOST/DATABASE`.
+        migrations: Folder with the known schemas.
 
     Raises:
-        RepositoryUrlError: the address names no database.
-        SchemaVersionError: it was written by a newer nufleet.
-        RepositoryError: it cannot be reached, read or written.
+        RepositoryUrlError: The address does not name a database.
+        SchemaVersionError: The database was written by a newer nufleet.
+        RepositoryError: The database cannot be reached, read or written.
     """
     database = Database(parse_url(address))
     try:

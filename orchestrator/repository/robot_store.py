@@ -1,4 +1,4 @@
-"""Robots and their experiences."""
+"""Stores robots and their experiences."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from nufleet.orchestrator.repository.upsert import insert_new
 
 
 class RobotStore:
-    """What robots say of themselves and what they have learned."""
+    """The robots' descriptions of themselves and their learned experiences."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
 
     def describe(self, *records: RobotRecord) -> None:
-        """Store what robots say of themselves now."""
+        """Store the robots' current descriptions of themselves."""
         with self._database.write() as connection:
             for record in records:
                 _describe(connection, record)
@@ -39,7 +39,7 @@ class RobotStore:
         """Store an experience and return its sha256; the same bytes again change nothing.
 
         Raises:
-            UnknownRecordError: its robot was never described.
+            UnknownRecordError: Its robot was never described.
         """
         sha256 = record.sha256
         values = {
@@ -59,8 +59,8 @@ class RobotStore:
         """Return an experience with its bytes.
 
         Raises:
-            UnknownRecordError: there is none of that hash.
-            DamagedRecordError: its bytes have changed.
+            UnknownRecordError: There is no experience with that digest.
+            DamagedRecordError: Its bytes have changed.
         """
         query = select(EXPERIENCES).where(EXPERIENCES.c.sha256 == sha256)
         with self._database.read() as connection:

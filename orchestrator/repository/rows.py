@@ -1,4 +1,4 @@
-"""Rows of the database from our values and back; what comes back is checked like any input."""
+"""Converts values to rows of the database and back; rows are validated like any other input."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _OBJECT = TypeAdapter(dict[str, JsonValue])
 
 
 def json_object(value: Mapping[str, JsonValue]) -> str:
-    """Return a mapping as JSON; numbers come back bit for bit."""
+    """Return a mapping as JSON that preserves numbers bit for bit."""
     return _OBJECT.dump_json(dict(value)).decode()
 
 
@@ -121,7 +121,7 @@ def trial_record(row: RowMapping, response: FrequencyResponse | None) -> TrialRe
 
 
 def goal_result(row: RowMapping) -> GoalResult:
-    """Return what the robot returned of the trial in a row, joined with its samples."""
+    """Return the robot's result of the trial in a row, which is joined with its samples."""
     trial, goal_id, shape = trial_record(row, None), row["goal_id"], (int(row["samples"]),)
     with _checked(f"the result of goal {goal_id}"):
         return GoalResult.model_validate(
@@ -138,7 +138,7 @@ def goal_result(row: RowMapping) -> GoalResult:
 
 
 def response_row(response: FrequencyResponse) -> dict[str, Any]:
-    """Return a response's part of its row."""
+    """Return the columns of a row that hold the response itself."""
     return {
         "tones": len(response.omega_rad_s),
         "omega_rad_s": pack_array(response.omega_rad_s),
@@ -169,7 +169,7 @@ def frequency_response(row: RowMapping) -> FrequencyResponse:
 
 
 def response_record(row: RowMapping) -> ResponseRecord:
-    """Return the response in a row joined with its trial."""
+    """Return the response in a row, which is joined with its trial."""
     return ResponseRecord(
         fleet=row["fleet"],
         robot=row["robot"],

@@ -16,17 +16,17 @@ from nufleet.orchestrator.repository.errors import SchemaVersionError
 MIGRATIONS = Path(__file__).with_name("migrations")
 
 _ADVISORY_LOCK = 0x6E75666C656574
-"""`nufleet` in ASCII: held while the schema is looked at and changed."""
+"""Key of the lock that is held while the schema is read and changed: `nufleet` in ASCII."""
 
 
 def migrate(database: Database, migrations: Path = MIGRATIONS) -> None:
     """Bring a database to the newest schema in `migrations`, in one transaction.
 
-    Of several processes that open an empty database at the same time one makes its tables.
+    When several processes open an empty database at the same time, exactly one creates its tables.
 
     Raises:
-        SchemaVersionError: the database has a schema that is not among them.
-        RepositoryError: the database cannot be reached or written.
+        SchemaVersionError: The database has a schema that is not among them.
+        RepositoryError: The database cannot be reached or written.
     """
     config = Config()
     config.set_main_option("script_location", str(migrations).replace("%", "%%"))

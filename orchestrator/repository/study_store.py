@@ -1,4 +1,4 @@
-"""Studies, their trials, and the responses and samples that came of them."""
+"""Stores studies, their trials, and the responses and samples that the trials produced."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ from nufleet.shared.wire.messages import GoalAccepted, GoalResult
 
 
 class StudyStore:
-    """Every call is one transaction: what it names is stored on its return, or nothing is."""
+    """The store of studies; every call is one transaction, which stores everything or nothing."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
 
     def begin(self, study: StudyRecord) -> None:
-        """Store a study before its first question; raises RecordConflictError when it exists."""
+        """Store a study before its first question; raises RecordConflictError if it exists."""
         with self._database.write() as connection:
             connection.execute(STUDIES.insert().values(**study_row(study), begun_at=utc_now()))
 
@@ -69,7 +69,14 @@ class StudyStore:
         reason: str = "",
         result: Mapping[str, JsonValue] | None = None,
     ) -> None:
-        """Store that a study is over, and its result; an open one again when it is resumed."""
+        """Store that a study has ended, or that it is open again because it is resumed.
+
+        Args:
+            study_id: Id of the study.
+            status: New status.
+            reason: Reason why it ended.
+            result: Document that the study printed, if it is complete.
+        """
         document = None if result is None else json_object(result)
         values = {"status": status, "reason": reason, "result": document}
         update = STUDIES.update().where(STUDIES.c.study_id == study_id).values(values)
@@ -88,7 +95,7 @@ class StudyStore:
         return study_record(row)
 
     def studies(self, status: StudyStatus | None = None) -> tuple[StudyRecord, ...]:
-        """Return the studies, oldest first; of one status if it is given."""
+        """Return all studies, or those with the given status, oldest first."""
         query = select(STUDIES).order_by(STUDIES.c.begun_at, STUDIES.c.study_id)
         if status is not None:
             query = query.where(STUDIES.c.status == status)
@@ -96,18 +103,18 @@ class StudyStore:
             return tuple(study_record(row) for row in connection.execute(query).mappings())
 
     def intend(self, *intents: TrialIntent) -> tuple[TrialRecord, ...]:
-        """Store what is about to be sent; return what is known of each that was stored before.
+        """Store the intent to send tests, and return the trial of each as it is stored.
 
         Raises:
-            RecordConflictError: an id or a place in the study is taken by another test.
-            StaleEpochError: a later owner has taken a trial over.
-            UnknownRecordError: there is no such study.
+            RecordConflictError: An id or a place in the study is taken by another test.
+            StaleEpochError: A later owner has taken over a trial.
+            UnknownRecordError: There is no such study.
         """
         with self._database.write() as connection:
             return tuple(_intend(connection, intent) for intent in intents)
 
     def accepted(self, accepted: GoalAccepted, *, epoch: int) -> None:
-        """Store that a robot took a goal; raises TrialEndedError, StaleEpochError."""
+        """Store that a robot accepted a goal; raises TrialEndedError or StaleEpochError."""
 
         def work(connection: Connection) -> None:
             known = _known(connection, accepted.goal_id, epoch)
@@ -123,7 +130,7 @@ class StudyStore:
         self._database.write_together(work)
 
     def measured(self, result: GoalResult, response: FrequencyResponse, *, epoch: int) -> None:
-        """Store a usable response with its samples; raises TrialEndedError, StaleEpochError."""
+        """Store a usable response with its samples; raises TrialEndedError or StaleEpochError."""
 
         def work(connection: Connection) -> None:
             known = _known(connection, result.goal_id, epoch)
@@ -144,20 +151,20 @@ class StudyStore:
         response: FrequencyResponse | None = None,
         interrupted: bool = False,
     ) -> None:
-        """Store that a trial gave nothing usable, with what was measured nevertheless.
+        """Store that a trial gave no usable response, with the data that it gave nevertheless.
 
         Args:
-            goal_id: the trial's.
-            reason: why.
-            retry: what the robot plays in its next attempt; None when it is given up.
-            epoch: of the lease of whoever says so.
-            result: what the robot returned, if it did.
-            response: what was estimated from it, if the test was complete.
-            interrupted: whether it ended with its orchestrator, not because of its robot.
+            goal_id: Id of the trial's goal.
+            reason: Reason why there is no usable response.
+            retry: Excitation of the robot's next attempt; None when the robot is given up.
+            epoch: Epoch of the lease held by the calling orchestrator.
+            result: Result that the robot returned, if any.
+            response: Response estimated from the result, if the test was complete.
+            interrupted: Whether the trial ended with its orchestrator, not because of its robot.
 
         Raises:
-            TrialEndedError: it has ended in another way.
-            StaleEpochError: a later owner has taken the trial over.
+            TrialEndedError: The trial has ended in another way.
+            StaleEpochError: A later owner has taken over the trial.
         """
 
         def work(connection: Connection) -> None:
@@ -180,7 +187,7 @@ class StudyStore:
         epoch: int,
         interrupted: bool = False,
     ) -> None:
-        """Store that nobody will ever know what came of a trial; see `failed`."""
+        """Store that the result of a trial is lost for good; see `failed`."""
 
         def work(connection: Connection) -> None:
             known = _known(connection, goal_id, epoch)
@@ -201,11 +208,11 @@ class StudyStore:
         return tuple(trial_record(row, responses.get(row["goal_id"])) for row in rows)
 
     def result(self, goal_id: str) -> GoalResult:
-        """Return what a robot returned of a trial, with its raw samples.
+        """Return the result that a robot returned for a trial, with its raw samples.
 
         Raises:
-            UnknownRecordError: nothing is stored of it.
-            DamagedRecordError: it is not what was stored.
+            UnknownRecordError: No result of this trial is stored.
+            DamagedRecordError: The stored result was altered.
         """
         join = TRIALS.join(SAMPLES)
         query = select(TRIALS, SAMPLES.c.samples, SAMPLES.c.reference, SAMPLES.c.response)
@@ -219,14 +226,21 @@ class StudyStore:
     def responses(
         self, fleet: str, robot: str, axis: str, *, usable: bool = True
     ) -> tuple[ResponseRecord, ...]:
-        """Return what was ever measured of a robot's axis, oldest first, of any study."""
+        """Return the responses of a robot's axis from all studies, oldest first.
+
+        Args:
+            fleet: Name of the fleet.
+            robot: Name of the robot.
+            axis: Name of the axis.
+            usable: Whether to return usable responses only.
+        """
         query = _RESPONSES.where(RESPONSES.c.fleet == fleet, RESPONSES.c.robot == robot)
         query = query.where(RESPONSES.c.axis == axis, RESPONSES.c.usable == usable)
         with self._database.read() as connection:
             return tuple(response_record(row) for row in connection.execute(query).mappings())
 
     def response(self, goal_id: str) -> ResponseRecord:
-        """Return what a goal measured; raises UnknownRecordError."""
+        """Return the response that a goal measured; raises UnknownRecordError."""
         query = _RESPONSES.where(RESPONSES.c.goal_id == goal_id)
         with self._database.read() as connection:
             row = connection.execute(query).mappings().one_or_none()
@@ -258,7 +272,7 @@ def _intend(connection: Connection, intent: TrialIntent) -> TrialRecord:
 
 
 def _locked(connection: Connection, goal_id: str) -> TrialRecord | None:
-    """Return a trial without its response; nobody else can change it in this transaction."""
+    """Return a trial without its response, locked until the transaction ends."""
     row = connection.execute(_LOCKED, {"id": goal_id}).mappings().one_or_none()
     return None if row is None else trial_record(row, None)
 
@@ -295,7 +309,7 @@ def _end(
 
 
 def _played(result: GoalResult) -> dict[str, Any]:
-    """Return what a result says of its trial; also when the acceptance never arrived."""
+    """Return the columns of a trial that follow from its result, even without an acceptance."""
     return {
         "boot_id": result.boot_id,
         "plan": result.plan.model_dump_json(),
@@ -337,7 +351,8 @@ def _keep(
     connection.execute(_KEEP_RESPONSE, measured)
 
 
-# What every test of every robot executes: built once, since that takes longer than executing it.
+# Statements that every test of every robot executes; building one takes longer than executing it,
+# so each is built once.
 _LOCKED = select(TRIALS).where(TRIALS.c.goal_id == bindparam("id")).with_for_update()
 _UPDATE = TRIALS.update().where(TRIALS.c.goal_id == bindparam("id"))
 _KEEP_SAMPLES = SAMPLES.insert()

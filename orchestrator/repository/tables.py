@@ -1,6 +1,7 @@
-"""The tables of the newest schema, as SQLAlchemy sees them; migrations bring databases to it.
+"""The tables of the newest schema for SQLAlchemy; migrations bring databases to this schema.
 
-Numbers that must survive bit for bit are in blobs or in JSON: SQLite turns NaN into NULL.
+Numbers that must survive bit for bit are stored in blobs or in JSON, because SQLite turns NaN into
+NULL.
 """
 
 from __future__ import annotations
@@ -29,13 +30,13 @@ from sqlalchemy import (
 
 
 class Sentence(TypeDecorator[str]):
-    """Text for people, whatever is in it: PostgreSQL takes neither NUL nor half a character."""
+    """Arbitrary text for people, also with NUL or lone surrogates, which PostgreSQL rejects."""
 
     impl = Text
     cache_ok = True
 
     def process_bind_param(self, value: str | None, dialect: Any) -> str | None:
-        """Store it as JSON, which escapes both."""
+        """Return the text as JSON, which escapes both."""
         return None if value is None else json.dumps(value)
 
     def process_result_value(self, value: str | None, dialect: Any) -> str | None:
@@ -44,7 +45,7 @@ class Sentence(TypeDecorator[str]):
 
 
 def utc_now() -> datetime:
-    """Return the wall time, for people; in UTC without saying so, as the tables hold it."""
+    """Return the wall time for people, in UTC but without a time zone, as the tables hold it."""
     return datetime.now(UTC).replace(tzinfo=None)
 
 

@@ -1,4 +1,4 @@
-"""What may happen to a trial, as pure functions over its record."""
+"""The permitted changes of a trial, as pure functions of its record."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from nufleet.orchestrator.repository.records import TrialIntent, TrialRecord, Tr
 
 
 def check_same_intent(known: TrialRecord, intent: TrialIntent) -> None:
-    """Check that an intent that is stored again is the one that was stored.
+    """Check that an intent that is stored again equals the stored one.
 
-    A later epoch takes the trial over; everything else must be the same.
+    A later epoch takes over the trial; everything else must be equal.
 
     Raises:
-        RecordConflictError: the goal id is taken by another test.
-        StaleEpochError: a later owner has taken the trial over.
+        RecordConflictError: The goal id is taken by another test.
+        StaleEpochError: A later owner has taken over the trial.
     """
     check_epoch(known, intent.epoch)
     if replace(known.intent, epoch=intent.epoch) != intent:
@@ -29,7 +29,7 @@ def check_same_intent(known: TrialRecord, intent: TrialIntent) -> None:
 
 
 def check_epoch(known: TrialRecord, epoch: int) -> None:
-    """Check that whoever writes about a trial is its latest owner; raises StaleEpochError."""
+    """Check that a write about a trial comes from its latest owner; raises StaleEpochError."""
     if epoch < known.intent.epoch:
         raise StaleEpochError(
             f"goal {known.intent.goal_id}: epoch {epoch} is over, robot {known.intent.robot} "
@@ -41,8 +41,8 @@ def is_new_acceptance(known: TrialRecord, boot_id: str) -> bool:
     """Return whether an acceptance is to be stored; False when it is stored already.
 
     Raises:
-        TrialEndedError: the trial has ended, or another agent process has accepted it, which then
-            died with it.
+        TrialEndedError: The trial has ended, or it was accepted by another agent process and died
+            with that process.
     """
     if known.status is TrialStatus.INTENDED:
         return True
@@ -55,13 +55,13 @@ def is_new_acceptance(known: TrialRecord, boot_id: str) -> bool:
 
 
 def is_new_end(known: TrialRecord, status: TrialStatus) -> bool:
-    """Return whether an end is to be stored; False when the trial has ended so already.
+    """Return whether an end is to be stored; False when the trial has already ended in that way.
 
-    The same end again is what a process sends that never learned whether it was stored; the first
-    one stays.
+    A process that never learned whether an end was stored sends the same end again; the first one
+    is kept.
 
     Raises:
-        TrialEndedError: the trial has ended in another way.
+        TrialEndedError: The trial has ended in another way.
     """
     if not known.status.ended:
         return True

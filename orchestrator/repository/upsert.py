@@ -1,4 +1,4 @@
-"""The one statement that SQLite and PostgreSQL have in common and SQL does not: insert or leave."""
+"""Insert unless present: a statement that SQLite and PostgreSQL share but standard SQL lacks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sqlalchemy.sql.dml import Insert
 
 
 def insert_new(connection: Connection, table: Table, values: Mapping[str, Any]) -> Insert:
-    """Return an insert that leaves a row alone that is there already."""
+    """Return an insert that leaves an existing row unchanged."""
     if connection.dialect.name == "sqlite":
         return sqlite.insert(table).values(values).on_conflict_do_nothing()
     return postgresql.insert(table).values(values).on_conflict_do_nothing()
