@@ -1,4 +1,4 @@
-"""What earlier runs of every kind left behind: which they are, and what each came to in a line."""
+"""The catalogue of earlier runs of every kind, with a one-line summary of each."""
 
 from __future__ import annotations
 
@@ -34,14 +34,21 @@ _STAMP = re.compile(r"^(\d{8}T\d{6}Z)-")
 
 @dataclass(frozen=True)
 class Kind(Generic[D]):
-    """A kind of run: the file that it ends with, what that holds, and how to say it in a line."""
+    """A kind of run and its results."""
 
     document: str
+    """Name of the file that a run of this kind writes at its end."""
     type: type[D]
+    """Model of that file's content."""
     headline: Callable[[D], str]
+    """Function that summarises the content in one line."""
 
     def read(self, folder: Path) -> D | None:
-        """Return what a run came to; None when it did not end. Raises InvalidInputError."""
+        """Return the results of a run; None if it did not end.
+
+        Raises:
+            InvalidInputError: The file cannot be read or is malformed.
+        """
         path = folder / self.document
         try:
             return self.type.model_validate_json(path.read_bytes())
@@ -55,20 +62,22 @@ class Kind(Generic[D]):
 
 @dataclass(frozen=True)
 class Run:
-    """One run's folder: of which kind and fleet, when it began, and what it came to.
-
-    `result` is None for a run that has not ended, or was interrupted.
-    """
+    """One run, as its folder describes it."""
 
     folder: Path
+    """Folder of the run."""
     kind: str
+    """Kind of the run, a key of `KINDS`."""
     fleet: str
+    """Name of the fleet."""
     began: datetime | None
+    """Time at which the run began, in UTC; None if the folder's name does not hold it."""
     result: Strict | None
+    """Results; None for a run that has not ended or was interrupted."""
 
     @property
     def headline(self) -> str:
-        """What it came to, in one line."""
+        """Summary of the results in one line."""
         if self.result is None:
             return ""
         said: str = KINDS[self.kind].headline(self.result)
@@ -77,17 +86,17 @@ class Run:
 
 @dataclass(frozen=True)
 class Damaged:
-    """A run's folder that cannot be read, and why."""
+    """A run whose folder cannot be read, and the reason."""
 
     folder: Path
     reason: str
 
 
 def read_run(folder: Path) -> Run:
-    """Return what a run left behind.
+    """Return the run in a folder.
 
     Raises:
-        InvalidInputError: its files are not what a run of this version writes.
+        InvalidInputError: Its files are not those that a run of this version writes.
     """
     configuration = _configuration(folder)
     kind = configuration.get("kind", "rank")
@@ -105,7 +114,7 @@ def read_run(folder: Path) -> Run:
 
 
 def read_runs(root: Path) -> list[Run | Damaged]:
-    """Return all runs, oldest first; where one is damaged, what is wrong with it."""
+    """Return all runs, oldest first, with a `Damaged` entry in place of each unreadable one."""
     found: list[Run | Damaged] = []
     for folder in list_runs(root):
         try:
@@ -116,12 +125,15 @@ def read_runs(root: Path) -> list[Run | Damaged]:
 
 
 def latest_ranking(root: Path, fleet: str, target: str) -> tuple[Path, RunRecord] | None:
-    """Return the newest completed ranking of a target of a fleet, and its folder.
+    """Return the newest completed ranking for a target and its folder; None if there is none.
 
-    None if there is none. Robots of another fleet may have the same names.
+    Args:
+        root: Folder of all runs.
+        fleet: Name of the fleet; robots of another fleet may have the same names.
+        target: Name of the target.
 
     Raises:
-        InvalidInputError: a newer run cannot be read, which may be that ranking.
+        InvalidInputError: A newer run, which may be that ranking, cannot be read.
     """
     for folder in reversed(list_runs(root)):
         if (folder / RESULTS).exists() and _configuration(folder).get("fleet") == fleet:
@@ -197,4 +209,4 @@ KINDS: dict[str, Kind[Any]] = {
     ),
     "pairs": Kind[PairsResult](PAIRS, PairsResult, _paired),
 }
-"""By what a run's configuration says that it is."""
+"""All kinds of runs, by the `kind` in a run's configuration."""

@@ -1,4 +1,4 @@
-"""The responses that a run measured, as files that `nufleet gap` and other programs read."""
+"""Exports the responses that a run measured as files for `nufleet gap` and other programs."""
 
 from __future__ import annotations
 
@@ -23,13 +23,18 @@ Responses = Mapping[str, Sequence[FrequencyResponse]]
 def run_responses(
     folder: Path, open_repository: Callable[[], AbstractContextManager[Repository]]
 ) -> Responses:
-    """Return every usable response of a run, by robot.
+    """Return all usable responses of a run, by robot.
 
-    Those of a ranking that ended are in its folder; those of any other run in the repository.
+    Responses of a completed ranking are in its folder; those of any other run are in the
+    repository.
+
+    Args:
+        folder: Folder of the run.
+        open_repository: Function that opens the repository, called only if it is needed.
 
     Raises:
-        InvalidInputError: the run measured none.
-        RepositoryError: the repository cannot be read.
+        InvalidInputError: The run measured no usable response.
+        RepositoryError: The repository cannot be read.
     """
     found: Responses = {}
     if (folder / RESULTS).exists():
@@ -47,16 +52,19 @@ def run_responses(
 
 
 def export_responses(responses: Responses, to: Path, suffix: str) -> dict[str, Path]:
-    """Write what each robot's tests found together to a file of its own.
+    """Write the combined response of each robot to a file of its own.
 
     Args:
-        responses: by robot.
-        to: the folder, which is made.
-        suffix: `json` or `csv`.
+        responses: Usable responses, by robot.
+        to: Folder for the files, created if it is missing.
+        suffix: Format of the files, `json` or `csv`.
+
+    Returns:
+        The file of each robot, by robot.
 
     Raises:
-        ModelFileError: a robot was tested at fewer than two frequencies.
-        InvalidInputError: the files cannot be written.
+        ModelFileError: A robot was tested at fewer than two frequencies.
+        InvalidInputError: The files cannot be written.
     """
     written: dict[str, Path] = {}
     try:
@@ -71,7 +79,7 @@ def export_responses(responses: Responses, to: Path, suffix: str) -> dict[str, P
 
 
 def _stored(repository: Repository, run_id: str) -> dict[str, list[FrequencyResponse]]:
-    """Return the responses of a run's study, or of all its studies where it made several."""
+    """Return the responses of all studies that a run conducted."""
     found: dict[str, list[FrequencyResponse]] = {}
     for study in repository.studies.studies():
         if study.study_id == run_id or study.study_id.startswith(f"{run_id}."):

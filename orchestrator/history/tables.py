@@ -1,4 +1,4 @@
-"""The tables of a run that has ended, for `nufleet runs show`."""
+"""The tables that `nufleet runs show` prints for a completed run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from nufleet.orchestrator.runs.verdict_table import verdict_parts
 
 
 def run_tables(run: Run) -> Iterator[RenderableType]:
-    """Yield what a run came to: tables, and lines in between."""
+    """Yield the results of a run as tables, with lines of text between them."""
     match run.result:
         case RunRecord() as record:
             yield from _ranking(record)
@@ -58,7 +58,7 @@ def _ranking(record: RunRecord) -> Iterator[RenderableType]:
 
 
 def flights_table(flights: tuple[FlightRecord, ...]) -> Table:
-    """Return each flight along a drawing and how far from it the robot was."""
+    """Return a table of flights along a drawing, with the robot's distance from it."""
     table = Table(title="flights along drawings", title_justify="left")
     for heading in ("robot", "drawing", "prior"):
         table.add_column(heading, no_wrap=True)
@@ -75,7 +75,7 @@ def flights_table(flights: tuple[FlightRecord, ...]) -> Table:
 
 
 def experiences_table(result: TrainResult) -> Table:
-    """Return what robots offer since a training."""
+    """Return a table of the experiences that robots offer after a training."""
     table = Table(title="experiences on offer", title_justify="left")
     for heading in ("robot", "architecture"):
         table.add_column(heading)

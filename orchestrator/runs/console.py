@@ -1,4 +1,4 @@
-"""What a person sees on stderr while a study runs, and the tables at its end."""
+"""Prints the progress of a study on stderr, and the tables at its end."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from nufleet.orchestrator.study.interface import Question, Report, SourceEstimat
 
 
 def stderr_console() -> Console:
-    """Return the console that progress and tables go to, so that stdout stays for documents."""
+    """Return the console for progress and tables, which leaves stdout to documents."""
     return Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 class ConsoleObserver:
-    """Prints what was asked, what was learned and how sure that is."""
+    """Prints the tests of each round, the ranking after it, and its confidence."""
 
     def __init__(self, console: Console, iterations: int) -> None:
         self._console = console
@@ -27,7 +27,7 @@ class ConsoleObserver:
         self._eliminated: set[str] = set()
 
     def asked(self, question: Question) -> None:
-        """Say what the robots play now."""
+        """Print the tests that the robots play now."""
         played = question.omega_rad_s
         tones = ", ".join(f"{omega:.3f}" for omega in played)
         if len(played) > 3:
@@ -38,11 +38,11 @@ class ConsoleObserver:
         )
 
     def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
-        """Say that a test has to be repeated or given up."""
+        """Print that a test has to be repeated or given up."""
         self._console.print(f"  [yellow]{robot}, attempt {attempt}: {reason}[/]")
 
     def told(self, question: Question, outcomes: Mapping[str, TestOutcome], report: Report) -> None:
-        """Say what the round taught."""
+        """Print what the study learned in the round."""
         for robot, reason in report.dropped.items():
             if robot not in self._dropped:
                 self._dropped.add(robot)
@@ -79,7 +79,7 @@ class ConsoleObserver:
 
 
 def _deviation(std: float) -> str:
-    """Return a standard deviation to four places, and not as nothing where it is less."""
+    """Return a standard deviation to four decimal places, never rounded to zero."""
     return f"{std:.4f}" if std >= 5e-5 else "<0.0001"
 
 

@@ -1,6 +1,6 @@
-"""The folder that a run leaves: configuration, results, samples, recording, plots and report.
+"""The folder of a run: configuration, results, samples, recording, plots and report.
 
-Nobody but its user may look into it.
+Only its user may read it.
 """
 
 from __future__ import annotations
@@ -40,18 +40,19 @@ class RunFolder:
     def __init__(
         self, root: Path, name: str, *, now: datetime | None = None, goes_on: bool = False
     ) -> None:
-        """Create the folder in a root that is there, or open that of a run that goes on.
+        """Create the folder of a new run, or open that of a resumed one.
 
-        Of that one the samples and the recording are written anew, from what is stored of the run.
+        The samples and the recording of a resumed run are rewritten from its stored data.
 
         Args:
-            root: where.
-            name: what the run is of; of a run that goes on, the folder's.
-            now: the time in the folder's name.
-            goes_on: whether the folder is there.
+            root: Existing folder of all runs.
+            name: Subject of a new run, which becomes part of the folder's name; the whole name of
+                the folder of a resumed run.
+            now: Time in the name of a new folder; None takes the current time.
+            goes_on: Whether the run is resumed, and its folder exists.
 
         Raises:
-            InvalidInputError: the folder cannot be created, or not be written.
+            InvalidInputError: The folder cannot be created or written.
         """
         stamp = (now or datetime.now(UTC)).strftime("%Y%m%dT%H%M%SZ")
         self.path = _reopened(root / name) if goes_on else _create(root, f"{stamp}-{name}")
@@ -63,12 +64,12 @@ class RunFolder:
     def __exit__(self, _type: object, error: BaseException | None, _traceback: object) -> None:
         self.close()
         if error is not None and not (self.path / CONFIGURATION).exists():
-            # It was refused before it began.
+            # The run was refused before it began, so its folder holds nothing worth keeping.
             shutil.rmtree(self.path)
 
     @property
     def recording(self) -> Path:
-        """Where the Rerun recording goes."""
+        """Path of the Rerun recording."""
         return self.path / RECORDING
 
     def close(self) -> None:
@@ -79,11 +80,11 @@ class RunFolder:
 
     @property
     def study_id(self) -> str:
-        """The id of the study that the run is, in the repository and in front of its goals."""
+        """Id of the run's study: its id in the repository and the prefix of its goal ids."""
         return study_id_of(self.path)
 
     def write_configuration(self, configuration: Mapping[str, Any]) -> None:
-        """Write what was asked for, in full, and the versions that answer it."""
+        """Write the complete request, and the versions of the software that runs it."""
         document = {
             **configuration,
             "versions": {
@@ -95,7 +96,7 @@ class RunFolder:
         self._write(CONFIGURATION, json.dumps(document, indent=2, default=str))
 
     def write_samples(self, iteration: int, measured: Measured) -> None:
-        """Append one test's samples: raw, so that a better estimator can be run on them later."""
+        """Append one test's raw samples, so that a better estimator can be run on them later."""
         import numpy as np
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -120,15 +121,15 @@ class RunFolder:
         self._samples.write_table(table)
 
     def write_record(self, record: RunRecord) -> None:
-        """Write the results, and the report of them."""
+        """Write the results of a ranking."""
         self._write(RESULTS, record.model_dump_json(indent=2, by_alias=True, exclude_none=True))
 
     def write_document(self, name: str, document: Strict) -> None:
-        """Write what a run that is no ranking came to."""
+        """Write the results of a run that is not a ranking."""
         self._write(name, document.model_dump_json(indent=2, by_alias=True))
 
     def _write(self, name: str, text: str) -> None:
-        """Write a file as a whole: who reads it finds all of it, or none."""
+        """Write a file atomically: a reader finds either all of it or none."""
         write_privately(self.path / name, (text + "\n").encode())
 
 
@@ -170,10 +171,13 @@ def find_run(root: Path, run: str) -> Path:
 
 
 def make_runs_root(root: Path) -> None:
-    """Make sure that runs can be stored there; raises InvalidInputError.
+    """Create the folder of all runs if it is missing, and check that runs can be stored in it.
 
-    A root that is made here is its user's alone, as each run's folder is; one that is there stays
-    as open as it was made.
+    A folder that is created here is readable by its user only, like the folder of each run; an
+    existing one keeps its permissions.
+
+    Raises:
+        InvalidInputError: The folder cannot be created or written.
     """
     try:
         root.mkdir(mode=0o700, parents=True, exist_ok=True)

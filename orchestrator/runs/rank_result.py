@@ -1,4 +1,4 @@
-"""The documents that a run leaves behind and that other programs read."""
+"""The documents of a ranking that other programs read."""
 
 from __future__ import annotations
 
@@ -15,69 +15,100 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class StoredResponses(Strict):
-    """The tests of earlier studies that stood for tests of a source; ISO 8601 times, in UTC."""
+    """The stored tests of earlier studies that replaced tests of a source."""
 
     tests: Count
+    """Number of stored tests."""
     measured_from: str
+    """Time of the oldest measurement, in ISO 8601 and UTC."""
     measured_to: str
+    """Time of the newest measurement, in ISO 8601 and UTC."""
     studies: tuple[str, ...]
+    """Ids of the studies that measured them."""
 
 
 class RankResult(Strict):
-    """What `nufleet rank --json` prints: the ranking, best first, and what it cost.
+    """The document that `nufleet rank --json` prints: the ranking and its cost.
 
-    With a `trajectory` the best source is the one expected to leave the smallest error on it,
-    otherwise the closest. `verdicts` say by source whether transfer will help, `findings` what the
-    tests revealed that weakens what is said here. The sources in `stored` did not fly: responses
-    of earlier studies stood for them. `confidence`, `eliminated` and `stopped_because`
-    are those of an algorithm that knows how sure it is.
+    With a `trajectory` the best source is the one that is expected to leave the smallest error on
+    it, otherwise the closest one. Only an algorithm that estimates its own confidence sets
+    `confidence`, `eliminated` and `stopped_because`.
     """
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    """Version of this document's format."""
     target: str
+    """Name of the target."""
     band_rad_s: tuple[float, float]
+    """Lowest and highest frequency of the band in rad/s."""
     selected: str
+    """Name of the selected source, the first of the ranking."""
     ranking: tuple[SourceEstimate, ...]
+    """Estimates of all remaining sources, best first."""
     iterations: Count
+    """Number of rounds of tests."""
     robot_time_s: NonNegative
+    """Time that all robots together have moved for the study, in s."""
     run: str
+    """Path of the run's folder."""
     confidence: float | None = None
+    """Probability that the selection is right."""
     eliminated: dict[str, str] | None = None
+    """Reason for each source that cannot win, by source."""
     stopped_because: str | None = None
+    """Reason why the study ended."""
     trajectory: str | None = None
+    """Name of the trajectory that the ranking is made for, if any."""
     verdicts: Annotated[dict[str, TransferVerdict], Field(default_factory=dict)]
+    """Verdict whether transfer will help, by source."""
     findings: tuple[str, ...] = ()
+    """Observations during the tests that weaken the statements of this document."""
     stored: dict[str, StoredResponses] | None = None
+    """Stored responses that replaced tests, by source; these sources did not fly."""
 
     def document(self) -> str:
-        """Return the JSON that other programs read: what the algorithm does not say is left out."""
+        """Return the JSON that other programs read, without fields the algorithm does not set."""
         return self.model_dump_json(by_alias=True, exclude_none=True)
 
 
 class IterationRecord(Strict):
-    """One iteration: what was asked, what each source's sample was, what was believed after it."""
+    """One round of tests and the ranking after it."""
 
     iteration: Count
+    """Number of the round, from 1."""
     omega_rad_s: tuple[float, ...]
+    """All frequencies that were played, in rad/s."""
     sampled_psi: dict[str, float]
+    """Largest chordal distance measured in the round, by source."""
     ranking: tuple[SourceEstimate, ...]
+    """Estimates after the round, best first."""
 
 
 class ClosedForm(Strict):
     """A source's true worst-case chordal distance, where both robots' models are known."""
 
     psi: float
+    """Largest ψ_n(ω) over the band."""
     omega_rad_s: float
+    """Frequency of the largest distance in rad/s."""
 
 
 class RunRecord(Strict):
-    """`results.json` in a run's folder."""
+    """The document `results.json` in a run's folder."""
 
     result: RankResult
+    """Document that the run printed."""
     axis: str
+    """Name of the axis that was tested."""
     seed: Count
+    """Seed of the study's random generator."""
     history: tuple[IterationRecord, ...]
+    """All rounds, in order."""
     dropped: dict[str, str]
+    """Reason for each source that the study lost, by source."""
     closed_form: dict[str, ClosedForm]
+    """True distance, by source, where the models of both robots are known."""
     wall_time_s: NonNegative
+    """Wall time of the run in s; of a resumed run, since it was resumed."""
     responses: Annotated[dict[str, tuple[ResponseRecord, ...]], Field(default_factory=dict)]
+    """All responses known of each robot, by robot."""

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 CURVES_DRAWN = 8
-"""Curves and lines of more sources than this would hide each other; the closest are drawn."""
+"""Largest number of sources in a plot; more would hide each other, so the closest are drawn."""
 
 
 def write_plots(
@@ -28,10 +28,10 @@ def write_plots(
     """Draw the distance curves as in the paper's Fig. 2, and the estimates over the iterations.
 
     Args:
-        folder: the run's folder.
-        record: its results.
-        curves: what was believed at the end.
-        true_psi: the closed form of ψ_n on the curve's grid, for the sources where it is known.
+        folder: Folder of the run.
+        record: Results of the run.
+        curves: Final belief about each source's ψ_n(ω).
+        true_psi: True ψ_n on the grid of its curve, shape (grid,), for sources with known models.
     """
     plots = folder / "plots"
     plots.mkdir(exist_ok=True)
@@ -99,7 +99,7 @@ def _draw_history(axes: Axes, record: RunRecord, colours: Mapping[str, str]) -> 
 
 
 def _certainty(result: RankResult) -> list[str]:
-    """Return how sure an algorithm is that knows it, and of whom it was sure early."""
+    """Return lines on the confidence, where it is estimated, and on the eliminated sources."""
     if result.confidence is None:
         return []
     why = f": {result.stopped_because}" if result.stopped_because else ""
@@ -109,7 +109,7 @@ def _certainty(result: RankResult) -> list[str]:
 
 
 def write_report(folder: Path, record: RunRecord) -> None:
-    """Write `report.md`: what was asked, what came out, in words and one table."""
+    """Write `report.md`: the request and the result, in words and one table."""
     result = record.result
     low, high = result.band_rad_s
     lines = [

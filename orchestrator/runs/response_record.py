@@ -1,4 +1,4 @@
-"""A measured response as it is kept in a run's results."""
+"""A measured response as it is stored in a run's results."""
 
 from __future__ import annotations
 
@@ -19,13 +19,21 @@ class ResponseRecord(Strict):
     """
 
     omega_rad_s: tuple[Positive, ...]
+    """Frequencies of the tones in rad/s."""
     real: tuple[float, ...]
+    """Real part of ẑ at each tone."""
     imag: tuple[float, ...]
+    """Imaginary part of ẑ at each tone."""
     variance: tuple[NonNegative, ...]
+    """Variance E|ẑ − z|² at each tone."""
     degrees: tuple[Positive, ...]
+    """Degrees of freedom of each variance."""
     segments: Annotated[int, Field(ge=3)]
+    """Number of measuring segments."""
     amplitude: Positive | None
+    """Amplitude that was played, in the axis's unit; None if it is not known."""
     quality: Quality
+    """Assessment of the test."""
 
     @staticmethod
     def of(response: FrequencyResponse) -> ResponseRecord:
@@ -46,7 +54,7 @@ class ResponseRecord(Strict):
         )
 
     def response(self) -> FrequencyResponse:
-        """Return the response that this is the record of."""
+        """Return the response that this record holds."""
         return FrequencyResponse(
             omega_rad_s=np.array(self.omega_rad_s),
             z=np.array(self.real) + 1j * np.array(self.imag),

@@ -1,4 +1,4 @@
-"""The verdicts of a ranking for people: a table on a terminal, and one in a report."""
+"""The verdicts of a ranking for people, as a table on a terminal and one in a report."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ COLOURS = {
 
 
 def verdict_title(result: RankResult) -> str:
-    """Say which transfers are meant, and on what motion."""
+    """Return a title that names the transfers and the motion."""
     low, high = result.band_rad_s
     motion = f"a motion of equal size at all frequencies from {low:g} to {high:g} rad/s"
     return f"transfer to {result.target}, on {result.trajectory or motion}"
@@ -29,7 +29,7 @@ def verdict_title(result: RankResult) -> str:
 def verdict_rows(result: RankResult) -> Iterator[tuple[TransferVerdict, tuple[str, ...]]]:
     """Yield each source's verdict and its row, in the order of the ranking.
 
-    Errors are shares of the motion's root mean square, with the bounds that hold them.
+    Errors are shares of the motion's root mean square, with their bounds.
     """
     for estimate in result.ranking:
         found = result.verdicts.get(estimate.robot)
@@ -39,7 +39,7 @@ def verdict_rows(result: RankResult) -> Iterator[tuple[TransferVerdict, tuple[st
 
 
 def verdict_parts(result: RankResult) -> Iterator[RenderableType]:
-    """Yield the table, and under it the reasons; nothing where there is no verdict."""
+    """Yield the table and the reasons below it; nothing where there is no verdict."""
     rows = list(verdict_rows(result))
     if not rows:
         return
