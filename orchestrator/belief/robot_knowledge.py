@@ -28,7 +28,7 @@ be lost to rounding."""
 
 
 class RobotKnowledge:
-    """The knowledge of one robot that its tests have provided so far."""
+    """The knowledge of one robot that its tests have provided."""
 
     def __init__(self, robot: str, spec: RobotSpec, omega_max_rad_s: float) -> None:
         self.robot = robot

@@ -69,16 +69,27 @@ class GapReport(Strict):
     """
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
+    """Version of this document's format."""
     first: str
+    """File of the first model or response."""
     second: str
+    """File of the second model or response."""
     nu_gap: float | None = None
+    """ν-gap δ_ν of two models, from 0 to 1."""
     chordal_peak: float | None = None
+    """Largest chordal distance of two models over all frequencies."""
     omega_peak_rad_s: float | None = None
+    """Frequency of that distance in rad/s."""
     winding_condition: WindingCondition | None = None
+    """Winding condition of two models."""
     guarantee: str | None = None
+    """Guarantee that the ν-gap gives, in words."""
     chordal_max_in_band: float | None = None
+    """Largest chordal distance in the band."""
     band: BandReport | None = None
+    """Band that was compared, if any."""
     controller: ControllerReport | None = None
+    """Margins with the controller, if one was given."""
 
 
 def gap_report(

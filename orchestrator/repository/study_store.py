@@ -232,7 +232,7 @@ class StudyStore:
             fleet: Name of the fleet.
             robot: Name of the robot.
             axis: Name of the axis.
-            usable: Whether to return usable responses only.
+            usable: Whether to return the usable responses or, instead, the unusable ones.
         """
         query = _RESPONSES.where(RESPONSES.c.fleet == fleet, RESPONSES.c.robot == robot)
         query = query.where(RESPONSES.c.axis == axis, RESPONSES.c.usable == usable)

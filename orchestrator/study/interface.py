@@ -157,7 +157,7 @@ class Study(Protocol):
             failed: Reasons of the failed tests, by robot.
 
         Returns:
-            What the study has learned so far.
+            The state of the study after these answers.
 
         Raises:
             StudyError: The study cannot continue, because the target or every source is gone.
