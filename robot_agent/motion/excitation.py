@@ -13,22 +13,26 @@ from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
 HEADROOM = 0.8
-"""Share of the tightest limit that is used when the robot chooses the amplitude itself."""
+"""Share of the tightest limit used when the robot chooses the amplitude itself."""
 
 
 def plan_excitation(excitation: Excitation, spec: RobotSpec, robot: str) -> ExcitationPlan:
     """Choose what a request leaves open, and check the whole reference against every limit.
 
-    How long its parts are is said in `nufleet.shared.frequency_test.duration`.
+    The lengths of the reference's parts come from `nufleet.shared.frequency_test.duration`.
 
     Args:
-        excitation: the request.
-        spec: the robot's description.
-        robot: the robot's name, for the error.
+        excitation: Frequency test requested.
+        spec: Description of the robot.
+        robot: Name of the robot, for the error.
+
+    Returns:
+        The plan, with every length in samples and the amplitude in the axis's unit.
 
     Raises:
-        RefusedError: with code `unknown-axis`, `omega-out-of-band`, `duration`, `amplitude`,
-            `velocity` or `acceleration`. Nothing is ever clipped to a limit.
+        RefusedError: The reference would break a limit, which it is never clipped to; the code is
+            `unknown-axis`, `omega-out-of-band`, `duration`, `amplitude`, `velocity` or
+            `acceleration`.
     """
     axis = _axis_of(excitation, spec, robot)
     _check_band(excitation, spec, robot)
@@ -48,9 +52,17 @@ def plan_excitation(excitation: Excitation, spec: RobotSpec, robot: str) -> Exci
 
 
 def reference_of(plan: ExcitationPlan) -> FloatArray:
-    """Return the reference, sample by sample, in the axis's unit; shape (samples,).
+    """Return the reference of a plan.
 
-    Its first and last sample are 0, and no sample exceeds the plan's amplitude.
+    It is A e(k) s(k) / max|s| with the amplitude A, the envelope e that ramps from 0 to 1 and back,
+    and the sum of tones s(k) = Σ w_i sin(ω_i k T + φ_i), w_i relative to the largest weight. Its
+    first and last samples are 0, and no sample exceeds the amplitude.
+
+    Args:
+        plan: Plan of the frequency test.
+
+    Returns:
+        The reference, shape (samples,), in the axis's unit.
     """
     times_s = np.arange(plan.samples) * plan.sample_time_s
     heaviest = max(tone.weight for tone in plan.tones)
@@ -65,7 +77,17 @@ def reference_of(plan: ExcitationPlan) -> FloatArray:
 def peak_velocity_and_acceleration(
     reference: FloatArray, sample_time_s: float
 ) -> tuple[float, float]:
-    """Return the largest first and second difference quotient of a reference between two rests."""
+    """Return the largest first and second difference quotients of a reference between two rests.
+
+    Args:
+        reference: Reference of one axis, shape (samples,), in the axis's unit.
+        sample_time_s: Sample time in seconds.
+
+    Returns:
+        The peak velocity in unit/s and the peak acceleration in unit/s².
+    """
+    # Two zeros on either side, since the robot rests at 0 before the first and after the last
+    # sample and the steps from and to rest count too.
     padded = np.concatenate([[0.0, 0.0], reference, [0.0, 0.0]])
     velocity = np.diff(padded) / sample_time_s
     acceleration = np.diff(velocity) / sample_time_s
@@ -73,6 +95,8 @@ def peak_velocity_and_acceleration(
 
 
 def _envelope(plan: ExcitationPlan) -> FloatArray:
+    # Raised cosine (1 − cos(π k / n)) / 2: both ends have zero slope, so the ramp adds no jump in
+    # velocity.
     ramp = 0.5 - 0.5 * np.cos(np.pi * np.arange(plan.ramp_samples) / plan.ramp_samples)
     flat = np.ones(plan.samples - 2 * plan.ramp_samples)
     return np.concatenate([ramp, flat, ramp[::-1]])
@@ -106,9 +130,9 @@ def _check_band(excitation: Excitation, spec: RobotSpec, robot: str) -> None:
 
 
 def _timed(excitation: Excitation, spec: RobotSpec, robot: str) -> ExcitationPlan:
-    """Choose the lengths of all parts; the plan returned has amplitude 1."""
+    """Return the plan with the lengths of all parts chosen, and amplitude 1."""
     lengths = timing(excitation, spec)
-    # Compared as numbers first: a request may ask for more samples than there is memory.
+    # Compare durations before making samples: a request may ask for more than memory can hold.
     if lengths.asked_s > spec.duration_max_s:
         raise _too_long(lengths.asked_s, spec, robot)
     ramp_samples, settle_samples, segment_samples = lengths.sampled(spec.sample_time_s)

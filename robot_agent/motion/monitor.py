@@ -1,7 +1,8 @@
-"""Whether what a robot measures can be the answer to its references; pure, without a clock.
+"""Decides whether a robot's measured outputs can be the answer to its references.
 
-Made for robots of every kind, so it asks little: nothing that a noisy, slow, lightly damped or
-badly tuned robot does ends its motion, nor do single spikes or samples that are lost.
+Pure functions of the samples, without a clock. The checks are lenient because they serve robots of
+every kind: a noisy, slow, lightly damped or badly tuned robot may finish its motion, and so may one
+with single spikes or lost samples.
 """
 
 from __future__ import annotations
@@ -16,52 +17,68 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
 REST_DEVIATIONS = 4.0
-"""At rest the mean may be off by so many standard deviations of the noise, which keeps a loop
-that is closed over it wandering, besides `rest_error_max`."""
+"""Standard deviations of the noise by which the mean at rest may be off, on top of
+`rest_error_max`: a loop closed over a noisy sensor wanders even at rest."""
 
 FROZEN_SHARE = 0.1
-"""A sensor is frozen when its axis's reference has moved by this share of its whole range, and a
-settling time later the output is still bit for bit the same."""
+"""Share of the motion's range by which a reference must have moved before a sensor counts as
+frozen, that is, before an output still identical bit for bit one settling time later is a fault."""
 
 FROZEN_SAMPLES_MIN = 10
-"""Fewer identical samples are a matter of resolution or of samples that were lost."""
+"""Fewest identical samples that count as frozen; shorter runs can come from the sensor's
+resolution or from lost samples."""
 
 SPEED_RATIO = 12.0
 FLIGHT_SPEED_RATIO = 5.0
-"""From one sample to the next an output moves at most so many times as fast as its reference may:
-a frequency test may meet a resonance (damping ratio 0.05: 10 times), a flight should not."""
+"""Largest plausible speed of an output between two samples, as a multiple of the speed allowed to
+its reference. A frequency test may excite a resonance, which amplifies by 1/(2ζ) (10 times at
+damping ratio ζ = 0.05); a flight should not."""
 
 NOISE_DEVIATIONS = 20.0
-"""And by so many standard deviations of the noise at rest besides: in flight there is more."""
+"""Standard deviations of the noise at rest by which an output may move between two samples, on top
+of `SPEED_RATIO` or `FLIGHT_SPEED_RATIO`; generous because a moving robot's sensor is noisier."""
 
 BAD_SAMPLES = 5.0
 GOOD_SAMPLE = 0.2
-"""A motion ends with the fifth bad sample in a row; each good one makes up for a fifth of a bad
-one, so that up to every sixth sample may be a spike."""
+"""A motion ends at the fifth bad sample in a row. Each good sample cancels a fifth of a bad one, so
+that up to every sixth sample may be a spike."""
 
 LOST_MAX_S = 0.5
-"""Samples may be lost for so long; the output may have gone on meanwhile."""
+"""How long samples may be lost; the output may have kept moving during that time."""
 
 FOLLOWED_RANGE = 2.0
 FOLLOWED_SHARE = 0.5
-"""In a flight the output stays among the references of the last settling time, up to so many times
-their range to either side, and half of the furthest one for a loop whose gain is not one."""
+"""Margins on how far an output in flight may lie outside the references of the last settling time:
+on either side `FOLLOWED_RANGE` times the range of those references, plus `FOLLOWED_SHARE` times the
+largest reference of the motion, for a loop whose gain is not one."""
 
 
 @dataclass(frozen=True, eq=False)
 class Failure:
-    """Why a motion has to end, and how many samples of those given were good."""
+    """The finding that ends a motion."""
 
     good: int
+    """Number of samples before the failing one, among those passed to the check."""
+
     reason: str
+    """What is wrong, for a person to read."""
 
 
 def rest_error_max(spec: RobotSpec, axis: AxisSpec) -> float:
-    """Return how far from its first reference an axis may rest, noise apart, in its unit.
+    """Return how far from its first reference an axis may rest, not counting noise.
 
-    As far as it may go in one sample, or the amplitude that its limits allow at the upper edge of
-    its band if that is more: a reference that jumps by as much asks of the robot no more
-    acceleration than a test may. At 1 kHz no robot rests within one sample of its origin.
+    With the limits A on amplitude, v on velocity and a on acceleration, the sample time T and the
+    upper band edge ω, this is max(v T, min(A, v/ω, a/ω²)): the distance covered in one sample or,
+    where that is larger, the amplitude that the limits allow at ω. A reference that jumps by this
+    much demands no more acceleration than a test may. The distance of one sample alone would be too
+    strict: at 1 kHz no robot rests that close to its origin.
+
+    Args:
+        spec: Description of the robot.
+        axis: The axis that rests.
+
+    Returns:
+        The largest distance, in the axis's unit.
     """
     omega = spec.omega_max_rad_s
     amplitude = min(axis.amplitude_max, axis.velocity_max / omega, axis.acceleration_max / omega**2)
@@ -69,17 +86,20 @@ def rest_error_max(spec: RobotSpec, axis: AxisSpec) -> float:
 
 
 def rest_measurements(spec: RobotSpec) -> int:
-    """Return how often to measure before a motion: half a second, three to eight times."""
+    """Return the number of measurements before a motion: half a second's, but three to eight."""
     return min(8, max(3, round(0.5 / spec.sample_time_s)))
 
 
 def rest_failure(spec: RobotSpec, measured: FloatArray, first: FloatArray) -> str | None:
-    """Return why a robot may not begin where it rests; None when it may.
+    """Return why a robot may not begin a motion where it rests.
 
     Args:
-        spec: of the robot.
-        measured: its output at rest, shape (measurements, axes).
-        first: the first reference, shape (axes,).
+        spec: Description of the robot.
+        measured: Outputs measured at rest, shape (measurements, axes), in the axes' units.
+        first: First reference of the motion, shape (axes,), in the axes' units.
+
+    Returns:
+        The reason for a person to read; None when the motion may begin.
     """
     if not np.isfinite(measured).all():
         return "the sensor returned a number that is not finite before the motion began"
@@ -99,7 +119,7 @@ def rest_failure(spec: RobotSpec, measured: FloatArray, first: FloatArray) -> st
 
 
 class Monitor:
-    """Watches one motion, sample by sample or many at once with the same verdict."""
+    """Watches one motion; checking samples singly or in batches gives the same verdict."""
 
     def __init__(
         self, spec: RobotSpec, measured: FloatArray, span: FloatArray, *, flight: bool
@@ -107,11 +127,11 @@ class Monitor:
         """Begin at rest.
 
         Args:
-            spec: of the robot.
-            measured: its output at rest, shape (measurements, axes).
-            span: how far the references of the motion range, shape (axes,).
-            flight: whether the output should stay among the references, as in every motion but a
-                frequency test, which asks for just that.
+            spec: Description of the robot.
+            measured: Outputs measured at rest, shape (measurements, axes), in the axes' units.
+            span: Largest minus smallest reference of the motion, shape (axes,), in the axes' units.
+            flight: Whether the output should stay close to the references. True for every motion
+                but a frequency test, which may drive the robot into a resonance on purpose.
         """
         noise = measured.std(axis=0, ddof=1).tolist()
         rests_at = measured.mean(axis=0).tolist()
@@ -122,9 +142,14 @@ class Monitor:
         self._samples = 0
 
     def check(self, references: FloatArray, outputs: FloatArray) -> Failure | None:
-        """Take the next samples, both (samples, axes); return why the motion has to end.
+        """Check the next samples of the motion; not to be called again after a failure.
 
-        Nothing is to be checked any more after a failure.
+        Args:
+            references: References played, shape (samples, axes), in the axes' units.
+            outputs: Outputs measured at the start of each sample, shape (samples, axes).
+
+        Returns:
+            The earliest failure among the axes; None when the motion may continue.
         """
         finite = np.isfinite(outputs).all(axis=1)
         good = len(outputs) if finite.all() else int(np.argmin(finite))
@@ -141,7 +166,11 @@ class Monitor:
 
 
 class _AxisMonitor:
-    """Watches one axis; in plain numbers, since a real robot has one sample at a time."""
+    """Watches one axis.
+
+    It computes with Python floats rather than arrays: a real robot delivers one sample at a time,
+    and arrays of one element would be slower.
+    """
 
     def __init__(
         self,
@@ -164,13 +193,15 @@ class _AxisMonitor:
         self._good, self._since, self._bad = rests_at, 0, 0.0
         settling = math.ceil(spec.settling_time_s / spec.sample_time_s)
         self._past = max(FROZEN_SAMPLES_MIN, settling)
-        # Of the samples that are identical to the latest: the reference at the first of them, and
-        # how far it had moved since at each of the latest; those are a settling time at most.
+        # Run of samples identical to the latest one: `_origin` is the reference at its first
+        # sample, and `_shifts` says how far the reference had moved from there at each sample of
+        # the last settling time.
         self._last, self._origin, self._run = math.nan, 0.0, 0
         self._shifts: deque[float] = deque()
         self._still = FROZEN_SHARE * span if span > 0 else math.inf
-        # References of the last settling time that can be the least or the largest of them, each
-        # with its sample; before the motion there was rest.
+        # Monotonic queues for the minimum and maximum over a sliding window: (sample, reference)
+        # pairs of the last settling time that can still become the smallest or the largest one.
+        # They start with 0 because the robot rested before the motion.
         self._lowest: deque[tuple[int, float]] = deque([(0, 0.0)])
         self._highest: deque[tuple[int, float]] = deque([(0, 0.0)])
         self._sample = 0
@@ -179,7 +210,7 @@ class _AxisMonitor:
         self._furthest = 0.0
 
     def check(self, references: FloatArray, outputs: FloatArray) -> Failure | None:
-        """Take the next samples, both (samples,) and finite."""
+        """Check the next samples of this axis; both arrays have shape (samples,) and are finite."""
         if not self._flight and self._plain(references, outputs):
             return None
         pairs = zip(references.tolist(), outputs.tolist(), strict=True)
@@ -190,7 +221,10 @@ class _AxisMonitor:
         return None
 
     def _plain(self, references: FloatArray, outputs: FloatArray) -> bool:
-        """Take many samples of a frequency test at once, if there is nothing about them."""
+        """Accept a batch of a frequency test in array operations if nothing in it is suspicious.
+
+        Return False, with nothing taken, when the samples must be checked one by one.
+        """
         if len(outputs) < 2 or self._since:
             return False
         steps = np.abs(np.diff(outputs, prepend=self._good))
@@ -217,11 +251,13 @@ class _AxisMonitor:
 
     def _implausible(self, reference: float, output: float) -> str | None:
         good = self._good
-        # What is off stays so however long it lasts, unless it moved there within the limits.
+        # An output that is off stays bad however long it lasts, unless it moved there within the
+        # limits: compared with the last good output, it may have moved by one plausible step and
+        # by the axis's own speed for as long as samples have been bad or lost.
         leapt = abs(output - good) > self._leap + self._since * self._moved
         far = self._flight and self._far(reference, output)
         self._bad = self._bad + 1.0 if leapt or far else max(0.0, self._bad - GOOD_SAMPLE)
-        # A sample that only repeats the one before may have been lost.
+        # A sample that exactly repeats the one before may be a lost one.
         if leapt or output == good:
             self._since = min(self._since + 1, self._lost_max)
         else:
@@ -240,7 +276,12 @@ class _AxisMonitor:
         )
 
     def _far(self, reference: float, output: float) -> bool:
-        """Return whether an output is far from all references of the last settling time."""
+        """Return whether an output is far from every reference of the last settling time.
+
+        With the least and the largest of these references, l and h, and the largest magnitude m of
+        any reference so far, outputs in [l − d, h + d] are near, where
+        d = `FOLLOWED_RANGE` (h − l) + `FOLLOWED_SHARE` m + offset.
+        """
         self._sample += 1
         lowest, highest, oldest = self._lowest, self._highest, self._sample - self._past
         while lowest and lowest[-1][1] >= reference:

@@ -1,4 +1,4 @@
-"""A robot whose motion ends when what it measures cannot be the answer to its references."""
+"""A robot whose motion ends when its measured output cannot be the answer to its references."""
 
 from __future__ import annotations
 
@@ -12,7 +12,11 @@ from nufleet.shared.robots.spec import RobotSpec
 
 
 class MonitoredRobot(Robot):
-    """Passes everything on to the robot of one motion that begins and ends at rest."""
+    """Passes every call on to a robot and checks the samples of one motion, from rest to rest.
+
+    `noise_std` is the standard deviation of the output at rest, shape (axes,), in the axes' units;
+    it is zero before `begin`.
+    """
 
     def __init__(self, robot: Robot) -> None:
         """Prepare for one motion of a robot that is connected and at rest."""
@@ -22,28 +26,31 @@ class MonitoredRobot(Robot):
 
     @property
     def spec(self) -> RobotSpec:
-        """The robot's own."""
+        """Description of the robot."""
         return self._robot.spec
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """The robot's own."""
+        """Names of the states that `observe` measures."""
         return self._robot.state_names
 
     def begin(self, references: FloatArray) -> None:
-        """Compare where the robot rests with where its motion begins; before the first sample.
+        """Compare where the robot rests with where its motion begins.
+
+        To be called before the first sample.
 
         Args:
-            references: the whole motion as far as it is known ahead, shape (samples, axes).
+            references: References of the motion as far as they are known ahead, shape (samples,
+                axes), in the axes' units.
 
         Raises:
-            RobotError: it rests too far from the first reference, or its sensor fails.
+            RobotError: The robot rests too far from the first reference, or its sensor fails.
         """
         measured, self._monitor = begun(self._robot, references, flight=True)
         self.noise_std = measured.std(axis=0, ddof=1)
 
     def connect(self) -> None:
-        """It is connected already."""
+        """Do nothing: the robot is connected already."""
 
     def measure_output(self) -> FloatArray:
         """Measure the output at rest, shape (axes,)."""
@@ -54,13 +61,21 @@ class MonitoredRobot(Robot):
         return self._robot.observe()
 
     def step(self, reference: FloatArray) -> FloatArray:
-        """Follow a reference for one sample; raises RobotError as `run` does."""
+        """Follow a reference for one sample; reference and output have shape (axes,).
+
+        Raises:
+            RobotError: The sensor or the robot fails.
+        """
         output = self._robot.step(reference)
         self._check(reference[np.newaxis], output[np.newaxis])
         return output
 
     def run(self, references: FloatArray) -> FloatArray:
-        """Follow a reference signal; raises RobotError when the sensor or the robot fails."""
+        """Follow a reference signal; references and outputs have shape (samples, axes).
+
+        Raises:
+            RobotError: The sensor or the robot fails.
+        """
         outputs = self._robot.run(references)
         if len(references):
             self._check(references, outputs)
@@ -71,7 +86,7 @@ class MonitoredRobot(Robot):
         self._robot.rest()
 
     def disconnect(self) -> None:
-        """It stays connected: the motion worker lets go of it."""
+        """Do nothing: the robot stays connected until the motion worker releases it."""
 
     def _check(self, references: FloatArray, outputs: FloatArray) -> None:
         if self._monitor is None:
@@ -82,15 +97,19 @@ class MonitoredRobot(Robot):
 
 
 def begun(robot: Robot, references: FloatArray, *, flight: bool) -> tuple[FloatArray, Monitor]:
-    """Measure a robot at rest; return the measurements and what watches the motion from there.
+    """Measure a robot at rest and prepare to watch its motion from there.
 
     Args:
-        robot: connected and at rest.
-        references: of the motion, as far as they are known ahead, shape (samples, axes).
-        flight: as for `Monitor`.
+        robot: The robot, connected and at rest.
+        references: References of the motion as far as they are known ahead, shape (samples, axes),
+            in the axes' units.
+        flight: Whether the output should stay close to the references; see `Monitor`.
+
+    Returns:
+        The outputs measured at rest, shape (measurements, axes), and the monitor of the motion.
 
     Raises:
-        RobotError: it rests too far from the first reference, or its sensor fails.
+        RobotError: The robot rests too far from the first reference, or its sensor fails.
     """
     spec = robot.spec
     measured = np.stack([robot.measure_output() for _ in range(rest_measurements(spec))])

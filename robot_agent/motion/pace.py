@@ -1,4 +1,4 @@
-"""Keeps the samples of a motion in time, and ends it when somebody threw its switch."""
+"""Keeps the samples of a motion in time, and the switch that ends a motion early."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Outcome
 
 GAP_MAX_S = 2.0
-"""A paced motion whose samples are this far apart ends: the process was frozen, or the robot hung.
-Whoever commands it will have given it up by then."""
+"""Gap between two samples that ends a paced motion: the process was frozen, or the robot hung. The
+orchestrator in command will have given the motion up by then."""
 
 CATCH_UP_MAX_S = 0.25
-"""A paced simulation that is later than this goes on at its pace and does not catch up."""
+"""Longest delay that a paced simulation makes up for; beyond it, it keeps its pace and stays
+late."""
 
 
 class HaltSwitch:
@@ -25,7 +26,12 @@ class HaltSwitch:
         self._order: tuple[Outcome, str] | None = None
 
     def halt(self, outcome: Outcome, reason: str) -> None:
-        """Ask the motion to end."""
+        """Ask the motion to end.
+
+        Args:
+            outcome: Outcome to report for the motion.
+            reason: Explanation for a person to read.
+        """
         with self._lock:
             if self._order is None:
                 self._order = (outcome, reason)
@@ -33,23 +39,30 @@ class HaltSwitch:
 
     @property
     def order(self) -> tuple[Outcome, str] | None:
-        """How the motion is to end; None while it may go on."""
+        """Outcome and reason with which the motion is to end; None while it may continue."""
         return self._order
 
     def wait(self, timeout_s: float) -> None:
-        """Wait for so long, or until the switch is thrown."""
+        """Wait for `timeout_s` seconds, or until the switch is thrown."""
         self._thrown.wait(timeout_s)
 
 
 class Pace:
     """Waits for the time of each sample of one motion.
 
-    `free` says that the samples have no time: a simulation as fast as it can. A real robot paces
-    itself; its samples are only checked for gaps.
+    `free` is True for a simulation that runs as fast as it can, whose samples are not timed. A real
+    robot paces itself; its samples are only checked for gaps.
     """
 
     def __init__(self, spec: RobotSpec, realtime: float | None, switch: HaltSwitch) -> None:
-        """Prepare for one motion; `realtime` is the multiple of real time of a simulation."""
+        """Prepare for one motion.
+
+        Args:
+            spec: Description of the robot.
+            realtime: Multiple of real time at which a simulated robot plays; None for as fast as
+                it can. Ignored for a real robot.
+            switch: Switch of the motion; a gap between samples throws it.
+        """
         self.free = realtime is None and spec.simulated
         self._waits = spec.simulated
         self._period_s = spec.sample_time_s / (realtime if realtime and spec.simulated else 1.0)
@@ -58,7 +71,7 @@ class Pace:
         self._samples = 0
 
     def wait(self) -> None:
-        """Return when the next sample is due, or the switch was thrown."""
+        """Block until the next sample is due or the switch is thrown."""
         if self.free:
             return
         if self._samples == 0:

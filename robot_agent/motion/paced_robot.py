@@ -1,4 +1,4 @@
-"""A robot whose every sample keeps time and can be the last one."""
+"""A robot whose samples keep time, and whose motion can be ended before each of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.robots.spec import RobotSpec
 
 CHUNK_SAMPLES = 256
-"""A simulation as fast as it can plays so many samples between two looks at the switch."""
+"""Samples that an unpaced simulation plays between two checks of the switch."""
 
 
 class Halted(Exception):  # noqa: N818 - not an error: somebody asked for the end
@@ -20,7 +20,7 @@ class Halted(Exception):  # noqa: N818 - not an error: somebody asked for the en
 
 
 class PacedRobot(Robot):
-    """Passes everything on to the robot of one motion, in time, until the switch is thrown."""
+    """Passes every call of one motion on to a robot, in time, until the switch is thrown."""
 
     def __init__(
         self, robot: Robot, pace: Pace, switch: HaltSwitch, on_played: Callable[[int], None]
@@ -28,10 +28,10 @@ class PacedRobot(Robot):
         """Prepare for one motion.
 
         Args:
-            robot: connected and at rest.
-            pace: of the motion.
-            switch: once it is thrown, `step` and `run` raise `Halted`.
-            on_played: is told how many samples have been played.
+            robot: The robot, connected and at rest.
+            pace: Timing of the motion's samples.
+            switch: Switch of the motion; once it is thrown, `step` and `run` raise `Halted`.
+            on_played: Callback that receives the number of samples played so far.
         """
         self._robot, self._pace, self._switch = robot, pace, switch
         self._on_played = on_played
@@ -39,16 +39,16 @@ class PacedRobot(Robot):
 
     @property
     def spec(self) -> RobotSpec:
-        """The robot's own."""
+        """Description of the robot."""
         return self._robot.spec
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """The robot's own."""
+        """Names of the states that `observe` measures."""
         return self._robot.state_names
 
     def connect(self) -> None:
-        """It is connected already."""
+        """Do nothing: the robot is connected already."""
 
     def measure_output(self) -> FloatArray:
         """Measure the output at rest, shape (axes,)."""
@@ -59,7 +59,7 @@ class PacedRobot(Robot):
         return self._robot.observe()
 
     def step(self, reference: FloatArray) -> FloatArray:
-        """Follow a reference for one sample, when it is due."""
+        """Follow a reference for one sample when it is due; both have shape (axes,)."""
         self._pace.wait()
         self._raise_if_halted()
         output = self._robot.step(reference)
@@ -67,7 +67,7 @@ class PacedRobot(Robot):
         return output
 
     def run(self, references: FloatArray) -> FloatArray:
-        """Follow a whole reference signal; shapes (samples, axes)."""
+        """Follow a whole reference signal; references and outputs have shape (samples, axes)."""
         if not self._pace.free:
             return super().run(references)
         outputs = np.empty_like(references)
@@ -83,7 +83,7 @@ class PacedRobot(Robot):
         self._robot.rest()
 
     def disconnect(self) -> None:
-        """It stays connected: the motion worker lets go of it."""
+        """Do nothing: the robot stays connected until the motion worker releases it."""
 
     def _raise_if_halted(self) -> None:
         if self._switch.order is not None:

@@ -1,4 +1,4 @@
-"""Performs one motion on the robot and brings it to rest, whatever happens."""
+"""Performs one motion on the robot and brings it to rest, even when the motion fails."""
 
 from __future__ import annotations
 
@@ -21,38 +21,48 @@ from nufleet.shared.wire.motions import FlightDetails
 _log = logging.getLogger(__name__)
 
 OnSamples = Callable[[int, FloatArray, FloatArray], None]
+"""Callback for a batch: index of its first sample, references and outputs, both (samples,)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Reference and output, both (samples,) or (samples, axes), and what else was measured."""
+    """The samples of a motion: (samples,) for a test of one axis, else (samples, axes)."""
 
     reference: FloatArray
+    """References played, in the axes' units."""
+
     response: FloatArray
+    """Outputs measured at the start of each sample, in the axes' units."""
+
     details: FlightDetails | None = None
+    """Other signals of a flight; None for a motion that has none."""
 
 
 @dataclass(frozen=True, eq=False)
 class Played:
-    """What was played and measured until the motion ended.
-
-    `fault` is why the robot cannot be trusted with another motion; None when it can.
-    """
+    """A motion that has ended, with the samples played and measured until then."""
 
     outcome: Outcome
+    """How the motion ended."""
+
     reason: str
+    """Why it ended so; empty for a completed motion."""
+
     samples: Samples
+    """Samples played and measured."""
+
     fault: str | None = None
+    """Why the robot cannot be trusted with another motion; None when it can."""
 
 
 class Performance(Protocol):
-    """Moves the robot; keeps what it measured, also when it raised."""
+    """Moves the robot, and keeps the samples measured even if it raises."""
 
     def play(self) -> tuple[Outcome, str]:
-        """Play the motion; may raise RobotError or Halted."""
+        """Play the motion and return its outcome and reason; may raise RobotError or Halted."""
 
     def measured(self) -> Samples:
-        """Return what was measured until now."""
+        """Return the samples measured until now."""
 
 
 def perform(
@@ -61,13 +71,16 @@ def perform(
     """Perform a motion, from rest to rest.
 
     A robot that breaks its interface (raises anything but `RobotError`, or does not come to rest)
-    gives a failed motion with a fault; nothing that it raises leaves this function.
+    yields a failed motion with a fault; no exception of the robot leaves this function.
 
     Args:
-        robot: connected and at rest.
-        performance: the motion.
-        switch: ends the motion early.
-        on_resting: called when the last sample has been played.
+        robot: The robot, connected and at rest.
+        performance: Motion to play.
+        switch: Switch that ends the motion early.
+        on_resting: Callback for when the last sample has been played and the robot comes to rest.
+
+    Returns:
+        The outcome of the motion and its samples.
     """
     fault: str | None = None
     try:
@@ -104,7 +117,7 @@ def _bring_to_rest(robot: Robot) -> str | None:
 
 
 class AxisMotion:
-    """A reference for one axis, known ahead; the others hold zero."""
+    """A motion that follows a reference known ahead on one axis; the other axes hold zero."""
 
     def __init__(
         self,
@@ -116,16 +129,17 @@ class AxisMotion:
         switch: HaltSwitch,
         on_samples: OnSamples,
     ) -> None:
-        """Prepare.
+        """Prepare the motion.
 
         Args:
-            robot: connected and at rest.
-            axis: the axis that follows.
-            reference: shape (samples,), in the axis's unit.
-            realtime: paces a simulated robot at this multiple of real time; None lets it play as
-                fast as it can. A real robot paces itself, one sample at a time.
-            switch: ends the motion early.
-            on_samples: called with the first index and the samples of each batch.
+            robot: The robot, connected and at rest.
+            axis: Name of the axis that follows the reference.
+            reference: Reference of that axis, shape (samples,), in the axis's unit.
+            realtime: Multiple of real time at which a simulated robot is paced; None lets it play
+                as fast as it can. A real robot paces itself, one sample at a time.
+            switch: Switch that ends the motion early.
+            on_samples: Callback that receives each batch: the index of its first sample, and its
+                references and outputs, both of shape (samples,).
         """
         self._robot, self._axis, self._reference = robot, axis, reference
         self._switch, self._on_samples = switch, on_samples
@@ -134,7 +148,7 @@ class AxisMotion:
         self._done = 0
 
     def measured(self) -> Samples:
-        """Return what was measured until now; both shape (samples,)."""
+        """Return the samples measured until now; both arrays have shape (samples,)."""
         return Samples(self._reference[: self._done].copy(), self._response[: self._done].copy())
 
     def play(self) -> tuple[Outcome, str]:
@@ -167,7 +181,7 @@ class AxisMotion:
         return Outcome.COMPLETED, ""
 
     def _batches(self) -> Iterator[tuple[int, int]]:
-        """Yield the next samples to play: many at once, or single ones at their time."""
+        """Yield start and stop of the next samples to play: batches when free, else one by one."""
         samples = len(self._reference)
         if self._pace.free:
             for start in range(0, samples, CHUNK_SAMPLES):

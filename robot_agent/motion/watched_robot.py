@@ -1,4 +1,4 @@
-"""A robot whose driver is watched: a call that does not return is noticed, and named."""
+"""A robot whose driver is watched: a call that does not return is detected and named."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ from nufleet.shared.errors import RobotError
 from nufleet.shared.robots.spec import RobotSpec
 
 SLOW_CALL_MAX_S = 60.0
-"""What connecting, coming to rest and simulating as fast as possible may take at a time."""
+"""Time limit of one call that connects, comes to rest, or simulates as fast as possible."""
 
 LETTING_GO_LOOK_S = 0.1
-"""How often a driver that is to let go of its robot is looked at."""
+"""Interval between checks on a driver that is disconnecting its robot."""
 
 LOOK_MAX_S = 1.0
-"""Two looks further apart count as this: the whole process was frozen, not the driver alone."""
+"""Longest time counted between two checks on the driver; if more has passed, the whole process was
+frozen, not the driver alone."""
 
 
 @dataclass(eq=False)
 class _Call:
-    """A call of the driver that is in progress, and for how long it has been seen to be."""
+    """A driver call in progress, and for how long the checks have found it in progress."""
 
     what: str
     allowed_s: float
@@ -38,12 +39,18 @@ class _Call:
 class WatchedRobot(Robot):
     """Passes every call on to a driver, one at a time.
 
-    No other thread can end a call. So a robot that hangs cannot be brought to rest from here; what
-    can be done is to say so.
+    No other thread can end a call. A robot whose driver hangs therefore cannot be brought to rest
+    from here; it can only be reported.
     """
 
     def __init__(self, robot: Robot, *, realtime: float | None) -> None:
-        """Watch a robot; a simulated one plays at this multiple of real time, None for any."""
+        """Watch a robot.
+
+        Args:
+            robot: The driver, disconnected.
+            realtime: Multiple of real time at which a simulated robot plays; None when it is not
+                paced.
+        """
         self._robot = robot
         free = realtime is None and robot.spec.simulated
         self._sample_max_s = SLOW_CALL_MAX_S if free else GAP_MAX_S + robot.spec.sample_time_s
@@ -53,22 +60,26 @@ class WatchedRobot(Robot):
 
     @property
     def spec(self) -> RobotSpec:
-        """The driver's own."""
+        """Description that the driver gives of the robot."""
         return self._robot.spec
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """The driver's own."""
+        """Names of the states that the driver measures."""
         return self._robot.state_names
 
     @property
     def hangs(self) -> bool:
-        """Whether a call was found to hang and has not returned since."""
+        """True while a call that was found to hang has not returned."""
         call = self._call
         return call is not None and call.hangs
 
     def look(self) -> str | None:
-        """Return what is wrong with a call that hangs; to be asked regularly."""
+        """Check the call in progress; to be called regularly.
+
+        Returns:
+            A description of the call that hangs; None when there is none.
+        """
         now_s = time.monotonic()
         passed_s, self._looked_s = min(now_s - self._looked_s, LOOK_MAX_S), now_s
         call = self._call
@@ -86,23 +97,23 @@ class WatchedRobot(Robot):
             self._robot.connect()
 
     def measure_output(self) -> FloatArray:
-        """Measure the output at rest."""
+        """Measure the output at rest, shape (axes,)."""
         with self._calling("measure_output", self._sample_max_s):
             return self._robot.measure_output()
 
     def step(self, reference: FloatArray) -> FloatArray:
-        """Follow a reference for one sample."""
+        """Follow a reference for one sample; reference and output have shape (axes,)."""
         with self._calling("step", self._sample_max_s):
             return self._robot.step(reference)
 
     def run(self, references: FloatArray) -> FloatArray:
-        """Follow a whole reference signal."""
+        """Follow a whole reference signal; references and outputs have shape (samples, axes)."""
         lasts_s = len(references) * self._robot.spec.sample_time_s
         with self._calling("run", SLOW_CALL_MAX_S + lasts_s):
             return self._robot.run(references)
 
     def observe(self) -> FloatArray:
-        """Measure the state now."""
+        """Measure the state now, shape (axes, states)."""
         with self._calling("observe", self._sample_max_s):
             return self._robot.observe()
 
@@ -112,7 +123,7 @@ class WatchedRobot(Robot):
             self._robot.rest()
 
     def disconnect(self) -> None:
-        """Let go of the robot; raises RobotError while another call is in progress."""
+        """Release the robot; raises RobotError while another call is in progress."""
         with self._calling("disconnect", SLOW_CALL_MAX_S):
             self._robot.disconnect()
 
@@ -120,7 +131,7 @@ class WatchedRobot(Robot):
         """Disconnect for good, without waiting for a driver that does not return.
 
         Raises:
-            RobotError: the driver hangs, so that the robot may not be at rest.
+            RobotError: The driver hangs, so the robot may not be at rest.
         """
         done: Future[None] = Future()
 
