@@ -1,4 +1,4 @@
-"""Flies what is not a frequency test: steps, rich flights, and paths to be tracked."""
+"""Performs every motion but frequency tests: step tests, rich flights and tracked paths."""
 
 from __future__ import annotations
 
@@ -49,16 +49,17 @@ def performance_of(
     on_played: Callable[[int], None],
     watch: Watch,
 ) -> Performance:
-    """Return what flies a motion that was accepted.
+    """Return the performance of an accepted flight.
 
     Args:
-        motion: what.
-        robot: connected and at rest.
-        memory: where priors come from and where the baseline of a rich flight goes.
-        realtime: the multiple of real time that a simulated robot keeps; None as fast as it can.
-        switch: ends the motion early.
-        on_played: is told how many samples have been played.
-        watch: sees every sample along a path.
+        motion: Flight to perform.
+        robot: The robot, connected and at rest.
+        memory: Memory of the robot: source of its prior, and store for the baseline model that a
+            rich flight yields.
+        realtime: Multiple of real time that a simulated robot keeps; None for as fast as it can.
+        switch: Switch that ends the motion early.
+        on_played: Callback that receives the number of samples played so far.
+        watch: Callback that receives every sample along a tracked path.
     """
     monitored = MonitoredRobot(robot)
     paced = PacedRobot(monitored, Pace(robot.spec, realtime, switch), switch, on_played)
@@ -72,7 +73,7 @@ def performance_of(
 
 
 class _Steps:
-    """Small steps on one axis."""
+    """Performs small steps on one axis."""
 
     def __init__(self, robot: Robot, axis: str, monitored: MonitoredRobot) -> None:
         self._robot, self._monitored = robot, monitored
@@ -90,7 +91,7 @@ class _Steps:
 
 
 class _Rich:
-    """A flight that shows the whole dynamics; the robot learns its baseline from it."""
+    """Performs a persistently exciting flight, from which the robot learns its baseline models."""
 
     def __init__(
         self, robot: Robot, motion: RichFlight, memory: Memory, monitored: MonitoredRobot
@@ -119,7 +120,7 @@ class _Rich:
                 check_explained(models[axis.name], references[:, i], noise_std, axis)
             self._memory.keep_baseline(models)
         except NufleetError as error:
-            # The robot is well and at rest: what failed is the disk, or the record is too short.
+            # The robot works and is at rest: the disk failed, or the record allows no model.
             return Outcome.FAILED, f"its baseline was not learned: {error}"
         return Outcome.COMPLETED, ""
 
@@ -131,7 +132,7 @@ class _Rich:
 
 
 class _Path:
-    """A path, by the baseline alone or with an inverse in front of it."""
+    """Tracks a path, with the baseline alone or with an inverse model in front of it."""
 
     def __init__(
         self,
@@ -154,7 +155,7 @@ class _Path:
         limits = self._robot.spec.tracking
         if limits is None:
             raise RobotError("the robot does not track")
-        # The way to the path's start begins at rest too.
+        # The approach to the path's start begins at rest, too.
         origin = np.zeros((1, len(self._robot.spec.axes)))
         self._monitored.begin(np.concatenate([origin, self._motion.desired]))
         self._record = track(
@@ -192,9 +193,20 @@ class _Path:
 
 
 def learner_for(motion: Tracking, robot: Robot, memory: Memory) -> Learner | None:
-    """Return the inverse that a flight asks for, compiled and ready; None for the baseline.
+    """Return the inverse model that a flight asks for, compiled and ready.
 
-    Axes that the prior was not learned on begin with nothing.
+    Axes on which the prior was not learned begin with a zero prior.
+
+    Args:
+        motion: Flight requested.
+        robot: The robot that flies it.
+        memory: Memory of the robot, with its prior.
+
+    Returns:
+        The learner; None for the baseline alone.
+
+    Raises:
+        RobotError: The flight asks for a prior that the robot no longer has.
     """
     if motion.inverse == "baseline":
         return None
@@ -212,7 +224,16 @@ def learner_for(motion: Tracking, robot: Robot, memory: Memory) -> Learner | Non
 
 
 def guard_for(desired: FloatArray, robot: Robot, memory: Memory) -> Guard:
-    """Return the guard of one flight along a path (samples, axes)."""
+    """Return the guard of one flight along a path.
+
+    Args:
+        desired: Path, shape (samples, axes), in the axes' units.
+        robot: The robot that flies it.
+        memory: Memory of the robot, with a baseline model for every axis.
+
+    Raises:
+        RobotError: The robot has no tracking limits.
+    """
     models = [memory.baseline[axis.name] for axis in robot.spec.axes]
     error = np.stack([m.error(desired[:, i]) for i, m in enumerate(models)], axis=1)
     needed = np.stack([needed_correction(m, desired[:, i]) for i, m in enumerate(models)], axis=1)

@@ -1,6 +1,7 @@
-"""Whether a transferred model still does better than the baseline would, and when to take it back.
+"""Decides whether a transferred model still does better than the baseline, and when to withdraw it.
 
-Pure decisions: given an error, it answers with the share of the learned correction that may act.
+Pure decisions: given a tracking error, the guard returns the share of the learned correction that
+may act.
 """
 
 from __future__ import annotations
@@ -15,24 +16,40 @@ from nufleet.shared.wire.motions import TakenBack
 
 
 class GuardSettings(Strict):
-    """How much worse is allowed, and how fast the prior is taken back.
+    """Limits on how much worse than its baseline a robot may fly before the prior is withdrawn.
 
-    The squared error may exceed the baseline's by `budget` of the baseline's whole, and together
-    with what the way back from a mistaken correction would cost by `return_budget`; the rest of the
-    tolerated 10 % (21 % of the square) is left for the lag of the loop. A squared error averaged
-    over `window_s` that is `peak_ratio`² times the baseline's worst ends it at once. So does a
-    correction that accelerates, over `restless_window_s`, harder than a path may and
-    `restless_ratio` times as hard as the one that would take the baseline's error away: that is no
-    correction but an oscillation, which throws a robot over long before it is far off its path.
+    An error 10 % above the baseline's (21 % in the square) is tolerated. The budgets below use up a
+    part of that; the rest is left for the lag of the loop.
     """
 
     budget: Positive = 0.02
+    """Largest excess of the summed squared error over the baseline's, as a share of the baseline's
+    sum over the whole path."""
+
     peak_ratio: Positive = 1.3
+    """Largest error averaged over `window_s`, root mean square, as a multiple of the baseline's
+    worst; exceeding it withdraws the prior at once."""
+
     window_s: Positive = 0.2
+    """Length of the window, in seconds, over which `peak_ratio` averages the squared error."""
+
     restless_window_s: Positive = 0.3
+    """Length of the window, in seconds, over which `restless_ratio` averages the squared
+    acceleration of the correction."""
+
     restless_ratio: Positive = 2.3
+    """Largest acceleration of the correction, as a multiple of the acceleration of the correction
+    that would cancel the baseline's error.
+
+    A correction that accelerates harder than this, and harder than a path may, withdraws the prior
+    at once: it is an oscillation, which overturns a robot long before it is far off its path."""
+
     return_budget: Positive = 0.05
+    """Largest excess of the summed squared error together with the cost of removing the present
+    correction, should it be mistaken; a share of the baseline's sum over the whole path."""
+
     hand_over_s: Positive = 0.4
+    """Time in seconds over which the correction fades out once the prior is withdrawn."""
 
 
 class Guard:
@@ -52,13 +69,15 @@ class Guard:
         """Prepare for one trajectory.
 
         Args:
-            baseline_error: predicted for the whole path, shape (samples, axes), without noise.
-            noise_variance: of the measured error, summed over the axes.
-            sample_time_s: between two samples.
-            acceleration_max: of a path, in unit/s².
-            needed: the correction that would take the baseline's error away, shape (samples, axes).
-            settings: the defaults if left out.
-            correction_speed_max: how fast a correction may change, in unit/s.
+            baseline_error: Tracking error predicted for the baseline on the whole path, without
+                noise, shape (samples, axes), in the axes' units.
+            noise_variance: Variance of the measured error, summed over the axes, in unit².
+            sample_time_s: Sample time in seconds.
+            acceleration_max: Largest acceleration of a path, in unit/s².
+            needed: Correction of the reference that would cancel the baseline's error, shape
+                (samples, axes), in the axes' units.
+            settings: Limits of the guard; the defaults when None.
+            correction_speed_max: Largest speed at which a correction may change, in unit/s.
         """
         chosen = settings or GuardSettings()
         square = (baseline_error**2).sum(axis=1)
@@ -66,7 +85,7 @@ class Guard:
         smooth = np.convolve(square, np.ones(window) / window, mode="same")
         self._allowed = np.cumsum(square + noise_variance)
         self._budget = chosen.budget * float(self._allowed[-1])
-        # Over so few samples the noise may well be a few times its variance.
+        # A mean over the few samples of a window may exceed the noise variance several times.
         self._peak = chosen.peak_ratio**2 * float(smooth.max()) + 4 * noise_variance
         self._recent = np.zeros(window)
         restless = max(3, round(chosen.restless_window_s / sample_time_s))
@@ -85,12 +104,19 @@ class Guard:
         self.event: TakenBack | None = None
 
     def judge(self, sample: int, error: FloatArray, correction: FloatArray) -> float:
-        """Take what happened until a sample and return the share of the correction, 0 to 1.
+        """Return the share of the learned correction that may act at a sample.
+
+        To be called once for every sample, in order.
 
         Args:
-            sample: the index, 0, 1, 2, ...
-            error: at that sample, shape (axes,); one that is not finite counts as the worst.
-            correction: how far the reference sent last was from the path, shape (axes,).
+            sample: Index of the sample, from 0.
+            error: Tracking error at that sample, shape (axes,), in the axes' units. An error that
+                is not finite withdraws the prior.
+            correction: Last reference sent minus the path at that sample, shape (axes,), in the
+                axes' units.
+
+        Returns:
+            The share, from 0 to 1.
         """
         square = float(error @ error)
         if self.event is None:
@@ -100,24 +126,27 @@ class Guard:
             self.event = self._verdict(sample, square, correction)
         if self.event is None:
             return 1.0
+        # A raised cosine from 1 to 0 over the hand-over, so that the reference does not jump.
         progress = (sample - self.event.sample + 1) / self._hand_over
         return 0.5 + 0.5 * math.cos(math.pi * min(1.0, progress))
 
     def _pull(self, correction: FloatArray) -> float:
-        """Return the squared acceleration of the correction.
+        """Return the squared acceleration of the correction, in unit²/s⁴.
 
-        It is cut at twice the bound's: a single kink, as at a corner of a path, is no oscillation.
+        The acceleration, a second difference quotient, is clipped at twice its bound: a single kink
+        such as a corner of the path causes is no oscillation.
         """
         self._corrections = np.concatenate([self._corrections[1:], correction[np.newaxis]])
         second = np.diff(self._corrections, 2, axis=0)[0] / self._sample_time_s**2
         return min(float(second @ second), (2 * self._acceleration_max) ** 2)
 
     def _return_cost(self, sample: int, correction: FloatArray) -> float:
-        """Return by how much the way back from a correction would exceed the baseline's square.
+        """Return how much squared error, beyond the baseline's, removing a correction would add.
 
-        On the way it shrinks at its largest speed v; where the baseline needs n, a correction s
-        leaves |s − n|² instead of |n|². The sum of |s|² − 2 s·n over the way is
-        (|c|³/3 − |c| c·n)/v: nothing for a correction of up to three times what is needed.
+        The correction c shrinks in a straight line to zero at its largest speed v, here in unit per
+        sample. Where the baseline would need n, a correction s leaves the squared error |s − n|²
+        instead of |n|². The difference |s|² − 2 s·n summed over the samples of the removal is about
+        (|c|³/3 − |c| c·n)/v, which is nothing for a correction of up to three times the one needed.
         """
         size = float(np.linalg.norm(correction))
         along = float(correction @ self._needed[sample])

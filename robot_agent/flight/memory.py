@@ -1,7 +1,7 @@
-"""What a robot keeps of what was learned: its experiences, the prior it was given, its baseline.
+"""A robot's learned models on disk: its own experiences, its prior and its baseline models.
 
-In a folder of its own, so that it survives the agent's restart; every file is replaced as a whole
-and begins with the sha256 of what follows, so that no damage goes unnoticed.
+They lie in a folder of the robot's own, so that they survive a restart of its agent. Every file is
+replaced as a whole and begins with the sha256 of its content, so that no damage goes unnoticed.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _BASELINE_MODELS: TypeAdapter[dict[Name, BaselineModel]] = TypeAdapter(dict[Name
 
 
 class MemoryFolderError(NufleetError):
-    """What a robot learned cannot be stored, or what is stored is not what was stored."""
+    """A robot's learned models cannot be stored, or a stored file is damaged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,22 +45,33 @@ class Kept:
     """A stored experience: its file, and the model in it."""
 
     sha256: str
+    """Digest of `payload`, in hexadecimal."""
+
     payload: bytes
+    """Content of the experience's file."""
+
     manifest: ExperienceManifest
+    """Description of the experience, from the file."""
+
     inverse: NetworkInverse
+    """Inverse model of the experience, ready to be evaluated."""
 
 
 class Memory:
-    """One robot's memory; usable from many threads.
+    """The learned models of one robot; usable from many threads.
 
     The robot offers one experience of its own for each architecture, and flies with one prior.
     """
 
     def __init__(self, folder: Path | None) -> None:
-        """Read what is there; without a folder nothing survives the process.
+        """Read the files that are there.
+
+        Args:
+            folder: Folder of the robot, created if missing; None keeps everything in memory only,
+                so that nothing survives the process.
 
         Raises:
-            MemoryFolderError: a file is damaged, or the folder cannot be made.
+            MemoryFolderError: A file is damaged, or the folder cannot be made.
         """
         self._folder = folder
         self._lock = threading.Lock()
@@ -75,43 +86,59 @@ class Memory:
 
     @property
     def experiences(self) -> tuple[Kept, ...]:
-        """The robot's own experiences."""
+        """Experiences learned on this robot, at most one per architecture."""
         with self._lock:
             return tuple(self._kept[name] for name in _ARCHITECTURES if name in self._kept)
 
     @property
     def prior(self) -> Kept | None:
-        """The experience that was transferred to the robot."""
+        """Experience that was transferred to the robot; None without one."""
         with self._lock:
             return self._kept.get(PRIOR)
 
     @property
     def baseline(self) -> Mapping[str, BaselineModel]:
-        """What the baseline of each axis does, by the axis's name; empty before it was flown."""
+        """Baseline model of each axis, by the axis's name; empty before a rich flight."""
         with self._lock:
             return self._baseline
 
     def find(self, sha256: str) -> Kept | None:
-        """Return the experience or prior with that digest."""
+        """Return the experience or prior with that digest; None when there is none."""
         with self._lock:
             return next((kept for kept in self._kept.values() if kept.sha256 == sha256), None)
 
     def keep_experience(self, payload: bytes, sha256: str) -> Kept:
-        """Store an experience of the robot's own, in the place of the one of its architecture.
+        """Store an experience learned on this robot, replacing the one of the same architecture.
+
+        Args:
+            payload: Content of the experience's file.
+            sha256: Digest of the payload, in hexadecimal.
+
+        Returns:
+            The experience as it was stored.
 
         Raises:
-            MalformedMessageError: it is not an experience with that digest.
-            MemoryFolderError: it cannot be stored.
+            MalformedMessageError: The payload is not an experience with that digest.
+            MemoryFolderError: The experience cannot be stored.
         """
         kept = _checked(payload, sha256)
         return self._keep(kept.manifest.layout.architecture, kept)
 
     def keep_prior(self, payload: bytes, sha256: str) -> Kept:
-        """Store the prior that the robot flies with; raises as `keep_experience` does."""
+        """Store the prior that the robot flies with; same arguments as `keep_experience`.
+
+        Raises:
+            MalformedMessageError: The payload is not an experience with that digest.
+            MemoryFolderError: The prior cannot be stored.
+        """
         return self._keep(PRIOR, _checked(payload, sha256))
 
     def forget_prior(self) -> None:
-        """Fly without a prior from now on."""
+        """Remove the prior; the robot flies without one from now on.
+
+        Raises:
+            MemoryFolderError: The stored prior cannot be removed.
+        """
         with self._lock:
             if self._folder is not None:
                 try:
@@ -124,7 +151,11 @@ class Memory:
             self._kept.pop(PRIOR, None)
 
     def keep_baseline(self, models: Mapping[str, BaselineModel]) -> None:
-        """Store what the baseline of each axis does."""
+        """Store the baseline model of each axis, by the axis's name.
+
+        Raises:
+            MemoryFolderError: The models cannot be stored.
+        """
         with self._lock:
             self._write(_BASELINE, _BASELINE_MODELS.dump_json(dict(models)))
             self._baseline = dict(models)
@@ -169,7 +200,7 @@ class Memory:
 
 
 def _stored(path: Path, bytes_max: int, remedy: str) -> bytes | None:
-    """Return what a file was written with; None if it is not there."""
+    """Return the content of a file without its checksum; None if the file does not exist."""
     try:
         with path.open("rb") as file:
             stored = file.read(_SHA256_BYTES + bytes_max + 1)

@@ -1,4 +1,8 @@
-"""The target's online Gaussian process: what the prior inverse model leaves, learned in flight."""
+"""The target's online Gaussian process: learns in flight what the prior inverse model leaves.
+
+Implements the target's inverse model of the paper (Section III, the GP posterior with the source
+robot's inverse dynamics as its prior mean).
+"""
 
 from __future__ import annotations
 
@@ -14,51 +18,66 @@ from nufleet.shared.gaussian_process.exact import Bounds, FitStatus, Hyperparame
 from nufleet.shared.gaussian_process.online import OnlineFit
 
 WINDOW_POINTS = 50
-"""The latest pairs that the process is fitted to (paper, Section VI-C)."""
+"""Number of latest pairs that the process is fitted to (paper, Section VI-C)."""
 
 START = Hyperparameters(signal_variance=0.1, lengthscale=0.5, noise_variance=0.002)
-"""Where the search for the hyperparameters starts (paper, Section VI-C)."""
+"""Hyperparameters from which the first fit starts (paper, Section VI-C)."""
 
 BOUNDS = Bounds(signal_variance=(1e-4, 1.0), lengthscale=(0.5, 100.0), noise_variance=(2e-4, 1.0))
-"""Where it may end. The inputs lie along one piece of path, so the likelihood says little of what
-is across it; with much less noise or shorter lengthscales the process invents steep feedback there
-and teaches itself its own oscillation."""
+"""Bounds on the fitted hyperparameters.
+
+The inputs lie along one piece of path, so the likelihood says little about the directions across
+it. With much less noise or shorter lengthscales the process would invent steep feedback there, and
+learn from the oscillation that it causes itself."""
 
 
 class Outcome(IntEnum):
-    """What became of the process of one axis at one sample."""
+    """Outcome of one axis's process at one sample."""
 
     PRIOR = 0
-    """There are no pairs yet: the prior alone."""
+    """There are no pairs yet; γ is the prior's alone."""
     FITTED = 1
     """The window was fitted."""
     FIT_FAILED = 2
-    """No jitter made the window's covariance positive definite: the prior alone."""
+    """No jitter made the window's covariance positive definite; γ is the prior's alone."""
     NOT_FINITE = 3
-    """The inputs, or what the prior makes of them, are not finite: γ = 0."""
+    """The inputs, or the prior's value at them, are not finite; γ = 0."""
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """γ of every axis, `prior` + `mean`, with the variance of `mean`; all of shape (axes,)."""
+    """The output of the inverse model at one sample: γ = `prior` + `mean` for every axis.
+
+    γ is a speed, in unit/s; see `InverseLayout`.
+    """
 
     prior: FloatArray
+    """Value of the prior inverse model, shape (axes,), in unit/s."""
+
     mean: FloatArray
+    """Posterior mean of the process over what the prior leaves, shape (axes,), in unit/s."""
+
     variance: FloatArray
+    """Posterior variance of the process, shape (axes,), in unit²/s²."""
+
     outcomes: tuple[Outcome, ...]
+    """Outcome of every axis's process."""
 
     @property
     def gamma(self) -> FloatArray:
-        """The inverse model's output, shape (axes,)."""
+        """Output γ of the inverse model, shape (axes,), in unit/s."""
         return np.asarray(self.prior + self.mean)
 
 
 class OnlineGp:
     """One process per axis over the residuals γ − prior(ξ), refitted for every answer.
 
-    Nothing that a sensor measures makes it raise: a pair that is not finite is dropped and counted
-    in `dropped`, repeated points are told apart by the noise variance, which is bounded from below,
-    and for the rest see `Outcome`.
+    Its mean is the second term of f_T(ξ*) = f_S(ξ*) + kᵀ(ξ*) (K + σ_n² I)⁻¹ (γ − f_S) in Section III
+    of the paper, where f_S is the prior.
+
+    No measurement makes it raise. A pair that is not finite is dropped and counted in `dropped`;
+    repeated points leave the covariance invertible because the noise variance is bounded from
+    below; `Outcome` names the remaining cases.
     """
 
     def __init__(
@@ -70,7 +89,15 @@ class OnlineGp:
         start: Hyperparameters = START,
         bounds: Bounds = BOUNDS,
     ) -> None:
-        """Prepare for one prior per axis, None for a zero prior; a window of 0 learns nothing."""
+        """Prepare for one flight.
+
+        Args:
+            layout: Inputs and output of the inverse model.
+            priors: Prior inverse model of each axis; None for a zero prior.
+            window: Number of latest pairs to fit; 0 learns nothing.
+            start: Hyperparameters from which the first fit starts.
+            bounds: Bounds on the fitted hyperparameters.
+        """
         self._layout, self._priors, self._window = layout, priors, window
         dimension = layout.gp_inputs(np.zeros((1, len(layout.input_names)))).shape[1]
         self._fits = [
@@ -87,11 +114,17 @@ class OnlineGp:
 
     @property
     def hyperparameters(self) -> tuple[Hyperparameters, ...]:
-        """What each axis was last fitted with; none for a window of 0."""
+        """Hyperparameters of the latest fit of each axis; empty for a window of 0."""
         return tuple(fit.hyperparameters for fit in self._fits)
 
     def learn(self, axis: int, inputs: FloatArray, gamma: float) -> None:
-        """Take the pair that has become available on an axis; `inputs` of shape (inputs,)."""
+        """Add a pair to an axis's window, from which the oldest pair drops out when it is full.
+
+        Args:
+            axis: Index of the axis.
+            inputs: Inputs ξ of the inverse model, shape (inputs,), in the layout's order.
+            gamma: Output γ that belongs to them, in unit/s.
+        """
         if not self._window:
             return
         row = inputs[np.newaxis]
@@ -106,9 +139,13 @@ class OnlineGp:
         self._residuals[axis] = np.concatenate([self._residuals[axis][keep:], [[residual]]])
 
     def correct(self, inputs: FloatArray) -> Correction:
-        """Refit every axis and return γ at the inputs, shape (axes, inputs).
+        """Refit every axis and return γ at the inputs.
 
-        The mean takes effect over the layout's `gp_ease_samples`, so call it once per sample.
+        A new mean takes effect gradually, over the layout's `gp_ease_samples`, so this is to be
+        called exactly once per sample.
+
+        Args:
+            inputs: Inputs ξ of every axis, shape (axes, inputs), in the layout's order.
         """
         axes = len(self._priors)
         prior, mean, variance = np.zeros(axes), np.zeros(axes), np.full(axes, self._start_variance)
@@ -124,6 +161,8 @@ class OnlineGp:
             if outcomes[-1] is Outcome.FITTED:
                 means, variances = self._fits[axis].predict(self._layout.gp_inputs(row))
                 mean[axis], variance[axis] = means[0, 0], variances[0, 0]
+        # First-order low-pass, m(k) = m(k − 1) + (mean − m(k − 1)) / (1 + n) with n the layout's
+        # `gp_ease_samples`: a mean that jumped from refit to refit would excite the robot.
         self._eased += self._ease * (mean - self._eased)
         return Correction(prior, self._eased.copy(), variance, tuple(outcomes))
 

@@ -1,4 +1,4 @@
-"""Checks a flight that is asked for against the robot's limits and memory, before it moves."""
+"""Checks a requested flight against the robot's limits and memory before anything moves."""
 
 from __future__ import annotations
 
@@ -24,20 +24,24 @@ def plan_flight(
     *,
     allow_unguarded: bool = False,
 ) -> FlightPlan:
-    """Say how long a flight takes, or refuse it.
+    """Plan a flight, or refuse it.
 
     Args:
-        motion: the request.
-        spec: the robot's description.
-        state_names: what the robot's `observe` measures.
-        memory: its prior and its baseline.
-        robot: its name, for the error.
-        allow_unguarded: whether it may fly with a learned inverse and no guard.
+        motion: Flight requested.
+        spec: Description of the robot.
+        state_names: Names of the states that the robot's `observe` measures.
+        memory: Memory of the robot, with its prior and its baseline model.
+        robot: Name of the robot, for the error.
+        allow_unguarded: Whether the robot may fly with a learned inverse and without a guard.
+
+    Returns:
+        The length of the flight in samples, and its duration in seconds, which also covers the
+        approach to the path's start and settling.
 
     Raises:
-        RefusedError: with code `unknown-axis`, `no-tracking`, `trajectory`, `duration`, `layout`,
-            `baseline`, `no-prior`, `other-prior`, `misfit`, `unguarded`
-            or `no-baseline`.
+        RefusedError: The robot cannot or may not fly it; the code is `unknown-axis`, `no-tracking`,
+            `trajectory`, `duration`, `layout`, `baseline`, `no-prior`, `other-prior`, `misfit`,
+            `unguarded` or `no-baseline`.
     """
     match motion:
         case StepTest(axis=axis):
@@ -109,7 +113,7 @@ def _check_inverse(
             reason = f"its prior is another one, of {prior.manifest.robot}; transfer it again"
             raise RefusedError("other-prior", reason, robot)
         for axis in prior.manifest.axes:
-            # It fitted when it was installed; the robot may have been configured anew since.
+            # The prior fitted when it was installed, but the robot's settings may have changed.
             changed = misfit(prior.manifest, spec, state_names, axis)
             if changed is not None:
                 reason = f"its prior does not fit it any more: {changed}; transfer another"

@@ -1,4 +1,4 @@
-"""Whether what a prior answers on the paths that a robot flies is anything that it could follow."""
+"""Checks that a prior's output on the paths a robot may fly is one that the robot could follow."""
 
 from __future__ import annotations
 
@@ -11,32 +11,44 @@ from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.robots.spec import RobotSpec, TrackingLimits
 
 BOUND_RATIO = 10.0
-"""A prior's γ is at most so many times what a correction within its bounds comes to."""
+"""Largest |γ| of a prior, as a multiple of the γ of a correction within its bounds."""
 
 _ROWS_MAX = 2000
 _DURATION_S = 60.0
 
 
 def gamma_max(layout: InverseLayout, limits: TrackingLimits) -> float:
-    """Return the largest |γ| that a prior may answer with, in unit/s.
+    """Return the largest |γ| that a prior may output.
 
-    γ is a speed of the reference, or a correction over the horizon; both are bounded in flight.
+    γ is a speed of the reference, or a correction divided by the horizon. Both are bounded in
+    flight, so the bound is `BOUND_RATIO` max(v + v_c, c / (hT)) with the largest speed v of a path,
+    the largest speed v_c and size c of a correction, and the horizon hT.
+
+    Args:
+        layout: Inputs and output of the prior.
+        limits: Tracking limits of the robot.
+
+    Returns:
+        The bound, in unit/s.
     """
     speed = limits.speed_max + limits.correction_speed_max
     return BOUND_RATIO * max(speed, limits.correction_max / layout.horizon_s)
 
 
 def out_of_bounds(inverse: InverseModel, layout: InverseLayout, spec: RobotSpec) -> str | None:
-    """Return why a prior cannot be one for a robot; None when its answers are in bounds.
+    """Return why a model cannot serve as a robot's prior.
 
-    It is asked along paths as fast, as wide and as quickly turning as the robot may fly, followed
-    without an error. In flight every reference is bounded besides, and the guard judges what comes
-    of it; this keeps out what is no inverse at all.
+    The model is evaluated along paths as fast, as wide and as quickly turning as the robot may fly,
+    followed without error. In flight every reference is bounded as well, and the guard judges the
+    result; this check rejects models that are no inverse at all.
 
     Args:
-        inverse: of the prior.
-        layout: of its inputs.
-        spec: of the robot; one that does not track asks no prior anything.
+        inverse: Inverse model of the prior.
+        layout: Inputs and output of that model.
+        spec: Description of the robot; one without tracking limits never uses a prior.
+
+    Returns:
+        The reason for a person to read; None when the outputs are within bounds.
     """
     limits = spec.tracking
     if limits is None:
@@ -60,7 +72,10 @@ def out_of_bounds(inverse: InverseModel, layout: InverseLayout, spec: RobotSpec)
 
 
 def _followed(path: FloatArray, layout: InverseLayout) -> FloatArray:
-    """Return the states of a robot on its path, (samples, states); what else it measures is 0."""
+    """Return the states of a robot that is exactly on a path, shape (samples, states).
+
+    The path has shape (samples,); states other than position and velocity are 0.
+    """
     states = np.zeros((len(path), len(layout.states)))
     states[:, 0] = path
     if "velocity" in layout.states:

@@ -1,4 +1,4 @@
-"""References that show a robot's whole dynamics, under its limits, and its delay."""
+"""Persistently exciting references, which show a robot's dynamics and delay within its limits."""
 
 from __future__ import annotations
 
@@ -15,45 +15,52 @@ from nufleet.shared.errors import RobotError
 from nufleet.shared.paths.trajectories import speeds_and_accelerations
 from nufleet.shared.robots.spec import RobotSpec, TrackingLimits
 
-_PIECE_RAD = 15.0  # of the slowest piece's highest tone; 15 s where that is 1 rad/s
-_FADE_RAD = 2.0
+_PIECE_RAD = 15.0  # length in radians of the slowest piece's highest tone: 15 s at 1 rad/s
+_FADE_RAD = 2.0  # length of the fade at either end of a piece, likewise
 _PIECE_SAMPLES_MIN = 16
-_PIECES_MIN = 4  # one of each band
-_OMEGA_MAX_RAD_S = 6.0  # drawings hold nothing faster
+_PIECES_MIN = 4  # one piece for each part of the band
+_OMEGA_MAX_RAD_S = 6.0  # drawings contain nothing faster
 _TONES = 8
 STEPS_UP_MIN, _STEPS_UP_MAX = 10, 20
-_STEPS_S = 100.0  # more than the fewest steps only as far as they fit into that time
+_STEPS_S = 100.0  # more than `STEPS_UP_MIN` steps are played only if they fit into this time
 
 
 @dataclass(frozen=True, eq=False)
 class FlightRecord:
-    """References (samples, axes) and the states before each acted, (samples, axes, states)."""
+    """The record of one flight."""
 
     references: FloatArray
+    """References sent, shape (samples, axes), in the axes' units."""
+
     states: FloatArray
+    """States measured before each reference acted, shape (samples, axes, states)."""
 
 
 def rich_references(spec: RobotSpec, duration_s: float, rng: np.random.Generator) -> FloatArray:
-    """Return references on every axis, shape (samples, axes), from rest to rest.
+    """Return references that excite every axis, from rest to rest.
 
-    Pieces, each a sum of eight sinusoids with random phases and a part of the robot's band: the
-    slow ones reach the bound on position or speed, the fast ones that on acceleration. A piece
-    lasts 15 s, and longer for a robot whose band ends below 2 rad/s.
+    They consist of pieces, each a sum of eight sinusoids with random phases over a part of the
+    robot's band. Slow pieces reach the limit on position or speed, fast ones the limit on
+    acceleration. A piece lasts 15 s, and longer for a robot whose band ends below 2 rad/s.
 
     Args:
-        spec: of the robot; its band and its tracking limits are kept to.
-        duration_s: how long at least; the baseline's fit may need longer.
-        rng: draws frequencies and phases.
+        spec: Description of the robot, whose band and tracking limits the references keep to.
+        duration_s: Shortest duration in seconds; the fit of the baseline may need longer.
+        rng: Generator of the frequencies, phases and weights.
+
+    Returns:
+        The references, shape (samples, axes), in the axes' units.
 
     Raises:
-        RobotError: the robot does not track.
-        InvalidInputError: the baseline of such a robot cannot be fitted.
+        RobotError: The robot has no tracking limits.
+        InvalidInputError: The baseline of such a robot cannot be fitted.
     """
     limits = spec.tracking
     if limits is None:
         raise RobotError("a robot without tracking limits makes no rich flight")
     top = min(spec.omega_max_rad_s, max(_OMEGA_MAX_RAD_S, 3 * spec.omega_min_rad_s))
-    # A robot that is slower needs as many periods, and softer ends, to stay in its band.
+    # A slower robot needs the same number of periods, hence longer pieces with softer ends, to stay
+    # within its band.
     slow = min(1.0, top / 2)
     piece_s = _PIECE_RAD / slow
     samples = max(_PIECE_SAMPLES_MIN, round(piece_s / spec.sample_time_s))
@@ -76,14 +83,16 @@ def _piece(
     samples: int,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Return a piece of shape (samples, axes) that reaches one of the limits."""
+    """Return a piece, shape (samples, axes), scaled until it reaches one of the limits."""
     lowest_rad_s = max(spec.omega_min_rad_s, 0.3 * min(slow_rad_s, highest_rad_s))
     time_s: FloatArray = np.arange(samples, dtype=np.float64) * spec.sample_time_s
     fade = np.minimum(1.0, np.minimum(time_s, time_s[::-1]) * slow_rad_s / _FADE_RAD)
+    # Smoothstep 10 f³ − 15 f⁴ + 6 f⁵, whose first and second derivatives vanish at both ends: the
+    # pieces join without a jump in speed or acceleration.
     fade = fade**3 * (10 - 15 * fade + 6 * fade**2)
     columns = [fade * _wave(lowest_rad_s, highest_rad_s, time_s, rng) for _ in spec.axes]
     waves = np.stack(columns, axis=1)
-    waves /= np.abs(np.diff(waves, axis=0)).max(axis=0)  # alike in speed
+    waves /= np.abs(np.diff(waves, axis=0)).max(axis=0)  # every axis equally fast
     speeds, accelerations = speeds_and_accelerations(waves, spec.sample_time_s)
     largest = min(
         limits.position_max / np.abs(waves).max(),
@@ -96,6 +105,7 @@ def _piece(
 def _wave(
     lowest_rad_s: float, highest_rad_s: float, time_s: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
+    # Amplitudes fall with 1/ω, so that the tones are about equally fast.
     omegas = rng.uniform(lowest_rad_s, highest_rad_s, _TONES)
     phases = rng.uniform(0, 2 * np.pi, _TONES)
     weights = rng.uniform(0.5, 1.0, _TONES) / omegas
@@ -103,10 +113,17 @@ def _wave(
 
 
 def fly_record(robot: Robot, references: FloatArray) -> FlightRecord:
-    """Play references (samples, axes) step by step and keep every state; the robot ends at rest.
+    """Play references one by one and record every state; the robot ends at rest.
+
+    Args:
+        robot: The robot, connected and at rest.
+        references: References to play, shape (samples, axes), in the axes' units.
+
+    Returns:
+        The record; its states hold the output alone for a robot that observes no states.
 
     Raises:
-        RobotError: the robot failed, or measured a number that is not finite; it may be moving.
+        RobotError: The robot failed or measured a number that is not finite; it may be moving.
     """
     states = np.empty((*references.shape, max(1, len(robot.state_names))))
     for k, reference in enumerate(references):
@@ -120,12 +137,21 @@ def fly_record(robot: Robot, references: FloatArray) -> FlightRecord:
 
 
 def step_references(spec: RobotSpec, column: int) -> FloatArray:
-    """Return steps up and down on one axis, shape (samples, axes), from rest to rest.
+    """Return steps up and down on one axis, from rest to rest.
 
-    Ten to twenty of each, half of them followed by one the same way and half by one back: what is
-    left of one step then leaves no trace in the mean of the next. A step accelerates half of the
-    way and brakes the other half, as hard as the axis's limits allow; noise hides the answer to
-    smaller ones. Like every amplitude that a robot chooses itself it leaves a margin to the limits.
+    There are ten to twenty steps in each direction. Half of them are followed by a step in the same
+    direction and half by one in the opposite direction, so that the remainder of one step cancels
+    in the mean over the next ones. A step accelerates over the first half of its way and brakes
+    over the second, as hard as the axis's limits allow, because noise would hide the answer to a
+    smaller step. Like every amplitude that a robot chooses itself, it keeps the margin `HEADROOM`
+    to the limits.
+
+    Args:
+        spec: Description of the robot.
+        column: Index of the axis that steps; the other axes stay at 0.
+
+    Returns:
+        The references, shape (samples, axes), in the axes' units.
     """
     axis, step_s = spec.axes[column], spec.sample_time_s
     settle_s = max(spec.settling_time_s, 0.5)
@@ -133,9 +159,11 @@ def step_references(spec: RobotSpec, column: int) -> FloatArray:
     amplitude, velocity, acceleration = (
         HEADROOM * most for most in (axis.amplitude_max, axis.velocity_max, axis.acceleration_max)
     )
+    # Accelerating at a for the time t and braking as long reaches the speed a t and covers a t²,
+    # which the limits on velocity and amplitude bound.
     longest_s = min(settle_s / 4, velocity / acceleration, math.sqrt(amplitude / acceleration))
     half = max(1, math.floor(longest_s / step_s))
-    # Even a single sample of the largest acceleration may be beyond the other limits.
+    # One sample at the largest acceleration may already exceed the other limits.
     acceleration = min(acceleration, velocity / (half * step_s), amplitude / (half * step_s) ** 2)
     velocities = acceleration * step_s * np.cumsum(np.repeat([1.0, -1.0], half))
     rise = np.pad(np.cumsum(velocities) * step_s, (0, hold), mode="edge")

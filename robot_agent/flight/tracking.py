@@ -1,4 +1,8 @@
-"""The control loop: a robot follows a path, by its baseline alone or with an inverse before it."""
+"""The control loop that makes a robot follow a path.
+
+The robot flies with its baseline controller alone, or with an inverse model in front of it that
+adjusts the reference (paper, Fig. 2: the block diagram of the inverse learning approach).
+"""
 
 from __future__ import annotations
 
@@ -22,54 +26,79 @@ from nufleet.shared.robots.spec import RobotSpec, TrackingLimits
 from nufleet.shared.wire.motions import TakenBack
 
 STOPPED = "stopped"
-"""Why a path was not finished when somebody asked for its end."""
+"""Value of `TrackingRecord.failure` for a flight that was ended on request."""
 
 
 PAIR_SPACING_S = 0.12
-"""The online process learns from pairs so far apart. A window of fifty then holds six seconds of
-path, so that it sees the dynamics from several sides; fifty neighbours all say the same, and what a
-process makes of those is steep feedback across the path."""
+"""Time between the pairs that the online process learns from.
+
+A window of fifty pairs then covers six seconds of path and shows the dynamics in several states.
+Fifty neighbouring samples would all say the same, and a process fitted to those produces steep
+feedback across the path."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrackingRecord:
-    """One flight along a path; arrays have one row per sample played, (samples, axes).
-
-    `prior`, `mean` and `variance` are of γ, see `InverseLayout`; zero for the baseline alone.
-    `share` (samples,) is how much of the correction acted. `limited` (samples,) marks references
-    that were held back to their bounds. `step_time_s` (samples,) is what choosing each reference
-    took, the robot not included. `failure` is why the path was not finished; None when it was.
-    """
+    """The record of one flight along a path, with one row per sample played."""
 
     sample_time_s: float
+    """Sample time in seconds."""
+
     desired: FloatArray
+    """Path y_d, shape (samples, axes), in the axes' units."""
+
     reference: FloatArray
+    """References y_r sent, shape (samples, axes), in the axes' units."""
+
     actual: FloatArray
+    """Outputs y_a measured, shape (samples, axes), in the axes' units."""
+
     prior: FloatArray
+    """The prior's part of γ (see `InverseLayout`), shape (samples, axes), in unit/s; zero for the
+    baseline alone, like `mean` and `variance`."""
+
     mean: FloatArray
+    """The online process's part of γ, shape (samples, axes), in unit/s."""
+
     variance: FloatArray
+    """Variance of `mean`, shape (samples, axes), in unit²/s²."""
+
     share: FloatArray
+    """Share of the correction that the guard let act, shape (samples,), from 0 to 1."""
+
     limited: np.ndarray
+    """True where the correction was cut to its bounds, shape (samples,)."""
+
     step_time_s: FloatArray
+    """Time that choosing each reference took, the robot not included, shape (samples,)."""
+
     dropped_pairs: int
+    """Number of training pairs dropped because they were not finite."""
+
     taken_back: TakenBack | None
+    """When and why the guard withdrew the prior; None when it did not, or without a guard."""
+
     failure: str | None
+    """Why the path was not finished; None when it was."""
 
     @property
     def rms_error(self) -> float:
-        """The root mean square of the distance to the path; infinite if it was not finished."""
+        """Root mean square of the distance to the path, in the axes' unit; infinite if unfinished.
+
+        It is sqrt(mean_k |y_a(k) − y_d(k)|²).
+        """
         if self.failure is not None:
             return math.inf
         return float(np.sqrt(np.mean(np.sum((self.actual - self.desired) ** 2, axis=1))))
 
     @property
     def deadline_misses(self) -> int:
-        """How many references took longer to choose than a sample lasts."""
+        """Number of references that took longer to choose than a sample lasts."""
         return int((self.step_time_s > self.sample_time_s).sum())
 
 
 class Watch(Protocol):
-    """Is told of every sample as it is played, for a live view."""
+    """Callback that receives every sample as it is played, for a live view."""
 
     def __call__(
         self,
@@ -79,16 +108,29 @@ class Watch(Protocol):
         correction: Correction | None,
         share: float,
     ) -> None:
-        """Must return quickly: it is called in the control loop."""
+        """Take one sample; must return quickly, since it is called in the control loop.
+
+        Args:
+            sample: Index of the sample, from 0.
+            desired: Path at that sample, shape (axes,), in the axes' units.
+            actual: Output measured at that sample, shape (axes,), in the axes' units.
+            correction: Output of the inverse model; None for the baseline alone.
+            share: Share of the correction that may act, from 0 to 1.
+        """
 
 
 @dataclass(frozen=True)
 class Learner:
-    """An inverse in front of the robot: its layout and the online process, new for each flight."""
+    """An inverse model in front of the robot."""
 
     layout: InverseLayout
+    """Inputs and output of the inverse model."""
+
     process: OnlineGp
+    """Online process on top of the prior, new for each flight."""
+
     pair_spacing_s: float = PAIR_SPACING_S
+    """Time between the pairs that the process learns from, in seconds."""
 
 
 def track(
@@ -104,21 +146,25 @@ def track(
     """Fly a path, from rest to rest.
 
     The robot first goes to the path's start and settles there with its baseline alone. It ends at
-    rest at its origin unless it failed. Corrections of the path are held to `correction_max` and
-    `correction_speed_max`; samples where that happened are marked.
+    rest at its origin unless it failed. Corrections of the path are limited to `correction_max` and
+    `correction_speed_max`; the record marks the samples where a limit acted.
 
     Args:
-        robot: connected and at rest.
-        desired: the path, shape (samples, axes).
-        limits: checked before anything moves.
-        learner: None for the baseline alone.
-        guard: judges a learner; None lets it do as it likes.
-        watch: sees every sample.
-        stopped: is asked before every sample; True ends the flight.
+        robot: The robot, connected and at rest.
+        desired: Path, shape (samples, axes), in the axes' units.
+        limits: Tracking limits of the robot; the path is checked against them before it moves.
+        learner: Inverse model in front of the robot; None for the baseline alone.
+        guard: Guard that limits the learner's share; None lets the whole correction act.
+        watch: Callback that receives every sample.
+        stopped: Function called before every sample; the flight ends when it returns True.
+
+    Returns:
+        The record of the samples played, also of a flight that failed on the path.
 
     Raises:
-        InvalidInputError: the path breaks a limit, or is for another number of axes.
-        RobotError: the robot failed before the path began.
+        InvalidInputError: The path breaks a limit or has another number of axes, the robot lacks a
+            state that the learner needs, or a guard was given without a learner.
+        RobotError: The robot failed before the path began.
     """
     spec = robot.spec
     if desired.ndim != 2 or desired.shape[1] != len(spec.axes):
@@ -148,9 +194,15 @@ def track(
 
 
 def approach(spec: RobotSpec, start: FloatArray, limits: TrackingLimits) -> FloatArray:
-    """Return the references that lead from the origin to the start and let the robot settle.
+    """Return the references that lead from the origin to a path's start and let the robot settle.
 
-    Shape (samples, axes); `start` has shape (axes,).
+    Args:
+        spec: Description of the robot.
+        start: First point of the path, shape (axes,), in the axes' units.
+        limits: Tracking limits of the robot; the approach uses half of the speed and acceleration.
+
+    Returns:
+        The references, shape (samples, axes), in the axes' units.
     """
     settle = np.tile(start, (max(1, math.ceil(spec.settling_time_s / spec.sample_time_s)), 1))
     if not start.any():
@@ -161,7 +213,11 @@ def approach(spec: RobotSpec, start: FloatArray, limits: TrackingLimits) -> Floa
 
 
 class _Flight:
-    """The state of one flight."""
+    """The state of one flight.
+
+    Rows of `_reference` and `_states` are shifted by `_span` samples at rest before the path, so
+    that the first training pair and query need no special case.
+    """
 
     def __init__(
         self,
@@ -187,7 +243,7 @@ class _Flight:
             self._learn_every = max(1, spacing)
         self._path = np.pad(desired, ((self._back, self._ahead + 1), (0, 0)), mode="edge")
         self._velocity = np.gradient(self._path, robot.spec.sample_time_s, axis=0)
-        # Before the first sample the robot rested at the path's start.
+        # Before the first sample of the path, the robot rested at the path's start.
         self._reference = np.concatenate(
             [np.tile(desired[0], (self._span, 1)), np.zeros((samples, axes))]
         )
@@ -252,14 +308,19 @@ class _Flight:
         return correction, self._bounded(k, wished, previous)
 
     def _bounded(self, k: int, wished: FloatArray, previous: FloatArray) -> FloatArray:
-        """Return the reference that may be sent: the guard's share of it, within its bounds."""
+        """Return the reference that may be sent, shape (axes,).
+
+        It is the path plus the correction: clipped to `correction_max`, multiplied by the guard's
+        share, and limited to a change of `correction_speed_max` per second from the last one.
+        """
         wanted, limits = self._desired[k], self._limits
         before = previous - self._desired[max(0, k - 1)]
         step = limits.correction_speed_max * self._robot.spec.sample_time_s
         near = np.clip(wished - wanted, -limits.correction_max, limits.correction_max)
         if self._share[k] < 1.0 and self._fading is None:
             self._fading = before
-        # Once taken back, what acted then fades, whatever the model goes on to wish.
+        # Once the prior is withdrawn, the last applied correction fades out; the model's later
+        # output is ignored.
         shared = self._share[k] * (near if self._fading is None else self._fading)
         held = np.clip(shared, before - step, before + step)
         self._limited[k] = bool((near != wished - wanted).any() or (held != shared).any())

@@ -252,8 +252,8 @@ class _AxisMonitor:
     def _implausible(self, reference: float, output: float) -> str | None:
         good = self._good
         # An output that is off stays bad however long it lasts, unless it moved there within the
-        # limits: compared with the last good output, it may have moved by one plausible step and
-        # by the axis's own speed for as long as samples have been bad or lost.
+        # limits: compared with the last good output, it may have moved by one plausible step, and
+        # at the axis's speed limit for as long as samples have been bad or lost (`LOST_MAX_S`).
         leapt = abs(output - good) > self._leap + self._since * self._moved
         far = self._flight and self._far(reference, output)
         self._bad = self._bad + 1.0 if leapt or far else max(0.0, self._bad - GOOD_SAMPLE)
