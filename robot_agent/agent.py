@@ -1,7 +1,8 @@
 """The agent beside one robot: joins the robot to its fleet and keeps it safe.
 
-Zenoh's threads hand requests to the endpoint's worker, which asks the decisions; the motion worker
-alone moves the robot; the heartbeat publishes what it does. A stop acts where it arrives.
+Zenoh's threads hand requests to the endpoint's worker, which asks `Decisions`. The motion worker
+alone moves the robot, and the heartbeat publishes its state. A stop takes effect on the thread on
+which it arrives.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ from nufleet.shared.wire.messages import (
 from nufleet.shared.wire.transport import MAX_STATE_BYTES, Session
 
 OWNER_PATIENCE_S = 1.0
-"""How long a goal waits for news of its owner's liveliness token, which may be on its way."""
+"""Time that a goal waits for its owner's liveliness token, which may arrive after the goal."""
 
 _log = logging.getLogger(__name__)
 
@@ -74,19 +75,21 @@ class Agent:
         state_folder: Path | None = None,
         allow_unguarded: bool = False,
     ) -> None:
-        """Prepare; nothing happens before the context is entered.
+        """Prepare the agent; nothing is connected before the context is entered.
 
         Args:
-            session: of this robot alone, so that one that is cut off takes no other with it.
-            keys: of the robot's fleet.
-            name: the robot's.
-            robot: disconnected.
-            realtime: plays a simulated robot at this multiple of real time; None as fast as it can.
-            state_folder: where this robot's agents keep what has to survive them; None nowhere.
-            allow_unguarded: whether it flies with a learned inverse and no guard when asked to.
+            session: Session for this robot alone, so that losing it affects no other robot.
+            keys: Keys of the robot's fleet.
+            name: Name of the robot.
+            robot: The robot's driver, disconnected.
+            realtime: Multiple of real time at which a simulated robot plays; None for as fast as it
+                can.
+            state_folder: Folder for the state that has to survive this agent (journal and learned
+                models); None to keep nothing.
+            allow_unguarded: Whether the robot may fly with a learned inverse and without a guard.
 
         Raises:
-            MemoryFolderError: what is kept there is damaged.
+            MemoryFolderError: A learned model in the state folder is damaged.
         """
         self._session = session
         self._keys = keys
@@ -104,14 +107,16 @@ class Agent:
         self._open = ExitStack()
 
     def __enter__(self) -> Agent:
-        """Connect the robot and serve it; raises what the robot raises, with nothing left open.
+        """Connect the robot and serve it; nothing stays open if this raises.
 
         Raises:
-            JournalInUseError: another agent serves this robot from the same state folder.
-            JournalError: what was to be remembered cannot be read.
+            JournalInUseError: Another agent serves this robot from the same state folder.
+            JournalError: The robot's journal cannot be read or written.
+            RobotError: The robot cannot be connected.
         """
         with ExitStack() as opened:
-            # First: two agents of one robot must be noticed before both reach for it.
+            # The journal comes first: its lock reveals a second agent before both reach for the
+            # robot.
             self._remember(opened)
             opened.callback(self._robot.let_go)
             self._robot.connect()
@@ -129,17 +134,20 @@ class Agent:
 
     @property
     def name(self) -> str:
-        """The robot's."""
+        """Name of the robot that this agent serves."""
         return self._name
 
     def halt(self) -> None:
-        """End the motion in progress and take no other; returns at once."""
+        """End the motion in progress and accept no other; returns at once."""
         self._decisions.shut_down()
 
     def close(self) -> None:
         """End the motion in progress, leave the robot at rest, and stop serving.
 
-        Twice does nothing more. Raises RobotError when the robot cannot be left at rest.
+        A second call does nothing.
+
+        Raises:
+            RobotError: The robot cannot be left at rest.
         """
         self._open.close()
 
@@ -163,7 +171,7 @@ class Agent:
         self._experiences = ExperienceService(self._name, robot, memory, change)
 
     def _join(self, opened: ExitStack) -> None:
-        """Open everything in the order in which it is needed; it is closed in the opposite one."""
+        """Open all services in the order of their dependencies; they close in reverse order."""
         session, keys, name, decisions = self._session, self._keys, self._name, self._decisions
         heard = self._rivals.heard
         state_key = keys.robot(name, "state")
@@ -214,17 +222,20 @@ class Agent:
         )
         opened.callback(endpoint.close)
         opened.callback(decisions.shut_down)
-        # Last: from now on it can serve.
+        # The liveliness token comes last, since it announces that the agent can serve.
         opened.callback(session.declare_alive(keys.robot(name, "alive")).withdraw)
 
     def _state(self) -> RobotState:
-        """What the heartbeat publishes; it beats regularly, so it looks after the robot too."""
+        """Return the state that the heartbeat publishes.
+
+        Since this is called regularly, it also records that the process runs and checks the driver.
+        """
         self._freezes.beat(time.monotonic())
         for look in self._looks:
             look()
         return self._decisions.state()
 
-    # Zenoh's threads: hand on and return.
+    # Called on Zenoh's threads: pass the event on and return.
 
     def _on_orchestrator(self, key: str, alive: bool) -> None:
         owner = self._keys.orchestrator_of(key)
@@ -235,7 +246,7 @@ class Agent:
         else:
             self._decisions.owner_lost(owner)
 
-    # The endpoint's worker.
+    # Called on the endpoint's worker.
 
     def _describe(self, payload: bytes) -> Answer:
         _decoded(payload, DescribeRequest)
@@ -266,10 +277,10 @@ class Agent:
         return answer
 
     def _await_owner(self, owner: str) -> None:
-        """Wait for the token of an owner whose goal came first; only if the network knows of it.
+        """Wait for the token of an owner whose goal arrived first, if the network knows the token.
 
-        What the watch has not seen appear it would not see disappear either, so knowing that the
-        token is there is not enough to begin a motion.
+        Knowing that the token exists is not enough to begin a motion: the subscription that has not
+        reported the token's appearance would not report its disappearance either.
         """
         if self._decisions.wait_for_owner(owner, timeout_s=0.0):
             return

@@ -79,7 +79,8 @@ def agent(
     needed = needed_environment(fleet, [r for r in robots if r in fleet.robots] or fleet.robots)
     missing = {name: value for name, value in needed.items() if os.environ.get(name) != value}
     if missing:
-        # Some simulators read it while they are imported, so this process begins once more.
+        # Some simulators read these variables while they are imported, so this process starts over
+        # with the variables set.
         os.execve(sys.executable, sys.orig_argv, {**os.environ, **missing})
 
     from nufleet.robot_agent.serve import serve

@@ -1,8 +1,8 @@
-"""What an agent decides about its robot: the pure machines, the owners and the results together.
+"""An agent's decisions about its robot: combines the pure machines, the owners and the results.
 
-Called from many threads; one lock is held for moments only, so that a stop never waits. What has to
-survive the process is in the journal before anybody is told of it; the disk is waited for without
-that lock.
+Its methods are called from many threads. One lock protects the state and is held for moments only,
+so that a stop never waits. A fact that has to survive the process is in the journal before it is
+confirmed to a sender; waiting for the disk happens without that lock.
 """
 
 from __future__ import annotations
@@ -37,16 +37,26 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Assignment:
-    """An accepted goal that is to be played, and the switch that ends it early."""
+    """An accepted goal that is to be played."""
 
     goal: Goal
+    """The goal."""
+
     motion: Motion
+    """Motion that the goal requests."""
+
     plan: MotionPlan
+    """Plan of the motion within the robot's limits."""
+
     switch: HaltSwitch = field(default_factory=HaltSwitch)
+    """Switch that ends the motion early."""
 
 
 class Decisions:
-    """Says of every request and event what is to be done; `changed` is set when the state did."""
+    """Decides the consequence of every request and event.
+
+    It sets the event `changed` whenever the state to be published has changed.
+    """
 
     def __init__(
         self,
@@ -55,14 +65,21 @@ class Decisions:
         journal: Journal | Unrecorded,
         changed: threading.Event,
     ) -> None:
-        """Begin with what the journal remembers of the agent processes before this one."""
+        """Begin in the state that the journal holds from earlier agent processes.
+
+        Args:
+            boot_id: Id of this agent process.
+            planner: Planner of the robot's motions.
+            journal: Journal of the robot.
+            changed: Event to set when the state to be published has changed.
+        """
         self._robot = planner.robot
         self._boot_id = boot_id
         self._planner = planner
         self._journal = journal
         self._changed = changed
         self._lock = threading.Condition()
-        # Each is held while the disk writes, so that memory and journal tell one story.
+        # Each is held while the disk writes, so that memory and journal agree.
         self._taking = threading.Lock()
         self._stopping = threading.Lock()
         found = journal.remembrance
@@ -87,33 +104,33 @@ class Decisions:
     # Events.
 
     def owner_appeared(self, owner: str) -> None:
-        """An orchestrator's liveliness token is there."""
+        """Record that an orchestrator's liveliness token appeared."""
         with self._lock:
             self._owners_alive.add(owner)
             self._lock.notify_all()
 
     def owner_lost(self, owner: str) -> None:
-        """An orchestrator's liveliness token disappeared; its motion ends."""
+        """Record that an orchestrator's liveliness token disappeared; its motion ends."""
         with self._lock:
             self._owners_alive.discard(owner)
             self._supervise(supervisor.OwnerLost(owner))
 
     def wait_for_owner(self, owner: str, *, timeout_s: float) -> bool:
-        """Wait until an orchestrator's token is there; return whether it is."""
+        """Wait for an orchestrator's token; return whether it is present."""
         with self._lock:
             return self._lock.wait_for(lambda: owner in self._owners_alive, timeout_s)
 
     def stop(self, order: supervisor.StopOrder) -> None:
-        """Stop: the motion in progress ends, and none begins until a release.
+        """Stop the robot: the motion in progress ends, and none begins until a release.
 
-        Waits for no disk; `store_stop` then makes it outlast the process.
+        This does not wait for the disk; `store_stop` then makes the stop outlast the process.
         """
         with self._lock:
             self._stops += 1
             self._supervise(supervisor.StopOrdered(order))
 
     def store_stop(self) -> None:
-        """Store the stop that is in force, if any; raises JournalError."""
+        """Store the stop in force, if there is one; raises JournalError."""
         with self._stopping:
             with self._lock:
                 order = self._supervision.stop
@@ -131,20 +148,26 @@ class Decisions:
     # Requests.
 
     def take(self, request: GoalRequest) -> tuple[GoalAccepted | Refusal, Assignment | None]:
-        """Accept or refuse a goal; return the answer, and the motion that is to begin.
+        """Accept or refuse a goal.
 
-        A goal that is known already is accepted again and moves nothing.
+        A goal that is already known is accepted again and moves nothing.
+
+        Returns:
+            The answer to the sender, and the motion to begin now; None when none is to begin.
 
         Raises:
-            RefusedError: the motion is outside the robot's limits.
+            RefusedError: The motion is outside the robot's limits.
         """
         with self._taking:
             return self._taken(request)
 
     def change(self, sender: Commander) -> Refusal | None:
-        """Return why a sender may not change what the robot flies with now; None when it may.
+        """Return why a sender may not change the robot's learned models now; None when it may.
 
-        It commands the robot from then on; raises JournalError when that cannot be stored.
+        A sender that may commands the robot from now on.
+
+        Raises:
+            JournalError: The new commander cannot be stored.
         """
         with self._taking:
             with self._lock:
@@ -157,14 +180,20 @@ class Decisions:
         return refusal
 
     def cancel(self, goal_id: str, sender: Commander) -> Refusal | None:
-        """End a goal's motion early; return why not.
+        """End a goal's motion early.
 
-        A goal that has not come yet is refused when it comes, so that whoever hears a yes knows
-        that it moves nothing any more. Raises JournalError when that would not outlast the process.
+        A goal that has not arrived yet is refused when it does, so that a sender whose cancellation
+        is confirmed knows that the goal will move nothing.
+
+        Returns:
+            Why the goal cannot be cancelled; None when it is.
+
+        Raises:
+            JournalError: The cancellation of a goal that has not arrived cannot be stored.
         """
         with self._taking:
             with self._lock:
-                # Whoever began it may end it, whatever has become of its lease meanwhile.
+                # The orchestrator that began a motion may end it even if it has lost its lease.
                 refusal = None
                 if self._supervision.motion_owner != sender.owner:
                     refusal = self._refusal_to_command(sender)
@@ -185,7 +214,7 @@ class Decisions:
             return goal_id in self._goals.known
 
     def result(self, goal_id: str) -> GoalResult | Refusal:
-        """Return how a goal ended, or why there is nothing to return."""
+        """Return how a goal ended, or why no result can be returned."""
         with self._lock:
             result = self._results.get(goal_id)
             goal = self._goals.known.get(goal_id)
@@ -200,7 +229,11 @@ class Decisions:
         )
 
     def acknowledge(self, goal_ids: Iterable[str], sender: Commander) -> Refusal | None:
-        """Let results go that have arrived; return why not, or raise JournalError."""
+        """Drop results that have arrived; return why this is refused, or None.
+
+        Raises:
+            JournalError: The change cannot be stored.
+        """
         with self._lock:
             refusal = self._refusal_to_command(sender)
         if refusal is None:
@@ -208,9 +241,13 @@ class Decisions:
         return refusal
 
     def release(self, sender: str) -> Refusal | None:
-        """End a stop; return why not. A fault stays until the robot is connected anew.
+        """End a stop; a fault remains until the robot is reconnected.
 
-        Raises JournalError when that cannot be stored; the robot stays stopped then.
+        Returns:
+            Why the robot cannot be released now; None when it is.
+
+        Raises:
+            JournalError: The release cannot be stored; the robot stays stopped.
         """
         with self._stopping:
             with self._lock:
@@ -222,32 +259,38 @@ class Decisions:
             self._journal.released(sender)
             with self._lock:
                 if self._stops != stops:
-                    # Whoever sent that one does not know of this release; `store_stop`, which
-                    # waits for us, stores it anew.
+                    # The sender of that later stop does not know of this release, so the stop
+                    # stands; its `store_stop`, which waits for us, stores it again.
                     return Refusal(code="stopped", reason="it was stopped again just now")
                 self._supervise(supervisor.ReleaseOrdered(sender))
                 self._last_reason = ""
         return None
 
-    # What becomes of motions.
+    # Progress and end of motions.
 
     def progressed(self, motion: Assignment, samples: int) -> None:
-        """So many samples of a motion have been played."""
+        """Record the number of samples of a motion that have been played."""
         whole = motion.plan.duration_s / motion.plan.sample_time_s
         self._progress = min(1.0, samples / whole)
 
     def resting(self) -> None:
-        """The motion in progress has been played and the robot is coming to rest."""
+        """Record that the motion in progress has been played and the robot is coming to rest."""
         with self._lock:
             self._resting = True
             self._changed.set()
 
     def ended(self, result: GoalResult, fault: str | None) -> None:
-        """The motion in progress is over; `fault` says why the robot cannot be trusted now."""
+        """Record the end of the motion in progress.
+
+        Args:
+            result: Result of the motion's goal.
+            fault: Why the robot cannot be trusted with another motion; None when it can.
+        """
         try:
             self._journal.ended(result)
         except JournalError as error:
-            # It has ended all the same; the next process will call it lost, and not move it again.
+            # The motion has ended all the same. The next agent process will report the goal as
+            # lost and will not play it again.
             _log.error("the end of %s is not stored: %s", result.goal_id, error)
         with self._lock:
             self._results.add(result)
@@ -260,21 +303,21 @@ class Decisions:
 
     @property
     def commander(self) -> Commander | None:
-        """Who commanded the robot last under a lease."""
+        """Orchestrator that last commanded the robot under a lease; None when there was none."""
         return self._commander
 
     @property
     def fault(self) -> str | None:
-        """Why the robot has to be connected anew; None when it is well."""
+        """Why the robot has to be reconnected; None when it has no fault."""
         return self._supervision.fault
 
     def reconnected(self, fault: str | None) -> None:
-        """The robot was connected anew, or why it could not be."""
+        """Record an attempt to reconnect the robot; `fault` says why it failed, if it did."""
         with self._lock:
             self._supervise(supervisor.Reconnected(fault))
 
     def state(self) -> RobotState:
-        """Return what is to be published now."""
+        """Return the state to publish now, with the next sequence number."""
         with self._lock:
             self._sequence += 1
             status, reason = self._status()
@@ -299,8 +342,8 @@ class Decisions:
         if isinstance(answer, Refusal):
             return answer, None
         self._forget_quietly(request.acknowledges)
-        # Planning takes a while and a stop must not wait for it, so what was looked at before the
-        # plan is looked at again after it.
+        # Planning takes a while and a stop must not wait for it. It is therefore done without the
+        # lock, and the checks made before it are repeated after it.
         plan = None if answer.new else self._known_plan(request.goal_id)
         plan = plan or self._planner.plan(request.motion)
         motion = None
@@ -312,7 +355,7 @@ class Decisions:
                 motion = self._motion = Assignment(answer.goal, request.motion, plan)
                 self._resting, self._progress = False, 0.0
                 self._supervise(supervisor.MotionBegan(request.owner))
-        # From here on a stop finds it and halts it, though it has not begun.
+        # From here on, a stop finds this motion and halts it, although it has not begun.
         try:
             self._follow(_commander(request))
             if motion is not None:
@@ -339,13 +382,13 @@ class Decisions:
         try:
             self._forget(goal_ids)
         except JournalError as error:
-            # No reason to refuse the goal that came with it, which may be running already.
+            # This is no reason to refuse the goal in the same request, which may already run.
             _log.warning("results that arrived are kept: %s", error)
 
     def _known_plan(self, goal_id: str) -> MotionPlan | None:
-        """Return the plan of a goal that is known; None when it was let go with its result.
+        """Return the plan of a goal that is known; None when it was dropped with its result.
 
-        Planned again it might be another: the robot may have learned something since.
+        A new plan might differ, since the robot may have learned something in the meantime.
         """
         with self._lock:
             if self._motion is not None and self._motion.goal.goal_id == goal_id:
@@ -354,14 +397,14 @@ class Decisions:
         return result.plan if isinstance(result, GoalResult) else None
 
     def _take_back(self, motion: Assignment) -> None:
-        """Forget a goal that could not be stored and that nobody was told of."""
+        """Remove a goal that could not be stored and was not confirmed to its sender."""
         with self._lock:
             self._goals = goal_machine.take_back(self._goals, motion.goal.goal_id)
             self._motion = None
             self._supervise(supervisor.MotionEnded())
 
     def _follow(self, sender: Commander) -> None:
-        """Remember an epoch before anything is done under it; raises JournalError."""
+        """Store a sender's epoch before anything is done under it; raises JournalError."""
         if ownership.takes_over(self._commander, sender):
             self._journal.owned(sender.owner, sender.epoch)
             with self._lock:

@@ -1,4 +1,4 @@
-"""Answers for the experiences of one robot: what it offers, their files, what they predict."""
+"""Answers requests for the experiences of one robot: its offers, their files and predictions."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from nufleet.shared.wire.messages import (
 )
 
 INPUTS_MAX = 10_000
-"""Rows of one prediction: half a second of a small processor."""
+"""Largest number of rows of one prediction, which take a small processor half a second."""
 
 
 class ExperienceService:
-    """Decides what may be installed, and serves what is; called from the endpoint's thread."""
+    """Installs and serves the experiences of one robot; called from the endpoint's thread."""
 
     def __init__(
         self,
@@ -41,25 +41,37 @@ class ExperienceService:
         memory: Memory,
         change: Callable[[Commander], Refusal | None],
     ) -> None:
-        """Serve a robot's memory; `change` says why somebody may change nothing now."""
+        """Prepare to serve a robot's memory.
+
+        Args:
+            name: Name of the robot.
+            robot: The robot, for its description and the names of its states.
+            memory: Learned models of the robot.
+            change: Function that returns why a sender may not change the robot's learned models
+                now; None when it may.
+        """
         self._name, self._robot, self._memory, self._change = name, robot, memory, change
 
     def offers(self) -> tuple[ExperienceOffer, ...]:
-        """Return the robot's own experiences."""
+        """Return an offer of each experience learned on this robot."""
         return tuple(offer_of(kept) for kept in self._memory.experiences)
 
     def prior(self) -> ExperienceOffer | None:
-        """Return the prior that the robot flies with."""
+        """Return the prior that the robot flies with; None without one."""
         kept = self._memory.prior
         return None if kept is None else offer_of(kept)
 
     def fetch(self, request: FetchRequest) -> Message:
-        """Return a stored file."""
+        """Return the file of a stored experience; raises RefusedError for an unknown digest."""
         kept = self._found(request.sha256)
         return ExperienceFile(sha256=kept.sha256, payload=kept.payload)
 
     def predict(self, request: PredictRequest) -> Message:
-        """Return γ at inputs."""
+        """Return γ, shape (m,), in unit/s, at the inputs of a request, shape (m, inputs).
+
+        Raises:
+            RefusedError: No stored experience has the request's digest.
+        """
         kept, inputs = self._found(request.sha256), request.inputs
         expected = len(kept.manifest.inputs)
         if inputs.ndim != 2 or inputs.shape[1] != expected or len(inputs) > INPUTS_MAX:
@@ -74,15 +86,15 @@ class ExperienceService:
         return Prediction(gamma=gamma)
 
     def install_experience(self, request: InstallRequest) -> Message:
-        """Keep an experience of the robot's own, that was trained from its flights."""
+        """Store an experience that was trained from this robot's own flights."""
         return self._installed(request, self._memory.keep_experience, own=True)
 
     def install_prior(self, request: InstallRequest) -> Message:
-        """Keep another robot's experience as the prior to fly with."""
+        """Store another robot's experience as the prior to fly with."""
         return self._installed(request, self._memory.keep_prior, own=False)
 
     def remove_prior(self, request: RemovePriorRequest) -> Message:
-        """Fly without a prior from now on."""
+        """Remove the prior; the robot flies without one from now on."""
         refusal = self._change(Commander(request.sender, request.epoch))
         if refusal is not None:
             return refusal
@@ -125,5 +137,5 @@ class ExperienceService:
 
 
 def offer_of(kept: Kept) -> ExperienceOffer:
-    """Return what a stored experience says of itself."""
+    """Return the offer of a stored experience: its digest, size and manifest."""
     return ExperienceOffer(sha256=kept.sha256, size_bytes=len(kept.payload), manifest=kept.manifest)

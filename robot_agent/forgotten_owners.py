@@ -1,4 +1,4 @@
-"""Makes robots forget who commanded them and under which epoch, while no agent serves them."""
+"""Removes owner and epoch from the journals of robots while no agent serves them."""
 
 from __future__ import annotations
 
@@ -12,11 +12,16 @@ from nufleet.shared.robots.fleet_file import read_fleet_file
 
 
 def forget_owners(fleet_file: Path, names: tuple[str, ...], state_folder: Path) -> None:
-    """Make the robots of a fleet file that are named forget their owners; nothing moves.
+    """Remove the owners of robots from their journals, and print them; nothing moves.
+
+    Args:
+        fleet_file: Path of the fleet file.
+        names: Names of the robots, at least one.
+        state_folder: Folder with the state of the robots' agents.
 
     Raises:
-        InvalidInputError: none is named, or one is not in the file.
-        JournalError: an agent serves one of them, or what it remembers cannot be written.
+        InvalidInputError: No robot is named, or one is not in the file.
+        JournalError: An agent serves one of the robots, or a journal cannot be written.
     """
     fleet = read_fleet_file(fleet_file)
     unknown = [name for name in names if name not in fleet.robots]

@@ -1,4 +1,4 @@
-"""The one thread that moves a robot: plays motions, and connects it anew after a fault."""
+"""The only thread that moves a robot: it plays motions, and reconnects the robot after a fault."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ from nufleet.shared.wire.messages import (
 from nufleet.shared.wire.transport import Publisher
 
 CLOSING_LOOK_S = 0.1
-"""While it closes, the worker looks after the robot so often."""
+"""Interval between checks on the robot while the worker is closing."""
 
 _log = logging.getLogger(__name__)
 
 
 class MotionWorker:
-    """Plays what is begun, one motion after the other, and reports each end to the decisions."""
+    """Plays the motions it is given, one after the other, and reports each end to `Decisions`."""
 
     def __init__(
         self,
@@ -68,11 +68,15 @@ class MotionWorker:
         self._thread.start()
 
     def begin(self, assignment: Assignment) -> None:
-        """Play a motion once the one before is over; returns at once."""
+        """Play a motion as soon as the previous one is over; returns at once."""
         self._jobs.put(assignment)
 
     def reconnect(self) -> Future[Message]:
-        """Connect a robot with a fault anew; the answer comes when that has worked, or not."""
+        """Reconnect a robot with a fault; returns at once.
+
+        Returns:
+            The answer to come: `Done` once the robot is reconnected, or a refusal if that fails.
+        """
         answer: Future[Message] = Future()
         if self._robot.hangs:
             answer.set_result(Refusal(code="fault", reason="its driver hangs; restart its agent"))
@@ -81,7 +85,7 @@ class MotionWorker:
         return answer
 
     def look_after_robot(self) -> None:
-        """End the motion of a robot whose driver hangs; to be called regularly."""
+        """Check the driver, and report the motion as failed if it hangs; to be called regularly."""
         hang = self._robot.look()
         if hang is None:
             return
@@ -92,17 +96,17 @@ class MotionWorker:
             return
         assignment, performance = performing
         _log.error("goal %s: %s", assignment.goal.goal_id, reason)
-        # Should the driver return after all, this brings the robot to rest.
+        # If the driver returns after all, the thrown switch brings the robot to rest.
         assignment.switch.halt(Outcome.FAILED, reason)
         nothing = _nothing(assignment, self._robot)
         samples = nothing if performance is None else performance.measured()
         self._report(assignment, Played(Outcome.FAILED, reason, samples, fault=reason))
 
     def close(self) -> None:
-        """Do what was begun and end; the decisions must have been shut down before.
+        """Finish the motions that were begun, and end; `Decisions` must have been shut down before.
 
         Raises:
-            RobotError: the driver hangs, so that the robot cannot be left at rest.
+            RobotError: The driver hangs, so the robot cannot be left at rest.
         """
         self._jobs.put(None)
         try:
@@ -260,6 +264,6 @@ class MotionWorker:
 
 
 def _nothing(assignment: Assignment, robot: Robot) -> Samples:
-    """Return the samples of a motion that did not begin."""
+    """Return the samples of a motion that did not begin: shape (0,) for a test, else (0, axes)."""
     columns = () if isinstance(assignment.motion, Excitation) else (len(robot.spec.axes),)
     return Samples(np.empty((0, *columns)), np.empty((0, *columns)))

@@ -1,4 +1,4 @@
-"""Turns a motion that is asked for into a plan within the robot's limits, or refuses it."""
+"""Turns a requested motion into a plan within the robot's limits, or refuses it."""
 
 from __future__ import annotations
 
@@ -17,32 +17,42 @@ from nufleet.shared.wire.codec import MAX_BODY_BYTES, MAX_MESSAGE_BYTES
 from nufleet.shared.wire.motions import Motion, MotionPlan
 
 MAX_RESULT_NUMBERS = (MAX_MESSAGE_BYTES - 2 * MAX_BODY_BYTES) // 8
-"""A motion that measures more is refused: its result would not fit into one message."""
+"""Largest number of values that a motion may measure; a longer result would not fit into one
+message."""
 
 _NUMBERS_PER_AXIS = 16
-"""No flight measures more per sample and axis, all its signals together."""
+"""Upper bound on the values that a flight measures per sample and axis, over all its signals."""
 
 
 @dataclass(frozen=True)
 class Planner:
-    """Plans for one robot, whose samples are taken `realtime` times as fast as its clock says.
-
-    `realtime` None plays a simulated robot as fast as it can; a real robot keeps its own time.
-    `allow_unguarded` is the robot's own setting, see `nufleet.shared.robots.fleet_file`.
-    """
+    """Plans the motions of one robot."""
 
     robot: str
+    """Name of the robot."""
+
     spec: RobotSpec
+    """Description of the robot."""
+
     state_names: tuple[str, ...]
+    """Names of the states that the robot's `observe` measures."""
+
     memory: Memory
+    """Learned models of the robot."""
+
     realtime: float | None
+    """Multiple of real time at which a simulated robot plays; None for as fast as it can. A real
+    robot keeps its own time."""
+
     allow_unguarded: bool = False
+    """Whether the robot may fly with a learned inverse and without a guard; a setting of the robot
+    in its fleet file (see `nufleet.shared.robots.fleet_file`)."""
 
     def plan(self, motion: Motion) -> MotionPlan:
-        """Return the plan; the same motion gives the same until the robot learns something.
+        """Return the plan of a motion; it stays the same until the robot learns something.
 
         Raises:
-            RefusedError: the motion is outside the robot's limits, or measures too much.
+            RefusedError: The motion is outside the robot's limits, or its result too large.
         """
         per_sample = 2
         if isinstance(motion, Excitation):
@@ -64,14 +74,14 @@ class Planner:
         return plan
 
     def wall_duration_s(self, plan: MotionPlan) -> float:
-        """Return how long a plan takes on the wall clock."""
+        """Return a plan's duration on the wall clock in seconds; 0 for an unpaced simulation."""
         if not self.spec.simulated:
             return plan.duration_s
         return 0.0 if self.realtime is None else plan.duration_s / self.realtime
 
 
 def digest(motion: Motion) -> str:
-    """Return a hash of all that a motion asks for."""
+    """Return the sha256 of a requested motion in hexadecimal, its arrays included."""
     arrays: list[np.ndarray] = []
     body = motion.model_dump_json(context=arrays)
     hashed = hashlib.sha256(body.encode())

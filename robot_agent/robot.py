@@ -13,22 +13,22 @@ from nufleet.shared.robots.spec import RobotSpec
 class Robot(ABC):
     """A robot under its own baseline controller: references in, measured outputs out.
 
-    A robot rests at reference 0 of every axis: there `connect` and `rest` leave it, there every
-    motion begins, and its first reference is 0. The reference that the robot holds at rest is the
-    driver's own, so the way to 0 is too; a driver that rests where it happens to be would see its
-    reference jump when the next motion begins. The agent compares the output at rest with the first
-    reference, and begins nothing when they are further apart than
-    `nufleet.robot_agent.motion.monitor` says.
+    A robot rests at reference 0 of every axis: `connect` and `rest` leave it there, and every
+    motion begins there with a first reference of 0. The driver itself chooses the reference that
+    holds the robot at rest, and therefore also how to get to 0. A driver that rested wherever the
+    robot happens to be would see its reference jump when the next motion begins. The agent compares
+    the output at rest with the first reference, and refuses to begin a motion when they are further
+    apart than `nufleet.robot_agent.motion.monitor` allows.
 
-    One sample is `spec.sample_time_s`. References and outputs hold one number per axis, in the
+    One sample lasts `spec.sample_time_s`. References and outputs hold one number per axis, in the
     order and the units of `spec.axes`. Methods are called from one thread at a time. Each raises
-    `RobotError` when the robot cannot do what is asked.
+    `RobotError` when the robot cannot do what it is asked to.
     """
 
     @property
     @abstractmethod
     def spec(self) -> RobotSpec:
-        """What the robot is; may be read while disconnected."""
+        """Description of the robot; may be read while disconnected."""
 
     @abstractmethod
     def connect(self) -> None:
@@ -36,10 +36,14 @@ class Robot(ABC):
 
     @abstractmethod
     def measure_output(self) -> FloatArray:
-        """Measure the output at rest, shape (axes,); commands nothing.
+        """Measure the output at rest without commanding anything.
 
-        It is asked for three to eight times before each motion, to find out where the robot is and
-        how noisy its sensor: wait for the sensor's next sample, and return it as it is, unfiltered.
+        The agent calls this three to eight times before each motion, to find out where the robot is
+        and how noisy its sensor is. An implementation waits for the sensor's next sample and
+        returns it as it is, unfiltered.
+
+        Returns:
+            The measured output, shape (axes,), in the axes' units.
         """
 
     @abstractmethod
@@ -47,20 +51,20 @@ class Robot(ABC):
         """Follow a reference for one sample; return the output measured at the sample's start.
 
         Args:
-            reference: shape (axes,).
+            reference: Reference y_r(k), shape (axes,), in the axes' units.
 
         Returns:
-            The measured output, shape (axes,). y(k) is measured before the reference y_r(k) acts.
+            The output y(k), shape (axes,), in the axes' units, measured before y_r(k) acts.
         """
 
     def run(self, references: FloatArray) -> FloatArray:
-        """Follow a whole reference signal known ahead; the same as `step` for each row.
+        """Follow a whole reference signal known ahead; equivalent to `step` for each row.
 
         Args:
-            references: shape (samples, axes).
+            references: References, shape (samples, axes), in the axes' units.
 
         Returns:
-            The measured outputs, shape (samples, axes).
+            The measured outputs, shape (samples, axes), in the axes' units.
         """
         outputs = np.empty_like(references)
         for k, reference in enumerate(references):
@@ -69,32 +73,33 @@ class Robot(ABC):
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """What `observe` measures on every axis, for example ("position", "velocity", "tilt").
+        """Names of the states that `observe` measures on every axis.
 
-        The first one is the axis's output. Empty for a robot that measures nothing but its output.
+        For example ("position", "velocity", "tilt"). The first state is the axis's output. Empty
+        for a robot that measures only its output.
         """
         return ()
 
     def observe(self) -> FloatArray:
-        """Measure the state now, between two samples; the robot does not move on.
+        """Measure the state between two samples; the robot does not advance.
 
-        Feedback reads it before choosing the next reference: `observe` at sample k and the y(k)
-        that the next `step` returns are one and the same measurement.
+        A feedback controller reads it before choosing the next reference. The output that `observe`
+        returns at sample k and the y(k) that the next `step` returns are the same measurement.
 
         Returns:
-            Shape (axes, len(state_names)), in the axis's unit and its time derivatives; angles in
-            rad.
+            The state, shape (axes, len(state_names)), in the axis's unit and its time derivatives;
+            angles in rad.
         """
         return np.empty((len(self.spec.axes), 0))
 
     @abstractmethod
     def rest(self) -> None:
-        """Bring the robot to rest at reference 0, from whatever it is doing; returns when it is.
+        """Bring the robot to rest at reference 0 from any state; returns when it rests there.
 
-        The way there is the driver's own: no faster than the robot may go, whatever the reference
-        was last. Called at the end of every motion, and in the middle of one that is stopped.
+        The driver chooses the path, no faster than the robot may move, whatever the last reference
+        was. This is called at the end of every motion, and in the middle of one that is stopped.
         """
 
     @abstractmethod
     def disconnect(self) -> None:
-        """Leave the robot at rest and let go of it. Calling it twice does nothing more."""
+        """Leave the robot at rest and release it; a second call does nothing."""

@@ -1,4 +1,4 @@
-"""Robots of a fleet file, and the agents that serve them in one process."""
+"""Builds robots of a fleet file, and runs the agents that serve them in one process."""
 
 from __future__ import annotations
 
@@ -26,13 +26,22 @@ LANDING = "landing: the robots are coming to rest, and then this ends by itself"
 
 
 def build_robots(fleet: FleetFile, path: Path, names: tuple[str, ...]) -> dict[str, Robot]:
-    """Build some robots of a fleet file, in the order of the names given.
+    """Build some robots of a fleet file.
 
-    A robot's noise depends on the fleet's seed and the robot's place in the file, not on which
-    other robots its process serves; but robots that share one simulator share its noise too.
+    A robot's noise depends on the fleet's seed and on the robot's place in the file, not on the
+    other robots of its process. Robots that share one simulator are the exception: they share its
+    stream of noise, too.
+
+    Args:
+        fleet: Content of the fleet file.
+        path: Path of the file, for errors.
+        names: Names of the robots to build.
+
+    Returns:
+        The robots, disconnected, by name, in the order of `names`.
 
     Raises:
-        FleetFileError: for a name, driver or setting that is not right.
+        FleetFileError: A name is not in the file, or a driver or setting is invalid.
     """
     unknown = [name for name in names if name not in fleet.robots]
     if unknown:
@@ -66,12 +75,21 @@ def serve(
     until_stdin_closes: bool,
     state_folder: Path,
 ) -> None:
-    """Serve robots until standard input closes (when asked) or the process is interrupted.
+    """Serve robots until the process is interrupted or, on request, standard input closes.
 
-    Each robot has a session of its own, so that one that is cut off takes no other with it. What it
-    has to remember lies in `state_folder`, under the names of its fleet and its own. Once the end
-    has begun it cannot be interrupted again: it lasts until every robot is at rest, or was found
-    not to come to rest.
+    Each robot has a session of its own, so that losing one session affects no other robot. Once the
+    shutdown has begun it cannot be interrupted again: it lasts until every robot is at rest, or was
+    found not to come to rest.
+
+    Args:
+        fleet_file: Path of the fleet file.
+        names: Names of the robots to serve; all robots of the file when empty.
+        connect: Endpoint at which the router listens.
+        realtime: Multiple of real time at which simulated robots play; None for as fast as they
+            can.
+        until_stdin_closes: Whether to end when standard input closes.
+        state_folder: Folder for the state that has to survive the agents; each robot's lies in a
+            subfolder named after its fleet and itself.
     """
     fleet = read_fleet_file(fleet_file)
     chosen = names or tuple(fleet.robots)
@@ -110,10 +128,10 @@ def serve(
 
 @contextmanager
 def closed_together() -> Iterator[list[Agent]]:
-    """Yield a list for agents that serve; those in it are closed at the end, all at once.
+    """Yield a list for agents that serve; at the end, all agents in it are closed at the same time.
 
     Raises:
-        RobotError: robots could not be left at rest; it names each of them.
+        RobotError: Some robots could not be left at rest; the error names each of them.
     """
     agents: list[Agent] = []
     try:
@@ -123,7 +141,7 @@ def closed_together() -> Iterator[list[Agent]]:
 
 
 def _close_together(agents: Sequence[Agent]) -> None:
-    # First, so that no robot flies on while another one comes to rest.
+    # Halt all before closing any, so that no robot keeps flying while another comes to rest.
     for agent in agents:
         agent.halt()
     if not agents:

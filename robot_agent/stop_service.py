@@ -1,4 +1,4 @@
-"""Halts a robot where a stop arrives, and stores the stop without anything waiting for the disk."""
+"""Halts a robot as soon as a stop arrives; storing the stop makes no motion wait for the disk."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _log = logging.getLogger(__name__)
 
 
 class StopService:
-    """Takes the stops of one robot, on Zenoh's threads; one thread of its own stores them."""
+    """Handles the stops of one robot on Zenoh's threads; a thread of its own stores them."""
 
     def __init__(self, robot: str, decisions: Decisions) -> None:
         self._robot = robot
@@ -29,25 +29,26 @@ class StopService:
         self._closed = False
 
     def heard(self, key: str, payload: bytes) -> None:
-        """Take a stop that nobody waits for an answer to."""
+        """Handle a stop sent as a put; no reply is expected."""
         try:
             self.asked(payload)
         except MalformedMessageError as error:
             _log.warning("%s: malformed stop on %s: %s", self._robot, key, error)
 
     def asked(self, payload: bytes) -> Future[Message]:
-        """Take a stop; the motion has been told to end when this returns.
+        """Handle a stop sent as a query; the motion has been halted when this returns.
 
-        The answer comes when the stop is stored too, so that who hears a yes knows that the robot
-        stays stopped whatever becomes of its agent.
+        Returns:
+            The reply to come. It is sent once the stop is stored too, so that a confirmed stop
+            outlasts the agent.
 
         Raises:
-            MalformedMessageError: it is none. The robot is stopped all the same.
+            MalformedMessageError: The payload is not a stop request. The robot is stopped anyway.
         """
         try:
             request = decode(payload, StopRequest, max_bytes=MAX_REQUEST_BYTES)
         except MalformedMessageError as error:
-            # Somebody wants this robot to stop; that the order is garbled does not make it move on.
+            # The sender wants this robot to stop, so a garbled order stops it as well.
             self._decisions.stop(StopOrder("unknown", f"a malformed stop: {error}"))
             self._stored()
             raise
@@ -55,13 +56,13 @@ class StopService:
         return self._stored()
 
     def close(self) -> None:
-        """Store what was taken and end."""
+        """Store the stops handled so far, and end."""
         with self._lock:
             self._closed = True
         self._writer.shutdown()
 
     def _stored(self) -> Future[Message]:
-        """Return the answer to come; stops that wait for the disk together share one."""
+        """Return the reply to come; stops that wait for the disk at the same time share it."""
         with self._lock:
             if self._closed:
                 ended: Future[Message] = Future()
@@ -69,7 +70,7 @@ class StopService:
                 return ended
             waits = self._storing
             if waits is None or waits.running() or waits.done():
-                # One that is being stored may have looked before this stop was given.
+                # A write in progress may have read the state before this stop was recorded.
                 waits = self._storing = self._writer.submit(self._store)
             return waits
 

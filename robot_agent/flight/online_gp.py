@@ -72,8 +72,8 @@ class Correction:
 class OnlineGp:
     """One process per axis over the residuals γ − prior(ξ), refitted for every answer.
 
-    Its mean is the second term of f_T(ξ*) = f_S(ξ*) + kᵀ(ξ*) (K + σ_n² I)⁻¹ (γ − f_S) in Section III
-    of the paper, where f_S is the prior.
+    Its mean is the second term of f_T(ξ*) = f_S(ξ*) + kᵀ(ξ*) (K + σ_n² I)⁻¹ (γ − f_S), where f_S is
+    the prior (paper, Section III).
 
     No measurement makes it raise. A pair that is not finite is dropped and counted in `dropped`;
     repeated points leave the covariance invertible because the noise variance is bounded from

@@ -1,9 +1,9 @@
-"""A robot's journal as bytes and back: what a crash tore off is told from what was altered.
+"""The byte format of a robot's journal, which distinguishes a torn end from altered bytes.
 
-The file begins with `NUJ1` and 16 random bytes, which key every checksum of this file, so that no
-bytes from elsewhere (another journal, a reason somebody sent) can pass for a record. Then come
-frames: a mark, a number that rises by one, the payload's length, a checksum of these, the payload,
-and a checksum of everything.
+The file begins with `NUJ1` and 16 random bytes. These key every checksum of the file, so that no
+bytes from elsewhere (another journal, or the reason in a received stop) can pass for a record. The
+frames follow, each consisting of a mark, a number that rises by one, the payload's length, a
+checksum of these three, the payload, and a checksum of everything.
 """
 
 from __future__ import annotations
@@ -26,29 +26,43 @@ FILE_HEAD_BYTES = len(_FILE_MARK) + SALT_BYTES + _HEAD_CHECK_BYTES
 
 @dataclass(frozen=True)
 class Scan:
-    """What was found in a journal.
-
-    `payloads` are the records that are whole, in order; `last_number` is the number of the last of
-    them, 0 without any. `sound_bytes` is where the frames end that follow on each other from the
-    beginning. What is behind them is either a frame that was never written to its end
-    (`torn_bytes`), or `damage` in words.
-    """
+    """The content found in a journal's bytes."""
 
     salt: bytes
+    """Salt of the file, the key of its checksums; empty when the beginning is damaged."""
+
     payloads: tuple[bytes, ...]
+    """Payloads of all whole frames, in order."""
+
     last_number: int
+    """Number of the last whole frame; 0 without any."""
+
     sound_bytes: int
+    """Offset at which the unbroken sequence of frames from the beginning ends."""
+
     torn_bytes: int
+    """Length of a frame behind that offset that was never written to its end; 0 without one."""
+
     damage: str | None
+    """Description of altered bytes; None when there are none."""
 
 
 def file_head(salt: bytes) -> bytes:
-    """Return the beginning of a journal's file."""
+    """Return the first bytes of a journal's file: mark, salt and checksum."""
     return _FILE_MARK + salt + _check(salt, _FILE_MARK, _HEAD_CHECK_BYTES)
 
 
 def encode_frame(salt: bytes, number: int, payload: bytes) -> bytes:
-    """Return one record's frame; raises ValueError when the payload is too long."""
+    """Return the frame of one record.
+
+    Args:
+        salt: Salt of the file.
+        number: Number of the frame, one more than that of the frame before.
+        payload: Encoded record.
+
+    Raises:
+        ValueError: The payload is too long.
+    """
     if len(payload) > MAX_PAYLOAD_BYTES:
         raise ValueError(f"a record of {len(payload)} bytes; at most {MAX_PAYLOAD_BYTES} fit")
     head = _HEAD.pack(_MARK, number, len(payload))
@@ -57,11 +71,12 @@ def encode_frame(salt: bytes, number: int, payload: bytes) -> bytes:
 
 
 def scan(data: bytes) -> Scan:
-    """Return the records in a journal's bytes, whatever has become of them.
+    """Return the records in a journal's bytes, sound or not.
 
-    A frame that is cut off by the end of the file (or followed by zeros, as a file system leaves
-    them) was never acknowledged: writing it did not return. Anything else that is wrong was whole
-    once; records behind it are found again by their marks.
+    A frame that is cut off by the end of the file (or followed by zeros, as some file systems leave
+    them after a crash) was never acknowledged, since writing it did not return. Any other fault
+    means that the file was altered after it was written; records behind the fault are found again
+    by their marks.
     """
     salt = data[len(_FILE_MARK) : len(_FILE_MARK) + SALT_BYTES]
     if data[:FILE_HEAD_BYTES] != file_head(salt) or len(salt) < SALT_BYTES:
@@ -98,7 +113,7 @@ class _Frame:
 
 
 def _frame_at(salt: bytes, data: bytes, start: int) -> _Frame | None:
-    """Return the whole frame that begins there, if one does."""
+    """Return the whole frame that begins at `start`; None if there is none."""
     length = _payload_bytes(salt, data[start : start + _HEAD_BYTES])
     if length is None:
         return None
@@ -109,7 +124,7 @@ def _frame_at(salt: bytes, data: bytes, start: int) -> _Frame | None:
 
 
 def _next_frame(salt: bytes, data: bytes, start: int) -> int | None:
-    """Return where the next whole frame begins, there or later."""
+    """Return the offset of the first whole frame at or after `start`; None if there is none."""
     place = data.find(_MARK, start)
     while place >= 0 and _frame_at(salt, data, place) is None:
         place = data.find(_MARK, place + 1)
@@ -117,7 +132,7 @@ def _next_frame(salt: bytes, data: bytes, start: int) -> int | None:
 
 
 def _payload_bytes(salt: bytes, head: bytes) -> int | None:
-    """Return the length in a frame's head; None unless the head is whole and right."""
+    """Return the payload length in a frame's head; None unless the head is whole and valid."""
     if len(head) < _HEAD_BYTES:
         return None
     mark, _, length = _HEAD.unpack_from(head)
@@ -126,7 +141,7 @@ def _payload_bytes(salt: bytes, head: bytes) -> int | None:
 
 
 def _is_torn(salt: bytes, rest: bytes, number: int) -> bool:
-    """Return whether the rest of a file is the beginning of the frame of that number."""
+    """Return whether the rest of a file is the beginning of the frame with this number."""
     if not rest.strip(b"\0"):
         return True
     if len(rest) < _HEAD_BYTES:

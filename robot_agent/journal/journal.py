@@ -1,12 +1,13 @@
-"""A robot's durable memory: what it accepted, how that ended, whether it is stopped, who owns it.
+"""A robot's durable journal: its goals and their results, its stop, and its owner.
 
-A folder with an append-only log of small records and a file for each result. A record is on disk
-when its call returns, so the agent writes *before* it answers: what anybody was told survives.
-After a crash the log is read again: a record that was never written to its end is cut off, since
-nobody was told of it; one that was altered leaves the robot stopped, since it might have said so.
+The journal is a folder with an append-only log of small records, and a file for each result. A
+record is on disk when its call returns, and the agent writes *before* it answers, so every fact
+that it has confirmed survives. After a crash the log is read again. A record that was not written
+to its end is cut off, since it was never confirmed. If a record was altered, the robot is stopped,
+since that record might have been a stop.
 
-A database in one file would lose everything with its first page; a log that is cut anywhere still
-holds all that was written before.
+A database in a single file would lose everything with its first page; a log that is cut anywhere
+still holds all records before the cut.
 """
 
 from __future__ import annotations
@@ -51,43 +52,53 @@ from nufleet.shared.wire.motions import MotionPlan
 LOG = "log"
 DAMAGED_LOG = "log.damaged"
 COMPACT_ABOVE_BYTES = 256 * 1024
-"""The log is written anew when it is larger than this and than twice what it was then."""
+"""Size above which the log is rewritten in compact form, unless it is smaller than twice its size
+after the last rewriting."""
 
 _log = logging.getLogger(__name__)
 
 
 class JournalInUseError(JournalError):
-    """Another agent process writes this journal: two agents of one robot."""
+    """Another process has this journal open: two agents serve one robot."""
 
 
 @dataclass(frozen=True)
 class Remembrance:
-    """What an agent process finds when it begins.
-
-    `lost` are the goals that were in progress when the one before ended; they are known as lost.
-    `damage` says what was altered in the journal, in which case the robot is stopped.
-    """
+    """The content of the journal when an agent process begins."""
 
     goals: Goals
+    """All goals known."""
+
     stop: StopOrder | None
+    """Stop in force; None without one."""
+
     owner: Owned | None
+    """Orchestrator that last commanded the robot, with its epoch; None when there was none."""
+
     lost: tuple[str, ...]
+    """Ids of the goals in progress when the process before this one ended; they have ended as
+    lost."""
+
     damage: str | None
+    """Damage found in the log, in which case the robot is stopped; None for a sound log."""
 
 
 class Journal:
-    """One robot's journal, open for one agent process; usable from many threads; close it.
+    """One robot's journal, open for one agent process; usable from many threads, and to be closed.
 
-    Every method that stores returns when the fact is on disk, and raises JournalError when it is
-    not. After a disk error that leaves in doubt what is on disk nothing is stored any more.
+    Every method that stores a fact returns when it is on disk, and raises JournalError when it is
+    not. After a disk error that leaves the content of the disk in doubt, nothing more is stored.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Open a robot's journal, or begin one; see `remembrance` for what it holds.
+        """Open a robot's journal, or create it; `remembrance` is its content at that moment.
+
+        Args:
+            folder: Folder of the journal, created if missing.
 
         Raises:
-            JournalInUseError: another process has it open.
-            JournalError: it cannot be read or written, or a newer nufleet wrote it.
+            JournalInUseError: Another process has the journal open.
+            JournalError: The journal cannot be read or written, or a newer nufleet wrote it.
         """
         self._folder = folder
         self._results = folder / "results"
@@ -127,12 +138,18 @@ class Journal:
         self.close()
 
     def close(self) -> None:
-        """Let others open it; twice does nothing more."""
+        """Close the journal, so that other processes can open it; a second call does nothing."""
         with self._mutex:
             self._closing.close()
 
     def accepted(self, goal: Goal, plan: MotionPlan, boot_id: str) -> None:
-        """Store that a goal was taken: before the answer is sent and the motion begins."""
+        """Store that a goal was accepted, before the answer is sent and the motion begins.
+
+        Args:
+            goal: The goal.
+            plan: Plan of its motion.
+            boot_id: Id of the agent process that plays it.
+        """
         self._append(
             Accepted(
                 goal_id=goal.goal_id,
@@ -144,9 +161,10 @@ class Journal:
         )
 
     def ended(self, result: GoalResult) -> bool:
-        """Store how a goal ended; return whether its samples are kept too.
+        """Store how a goal ended, and its samples if the disk has room for them.
 
-        They are not when there is no room for them; the goal has ended all the same.
+        Returns:
+            Whether the samples are stored; the end of the goal is in either case.
         """
         sha256, size_bytes = None, 0
         try:
@@ -166,29 +184,35 @@ class Journal:
         return sha256 is not None
 
     def forgone(self, goal_id: str) -> None:
-        """Store that a goal was cancelled before it came: before that is confirmed."""
+        """Store that a goal was cancelled before it arrived, before this is confirmed."""
         self._append(Ended(goal_id=goal_id, outcome=Outcome.CANCELLED, sha256=None, size_bytes=0))
 
     def acknowledged(self, goal_ids: Iterable[str]) -> None:
-        """Let results go that have arrived; ids that are not known do no harm."""
+        """Drop results that have arrived; unknown ids are ignored."""
         self._append(Acknowledged(goal_ids=tuple(goal_ids)))
 
     def stopped(self, order: StopOrder) -> None:
-        """Store a stop. The robot is halted before this is called: a slow disk stops nobody."""
+        """Store a stop; the robot is halted before this call, so a slow disk delays no stop."""
         self._append(Stopped(sender=order.sender, reason=order.reason))
 
     def released(self, sender: str) -> None:
-        """Store that a stop is over: before the robot may move again."""
+        """Store that the stop is over, before the robot may move again."""
         self._append(Released(sender=sender))
 
     def owned(self, owner: str, epoch: int) -> None:
-        """Store who commands the robot now: before anything is done under that epoch."""
+        """Store which orchestrator commands the robot, before anything is done under its epoch."""
         self._append(Owned(owner=owner, epoch=epoch))
 
     def forget_owner(self) -> Owned | None:
-        """Remember no owner and no epoch any more; return what was known. Raises JournalError.
+        """Remove the owner and its epoch from the journal.
 
-        That is for a person to decide: an owner of the past is obeyed again afterwards.
+        This is for a person to decide, since the robot obeys owners of the past again afterwards.
+
+        Returns:
+            The owner removed; None when there was none.
+
+        Raises:
+            JournalError: The change cannot be stored.
         """
         with self._mutex:
             forgotten, self._ledger.owner = self._ledger.owner, None
@@ -203,7 +227,7 @@ class Journal:
         return forgotten
 
     def result(self, goal_id: str) -> GoalResult | None:
-        """Return a result that is kept; None when it was let go, or its file is damaged."""
+        """Return a goal's result; None when it was dropped or its file is damaged."""
         with self._mutex:
             known = self._ledger.goals.get(goal_id)
         if known is None or known.sha256 is None:
@@ -233,7 +257,7 @@ class Journal:
             ) from error
 
     def _read(self) -> tuple[LogFile, str | None]:
-        """Read the log into the ledger; return it open for appending, and what is wrong with it."""
+        """Read the log into the ledger; return it open for appending, and its damage, if any."""
         path = self._folder / LOG
         if not path.exists():
             return self._new_log(), None
@@ -251,14 +275,14 @@ class Journal:
         return self._new_log(), damage
 
     def _end_what_ran(self) -> tuple[str, ...]:
-        """End the goals that were in progress when the process before ended."""
+        """End the goals that were in progress when the previous process ended; return their ids."""
         lost = self._ledger.running
         for known in lost:
             self.ended(lost_result(known))
         return tuple(known.goal.goal_id for known in lost)
 
     def _sweep(self) -> None:
-        """Remove the files of no goal: of crashes between two steps."""
+        """Remove files that belong to no goal, left by a crash between two steps."""
         for path in self._incoming.iterdir():
             path.unlink()
         for path in self._results.iterdir():
@@ -284,11 +308,11 @@ class Journal:
         try:
             (self._results / goal_id).unlink(missing_ok=True)
         except OSError as error:
-            # The record says that it is gone; the next process to begin sweeps it away.
+            # The record already says that it is gone; the next process sweeps the file away.
             _log.warning("%s/%s cannot be removed: %s", self._results, goal_id, error.strerror)
 
     def _compact(self) -> None:
-        """Replace the log by a shorter one with the same content."""
+        """Replace the log with a shorter one of the same content; a failure is only logged."""
         try:
             self._replace_log()
         except OSError as error:
@@ -296,7 +320,7 @@ class Journal:
         self._compact_above_bytes = max(COMPACT_ABOVE_BYTES, 2 * self._log_file.size_bytes)
 
     def _replace_log(self) -> None:
-        """Put a log of what is known now into the place of the one that is open; raises OSError."""
+        """Replace the open log with one made from the ledger; raises OSError."""
         old = self._log_file
         try:
             self._log_file = self._new_log()
@@ -317,7 +341,11 @@ class Journal:
 
 
 def lost_result(known: LedgerGoal) -> GoalResult:
-    """Return what is to be said of a goal whose process died: no samples, and never again."""
+    """Return the result of a goal whose agent process died: lost, without samples.
+
+    Raises:
+        ValueError: The goal was not running.
+    """
     if known.plan is None:
         raise ValueError(f"goal {known.goal.goal_id} does not run")
     nothing = np.empty(0) if isinstance(known.plan, ExcitationPlan) else np.empty((0, 0))

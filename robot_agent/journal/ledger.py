@@ -1,6 +1,6 @@
-"""What a robot's journal says, record by record: goals and their ends, the stop, the owner. Pure.
+"""The records of a robot's journal, and the state they add up to: goals, stop and owner. Pure.
 
-A record is a fact in the past tense. Reading the records again from the first gives the same
+A record is a fact in the past tense. Applying the records again from the first gives the same
 ledger, and `records` gives a shorter journal with the same content.
 """
 
@@ -27,70 +27,103 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class JournalError(NufleetError):
-    """The journal cannot be read or written; what it was to hold must not be acted on."""
+    """The journal cannot be read or written; a fact that is not stored must not be acted on."""
 
 
 class Accepted(Strict):
-    """A goal was taken, and its motion may have begun any time after."""
+    """A goal was accepted, and its motion may have begun at any time after."""
 
     kind: Literal["accepted"] = "accepted"
     goal_id: Identifier
+    """Id of the goal."""
+
     owner: Identifier
+    """Name of the orchestrator that sent it."""
+
     digest: Digest
+    """Hash of the motion requested."""
+
     boot_id: Identifier
+    """Id of the agent process that accepted it."""
+
     plan: MotionPlan
+    """Plan of its motion."""
 
 
 class Ended(Strict):
-    """A goal's motion is over. `sha256` is of the file with its result; None without one."""
+    """A goal's motion is over."""
 
     kind: Literal["ended"] = "ended"
     goal_id: Identifier
+    """Id of the goal."""
+
     outcome: Outcome
+    """How the motion ended."""
+
     sha256: Digest | None
+    """Digest of the file with the goal's result; None without a file."""
+
     size_bytes: Count
+    """Size of that file; 0 without a file."""
 
 
 class Remembered(Strict):
-    """A goal that ended, from a journal that was written anew."""
+    """A goal that has ended, as one record of a compacted journal."""
 
     kind: Literal["remembered"] = "remembered"
     goal_id: Identifier
+    """Id of the goal."""
+
     owner: Annotated[str, Field(max_length=200)]
+    """Name of the orchestrator that sent it; empty for a goal whose acceptance is unknown."""
+
     digest: Digest
+    """Hash of the motion requested; empty for a goal whose acceptance is unknown."""
+
     outcome: Outcome
+    """How the motion ended."""
+
     sha256: Digest | None
+    """Digest of the file with the goal's result; None without a file."""
+
     size_bytes: Count
+    """Size of that file; 0 without a file."""
 
 
 class Acknowledged(Strict):
-    """These goals' results arrived."""
+    """The results of these goals arrived at the orchestrator."""
 
     kind: Literal["acknowledged"] = "acknowledged"
     goal_ids: Annotated[tuple[Identifier, ...], Field(max_length=64)]
 
 
 class Stopped(Strict):
-    """The robot was stopped until somebody releases it."""
+    """The robot was stopped; it stays stopped until a release."""
 
     kind: Literal["stopped"] = "stopped"
     sender: Identifier
+    """Name of the sender of the stop."""
+
     reason: Reason
+    """Reason that the sender gave."""
 
 
 class Released(Strict):
-    """Somebody let the robot move again."""
+    """The stop was ended; the robot may move again."""
 
     kind: Literal["released"] = "released"
     sender: Identifier
 
 
 class Owned(Strict):
-    """An orchestrator commands the robot under that epoch; lower ones are over."""
+    """An orchestrator took command of the robot under an epoch; lower epochs are over."""
 
     kind: Literal["owned"] = "owned"
     owner: Identifier
+    """Name of the orchestrator."""
+
     epoch: Count
+    """Epoch of its lease."""
 
 
 Record = Accepted | Ended | Remembered | Acknowledged | Stopped | Released | Owned
@@ -115,20 +148,33 @@ def decode_record(payload: bytes) -> Record:
 
 @dataclass(frozen=True)
 class LedgerGoal:
-    """A goal: with `boot_id` and `plan` while it runs, with `sha256` while its result is kept."""
+    """A goal with the facts that the journal holds about it."""
 
     goal: Goal
+    """The goal itself."""
+
     boot_id: str = ""
+    """Id of the agent process that runs it; empty once it has ended."""
+
     plan: MotionPlan | None = None
+    """Plan of its motion; None once it has ended."""
+
     sha256: str | None = None
+    """Digest of the file with its result; None when none is kept."""
+
     size_bytes: int = 0
+    """Size of that file."""
 
 
 class Ledger:
-    """All that is known, within bounds: the oldest results and goals are let go."""
+    """The state that the records add up to, within bounds: the oldest results and goals go first.
+
+    `goals` are all goals known, by id; `stop` is the stop in force; `owner` is the orchestrator
+    that last commanded the robot.
+    """
 
     def __init__(self) -> None:
-        # Those that have ended in the order in which they did; the one that runs is among them.
+        # Goals that have ended are in the order of their ends; the running one is among them.
         self.goals: OrderedDict[str, LedgerGoal] = OrderedDict()
         self.stop: StopOrder | None = None
         self.owner: Owned | None = None
@@ -136,16 +182,16 @@ class Ledger:
 
     @property
     def running(self) -> tuple[LedgerGoal, ...]:
-        """The goals that were accepted and have not ended."""
+        """Goals that were accepted and have not ended."""
         return tuple(goal for goal in self.goals.values() if goal.goal.outcome is None)
 
     @property
     def kept(self) -> tuple[str, ...]:
-        """The goals whose results are kept, oldest first."""
+        """Ids of the goals whose results are kept, oldest first."""
         return tuple(self._kept)
 
     def says_already(self, record: Record) -> bool:
-        """Return whether a record would change nothing, as a second stop does."""
+        """Return whether a record would change nothing, as a second stop would."""
         match record:
             case Ended():
                 known = self.goals.get(record.goal_id)
@@ -162,16 +208,16 @@ class Ledger:
                 return False
 
     def apply(self, record: Record) -> tuple[str, ...]:
-        """Take in a record; return the goals whose results need not be kept any more."""
+        """Apply a record; return the ids of the goals whose results can now be removed."""
         match record:
             case Accepted():
                 goal = Goal(record.goal_id, record.owner, record.digest)
-                # Only damage puts it behind its goal's end, which stays.
+                # An acceptance after the goal's end comes from damage only; the end stands.
                 known = LedgerGoal(goal, record.boot_id, record.plan)
                 self.goals.setdefault(record.goal_id, known)
             case Ended():
-                # Where damage took the acceptance the goal is known all the same. Its digest is
-                # nobody's, so that whoever sends it again is refused.
+                # If damage destroyed the acceptance, the goal becomes known here, with a digest
+                # that matches no content, so that the goal is refused if it is sent again.
                 unknown = LedgerGoal(Goal(record.goal_id, "", ""))
                 goal = self.goals.get(record.goal_id, unknown).goal
                 self._keep(replace(goal, outcome=record.outcome), record.sha256, record.size_bytes)
@@ -181,7 +227,7 @@ class Ledger:
             case Acknowledged():
                 return self._let_go(record.goal_ids)
             case Stopped():
-                # As in the supervisor: the first order stays the reason that is shown.
+                # As in the supervisor, the first order remains the reason that is shown.
                 self.stop = self.stop or StopOrder(record.sender, record.reason)
             case Released():
                 self.stop = None
@@ -190,7 +236,7 @@ class Ledger:
         return self._let_go(self._over_the_bounds())
 
     def records(self) -> Iterator[Record]:
-        """Yield the fewest records from which the same ledger comes."""
+        """Yield the fewest records that give the same ledger."""
         for known in self.goals.values():
             goal = known.goal
             if goal.outcome is not None:

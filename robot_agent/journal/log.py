@@ -1,4 +1,4 @@
-"""The log of a journal on a disk: appended to and replaced, durably, whatever the disk does."""
+"""The log file of a journal: appended to and replaced durably, even when the disk fails."""
 
 from __future__ import annotations
 
@@ -16,7 +16,15 @@ class LogFile:
     """A log that is open for appending, by one thread at a time."""
 
     def __init__(self, path: Path, descriptor: int, salt: bytes, number: int, size: int) -> None:
-        """Take over a descriptor whose position is the end of a log of `number` frames."""
+        """Take over an open log, positioned at its end.
+
+        Args:
+            path: Path of the log.
+            descriptor: Descriptor open for writing, which this object closes.
+            salt: Salt of the log, the key of its checksums.
+            number: Number of its last frame; 0 without any.
+            size: Size of the log in bytes.
+        """
         self._path = path
         self._descriptor = descriptor
         self._salt = salt
@@ -26,15 +34,18 @@ class LogFile:
 
     @property
     def size_bytes(self) -> int:
-        """How long the log is."""
+        """Size of the log in bytes."""
         return self._size_bytes
 
     def append(self, payload: bytes) -> None:
         """Store a record; it is on disk when this returns.
 
+        Args:
+            payload: Encoded record.
+
         Raises:
-            JournalError: it is not stored. When the disk leaves in doubt what it holds, nothing
-                is stored any more.
+            JournalError: The record is not stored. When the content of the disk is in doubt, this
+                log stores nothing more.
         """
         if self._in_doubt is not None:
             raise JournalError(f"{self._path} takes no more records: {self._in_doubt}")
@@ -49,16 +60,18 @@ class LogFile:
         try:
             os.fdatasync(self._descriptor)
         except OSError as error:
-            # The system may have dropped what it could not write; trying again would prove nothing.
+            # After a failed sync the system may have discarded the data it could not write, so a
+            # second sync that succeeds would prove nothing.
             self._in_doubt = f"the disk failed: {error.strerror}; restart the agent"
             raise JournalError(f"{self._path}: {self._in_doubt}") from error
         self._number += 1
         self._size_bytes += len(frame)
 
     def check_in_place(self) -> None:
-        """After a failed replacement: store nothing any more if it took place nevertheless.
+        """Check, after a failed replacement, that this log is still the one at its path.
 
-        What is appended to a log that nobody will read again is not stored.
+        If the replacement did take place, this log stores nothing more: a record appended to a file
+        that will never be read again would be lost.
         """
         try:
             in_place = os.path.samestat(self._path.stat(), os.fstat(self._descriptor))
@@ -68,14 +81,14 @@ class LogFile:
             self._in_doubt = "it was replaced, and the disk failed; restart the agent"
 
     def close(self) -> None:
-        """Store nothing any more."""
+        """Close the file; nothing more is stored."""
         if self._descriptor >= 0:
             self._in_doubt = self._in_doubt or "it is closed"
             os.close(self._descriptor)
             self._descriptor = -1
 
     def _restore(self) -> None:
-        """Take half a frame away: in the middle of a log it would look like damage."""
+        """Remove a half-written frame, which would look like damage in the middle of the log."""
         try:
             os.ftruncate(self._descriptor, self._size_bytes)
         except OSError as error:
@@ -83,13 +96,13 @@ class LogFile:
 
 
 def read_log(path: Path) -> tuple[Scan, bytes]:
-    """Return what a log holds, and its bytes."""
+    """Return the records found in a log, and its bytes."""
     data = path.read_bytes()
     return scan(data), data
 
 
 def continue_log(path: Path, found: Scan) -> LogFile:
-    """Open a log without damage behind its last whole record; what is torn is cut off."""
+    """Open an undamaged log for appending after its last whole record, with a torn end cut off."""
     descriptor = os.open(path, os.O_RDWR | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
         if found.torn_bytes:
@@ -102,7 +115,16 @@ def continue_log(path: Path, found: Scan) -> LogFile:
 
 
 def replace_log(path: Path, payloads: Iterable[bytes], temporary: Path) -> LogFile:
-    """Write a new log and put it into the place of the old one, all at once."""
+    """Write a new log and replace the old one with it atomically.
+
+    Args:
+        path: Path of the log.
+        payloads: Encoded records, in order.
+        temporary: Path on the same file system at which the new log is written first.
+
+    Returns:
+        The new log, open for appending.
+    """
     salt = secrets.token_bytes(SALT_BYTES)
     frames = [encode_frame(salt, n, payload) for n, payload in enumerate(payloads, start=1)]
     data = file_head(salt) + b"".join(frames)

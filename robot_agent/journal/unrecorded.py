@@ -1,4 +1,4 @@
-"""Stands in for a journal where there is no folder for one: nothing survives the process."""
+"""A substitute for the journal of a robot without a state folder: nothing survives the process."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from nufleet.shared.wire.motions import MotionPlan
 
 
 class Unrecorded:
-    """Takes what a `Journal` takes, and stores none of it."""
+    """Has the interface of a `Journal`, and stores nothing."""
 
     remembrance = Remembrance(goals=Goals(), stop=None, owner=None, lost=(), damage=None)
 
     def accepted(self, goal: Goal, plan: MotionPlan, boot_id: str) -> None:
-        """Forget it."""
+        """Ignore an accepted goal."""
 
     def ended(self, result: GoalResult) -> bool:
-        """Forget it; return that its samples are not kept."""
+        """Ignore a goal's end; return False, since its samples are not kept."""
         del result
         return False
 
     def forgone(self, goal_id: str) -> None:
-        """Forget it."""
+        """Ignore a goal cancelled before it arrived."""
 
     def acknowledged(self, goal_ids: Iterable[str]) -> None:
-        """Forget it."""
+        """Ignore acknowledged results."""
 
     def stopped(self, order: StopOrder) -> None:
-        """Forget it."""
+        """Ignore a stop."""
 
     def released(self, sender: str) -> None:
-        """Forget it."""
+        """Ignore a release."""
 
     def owned(self, owner: str, epoch: int) -> None:
-        """Forget it."""
+        """Ignore a change of owner."""
 
     def result(self, goal_id: str) -> GoalResult | None:
         """Return None: no result is kept."""

@@ -1,7 +1,7 @@
 """Answers the queries on one robot's keys, in order and within bounds.
 
 Zenoh's thread only puts a query into a short queue, from which one worker answers. Urgent queries
-alone are answered where they arrive, so that they never wait behind others.
+are the exception: they are answered on Zenoh's thread, so that they never wait behind others.
 """
 
 from __future__ import annotations
@@ -23,17 +23,21 @@ from nufleet.shared.wire.messages import Refusal
 from nufleet.shared.wire.transport import Request, Session
 
 MAX_REQUEST_BYTES = 64 * 1024
+"""Largest size of an ordinary request."""
+
 MAX_LARGE_REQUEST_BYTES = 8 * 2**20
-"""Of a request that carries a path or an experience."""
+"""Largest size of a request that carries a path or an experience."""
 
 MAX_WAITING_REQUESTS = 64
+"""Largest number of requests that wait in the queue."""
+
 MAX_WAITING_BYTES = 2 * MAX_LARGE_REQUEST_BYTES
-"""Of all requests that wait, together."""
+"""Largest total size of the requests that wait in the queue."""
 
 Answer = Message | Future[Message]
 Handler = Callable[[bytes], Answer]
-"""Takes a payload; returns the reply or its future, or raises RefusedError, JournalError or
-MalformedMessageError."""
+"""Function that takes a payload and returns the reply or its future; it may raise RefusedError,
+JournalError or MalformedMessageError."""
 
 A = TypeVar("A")
 _log = logging.getLogger(__name__)
@@ -41,7 +45,7 @@ SHUTTING_DOWN = Refusal(code="shutting-down", reason="this agent is ending")
 
 
 class Endpoint:
-    """Serves every key of a robot; each query gets one reply, a refusal where there is no other."""
+    """Serves every key of a robot; each query gets one reply, if only a refusal."""
 
     def __init__(
         self,
@@ -56,12 +60,13 @@ class Endpoint:
         """Begin to serve.
 
         Args:
-            session: where.
-            keys: of the robot's fleet.
-            robot: its name.
-            handlers: what answers the queries on each key; called from one thread.
-            urgent: the same, for those that cannot wait; called from Zenoh's thread.
-            large: the keys whose requests may be up to `MAX_LARGE_REQUEST_BYTES` long.
+            session: Session on which to serve.
+            keys: Keys of the robot's fleet.
+            robot: Name of the robot.
+            handlers: Handlers of the queries, by the part of their key behind the robot's name; all
+                are called from one thread.
+            urgent: Handlers of the queries that cannot wait, called from Zenoh's thread.
+            large: Keys whose requests may have up to `MAX_LARGE_REQUEST_BYTES`.
         """
         self._prefix = keys.robot(robot, "")
         self._handlers = handlers
@@ -76,7 +81,7 @@ class Endpoint:
         self._declaration = session.serve(keys.robot(robot, "**"), self._on_request)
 
     def close(self) -> None:
-        """Serve no more; what still waits is refused."""
+        """Stop serving; requests that still wait are refused."""
         self._declaration.withdraw()
         with self._lock:
             self._closed = True
@@ -92,7 +97,8 @@ class Endpoint:
         most = MAX_LARGE_REQUEST_BYTES if leaf in self._large else MAX_REQUEST_BYTES
         too_large = request.size_bytes > most
         if urgent is not None:
-            # Whatever came along: who asks for this must not be turned away for its size.
+            # An urgent query must not be refused for its size, so an oversized payload is dropped
+            # and the query answered without it.
             _reply(request, partial(urgent, b"" if too_large else request.payload))
         elif request.is_wildcard:
             _send(request, Refusal(code="wildcard", reason="ask each robot on a key of its own"))
@@ -136,7 +142,7 @@ def _reply(request: Request, ask: Callable[[], Answer]) -> None:
 
 
 def _answered(ask: Callable[[], A]) -> A | Refusal:
-    """Return the answer, and every way of having none as a refusal."""
+    """Return the answer; turn every exception into a refusal."""
     try:
         return ask()
     except RefusedError as error:

@@ -1,4 +1,4 @@
-"""Publishes what a robot is doing: at every change, and twice a second while nothing changes."""
+"""Publishes a robot's state at every change, and twice a second while nothing changes."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from nufleet.shared.wire.messages import RobotState
 from nufleet.shared.wire.transport import Publisher
 
 HEARTBEAT_S = 0.5
+"""Interval between two states while nothing changes."""
 
 _log = logging.getLogger(__name__)
 
 
 class Heartbeat:
-    """A thread that publishes a robot's state; changes that come fast share one message."""
+    """A thread that publishes a robot's state; changes in quick succession share one message."""
 
     def __init__(
         self,
@@ -26,13 +27,13 @@ class Heartbeat:
         state: Callable[[], RobotState],
         changed: threading.Event,
     ) -> None:
-        """Begin.
+        """Begin to publish.
 
         Args:
-            robot: its name.
-            publisher: where states go.
-            state: returns the state of now.
-            changed: set by whoever changed the state, so that it is published soon.
+            robot: Name of the robot.
+            publisher: Publisher of the states; withdrawn at the end.
+            state: Function that returns the present state.
+            changed: Event to set after a change of the state, so that it is published soon.
         """
         self._publisher = publisher
         self._state = state
@@ -42,7 +43,7 @@ class Heartbeat:
         self._thread.start()
 
     def close(self) -> None:
-        """Publish the last state and end."""
+        """Publish the final state and end the thread."""
         self._closing = True
         self._changed.set()
         self._thread.join()
@@ -52,7 +53,7 @@ class Heartbeat:
         closing = False
         while not closing:
             self._changed.clear()
-            closing = self._closing  # read before the state, so that the last one is published
+            closing = self._closing  # read before the state, so that the final one is published
             try:
                 self._publisher.put(encode(self._state()))
             except NufleetError as error:

@@ -1,7 +1,7 @@
-"""Finds out that another agent serves the same robot: it hears that agent's heartbeats.
+"""Detects another agent that serves the same robot, by receiving that agent's heartbeats.
 
 Two agents of one robot would both obey the same goal. Neither can tell which of them should, so
-both refuse until one is silent.
+both refuse goals until one of them is silent.
 """
 
 from __future__ import annotations
@@ -14,21 +14,27 @@ from nufleet.shared.wire.codec import decode
 from nufleet.shared.wire.messages import Refusal, RobotState
 
 SILENCE_S = 2.5
-"""An agent that was not heard for so long, five heartbeats, is gone."""
+"""Silence after which another agent counts as gone: five heartbeats."""
 
 _log = logging.getLogger(__name__)
 
 
 class Rivals:
-    """Told every state that is published of this robot, on Zenoh's thread; asked from others."""
+    """Receives this robot's published states on Zenoh's thread; `refusal` works from any thread."""
 
     def __init__(self, robot: str, boot_id: str, clock: Callable[[], float]) -> None:
-        """Prepare; `boot_id` is this agent's own, `clock` returns monotonic seconds."""
+        """Begin with no other agent known.
+
+        Args:
+            robot: Name of the robot.
+            boot_id: Id of this agent process.
+            clock: Function that returns monotonic time in seconds.
+        """
         self._robot, self._boot_id, self._clock = robot, boot_id, clock
         self._heard: tuple[str, float] | None = None
 
     def heard(self, key: str, payload: bytes) -> None:
-        """Take in a state, most of which are this agent's own."""
+        """Receive a state published on a key; most states are this agent's own."""
         try:
             state = decode(payload, RobotState)
         except MalformedMessageError as error:
@@ -41,7 +47,7 @@ class Rivals:
         self._heard = (state.boot_id, self._clock())
 
     def refusal(self) -> Refusal | None:
-        """Return why no goal is taken now; None when no other agent is heard."""
+        """Return why no goal is taken now; None when there is no other agent."""
         heard = self._heard
         if heard is None or self._clock() - heard[1] > SILENCE_S:
             return None

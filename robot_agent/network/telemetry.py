@@ -1,4 +1,4 @@
-"""Batches a running motion's samples, so that many robots can be watched at once."""
+"""Publishes a running motion's samples in batches, so that many robots can be watched at once."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from nufleet.shared.wire.codec import Message, encode
 from nufleet.shared.wire.transport import Publisher
 
 PERIOD_S = 0.1
+"""Shortest interval between two batches."""
 
 _log = logging.getLogger(__name__)
 
@@ -27,12 +28,13 @@ class TelemetryBatcher:
         *,
         clock: Callable[[], float],
     ) -> None:
-        """Begin with nothing.
+        """Begin with an empty batch.
 
         Args:
-            publisher: where the batches go.
-            make: makes the message from the index of the batch's first sample and its signals.
-            clock: monotonic, in s.
+            publisher: Publisher of the batches.
+            make: Function that makes the message from the index of the batch's first sample and its
+                signals, each with one row per sample.
+            clock: Function that returns monotonic time in seconds.
         """
         self._publisher = publisher
         self._make = make
@@ -42,9 +44,11 @@ class TelemetryBatcher:
         self._parts: list[tuple[FloatArray, ...]] = []
 
     def add(self, first: int, *signals: FloatArray) -> None:
-        """Take samples that follow the ones before; publish when it is time.
+        """Add samples that follow the previous ones, and publish the batch when it is due.
 
-        Every signal has one row per sample, `first` is the index of the first one.
+        Args:
+            first: Index of the first sample added.
+            signals: Signals in the order that `make` expects, each with one row per sample.
         """
         if not self._parts:
             self._first = first
@@ -53,7 +57,7 @@ class TelemetryBatcher:
             self.flush()
 
     def flush(self) -> None:
-        """Publish what has been collected; a motion goes on whether or not anybody can hear it."""
+        """Publish the samples collected; a failure is only logged, and the motion continues."""
         self._last_s = self._clock()
         if not self._parts:
             return

@@ -1,8 +1,9 @@
-"""Notices that the whole process was frozen: what it finds on waking is from a time that is over.
+"""Detects that the whole process was frozen, and refuses goals until it has caught up.
 
-A goal that waited in the socket of a frozen process may be one whose orchestrator has gone since,
-or has interrupted it and heard nothing; and whether its token is gone is not known at once. So an
-agent that wakes takes no goal before it has had the time to hear. Who still wants it asks again.
+A goal that waited in the socket of a frozen process may be out of date: its orchestrator may have
+gone since, or have interrupted the goal and received no answer, and the loss of its liveliness
+token is not known at once. An agent that wakes therefore takes no goal before it has had time to
+receive such news. An orchestrator that still wants the goal sends it again.
 """
 
 from __future__ import annotations
@@ -12,28 +13,31 @@ import threading
 from nufleet.shared.wire.messages import Refusal
 
 FROZEN_S = 2.0
-"""Beats further apart than this mean that the process was frozen; as long as a session's lease."""
+"""Time between two beats beyond which the process was frozen; equal to a session's lease."""
 
 HEARING_S = 1.0
-"""How long a process that woke waits for news of who is there."""
+"""Time that a process waits after waking for news of which orchestrators are alive."""
 
 
 class Freezes:
-    """Told regularly that the process runs, asked whether it may take a goal; from any thread."""
+    """Decides from regular beats of the process whether it may take a goal; usable from any thread.
+
+    Every time is that of one monotonic clock, in seconds.
+    """
 
     def __init__(self, now_s: float) -> None:
-        """Begin at a time of a monotonic clock."""
+        """Begin at the present time, with no freeze in the past."""
         self._lock = threading.Lock()
         self._beat_s = now_s
         self._woke_s = now_s - HEARING_S
 
     def beat(self, now_s: float) -> None:
-        """Note that the process runs."""
+        """Record that the process runs at this time."""
         with self._lock:
             self._note(now_s)
 
     def refusal(self, now_s: float) -> Refusal | None:
-        """Return why no goal is taken now; None when the process has run for a while."""
+        """Return why no goal is taken now; None when the process has run for `HEARING_S`."""
         with self._lock:
             self._note(now_s)
             if now_s - self._woke_s >= HEARING_S:

@@ -8,21 +8,21 @@ from collections.abc import Iterable
 from nufleet.shared.wire.messages import GoalResult
 
 KEPT_RESULTS = 32
-"""Results that nobody acknowledged are kept up to this number; the oldest go first."""
+"""Largest number of unacknowledged results that are kept; the oldest are dropped first."""
 
 KEPT_RESULT_BYTES = 256 * 2**20
-"""And up to this many bytes of samples; the newest is kept whatever its size."""
+"""Largest total size of their samples in bytes; the newest result is kept whatever its size."""
 
 
 class KeptResults:
-    """Results by goal id, oldest first."""
+    """The results of ended goals, by goal id, oldest first."""
 
     def __init__(self) -> None:
         self._results: OrderedDict[str, GoalResult] = OrderedDict()
         self._bytes = 0
 
     def add(self, result: GoalResult) -> None:
-        """Keep a result, and let the oldest go where there are too many."""
+        """Keep a result, and drop the oldest ones while there are too many."""
         self._results[result.goal_id] = result
         self._bytes += _size_bytes(result)
         while len(self._results) > 1 and (
@@ -31,11 +31,11 @@ class KeptResults:
             self.forget([next(iter(self._results))])
 
     def get(self, goal_id: str) -> GoalResult | None:
-        """Return a result that is kept still."""
+        """Return a goal's result; None when it is not kept."""
         return self._results.get(goal_id)
 
     def forget(self, goal_ids: Iterable[str]) -> None:
-        """Let results go; ids that are not known do no harm."""
+        """Drop the results of these goals; unknown ids are ignored."""
         for goal_id in goal_ids:
             result = self._results.pop(goal_id, None)
             if result is not None:

@@ -1,11 +1,11 @@
-"""Who commands a robot: one orchestrator at a time, under an epoch that never falls. Pure.
+"""Decides which orchestrator commands a robot: one at a time, with epochs that never fall. Pure.
 
-An orchestrator gets its epochs with its leases of robots, each higher than all before it; 0 says
-that it has no lease. So whoever was thought dead and replaced is known by its epoch when it wakes.
-Watching a robot, stopping it and releasing it need no epoch.
+An orchestrator receives an epoch with each lease of a robot, higher than all before it; 0 means
+that it has no lease. An orchestrator that was thought dead and replaced is thus recognised by its
+lower epoch when it wakes. Watching a robot, stopping it and releasing it need no epoch.
 
-An epoch is remembered for ever, so that a wrong one would lock everybody else out: one that is far
-above the last is refused.
+A robot keeps its epoch for ever, so a wrong one would lock every other orchestrator out. An epoch
+far above the last one is therefore refused.
 """
 
 from __future__ import annotations
@@ -17,26 +17,31 @@ from nufleet.shared.wire.messages import EPOCH_JUMP_MAX, EPOCH_MAX, Refusal
 
 @dataclass(frozen=True)
 class Commander:
-    """An orchestrator, and the epoch of its lease; 0 without one."""
+    """An orchestrator with the epoch under which it commands a robot."""
 
     owner: str
+    """Name of the orchestrator."""
+
     epoch: int = 0
+    """Epoch of its lease; 0 without a lease."""
 
 
 def refusal_to_command(
     held: Commander | None, sender: Commander, *, held_alive: bool, moving_for: str | None
 ) -> Refusal | None:
-    """Return why a robot does not obey, or None when it does.
+    """Return why a robot does not obey a sender; None when it does.
 
     Args:
-        held: who commanded it last under an epoch; None when nobody ever did.
-        sender: who wants to.
-        held_alive: whether the liveliness token of `held` is there.
-        moving_for: whose motion is in progress, if they are alive; nobody else ends it.
+        held: Orchestrator that last commanded the robot under an epoch; None when there was none.
+        sender: Orchestrator that asks to command it.
+        held_alive: Whether the liveliness token of `held` is present.
+        moving_for: Owner of the motion in progress, if it is alive; no other orchestrator ends that
+            motion. None when the robot is at rest or the owner is gone.
     """
     if held is not None:
         if sender.epoch == 0:
-            # Who has no lease is not in the order of epochs; it gives way to whoever has one.
+            # A sender without a lease has no place in the order of epochs; it gives way to a live
+            # orchestrator with a lease.
             if held_alive and sender.owner != held.owner:
                 return _stale(held, "take a lease to follow it")
         elif sender.epoch < held.epoch:
@@ -59,7 +64,7 @@ def refusal_to_command(
 
 
 def takes_over(held: Commander | None, sender: Commander) -> bool:
-    """Return whether a sender that is obeyed commands the robot under a new epoch from then on."""
+    """Return whether a sender that is obeyed commands the robot under a new epoch from now on."""
     return sender.epoch > 0 and sender != held
 
 

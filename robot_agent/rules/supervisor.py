@@ -1,7 +1,7 @@
-"""Whether the robot may move: a pure state machine over stop orders, owners and faults.
+"""Decides whether the robot may move: a pure state machine over stop orders, owners and faults.
 
-It holds no clock, thread or socket. `supervise` takes the state and an event and returns the next
-state with what the agent has to do about the motion in progress.
+It holds no clock, thread or socket. `supervise` takes the state and an event, and returns the next
+state together with the halt of the motion in progress, if one is needed.
 """
 
 from __future__ import annotations
@@ -13,23 +13,28 @@ from nufleet.shared.wire.messages import Outcome, Refusal
 
 @dataclass(frozen=True)
 class StopOrder:
-    """Who stopped the robot and why."""
+    """An order to stop the robot."""
 
     sender: str
+    """Name of the sender."""
+
     reason: str
+    """Reason that the sender gave."""
 
 
 @dataclass(frozen=True)
 class Supervision:
-    """What keeps the robot from moving, and who commands the motion in progress.
-
-    `stop` is latched until a release, `fault` (why the robot cannot be trusted to obey) until it
-    has been connected anew; `motion_owner` is None while no motion is in progress.
-    """
+    """The state of the machine: all that keeps the robot from moving, and its motion's owner."""
 
     stop: StopOrder | None = None
+    """Stop in force, latched until a release; None without one."""
+
     fault: str | None = None
+    """Why the robot cannot be trusted to obey, latched until it is reconnected; None when it
+    can."""
+
     motion_owner: str | None = None
+    """Orchestrator that commands the motion in progress; None while there is none."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +46,7 @@ class StopOrdered:
 
 @dataclass(frozen=True)
 class ReleaseOrdered:
-    """Somebody let the robot move again on purpose."""
+    """A release arrived: the robot may move again."""
 
     sender: str
 
@@ -55,21 +60,21 @@ class OwnerLost:
 
 @dataclass(frozen=True)
 class MotionBegan:
-    """A motion of that owner is in progress from now on."""
+    """A motion of this owner is in progress from now on."""
 
     owner: str
 
 
 @dataclass(frozen=True)
 class MotionEnded:
-    """No motion is in progress any more; `fault` says what the robot did wrong, if anything."""
+    """The motion in progress has ended; `fault` says what the robot did wrong, if anything."""
 
     fault: str | None = None
 
 
 @dataclass(frozen=True)
 class Reconnected:
-    """The robot was connected anew; `fault` says why that failed, if it did."""
+    """An attempt to reconnect the robot has ended; `fault` says why it failed, if it did."""
 
     fault: str | None = None
 
@@ -79,17 +84,20 @@ Event = StopOrdered | ReleaseOrdered | OwnerLost | MotionBegan | MotionEnded | R
 
 @dataclass(frozen=True)
 class Halt:
-    """Bring the motion in progress to rest now."""
+    """An order to bring the motion in progress to rest now."""
 
     outcome: Outcome
+    """Outcome to report for the motion."""
+
     reason: str
+    """Reason to report for it."""
 
 
 def supervise(state: Supervision, event: Event) -> tuple[Supervision, Halt | None]:
-    """Return the next state, and the halt that the event asks for."""
+    """Return the next state, and the halt that the event requires; None when it requires none."""
     match event:
         case StopOrdered(order):
-            # A second stop is accepted too; the first order stays the reason that is shown.
+            # A second stop is accepted, too; the first order remains the reason that is shown.
             halted = replace(state, stop=state.stop or order)
             reason = f"stopped by {order.sender}: {order.reason}"
             return halted, _halt_if_moving(state, reason)
@@ -108,7 +116,13 @@ def supervise(state: Supervision, event: Event) -> tuple[Supervision, Halt | Non
 
 
 def refusal_to_start(state: Supervision, *, owner: str, owner_alive: bool) -> Refusal | None:
-    """Return why a motion may not begin, or None when it may."""
+    """Return why a motion may not begin; None when it may.
+
+    Args:
+        state: Current state.
+        owner: Name of the orchestrator that asks for the motion.
+        owner_alive: Whether the orchestrator's liveliness token is present.
+    """
     if state.fault is not None:
         return Refusal(
             code="fault",
