@@ -17,32 +17,54 @@ from nufleet.shared.robots.spec import AxisSpec, RobotSpec, TrackingLimits
 from nufleet.shared.strict import NonNegative, Positive, Strict
 
 SETTLED = 1e-4
-"""A transient is negligible once the slowest mode of the loop has decayed to this share."""
+"""Share to which the loop's slowest mode has decayed when a transient counts as negligible."""
 
 STATE_NAMES = ("position", "velocity")
 
 REST_TOLERANCE = 1e-6
-"""At rest, position and speed differ from 0 by less than this (in m and m/s), noise apart."""
+"""Largest position in m and speed in m/s at rest, not counting the effect of noise."""
 
 
 class DoubleIntegratorSettings(Strict):
-    """Parameters of one robot: (α, β) tell the paper's four robots apart; the rest they share.
-
-    The measurement noise is white, and the controller acts on the measured output.
-    """
+    """Parameters of one robot; the paper's four robots differ in (α, β) and share the rest."""
 
     alpha: Positive
+    """Gain α of the plant's input (paper, Section V-A)."""
+
     beta: NonNegative
+    """Damping β of the plant (paper, Section V-A)."""
+
     k_p: Positive = 5.0
+    """Proportional gain of the baseline controller, in 1/s² for a command that accelerates."""
+
     k_d: NonNegative = 4.5
+    """Derivative gain of the baseline controller, in 1/s for a command that accelerates."""
+
     sample_time_s: Positive = 0.015
+    """Sample time T_s of plant and controller."""
+
     noise_std_m: NonNegative = 0.0
+    """Standard deviation of the white measurement noise; the controller acts on the noisy output.
+    """
+
     amplitude_max_m: Positive = 1.0
+    """Largest amplitude of a frequency test."""
+
     velocity_max_m_s: Positive = 2.0
+    """Largest velocity of a frequency test's reference."""
+
     acceleration_max_m_s2: Positive = 10.0
+    """Largest acceleration of a frequency test's reference."""
+
     omega_min_rad_s: Positive = 0.01
+    """Lower edge of the band for frequency tests."""
+
     omega_max_rad_s: Positive = 50.0
+    """Upper edge of the band for frequency tests."""
+
     duration_max_s: Annotated[float, Field(gt=0, le=86_400)] = 3600.0
+    """Longest motion that the robot accepts."""
+
     tracking: TrackingLimits = TrackingLimits(
         position_max=1.5,
         speed_max=1.0,
@@ -50,6 +72,7 @@ class DoubleIntegratorSettings(Strict):
         correction_max=0.5,
         correction_speed_max=0.6,
     )
+    """Limits on tracked paths and their corrections, in m and s."""
 
     @model_validator(mode="after")
     def _loop_is_stable(self) -> DoubleIntegratorSettings:
@@ -59,10 +82,11 @@ class DoubleIntegratorSettings(Strict):
 
 
 def closed_loop(settings: DoubleIntegratorSettings) -> LinearModel:
-    """Return the loop from y_r to y_a with the state (position, speed, e(k-1)).
+    """Return the closed loop from y_r to y_a with the state (position, speed, e(k − 1)).
 
-    The plant is the paper's printed state equation taken literally, A₁₂ = T_s − β included; the
-    controller is u = k_p e + k_d (e(k) − e(k-1)) / T_s.
+    The plant is the state equation printed in the paper's Section V-A taken literally, including
+    A₁₂ = T_s − β. The controller is u(k) = k_p e(k) + k_d (e(k) − e(k − 1)) / T_s with the error
+    e = y_r − y_a.
     """
     step_s = settings.sample_time_s
     b_1 = settings.alpha * step_s**2 / 2
@@ -82,12 +106,15 @@ def closed_loop(settings: DoubleIntegratorSettings) -> LinearModel:
 
 
 def slowest_pole(model: LinearModel) -> float:
-    """Return the largest magnitude of the model's poles."""
+    """Return the largest magnitude among the model's poles, the eigenvalues of its matrix a."""
     return float(np.max(np.abs(np.linalg.eigvals(np.asarray(model.a)))))
 
 
 class DoubleIntegrator(Robot):
-    """One axis `x` in m. It runs as fast as it can; its noise comes from the generator given."""
+    """A robot with one axis `x` in m that runs as fast as it can.
+
+    Its measurement noise comes from the generator that it is given.
+    """
 
     def __init__(self, settings: DoubleIntegratorSettings, rng: np.random.Generator) -> None:
         self._settings = settings
@@ -96,14 +123,15 @@ class DoubleIntegrator(Robot):
         self._rest_bounds = _rest_bounds(settings)
         # Position, speed and the last control error; None while disconnected.
         self._state: tuple[float, float, float] | None = None
-        # The noise of the current sample, once somebody has looked at it.
+        # Noise of the current sample if `observe` has drawn it already; `run` then reuses it.
         self._noise_now_m: float | None = None
-        # Measuring at rest leaves the noise of the samples as it is.
+        # Measurements at rest draw from a stream of their own, so that they do not shift the noise
+        # of the samples.
         self._rest_rng = rng.spawn(1)[0]
 
     @property
     def spec(self) -> RobotSpec:
-        """What the robot is; may be read while disconnected."""
+        """Description of the robot; may be read while disconnected."""
         return self._spec
 
     def connect(self) -> None:
@@ -111,7 +139,7 @@ class DoubleIntegrator(Robot):
         self._state = (0.0, 0.0, 0.0)
 
     def measure_output(self) -> FloatArray:
-        """Measure the output at rest, shape (1,)."""
+        """Measure the output at rest, shape (1,), in m."""
         if self._state is None:
             raise RobotError("the simulated double integrator is not connected")
         noise_m = self._settings.noise_std_m * self._rest_rng.standard_normal()
@@ -119,11 +147,11 @@ class DoubleIntegrator(Robot):
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """What `observe` measures."""
+        """Names of the states that `observe` measures."""
         return STATE_NAMES
 
     def observe(self) -> FloatArray:
-        """Measure the state now, shape (1, 2); the noise is that of the output alone."""
+        """Measure position [m] and velocity [m/s], shape (1, 2); only the position is noisy."""
         if self._state is None:
             raise RobotError("the simulated double integrator is not connected")
         if self._noise_now_m is None:
@@ -131,12 +159,12 @@ class DoubleIntegrator(Robot):
         return np.array([[self._state[0] + self._noise_now_m, self._state[1]]])
 
     def step(self, reference: FloatArray) -> FloatArray:
-        """Follow a reference for one sample; shapes (1,)."""
+        """Follow a reference for one sample; reference and output have shape (1,), in m."""
         output: FloatArray = self.run(reference[None, :])[0]
         return output
 
     def run(self, references: FloatArray) -> FloatArray:
-        """Follow a whole reference signal; shapes (samples, 1)."""
+        """Follow a whole reference signal; references and outputs have shape (samples, 1), in m."""
         if self._state is None:
             raise RobotError("the simulated double integrator is not connected")
         if not np.isfinite(references).all():
@@ -149,7 +177,7 @@ class DoubleIntegrator(Robot):
         position, speed, last_error = self._state
         noise = self._take_noise(len(references))
         measured = []
-        # Plain floats: about a microsecond per sample, a hundred times faster than small arrays.
+        # Python floats take about a microsecond per sample, a hundred times less than small arrays.
         for y_r, noise_m in zip(references[:, 0].tolist(), noise.tolist(), strict=True):
             y_a = position + noise_m
             measured.append(y_a)
@@ -165,20 +193,20 @@ class DoubleIntegrator(Robot):
         return self._settings.noise_std_m * self._rng.standard_normal(samples)
 
     def _take_noise(self, samples: int) -> FloatArray:
-        """Return the noise of the coming samples, the one already looked at included."""
+        """Return the noise of the next samples, shape (samples,), including one already drawn."""
         if self._noise_now_m is None or samples == 0:
             return self._draw_noise(samples)
         seen, self._noise_now_m = self._noise_now_m, None
         return np.concatenate([[seen], self._draw_noise(samples - 1)])
 
     def rest(self) -> None:
-        """Hold the reference at 0 until position and speed are 0 within tolerance."""
+        """Hold the reference at 0 until position and speed are within tolerance of 0."""
         zeros = np.zeros((max(1, round(1.0 / self._settings.sample_time_s)), 1))
         while not self._at_rest():
             self.run(zeros)
 
     def disconnect(self) -> None:
-        """Bring the robot to rest and let go of it."""
+        """Bring the robot to rest and release it."""
         if self._state is not None:
             self.rest()
         self._state = None
@@ -216,7 +244,12 @@ def _spec_of(settings: DoubleIntegratorSettings) -> RobotSpec:
 
 
 def _rest_bounds(settings: DoubleIntegratorSettings) -> tuple[float, float]:
-    """Return how far position and speed may be from 0 at rest: the noise keeps the loop moving."""
+    """Return the largest position [m] and speed [m/s] at rest, where noise keeps the loop moving.
+
+    The stationary covariance P of the state under the measurement noise of variance σ² solves the
+    discrete Lyapunov equation P = A P Aᵀ + σ² b bᵀ: the noise enters the loop like a reference. The
+    bounds are six standard deviations beyond `REST_TOLERANCE`.
+    """
     model = closed_loop(settings)
     a, b = np.asarray(model.a), np.asarray(model.b)
     stationary = solve_discrete_lyapunov(a, np.outer(b, b)) * settings.noise_std_m**2

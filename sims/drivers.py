@@ -12,7 +12,7 @@ from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSet
 
 @dataclass(frozen=True)
 class DoubleIntegratorDriver:
-    """Builds the robots of the paper's Section V; each can live in a process of its own."""
+    """Builds the robots of the paper's Section V; each can run in a process of its own."""
 
     settings: type[DoubleIntegratorSettings] = DoubleIntegratorSettings
     shares_process: bool = False

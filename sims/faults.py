@@ -1,7 +1,7 @@
-"""What can go wrong with a robot's sensor and its driver, as entries of a fleet file.
+"""Faults of a robot's sensor and of its driver, as entries of a fleet file.
 
-Sensor faults change what was measured; the robot's own controller keeps the sensor it has. The
-others stop the robot's driver at a sample: an error, a crash, a hang.
+Sensor faults change the measurements that the driver returns; the robot's own controller keeps its
+sound sensor. Driver faults stop the driver at a sample: an error, a crash, a hang.
 """
 
 from __future__ import annotations
@@ -19,17 +19,26 @@ SampleCount = Annotated[int, Field(ge=0)]
 
 
 class FaultBase(Strict):
-    """When a fault acts: in one motion (counted from 1) or all, from a sample or a time on.
+    """The motions and samples at which a fault acts.
 
-    Samples and times are counted from the beginning of the motion. Without a length the fault lasts
-    to the motion's end.
+    Samples and times are counted from the beginning of the motion. Without a length, the fault
+    lasts to the motion's end.
     """
 
     motion: Annotated[int, Field(ge=1)] | None = None
+    """Number of the motion, from 1, in which the fault acts; None for every motion."""
+
     from_sample: SampleCount | None = None
+    """First sample at which it acts; excludes `from_s`."""
+
     from_s: NonNegative | None = None
+    """Time from which it acts, in seconds; excludes `from_sample`."""
+
     samples: Annotated[int, Field(ge=1)] | None = None
+    """Length in samples; excludes `for_s`."""
+
     for_s: Positive | None = None
+    """Length in seconds; excludes `samples`."""
 
     @model_validator(mode="after")
     def _said_once(self) -> FaultBase:
@@ -40,7 +49,17 @@ class FaultBase(Strict):
         return self
 
     def acts(self, motion: int, sample: int, count: int, sample_time_s: float) -> NDArray[np.bool_]:
-        """Return at which of the next `count` samples of a motion it acts, shape (count,)."""
+        """Return a mask of the next samples of a motion at which the fault acts.
+
+        Args:
+            motion: Number of the motion, from 1.
+            sample: Index of the next sample in the motion.
+            count: Number of samples.
+            sample_time_s: Sample time in seconds.
+
+        Returns:
+            True where the fault acts, shape (count,).
+        """
         if self.motion not in (None, motion):
             return np.zeros(count, dtype=np.bool_)
         first = self.first_sample(sample_time_s)
@@ -51,7 +70,7 @@ class FaultBase(Strict):
         return (index >= first) & (index < (np.inf if length is None else first + length))
 
     def first_sample(self, sample_time_s: float) -> int:
-        """Return the first sample of a motion at which it acts."""
+        """Return the index of the first sample of a motion at which the fault acts."""
         if self.from_sample is not None:
             return self.from_sample
         return round((self.from_s or 0.0) / sample_time_s)
@@ -72,14 +91,14 @@ class Infinite(FaultBase):
 
 
 class Frozen(FaultBase):
-    """The sensor stays at what it read last, `noise` (standard deviation) on top of it."""
+    """The sensor repeats its last reading, with noise of standard deviation `noise` on top."""
 
     kind: Literal["frozen"]
     noise: NonNegative = 0.0
 
 
 class Saturated(FaultBase):
-    """The sensor reads nothing outside its range."""
+    """The sensor's readings are clipped to the range from `low` to `high`."""
 
     kind: Literal["saturated"]
     low: float
@@ -93,14 +112,14 @@ class Saturated(FaultBase):
 
 
 class Noisy(FaultBase):
-    """White noise of this standard deviation on top of the robot's own."""
+    """White noise of standard deviation `std` is added to the robot's own."""
 
     kind: Literal["noisy"]
     std: NonNegative
 
 
 class Spikes(FaultBase):
-    """Single samples are off by `height`, up or down; or read `height` instead of the output."""
+    """Single samples are off by `height`, up or down; with `replace` they read `height` instead."""
 
     kind: Literal["spikes"]
     probability: Probability
@@ -109,7 +128,7 @@ class Spikes(FaultBase):
 
 
 class Late(FaultBase):
-    """Each sample is one of `late_min` to `late_max` samples ago, drawn anew every time."""
+    """Each reading is `late_min` to `late_max` samples old, drawn for every sample."""
 
     kind: Literal["late"]
     late_min: SampleCount = 0
@@ -123,9 +142,9 @@ class Late(FaultBase):
 
 
 class Held(FaultBase):
-    """Samples drop out: with this probability one is missing and the last one is read again.
+    """Samples drop out, and the last reading is repeated instead.
 
-    A drop-out that begins lasts for `run` samples.
+    At every sample a drop-out of `run` samples begins with this probability.
     """
 
     kind: Literal["held"]
@@ -148,7 +167,7 @@ class Crash(FaultBase):
 
 
 class Hang(FaultBase):
-    """The driver does not return from a sample; for `hang_s` seconds, or for ever."""
+    """The driver does not return from a sample for `hang_s` seconds; for ever if that is None."""
 
     kind: Literal["hang"]
     hang_s: Positive | None = None

@@ -1,4 +1,4 @@
-"""Another robot with faults of its sensor and driver, for finding out what becomes of them."""
+"""A wrapper that gives another robot faults of its sensor and driver, to test their handling."""
 
 from __future__ import annotations
 
@@ -22,15 +22,20 @@ from nufleet.sims.faults import Crash, DriverFault, DropOut, Fault, Hang
 from nufleet.sims.faulty_sensor import FaultySensor
 
 EXIT_CODE = 70
-"""With which a process ends whose driver crashes."""
+"""Exit status of a process whose driver crashes."""
 
 
 class FaultyRobotSettings(Strict):
-    """A driver and its settings, as in a fleet file, and what goes wrong, in this order."""
+    """A robot as in a fleet file, and its faults."""
 
     driver: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,62}$")]
+    """Name of the driver of the robot inside."""
+
     settings: Annotated[dict[str, Any], Field(default_factory=dict)]
+    """Settings of the robot inside."""
+
     faults: tuple[Fault, ...]
+    """Faults, in the order in which they are applied."""
 
     @model_validator(mode="after")
     def _can_be_built(self) -> FaultyRobotSettings:
@@ -51,10 +56,16 @@ class FaultyRobotSettings(Strict):
 
 
 class FaultyRobot(Robot):
-    """A robot behind a faulty sensor and driver; to come to rest it needs neither."""
+    """A robot behind a faulty sensor and driver; coming to rest is not affected by faults."""
 
     def __init__(self, robot: Robot, faults: tuple[Fault, ...], rng: np.random.Generator) -> None:
-        """Wrap a robot; what is random about the faults comes from `rng` alone."""
+        """Wrap a robot.
+
+        Args:
+            robot: The robot inside, disconnected.
+            faults: Faults, in the order in which they are applied.
+            rng: Generator of everything random about the faults.
+        """
         self._robot = robot
         sample_time_s = robot.spec.sample_time_s
         self._sensors: list[FaultySensor] = []
@@ -66,30 +77,30 @@ class FaultyRobot(Robot):
                 self._sensors.append(FaultySensor(fault, sample_time_s, own))
         self._motion, self._sample = 0, 0
         self._resting = True
-        # What `observe` measured of the current sample, which `step` will return.
+        # Output that `observe` has measured for the current sample; `step` returns the same.
         self._seen: FloatArray | None = None
 
     @property
     def spec(self) -> RobotSpec:
-        """That of the robot inside."""
+        """Description of the robot inside."""
         return self._robot.spec
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Those of the robot inside."""
+        """Names of the states that the robot inside measures."""
         return self._robot.state_names
 
     def connect(self) -> None:
-        """Connect the robot inside; its motions are counted on."""
+        """Connect the robot inside; the count of its motions continues."""
         self._rested()
         self._robot.connect()
 
     def measure_output(self) -> FloatArray:
-        """Measure the output at rest; faults begin with a motion."""
+        """Measure the output at rest, shape (axes,), without faults: these begin with a motion."""
         return self._robot.measure_output()
 
     def observe(self) -> FloatArray:
-        """Measure the state now: the output with the faulty sensor, its derivatives without."""
+        """Measure the state, shape (axes, states); only the output passes the faulty sensor."""
         states = self._robot.observe()
         if states.shape[1]:
             self._begin_motion()
@@ -100,12 +111,12 @@ class FaultyRobot(Robot):
         return states
 
     def step(self, reference: FloatArray) -> FloatArray:
-        """Follow a reference for one sample, if no fault prevents it."""
+        """Follow a reference, shape (axes,), for one sample unless the driver fails."""
         output: FloatArray = self.run(reference[np.newaxis])[0]
         return output
 
     def run(self, references: FloatArray) -> FloatArray:
-        """Follow a signal up to the sample at which the driver fails, if it does."""
+        """Follow a signal, shape (samples, axes), up to the sample at which the driver fails."""
         self._begin_motion()
         outputs, done = [], 0
         for at, fault in self._failing(len(references)):
@@ -121,7 +132,7 @@ class FaultyRobot(Robot):
         self._robot.rest()
 
     def disconnect(self) -> None:
-        """Let go of the robot inside."""
+        """Disconnect the robot inside."""
         self._rested()
         self._robot.disconnect()
 
@@ -138,7 +149,7 @@ class FaultyRobot(Robot):
         self._seen = None
 
     def _failing(self, count: int) -> list[tuple[int, DriverFault]]:
-        """Return at which of the next samples the driver fails, and how, in their order."""
+        """Return the offsets of the next samples at which the driver fails, in order, and how."""
         found: list[tuple[int, DriverFault]] = []
         for fault, rng in self._failures:
             fails = fault.acts(self._motion, self._sample, count, self.spec.sample_time_s)
@@ -172,13 +183,13 @@ def _fail(fault: DriverFault, sample: int) -> None:
         case Crash():
             raise OSError(f"the driver broke at sample {sample}")
         case Hang(hang_s=hang_s):
-            # No robot answers meanwhile; nothing in this process can end it.
+            # The robot does not answer during this time, and nothing in this process can end it.
             threading.Event().wait(hang_s)
 
 
 @dataclass(frozen=True)
 class FaultyRobotDriver:
-    """Builds robots of other drivers with faults; each can live in a process of its own."""
+    """Builds robots of other drivers with faults; each can run in a process of its own."""
 
     settings: type[FaultyRobotSettings] = FaultyRobotSettings
     shares_process: bool = False
@@ -189,7 +200,7 @@ class FaultyRobotDriver:
     ) -> Mapping[str, FaultyRobot]:
         """Build the robots, disconnected, by name.
 
-        The robot inside gets the noise that it would have without faults.
+        The robot inside has the same noise as it would have without faults.
         """
         return {name: _built(name, own, rng) for name, own in settings.items()}
 

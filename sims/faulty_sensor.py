@@ -22,12 +22,13 @@ BoolArray = NDArray[np.bool_]
 
 
 class FaultySensor:
-    """One sensor fault at work on what a robot measures, motion after motion."""
+    """Applies one sensor fault to a robot's measurements, motion after motion."""
 
     def __init__(self, fault: SensorFault, sample_time_s: float, rng: np.random.Generator) -> None:
         self._fault = fault
         self._sample_time_s = sample_time_s
-        # One generator for each thing drawn, so that a batch draws what its samples would.
+        # Separate generators for separate quantities, so that a batch draws the same numbers as
+        # its samples would one by one.
         self._chances, self._values = rng.spawn(2)
         self._motion, self._sample = 0, 0
         self._past = np.empty((0, 0))
@@ -35,13 +36,13 @@ class FaultySensor:
         self._hold_left = np.empty(0, dtype=np.int64)
 
     def begin_motion(self) -> None:
-        """A motion begins: the next sample is its first."""
+        """Begin a motion, of which the next sample is the first."""
         self._motion += 1
         self._sample = 0
         self._past = np.empty((0, 0))
 
     def measured(self, outputs: FloatArray) -> FloatArray:
-        """Return what the faulty sensor makes of the next outputs, both (samples, axes)."""
+        """Return the faulty sensor's readings of the next outputs, both (samples, axes)."""
         if not len(outputs):
             return outputs
         count, axes = outputs.shape
@@ -51,7 +52,7 @@ class FaultySensor:
         acts = self._fault.acts(self._motion, self._sample, count, self._sample_time_s)
         known = np.concatenate([self._past, outputs])
         changed = self._changed(outputs, known, acts)
-        # A sensor that holds or freezes repeats what it said, a late one what there was.
+        # A sensor that holds or freezes repeats its own readings, a late one true past outputs.
         remembered = (
             known if isinstance(self._fault, Late) else np.concatenate([self._past, changed])
         )
@@ -61,7 +62,7 @@ class FaultySensor:
 
     def _changed(self, outputs: FloatArray, known: FloatArray, acts: BoolArray) -> FloatArray:
         fault, where = self._fault, acts[:, np.newaxis]
-        # Every kind draws for every sample, acting or not: the draws then depend on time alone.
+        # Every kind draws for every sample, acting or not, so that the draws depend on time alone.
         chance = self._chances.random(outputs.shape)
         match fault:
             case NotANumber(probability=probability):
@@ -111,5 +112,5 @@ class FaultySensor:
 
 
 def _memory(fault: SensorFault) -> int:
-    """How many samples of the past a fault reads."""
+    """Return the number of past samples that a fault reads."""
     return max(1, fault.late_max) if isinstance(fault, Late) else 1

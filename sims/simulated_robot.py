@@ -1,4 +1,4 @@
-"""What every simulated robot does alike: measuring with noise, coming to rest, failing for good."""
+"""The behaviour common to simulated robots: noisy measurement, coming to rest, latched failure."""
 
 from __future__ import annotations
 
@@ -17,23 +17,26 @@ from nufleet.sims.measurement_noise import MeasurementNoise
 
 @dataclass(frozen=True)
 class RestRule:
-    """How a robot goes back to its origin and when it counts as at rest there.
-
-    Position and velocity are in the axes' unit and unit/s; `patience_s` is how long it may take
-    after the reference has reached the origin.
-    """
+    """The return of a robot to its origin, and the condition under which it is at rest there."""
 
     speed: float
+    """Largest speed of the reference on the return, in unit/s."""
+
     position_max: float
+    """Largest distance from the origin at rest, in the axes' unit."""
+
     velocity_max: float
+    """Largest velocity at rest, in unit/s."""
+
     patience_s: float
+    """Time in seconds that coming to rest may take once the reference has reached the origin."""
 
 
 class SimulatedRobot(Robot):
-    """A robot whose simulator returns true states; position, velocity and more on every axis.
+    """A robot whose simulator returns its true states: position, velocity and more on every axis.
 
-    After a failure (a crash, a number that is not finite) nothing moves until it is connected anew:
-    somebody has picked it up and put it back to its origin.
+    After a failure (a crash, or a number that is not finite) nothing moves until the robot is
+    reconnected, as if a person had picked it up and put it back at its origin.
     """
 
     def __init__(
@@ -55,16 +58,16 @@ class SimulatedRobot(Robot):
 
     @property
     def spec(self) -> RobotSpec:
-        """What the robot is; may be read while disconnected."""
+        """Description of the robot; may be read while disconnected."""
         return self._spec
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """What `observe` measures on every axis."""
+        """Names of the states that `observe` measures on every axis."""
         return self._state_names
 
     def connect(self) -> None:
-        """Put the robot at rest at its origin; does nothing to one that is connected and well."""
+        """Put the robot at rest at its origin, unless it is connected and has not failed."""
         if self._state is not None and self._failure is None:
             return
         self._state = None
@@ -81,16 +84,16 @@ class SimulatedRobot(Robot):
         return self._ready() + self._noise.now
 
     def step(self, reference: FloatArray) -> FloatArray:
-        """Follow a reference for one sample; return the output measured at its start."""
+        """Follow a reference for one sample; return the output at its start, both (axes,)."""
         return np.asarray(self.run(reference[np.newaxis])[0])
 
     def run(self, references: FloatArray) -> FloatArray:
-        """Follow a whole reference signal; return the outputs, shape (samples, axes)."""
+        """Follow a whole reference signal; references and outputs have shape (samples, axes)."""
         noise = self._noise.take(len(references))
         return np.asarray(self._advance(references)[:, :, 0] + noise[:, :, 0])
 
     def rest(self) -> None:
-        """Go back to the origin along a smooth path and wait there until nothing moves any more."""
+        """Return to the origin along a smooth path and wait there until nothing moves any more."""
         rule, sample_time_s = self._rest_rule, self._spec.sample_time_s
         self._ready()
         path = path_to_rest(self._reference, rule.speed, sample_time_s)
@@ -109,7 +112,7 @@ class SimulatedRobot(Robot):
         )
 
     def disconnect(self) -> None:
-        """Leave the robot at rest and let go of it."""
+        """Leave the robot at rest and release it."""
         if self._state is not None and self._failure is None:
             self.rest()
         self._state = None
@@ -121,17 +124,17 @@ class SimulatedRobot(Robot):
 
     @abstractmethod
     def _play(self, references: FloatArray) -> FloatArray:
-        """Move the simulation on.
+        """Advance the simulation.
 
         Args:
-            references: shape (samples, axes), finite.
+            references: Finite references, shape (samples, axes), in the axes' units.
 
         Returns:
             The true states before each reference acts and after the last one has acted, shape
             (samples + 1, axes, states).
 
         Raises:
-            RobotError: when the robot cannot go on.
+            RobotError: The robot has failed and cannot continue.
         """
 
     def _advance(self, references: FloatArray) -> FloatArray:
@@ -158,10 +161,15 @@ class SimulatedRobot(Robot):
 
 
 def path_to_rest(start: FloatArray, speed: float, sample_time_s: float) -> FloatArray:
-    """Return a raised-cosine path from `start` (axes,) to zero that is nowhere faster than `speed`.
+    """Return a raised-cosine path from a point to zero.
+
+    Args:
+        start: First point, shape (axes,), in the axes' units.
+        speed: Largest speed on any axis, in unit/s.
+        sample_time_s: Sample time in seconds.
 
     Returns:
-        Shape (samples, axes); at least one second long, ending at zero.
+        The path, shape (samples, axes), at least one second long and ending at zero.
     """
     # The steepest slope of (1 + cos(π t / T)) / 2 is π / (2 T).
     duration_s = max(1.0, math.pi / 2 * float(np.abs(start).max()) / speed)

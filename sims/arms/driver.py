@@ -13,7 +13,7 @@ from nufleet.sims.arms.settings import ArmSettings
 
 
 class ArmDriver:
-    """Builds arms; they share nothing."""
+    """Builds arms; they share no state, so each can run in a process of its own."""
 
     settings: type[Strict] = ArmSettings
     shares_process = False
@@ -22,7 +22,7 @@ class ArmDriver:
     def build(
         self, settings: Mapping[str, ArmSettings], rng: np.random.Generator
     ) -> dict[str, Robot]:
-        """Build the robots, disconnected; raises InvalidInputError where MuJoCo is missing."""
+        """Build the robots, disconnected, by name; raises InvalidInputError without MuJoCo."""
         try:
             from nufleet.sims.arms.robot import Arm
         except ModuleNotFoundError as error:

@@ -23,14 +23,25 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class _ShippedModel:
-    """Where an arm of gymnasium's is, which of its joints move, and from where, in rad."""
+    """An arm that gymnasium ships, with the joints that move."""
 
     file: str
+    """Name of the model's file."""
+
     shoulder: str
+    """Name of the joint that serves as the shoulder."""
+
     elbow: str
+    """Name of the joint that serves as the elbow."""
+
     tip: str
+    """Name of the body at the tip, which carries the payload."""
+
     scenery: tuple[str, ...]
+    """Names of the bodies that are removed."""
+
     home: tuple[float, float]
+    """Home pose: shoulder and elbow angles in rad."""
 
 
 _MODELS = {
@@ -57,8 +68,8 @@ class Mechanism:
     """The arm, its controllers and its state; plays whole reference signals in compiled code."""
 
     def __init__(self, settings: ArmSettings) -> None:
-        """Build the model; raises InvalidInputError where gymnasium's files are missing."""
-        # MuJoCo would else write its warnings to a file in the working directory.
+        """Build the model; raises InvalidInputError if gymnasium's files are missing."""
+        # Otherwise MuJoCo would write its warnings to a file in the working directory.
         mujoco.set_mju_user_warning(lambda message: log.warning("mujoco: %s", message))
         self._home = np.array(_MODELS[settings.model].home)
         self._model = _controlled_arm(settings).compile()
@@ -80,7 +91,15 @@ class Mechanism:
         return np.asarray(self._joints(self._state[np.newaxis])[0])
 
     def play(self, references: FloatArray) -> FloatArray:
-        """Move along `references` (samples, 2); return the states after each, (samples, 2, 2)."""
+        """Move along references.
+
+        Args:
+            references: Joint angles from home in rad, shape (samples, 2).
+
+        Returns:
+            Angle from home [rad] and angular velocity [rad/s] of each joint after each reference
+            has acted, shape (samples, 2, 2).
+        """
         before = np.concatenate([self._reference[np.newaxis], references[:-1]])
         velocity = self._velocity_gain * (references - before) / SAMPLE_TIME_S
         control = np.concatenate([references + self._home, velocity], axis=1)
@@ -100,7 +119,7 @@ class Mechanism:
 
 
 def nominal_inertia_kg_m2(settings: ArmSettings) -> FloatArray:
-    """Return what the controller takes each joint's inertia to be, shape (2,).
+    """Return the inertia that the controller assumes for each joint, shape (2,), in kg m².
 
     It is the diagonal of the mass matrix in the home pose, without payload.
     """
@@ -110,6 +129,7 @@ def nominal_inertia_kg_m2(settings: ArmSettings) -> FloatArray:
     data.qpos[:] = shipped.home
     mujoco.mj_forward(model, data)
     diagonal, column = np.empty(2), np.empty(2)
+    # MuJoCo multiplies by the mass matrix; column i is its product with the i-th unit vector.
     for i, unit in enumerate(np.eye(2)):
         mujoco.mj_mulM(model, data, column, unit)
         diagonal[i] = column[i]
@@ -117,7 +137,7 @@ def nominal_inertia_kg_m2(settings: ArmSettings) -> FloatArray:
 
 
 def _bare_arm(shipped: _ShippedModel, rotor_inertia_kg_m2: float) -> Any:
-    """Return the shipped arm with two moving joints, without scenery, motors and contacts."""
+    """Return the shipped arm with two moving joints, and without scenery, motors or contacts."""
     package = importlib.util.find_spec("gymnasium")
     if package is None or package.origin is None:
         raise InvalidInputError("simulated arms need 'gymnasium': pip install 'nufleet[arms]'")
@@ -139,7 +159,11 @@ def _bare_arm(shipped: _ShippedModel, rotor_inertia_kg_m2: float) -> Any:
 
 
 def _controlled_arm(settings: ArmSettings) -> Any:
-    """Return the arm with payload, damping and a PD of the nominal inertia on each joint."""
+    """Return the arm with payload, damping and a PD controller on each joint.
+
+    The gains k = J ω_n² and d = 2 ζ J ω_n give a joint of the nominal inertia J the natural
+    frequency ω_n and the damping ratio ζ.
+    """
     shipped = _MODELS[settings.model]
     inertia = nominal_inertia_kg_m2(settings)
     spec = _bare_arm(shipped, settings.rotor_inertia_kg_m2)

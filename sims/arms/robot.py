@@ -17,7 +17,8 @@ STATE_NAMES = ("position", "velocity")
 AXIS_NAMES = ("shoulder", "elbow")
 
 ERROR_MAX_RAD = 1.0
-"""A joint this far from its reference has lost it: the torque limit or a stop holds it back."""
+"""Distance from its reference at which a joint has lost it, because the torque limit or a stop
+holds it back."""
 
 REST = RestRule(speed=0.5, position_max=0.005, velocity_max=0.01, patience_s=30.0)
 

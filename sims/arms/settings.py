@@ -1,4 +1,4 @@
-"""What a fleet file says of a simulated arm: its model, what differs from it, its controller."""
+"""The settings of a simulated arm: its model, deviations from that model, and its controller."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ SERVO_HZ = 500
 
 
 class EncoderNoise(Strict):
-    """Standard deviations: half a step of a 14-bit encoder, and its filtered difference."""
+    """Standard deviations of the measured joint states."""
 
     position_rad: NonNegative = 0.0002
+    """Angle noise: half a step of a 14-bit encoder."""
+
     velocity_rad_s: NonNegative = 0.005
+    """Angular velocity noise: filtered difference quotient of the encoder's angle."""
 
 
 class ReferenceLimits(Strict):
-    """How far, fast and hard a test may drive the reference of either joint."""
+    """Limits on the reference of a frequency test on either joint."""
 
     amplitude_rad: Positive = 0.3
     velocity_rad_s: Positive = 0.6
@@ -32,24 +35,40 @@ class ReferenceLimits(Strict):
 class ArmSettings(Strict):
     """One simulated arm: shoulder and elbow move, the other joints are locked.
 
-    `model` is one of the arms that gymnasium ships. What may differ from it: a payload at the tip,
-    the joints' viscous damping, the inertia of the motors' rotors. The controller knows the model
-    as shipped with the given rotors, not the payload or the damping: on each joint it is a PD
-    whose gains give that nominal inertia the natural frequency and damping ratio.
+    The arm may differ from the shipped model in a payload at the tip, the joints' viscous damping,
+    and the inertia of the motors' rotors. The controller knows the shipped model with the given
+    rotors, but neither payload nor damping. On each joint it is a PD controller whose gains give
+    that nominal inertia the natural frequency and the damping ratio.
     """
 
     model: Literal["pusher", "reacher"]
+    """Name of the arm among those that gymnasium ships."""
+
     natural_frequency_rad_s: Positive
+    """Natural frequency of each joint's loop with the nominal inertia."""
+
     damping_ratio: Positive
+    """Damping ratio of each joint's loop with the nominal inertia."""
+
     torque_max_nm: Positive
+    """Largest torque of each joint's motor, in N m."""
+
     rotor_inertia_kg_m2: Positive
+    """Inertia of each motor's rotor, as seen at the joint."""
+
     payload_kg: NonNegative = 0.0
+    """Mass of the payload at the tip."""
+
     joint_damping_scale: Positive = 1.0
+    """Factor on the viscous damping of the shipped joints."""
+
     velocity_reference: bool = True
+    """Whether the controller also receives the reference's backward difference as velocity."""
+
     noise: EncoderNoise = EncoderNoise()
     limits: ReferenceLimits = ReferenceLimits()
-    # Within the joints' stops; twice the speed and acceleration of a test, which the torque limit
-    # leaves room for.
+    # Paths stay within the joints' stops; they may have twice the speed and acceleration of a
+    # test, which the torque limit leaves room for.
     tracking: TrackingLimits = TrackingLimits(
         position_max=0.6,
         speed_max=1.2,

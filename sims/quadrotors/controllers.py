@@ -10,31 +10,46 @@ import jax.numpy as jnp
 GRAVITY_M_S2 = 9.81
 
 HOVER_HEIGHT_M = 1.0
-"""Where every vehicle flies: clear of the floor, whose contact the simulator does model."""
+"""Height at which every vehicle flies, clear of the floor, whose contact the simulator models."""
 
 HEIGHT_TIME_CONSTANT_S = 0.5
-"""Of the on-board height hold of an attitude-commanded vehicle, critically damped."""
+"""Time constant of the critically damped on-board height hold of an attitude-commanded vehicle."""
 
 
 def firmware_setpoint(position: jax.Array, velocity: jax.Array) -> jax.Array:
-    """Return crazyflow's full-state command for a horizontal position and velocity, each (2,)."""
+    """Return crazyflow's full-state command for a horizontal position and velocity.
+
+    Args:
+        position: Horizontal position in m, shape (2,).
+        velocity: Horizontal velocity in m/s, shape (2,).
+
+    Returns:
+        The command, shape (16,), at the hovering height and with zero yaw.
+    """
     command = jnp.zeros(16).at[0:2].set(position).at[2].set(HOVER_HEIGHT_M)
     return command.at[3:5].set(velocity).at[12].set(1.0)  # no rotation: yaw stays zero
 
 
 class GroundStation(NamedTuple):
-    """The off-board controller's parameters and the attitude commands that are under way.
-
-    `on_air` (ticks, 2) holds the wanted pitch and roll, the latest first; `link_ticks` of them have
-    not arrived yet.
-    """
+    """The off-board controller's parameters, and the attitude commands still in transit."""
 
     mass_kg: jax.Array
+    """Mass of the vehicle."""
+
     stiffness_1_s2: jax.Array
+    """Gain from position error to wanted acceleration."""
+
     damping_1_s: jax.Array
+    """Gain from velocity error to wanted acceleration."""
+
     tilt_max_rad: jax.Array
+    """Largest tilt that is commanded about either axis."""
+
     link_ticks: jax.Array
+    """Number of latest commands that have not arrived yet: the link's delay in control periods."""
+
     on_air: jax.Array
+    """Wanted pitch and roll in rad, latest first, shape (ticks, 2)."""
 
 
 def offboard_command(
@@ -48,25 +63,28 @@ def offboard_command(
     """Compute one control period of the off-board position loop and the on-board height hold.
 
     Args:
-        station: the controller, with the commands under way.
-        position: shape (3,), world frame.
-        velocity: shape (3,).
-        reference: horizontal position, shape (2,).
-        reference_velocity: shape (2,).
-        cos_tilt: cosine of the angle between thrust and vertical.
+        station: Controller, with the commands in transit.
+        position: Position in the world frame in m, shape (3,).
+        velocity: Velocity in the world frame in m/s, shape (3,).
+        reference: Horizontal reference position in m, shape (2,).
+        reference_velocity: Horizontal reference velocity in m/s, shape (2,).
+        cos_tilt: Cosine of the angle between thrust and vertical.
 
     Returns:
-        The controller one period later, and what acts on board now: roll, pitch, yaw [rad] and
-        thrust [N], shape (4,).
+        The controller one period later, and the command that acts on board now: roll, pitch, yaw
+        [rad] and thrust [N], shape (4,).
     """
+    # PD law in the horizontal plane, a = k (p_r − p) + d (v_r − v).
     acceleration = station.stiffness_1_s2 * (reference - position[:2]) + station.damping_1_s * (
         reference_velocity - velocity[:2]
     )
-    # At yaw zero a positive pitch accelerates along +x and a positive roll along −y.
+    # At yaw zero, a positive pitch accelerates along +x and a positive roll along −y.
     tilt = jnp.arctan(acceleration / GRAVITY_M_S2) * jnp.array([1.0, -1.0])
     wanted = jnp.clip(tilt, -station.tilt_max_rad, station.tilt_max_rad)
     on_air = jnp.concatenate([wanted[jnp.newaxis], station.on_air[:-1]])
     pitch, roll = on_air[station.link_ticks]
+    # The height obeys z'' = (h − z)/τ² − (2/τ) z', critically damped; the division by the cosine
+    # below makes up for the share of the thrust that the tilt takes from the vertical.
     lift = (
         GRAVITY_M_S2
         + (HOVER_HEIGHT_M - position[2]) / HEIGHT_TIME_CONSTANT_S**2

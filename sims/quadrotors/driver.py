@@ -22,16 +22,20 @@ class QuadrotorDriver:
 
     @property
     def environment(self) -> Mapping[str, str]:
-        """What the process that calls `build` needs in its environment from its start."""
+        """Environment variables that the process calling `build` needs from its start."""
         return environment()
 
     def build(
         self, settings: Mapping[str, QuadrotorSettings], rng: np.random.Generator
     ) -> dict[str, Robot]:
-        """Build the robots, disconnected; compiles one program per kind of vehicle.
+        """Build the robots, disconnected, by name; compiles one program per kind of vehicle.
+
+        Args:
+            settings: Settings of each robot, by name.
+            rng: Generator of the robots' measurement noise.
 
         Raises:
-            InvalidInputError: where crazyflow is missing or SciPy was imported without its array
+            InvalidInputError: crazyflow is missing, or SciPy was imported without its array
                 interface.
         """
         try:

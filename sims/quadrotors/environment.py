@@ -14,7 +14,7 @@ def environment() -> dict[str, str]:
         # crazyflow needs SciPy's array interface, which SciPy reads when it is first imported.
         "SCIPY_ARRAY_API": "1",
         "JAX_PLATFORMS": "cpu",  # one vehicle is far too small for an accelerator
-        "TF_CPP_MIN_LOG_LEVEL": "3",  # kilobytes about CPU features else
+        "TF_CPP_MIN_LOG_LEVEL": "3",  # otherwise kilobytes of messages about CPU features
     }
     cache = _user_cache()
     if cache is not None:
@@ -25,8 +25,8 @@ def environment() -> dict[str, str]:
 def cpu_kind() -> str:
     """Return a short name of this kind of CPU.
 
-    A program compiled for one kind may not run on another, so a home directory that several
-    machines share holds one cache for each.
+    A program compiled for one kind of CPU may not run on another, so a home directory shared by
+    several machines holds one cache for each kind.
     """
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()

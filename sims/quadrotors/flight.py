@@ -1,4 +1,4 @@
-"""One compiled program that flies a vehicle through any number of samples up to a chunk."""
+"""A compiled program that flies a vehicle through any number of samples, chunk by chunk."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nufleet.sims.quadrotors.controllers import GroundStation, firmware_setpoint
 from nufleet.sims.quadrotors.settings import CONTROL_HZ, PHYSICS_HZ, SAMPLE_TIME_S
 
 CHUNK_SAMPLES = 256
-"""Samples that one call of the compiled program can play."""
+"""Largest number of samples that one call of the compiled program can play."""
 
 TICKS_PER_SAMPLE = round(SAMPLE_TIME_S * CONTROL_HZ)
 STEPS_PER_TICK = PHYSICS_HZ // CONTROL_HZ
@@ -23,39 +23,50 @@ Step = Callable[[Any, int], Any]
 
 
 class Plant(NamedTuple):
-    """One robot in flight: everything that changes, and its parameters; a JAX pytree.
-
-    `station` is None for a vehicle that takes full-state setpoints. `velocity_gain` is 1 where the
-    reference's velocity is sent along, else 0.
-    """
+    """One robot in flight, with its state and its parameters; a JAX pytree."""
 
     data: Any
+    """crazyflow's data: state, controls and parameters of the vehicle."""
+
     station: GroundStation | None
+    """Off-board controller; None for a vehicle that takes full-state setpoints."""
+
     reference: jax.Array
+    """Last reference in m, shape (2,)."""
+
     velocity_gain: jax.Array
+    """1 if the velocity of the reference is sent along with it, else 0."""
 
 
 class Track(NamedTuple):
-    """Where a vehicle was: `states` (samples + 1, 2, 3) and what tells a crash, per sample.
-
-    A state is position [m], velocity [m/s] and tilt [rad] along x and y; the tilt is that of the
-    thrust, positive where it accelerates the vehicle along the axis.
-    """
+    """The motion of a vehicle: its states, and the signals that reveal a crash."""
 
     states: FloatArray
+    """Position [m], velocity [m/s] and tilt [rad] along x and y, shape (samples + 1, 2, 3).
+
+    The tilt is that of the thrust, positive where it accelerates the vehicle along the axis."""
+
     height_m: FloatArray
+    """Height, shape (samples + 1,)."""
+
     cos_tilt: FloatArray
+    """Cosine of the angle between thrust and vertical, shape (samples + 1,)."""
 
 
 class Flight:
     """The compiled program of one kind of vehicle; parameters may differ from plant to plant.
 
-    The number of samples is an argument of the program and not part of its shape: one compilation
-    serves every length, and `step` and `run` execute the same instructions.
+    The number of samples is an argument of the program and not part of its shape. One compilation
+    therefore serves every length, and `step` and `run` execute the same instructions.
     """
 
     def __init__(self, step: Step, example: Plant) -> None:
-        """Compile for crazyflow's `step` and for plants of the structure of `example`."""
+        """Compile the program.
+
+        Args:
+            step: crazyflow's function that advances its data by a number of physics steps.
+            example: Plant with the structure of those to fly.
+        """
 
         def advance(
             plant: Plant, references: jax.Array, count: jax.Array
@@ -73,7 +84,15 @@ class Flight:
         self._advance = jax.jit(advance).lower(example, references, jnp.int32(0)).compile()
 
     def fly(self, plant: Plant, references: FloatArray) -> tuple[Plant, Track]:
-        """Fly along `references` (samples, 2); return the plant after them and its track."""
+        """Fly a plant along references.
+
+        Args:
+            plant: Plant at the beginning.
+            references: Horizontal positions in m, shape (samples, 2), at least one sample.
+
+        Returns:
+            The plant after the last reference has acted, and its track.
+        """
         pieces = []
         for first in range(0, len(references), CHUNK_SAMPLES):
             piece = references[first : first + CHUNK_SAMPLES]

@@ -16,13 +16,14 @@ from nufleet.sims.simulated_robot import RestRule, SimulatedRobot
 STATE_NAMES = ("position", "velocity", "tilt")
 
 HEIGHT_ERROR_MAX_M = 0.5
-"""Half the hovering height: whoever is further off has lost control of it."""
+"""Half the hovering height; a vehicle further off than this has lost control of its height."""
 
 COS_TILT_MIN = 0.36
-"""Of a tilt of 69 degrees, where less than 36 % of the thrust carries the vehicle."""
+"""Cosine of the largest tilt, 69 degrees, at which only 36 % of the thrust carry the vehicle."""
 
 HOVER_SETTLE_S = 20.0
-"""The firmware's height integrator fills within 7 s; then the vehicle hovers where it will stay."""
+"""Time to hover after the start. The firmware's height integrator fills within 7 s; after that the
+vehicle hovers where it will stay."""
 
 REST = RestRule(speed=0.5, position_max=0.02, velocity_max=0.02, patience_s=30.0)
 
@@ -62,7 +63,7 @@ class Quadrotor(SimulatedRobot):
         return track.states
 
     def _raise_if_crashed(self, track: Track) -> None:
-        # A number that is not finite is not "well" either: every comparison with it is false.
+        # A height or tilt that is not finite counts as a crash, too: comparing NaN gives False.
         well = (
             np.isfinite(track.states).all(axis=(1, 2))
             & (np.abs(track.height_m - HOVER_HEIGHT_M) < HEIGHT_ERROR_MAX_M)

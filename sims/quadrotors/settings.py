@@ -1,4 +1,4 @@
-"""What a fleet file says of a simulated quadrotor: vehicle, controller, sensor noise and limits."""
+"""The settings of a simulated quadrotor: vehicle, controller, sensor noise and limits."""
 
 from __future__ import annotations
 
@@ -27,43 +27,65 @@ LINK_TICKS = 32
 
 
 class MellingerVehicle(Strict):
-    """A Crazyflie: the firmware's Mellinger controller on board, its gains absolute forces.
+    """A Crazyflie with the firmware's Mellinger controller on board, whose gains yield forces.
 
-    The controller believes in its built-in mass whatever `mass_kg` is, as in flight. `airframe`
-    names crazyflow's identified parameters; `dynamics` its model: rigid body with rotors
-    (`first_principles`) or a fitted second-order attitude response (the others). The scales
-    multiply the firmware's horizontal gains.
+    As in real flight, the controller assumes its built-in mass whatever `mass_kg` is.
     """
 
     controller: Literal["mellinger"]
     airframe: Literal["cf2x_L250", "cf2x_P250", "cf2x_T350", "cf21B_500"]
+    """Name of crazyflow's identified parameters."""
+
     dynamics: Literal["first_principles", "so_rpy", "so_rpy_rotor", "so_rpy_rotor_drag"]
+    """crazyflow's model: a rigid body with rotors (`first_principles`), or a fitted second-order
+    attitude response (the others)."""
+
     mass_kg: Positive
+    """True mass of the vehicle."""
+
     kp_scale: Positive = 1.0
+    """Factor on the firmware's horizontal position gains."""
+
     kd_scale: Positive = 1.0
+    """Factor on the firmware's horizontal velocity gains."""
 
 
 class AttitudeVehicle(Strict):
     """A vehicle that takes attitude commands from a position controller on the ground.
 
-    On board, roll and pitch φ follow their command φ_c by φ'' = a (φ_c − φ) − b φ', and the height
-    is held. On the ground, a = (p_r − p)/τ² + (2ζ/τ)(v_r − v) is the wanted acceleration; the tilt
-    that gives it crosses the radio link in `link_delay_s`.
+    On board, roll and pitch φ follow their command φ_c by φ'' = k (φ_c − φ) − d φ', and the height
+    is held. The ground controller computes the wanted acceleration
+    a = (p_r − p)/τ² + (2ζ/τ)(v_r − v); the tilt that yields it crosses the radio link.
     """
 
     controller: Literal["offboard_pd"]
     mass_kg: Positive
+    """Mass of the vehicle."""
+
     attitude_stiffness_1_s2: Positive
+    """Stiffness k of the on-board attitude loop."""
+
     attitude_damping_1_s: Positive
+    """Damping d of the on-board attitude loop."""
+
     drag_1_s: NonNegative
+    """Linear drag: deceleration per velocity."""
+
     link_delay_s: NonNegative
+    """Delay of the radio link, a multiple of the control period."""
+
     time_constant_s: Positive
+    """Time constant τ of the position controller."""
+
     damping_ratio: Positive
+    """Damping ratio ζ of the position controller."""
+
     tilt_max_rad: Annotated[float, Field(gt=0, le=0.8)]
+    """Largest tilt that the position controller commands about either axis."""
 
     @property
     def link_ticks(self) -> int:
-        """The radio link's delay in control periods."""
+        """Delay of the radio link in control periods."""
         return round(self.link_delay_s * CONTROL_HZ)
 
     @model_validator(mode="after")
@@ -78,20 +100,24 @@ class AttitudeVehicle(Strict):
 
 
 class SensorNoise(Strict):
-    """Standard deviations of what is recorded in flight, white from sample to sample.
+    """Standard deviations of the states recorded in flight, white from sample to sample.
 
-    Motion capture: 2 mm with calibration and latency jitter, 10 mm/s after filtering the difference
-    quotient. Tilt: markers about 0.1 m apart, each located to about 0.3 mm. The baseline controller
-    flies on its own filtered estimate and does not see this noise.
+    The defaults are those of a motion capture system. The baseline controller flies on its own
+    filtered estimate and does not see this noise.
     """
 
     position_m: NonNegative = 0.002
+    """Position noise, including calibration and latency jitter."""
+
     velocity_m_s: NonNegative = 0.01
+    """Velocity noise, after filtering the difference quotient of the position."""
+
     tilt_rad: NonNegative = 0.005
+    """Tilt noise, from markers about 0.1 m apart that are each located to about 0.3 mm."""
 
 
 class ReferenceLimits(Strict):
-    """How far, fast and hard a test may drive the reference of either axis.
+    """Limits on the reference of a frequency test on either axis.
 
     The defaults keep every vehicle of `fleets/paper_quadrotors.toml` linear: within them a response
     differs from the one at a tenth of the amplitude by less than 0.02 in chordal distance.
@@ -105,17 +131,17 @@ class ReferenceLimits(Strict):
 class QuadrotorSettings(Strict):
     """One simulated quadrotor.
 
-    Its reference is the position; with `velocity_reference` the controller also gets the
-    reference's backward difference as wanted velocity, as a trajectory follower sends it.
+    Its reference is the position. With `velocity_reference`, the controller also receives the
+    reference's backward difference as the wanted velocity, as a trajectory follower would send it.
     """
 
     vehicle: Annotated[MellingerVehicle | AttitudeVehicle, Field(discriminator="controller")]
     velocity_reference: bool = True
     noise: SensorNoise = SensorNoise()
     limits: ReferenceLimits = ReferenceLimits()
-    # A room of 3 m. The paper flies at up to 0.9 m/s; 2 m/s² is a tilt of 12 degrees, within what
-    # every vehicle of the fleet flies. A correction as fast as two thirds of the path's own speed
-    # catches up with a lag; one that jumped would throw a vehicle over.
+    # The room is 3 m wide. The paper flies at up to 0.9 m/s; 2 m/s² needs a tilt of 12 degrees,
+    # which every vehicle of the fleet can fly. A correction at about two thirds of the path's own
+    # speed catches up with a lag; one that jumped would overturn a vehicle.
     tracking: TrackingLimits = TrackingLimits(
         position_max=1.5,
         speed_max=1.0,
@@ -126,5 +152,6 @@ class QuadrotorSettings(Strict):
     omega_min_rad_s: Positive = 0.1  # the paper's band, Section VI-A
     omega_max_rad_s: Positive = 5.4
     flight_time_max_s: Positive = 420.0  # the smallest vehicle's battery: seven minutes
-    # Of a sinusoid's start less than 0.3 % is left, on every vehicle and frequency of the fleet.
+    # After this time less than 0.3 % of a sinusoid's initial transient is left, on every vehicle
+    # of the fleet and at every frequency.
     settling_time_s: NonNegative = 4.0

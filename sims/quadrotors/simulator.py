@@ -22,7 +22,8 @@ from nufleet.sims.quadrotors.settings import (
     QuadrotorSettings,
 )
 
-# MuJoCo's JAX part prints which accelerators it did not find; stdout is the program's own answer.
+# MuJoCo's JAX part prints which accelerators it did not find; stdout belongs to the program's own
+# output.
 with contextlib.redirect_stdout(io.StringIO()) as printed:
     from crazyflow.control.transform import motor_force2rotor_vel
     from crazyflow.sim import Sim
@@ -33,10 +34,12 @@ log = logging.getLogger(__name__)
 log.debug("crazyflow: %s", printed.getvalue())
 
 MOTOR_RATE_1_S = 10.0
-"""Thrust follows its command with a lag of 0.1 s on a Parrot; it only matters for the height."""
+"""Rate of the first-order lag of the thrust behind its command, 0.1 s on a Parrot; it affects only
+the height."""
 
 THRUST_TO_WEIGHT = 2.0
-"""Of a Parrot: what its height hold may command at most, far above what the tests need."""
+"""Largest thrust that a Parrot's height hold may command, as a multiple of the weight; far above
+the thrust that tests need."""
 
 
 class Hangar:
@@ -45,18 +48,18 @@ class Hangar:
     def __init__(self) -> None:
         self._simulators: dict[tuple[str, str], tuple[Any, Step]] = {}
         self._flights: dict[tuple[str, str], Flight] = {}
-        # MuJoCo would else write its warnings to a file in the working directory.
+        # Otherwise MuJoCo would write its warnings to a file in the working directory.
         mujoco.set_mju_user_warning(lambda message: log.debug("mujoco: %s", message))
 
     def plant(self, settings: QuadrotorSettings) -> tuple[Flight, Plant]:
-        """Return a vehicle in the air at the origin, and the program that flies it."""
+        """Return the program that flies a vehicle, and the vehicle in the air at the origin."""
         vehicle = settings.vehicle
         if isinstance(vehicle, MellingerVehicle):
             simulator, step = self._simulator(vehicle.airframe, vehicle.dynamics, "state")
             data, station = _crazyflie(simulator, vehicle), None
             kind = (vehicle.dynamics, "state")
         else:
-            # The airframe only lends the structure: every parameter that acts is replaced.
+            # The airframe only provides the structure: every parameter that acts is replaced.
             simulator, step = self._simulator("cf2x_L250", "so_rpy_rotor_drag", "attitude")
             data, station = _attitude_vehicle(simulator, vehicle), _ground_station(vehicle)
             kind = ("so_rpy_rotor_drag", "attitude")
@@ -143,8 +146,9 @@ def _ground_station(vehicle: AttitudeVehicle) -> GroundStation:
 def _clip_thrust(dynamics: str) -> Any:
     """Return a pipeline stage that limits the rotor command to the plant's own limits.
 
-    crazyflow's own stage has the airframe's limits compiled in, so that vehicles could not share a
-    program. Rotor speeds [rpm] with first principles, else the collective thrust [N].
+    crazyflow's own stage has the airframe's limits compiled in, which would keep vehicles from
+    sharing a program. Limited are the rotor speeds [rpm] with first principles, and the collective
+    thrust [N] with the other dynamics.
     """
 
     def clip(data: Any) -> Any:
