@@ -1,4 +1,4 @@
-"""How each kind of fault is caused in a simulation."""
+"""Causes each kind of fault in a simulation."""
 
 from __future__ import annotations
 
@@ -22,11 +22,16 @@ RELEASED_AFTER_S = 4.0
 
 @dataclass(frozen=True)
 class Case:
-    """Where a fault is caused: which robot it concerns, and for how long or by how much."""
+    """The circumstances in which a fault is caused."""
 
     simulation: Simulation
+    """Simulation in which it happens."""
+
     robot: SimulatedRobot
+    """Robot that it concerns."""
+
     size: float
+    """Duration of the fault in seconds, or its size, depending on the kind."""
 
 
 Cause = Callable[[Case], None]
@@ -107,7 +112,7 @@ def _interrupt(case: Case) -> None:
 
 
 class _Person:
-    """Somebody at a terminal, who stops a robot and releases it once it is safe."""
+    """A person at a terminal who stops a robot and releases it once it is safe."""
 
     def __init__(self, simulation: Simulation, robot: SimulatedRobot) -> None:
         self._simulation, self._robot = simulation, robot
@@ -115,10 +120,10 @@ class _Person:
         self._node: Node = simulation.network.join("orchestrator", name, self)
 
     def told(self, kind: str, name: str, alive: bool) -> None:
-        """A person does not look at tokens."""
+        """Ignore a token: a person does not watch tokens."""
 
     def asked(self, question: str, body: object, answer: Callable[[object], None]) -> None:
-        """Nobody asks a person."""
+        """Leave a question unanswered: a person serves no queries."""
         answer(NoAnswer())
 
     def stop(self) -> None:

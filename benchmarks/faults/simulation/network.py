@@ -1,8 +1,9 @@
-"""The network as Zenoh behaves through one router: sessions, tokens, messages that go astray.
+"""A model of Zenoh behind one router: sessions, liveliness tokens, and messages that may be lost.
 
-Measured of the real one: a dead process loses its session within milliseconds; a frozen or cut-off
-one after its lease; who loses its session is told that all tokens are gone, and gets them back when
-it is connected again. Tokens are told of in order; of messages nothing is promised here.
+It reproduces measurements of the real network. A dead process loses its session within
+milliseconds, a frozen or cut-off one when its lease expires. A process that loses its session sees
+all tokens disappear, and sees them again once it is reconnected. News of tokens arrives in order;
+messages carry no guarantee at all.
 """
 
 from __future__ import annotations
@@ -20,48 +21,84 @@ OnAnswer = Callable[[Answer], None]
 
 
 class NoAnswer:
-    """What a question comes back with that nobody answered."""
+    """The answer to a question that got no reply."""
 
 
 @dataclass(frozen=True)
 class Weather:
-    """How bad the network is: shares of messages lost and doubled, and how late they are."""
+    """Quality of the network."""
 
     lost: float = 0.0
+    """Share of messages that are lost."""
+
     doubled: float = 0.0
+    """Share of messages that arrive twice."""
+
     delay_s: float = 0.002
+    """Mean delay of a message."""
+
     late: float = 0.0
+    """Share of messages that are late in addition."""
+
     late_s: float = 0.0
+    """Largest additional delay of a late message."""
 
 
 class Owner(Protocol):
     """A process on the network."""
 
     def told(self, kind: str, name: str, alive: bool) -> None:
-        """A token of that kind (`robot` or `orchestrator`) appeared or disappeared."""
+        """Take the news that a token of a kind (`robot` or `orchestrator`) appeared or disappeared.
+
+        Args:
+            kind: Kind of the process that the token belongs to.
+            name: Name of that process.
+            alive: True if the token appeared, False if it disappeared.
+        """
 
     def asked(self, question: str, body: Any, answer: OnAnswer) -> None:
-        """Somebody asks; `answer` sends the reply."""
+        """Take a question; `answer` sends the reply."""
 
 
 @dataclass(eq=False)
 class Node:
-    """One process's end: whether it runs, is frozen or cut off, and has a session."""
+    """One process as the network sees it."""
 
     kind: str
+    """Kind of process: `robot` or `orchestrator`."""
+
     name: str
+    """Name under which the process is reached."""
+
     owner: Owner
+    """The process itself."""
+
     running: bool = True
+    """Whether the process runs."""
+
     frozen: bool = False
+    """Whether the process is frozen."""
+
     cut: bool = False
+    """Whether the process is cut off from the router."""
+
     session: bool = False
+    """Whether the process has a session, and hence a token."""
+
     knows: set[tuple[str, str]] = field(default_factory=set)
+    """Kind and name of the tokens that the process knows to be present."""
+
     kept: list[Job] = field(default_factory=list)
+    """Jobs that wait until the process thaws."""
+
     frozen_since_s: float = 0.0
+    """Time at which the process was last frozen."""
+
     quiet_since: int = 0
+    """Number of times the process was frozen or cut off, to tell these apart."""
 
     def do(self, job: Job) -> None:
-        """Do a job in this process: when it thaws if it is frozen, never when it has ended."""
+        """Run a job in this process: after the thaw if it is frozen, never if it has ended."""
         if not self.running:
             return
         if self.frozen:
@@ -82,20 +119,20 @@ class Network:
     # Sessions and tokens.
 
     def join(self, kind: str, name: str, owner: Owner) -> Node:
-        """Start a process; it is connected soon."""
+        """Start a process, which is connected within 10 ms."""
         node = Node(kind, name, owner)
         self.nodes.append(node)
         self._connect_soon(node, 0.01)
         return node
 
     def end(self, node: Node) -> None:
-        """End a process: the others hear of it within milliseconds."""
+        """End a process; the others receive this news within milliseconds."""
         node.running = False
         self.nodes.remove(node)
         self._drop(node)
 
     def freeze(self, node: Node, for_s: float) -> None:
-        """Freeze a process for a while; what arrives meanwhile is there when it thaws."""
+        """Freeze a process for `for_s` seconds; arriving messages wait until it thaws."""
         if node.frozen or not node.running:
             return
         node.frozen, node.frozen_since_s = True, self.world.now_s
@@ -103,7 +140,7 @@ class Network:
         self.world.after(for_s, lambda: self._thaw(node))
 
     def cut(self, node: Node, for_s: float) -> None:
-        """Cut a process off for a while."""
+        """Cut a process off from the router for `for_s` seconds."""
         if node.cut:
             return
         node.cut = True
@@ -111,7 +148,7 @@ class Network:
         self.world.after(for_s, lambda: self._heal(node))
 
     def restart_router(self, down_s: float) -> None:
-        """End the router and start it again."""
+        """End the router, and start it again after `down_s` seconds."""
         if not self.router:
             return
         self.router = False
@@ -163,7 +200,7 @@ class Network:
             self.world.after(self.world.between(0.0, within_s), connect)
 
     def _drop(self, node: Node) -> None:
-        """The router gives a session up; its process notices too, if it can."""
+        """Drop a session at the router; its process notices, too, unless it cannot."""
         if not node.session:
             return
         node.session = False
@@ -197,7 +234,7 @@ class Network:
     # Messages.
 
     def reaches(self, node: Node) -> bool:
-        """Whether messages of and to a node go through now."""
+        """Return whether messages to and from a node get through now."""
         return node.session and not node.cut and self.router
 
     def send(self, sender: Node, receiver: Node, arrive: Job, extra_s: float = 0.0) -> None:
@@ -228,7 +265,17 @@ class Network:
         timeout_s: float,
         on_answer: OnAnswer,
     ) -> None:
-        """Ask whoever has a name; exactly one answer comes back, if only `NoAnswer`."""
+        """Ask the process with a kind and a name.
+
+        Args:
+            sender: Process that asks.
+            kind: Kind of the process asked.
+            name: Name of the process asked.
+            question: Name of the question.
+            body: Content of the question.
+            timeout_s: Time to wait for a reply.
+            on_answer: Callback that receives exactly one answer, `NoAnswer` without a reply.
+        """
         answered = False
 
         def finish(answer: Answer) -> None:

@@ -1,4 +1,4 @@
-"""An orchestrator process: takes robots, conducts a study on them, and ends; or is ended."""
+"""An orchestrator process that leases robots, conducts a study on them, and ends or is killed."""
 
 from __future__ import annotations
 
@@ -53,38 +53,56 @@ from nufleet.shared.wire.messages import (
 )
 
 INNOCENT = frozenset({"stopped", "stale-epoch", "fault", "journal"})
-"""Refusals after which a robot may be left out: somebody's will, or its own state."""
+"""Codes of refusals after which a robot may be dropped: a person or another orchestrator decided
+so, or the robot's own state requires it."""
 
 ON_ITS_WAY_S = 0.1 + FROZEN_S
-"""A goal may begin this long after it was sent: the network, and a process frozen for a moment."""
+"""Longest time between the sending of a goal and its motion: the delay of the network, and of a
+process frozen for a moment."""
 
 REST_WITHIN_S = 0.5
-"""A robot that is reached begins to rest this soon after an interrupt."""
+"""Time after an interrupt within which a reachable robot begins to come to rest."""
 
 
 @dataclass
 class Sight:
-    """What an orchestrator knows of one robot, as `RobotWatch` keeps it."""
+    """An orchestrator's knowledge of one robot, as `RobotWatch` keeps it."""
 
     alive: bool = False
+    """Whether the robot's token is present."""
+
     heard_s: float = -math.inf
+    """Time of the latest news of the robot."""
+
     boot_id: str = ""
+    """Id of the agent process that published the latest state."""
+
     sequence: int = -1
+    """Sequence number of the latest state."""
 
 
 @dataclass(eq=False)
 class Run:
-    """One pursuit, its test, and when it wakes."""
+    """One test of one robot in progress."""
 
     test: OpenTest
+    """Test of the study."""
+
     pursuit: Pursuit
+    """State machine that pursues the test's goal."""
+
     request: GoalRequest
+    """Request that submits the goal."""
+
     stored: bool = False
+    """Whether the goal's acceptance is stored."""
+
     wakes_s: float = math.inf
+    """Time at which the pursuit wakes next."""
 
 
 class SimulatedOrchestrator:
-    """One process that ranks: `over` says how it ended, None while it runs."""
+    """One process that ranks; `over` is how it ended, None while it runs."""
 
     def __init__(
         self,
@@ -130,11 +148,11 @@ class SimulatedOrchestrator:
     # Ending.
 
     def kill(self) -> None:
-        """End at once, without a word to anybody."""
+        """End the process at once, without sending anything."""
         self._end("killed")
 
     def interrupt(self) -> None:
-        """Do what Ctrl-C and a lost lease do."""
+        """Interrupt the study, as Ctrl-C and a lost lease do."""
         self.node.do(self._interrupt)
 
     def _interrupt(self) -> None:
@@ -158,7 +176,7 @@ class SimulatedOrchestrator:
             self._take(run, InterruptAsked())
 
     def _must_rest(self, motion: Any) -> None:
-        """Expect a robot that is reached all the while to begin to rest soon."""
+        """Check that a robot that stays reachable begins to come to rest soon."""
         robot = self._robots[motion.robot]
 
         def reached() -> bool:
@@ -203,18 +221,19 @@ class SimulatedOrchestrator:
             now_s = self.world.now_s
             for robot in self._robots:
                 unsure = robot in self._abandoned
-                # One that confirmed nothing may have been told too late; it loses its owner.
+                # A robot that confirmed nothing may have received the interrupt too late; it comes
+                # to rest when it loses its owner.
                 self.history.interrupt_returned(robot, self.name, now_s + (4.0 if unsure else 0.0))
-            # A notebook would live on: its token stays for a while after the interrupt.
+            # The process may outlive the study, as a notebook does, so its token stays for a while.
             lingers_s = 0.0 if self._abandoned else self.world.between(0.0, 15.0)
             self.world.after(lingers_s, lambda: self._end(how))
 
     def _fail(self, error: Exception) -> None:
-        """End for an error: all robots are brought to rest first."""
+        """End because of an error, after all robots have been brought to rest."""
         self._failure = self._failure or error
         self._interrupt()
 
-    # What the network brings.
+    # Events from the network.
 
     def told(self, kind: str, name: str, alive: bool) -> None:
         if kind == "orchestrator":
@@ -230,7 +249,7 @@ class SimulatedOrchestrator:
         raise AssertionError("nobody asks an orchestrator")
 
     def heard(self, robot: str, state: RobotState) -> None:
-        """Take in a robot's state; one that is older than the last of its boot is passed over."""
+        """Receive a robot's state; ignore one older than the last of the same agent process."""
         sight = self._sights[robot]
         if sight.boot_id == state.boot_id and state.sequence <= sight.sequence:
             return
@@ -241,12 +260,12 @@ class SimulatedOrchestrator:
             self._take(run, Heard(state))
 
     def is_alive(self, orchestrator: str) -> bool:
-        """Whether another orchestrator's token is there, as the network says."""
+        """Return whether another orchestrator's token is present according to the network."""
         return orchestrator in self._tokens
 
     @property
     def orchestrator_id(self) -> str:
-        """Its name, as `Fleet` calls it."""
+        """Name of this orchestrator, under the name that the attribute has in `Fleet`."""
         return self.name
 
     # Taking robots.
@@ -306,7 +325,7 @@ class SimulatedOrchestrator:
             self._end(str(error))
             return
         if self._watched:
-            self._describe_all()  # somebody else may have come while this one waited
+            self._describe_all()  # another orchestrator may have come while this one waited
         else:
             self._take_over()
 
@@ -324,7 +343,7 @@ class SimulatedOrchestrator:
     def _take_over(self) -> None:
         now_s = self.world.now_s
         self.history.tell(now_s, f"{self.name} takes all robots, {self.leases[0].epoch}")
-        # Between two repositories nothing but what the robots know can tell.
+        # For owners from another repository, the robots' own knowledge is the only evidence.
         known = {m.owner for m in self.history.motions if m.began_s < self._described_s}
         for other in self._everyone:
             commands, other.commands = other.commands, False
@@ -529,7 +548,7 @@ class SimulatedOrchestrator:
         question = self._study.ask()
         self._go_on(None if question is None else round_of(self._study_id, question))
 
-    # What is promised.
+    # Checks of the promises.
 
     def _check_given_up(self, run: Run, ended: Ended) -> None:
         if isinstance(ended.error, RefusedError) or ended.error is None:
@@ -558,7 +577,7 @@ class SimulatedOrchestrator:
 
 
 def _is_loss(ended: Ended) -> bool:
-    """Whether the error says that nothing is heard, and not what the robot itself answered."""
+    """Return whether the error reports silence rather than an answer of the robot itself."""
     said = str(ended.error)
     return "went silent" in said or "did not return" in said
 

@@ -1,4 +1,4 @@
-"""A repository in memory, under the product's rules, on a disk that may fill."""
+"""A repository in memory that follows the product's rules, on a disk that may be full."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ TERM_S = 8.0
 
 
 class SimulatedRepository:
-    """What survives every orchestrator that shares it."""
+    """The trials and leases that outlive the orchestrators sharing this repository."""
 
     def __init__(self) -> None:
         self.trials: dict[str, TrialRecord] = {}
@@ -43,7 +43,7 @@ class SimulatedRepository:
         self.full = False
 
     def write(self) -> None:
-        """Check that there is room; raises RepositoryError."""
+        """Check that the disk has room; raises RepositoryError if not."""
         if self.full:
             raise RepositoryError("the repository cannot be written: no space left on the device")
 
@@ -58,7 +58,7 @@ class SimulatedRepository:
         now_s: float,
         silent: Iterable[Renewal],
     ) -> tuple[Lease, ...]:
-        """Take robots for an owner, all or none; raises LeaseHeldError, RepositoryError."""
+        """Lease robots to an owner, all or none; raises LeaseHeldError or RepositoryError."""
         self.write()
         leases = tuple(
             acquired(
@@ -76,7 +76,7 @@ class SimulatedRepository:
         return leases
 
     def renew(self, leases: Iterable[Lease], now_s: float) -> None:
-        """Begin the term of leases anew; raises LeaseLostError, RepositoryError."""
+        """Restart the term of leases; raises LeaseLostError or RepositoryError."""
         self.write()
         for lease in leases:
             check_held(self._stored(lease.robot), lease)
@@ -112,7 +112,7 @@ class SimulatedRepository:
 
 
 class SimulatedLog:
-    """One orchestrator's view of the trials, as `TrialLog` is."""
+    """One orchestrator's view of the trials, with the interface of `TrialLog`."""
 
     def __init__(
         self, repository: SimulatedRepository, study_id: str, epochs: Mapping[str, int]

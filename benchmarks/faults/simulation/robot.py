@@ -1,4 +1,4 @@
-"""A robot and the agent process beside it: the product's decisions, on a simulated process."""
+"""A robot and the agent process beside it: the product's decisions in a simulated process."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _NO_SAMPLES = np.empty(0)
 
 
 class Disk:
-    """What outlives an agent's process: the ledger of its journal, and the results kept in it."""
+    """The disk of a robot, which outlives its agents: the journal's ledger and the kept results."""
 
     def __init__(self) -> None:
         self.ledger = Ledger()
@@ -64,7 +64,7 @@ class Disk:
 
 
 class DiskJournal:
-    """A `Journal` on a simulated disk: a record is there whole, or it is refused."""
+    """A `Journal` on a simulated disk: a record is stored whole or refused."""
 
     def __init__(self, disk: Disk) -> None:
         self._disk = disk
@@ -117,7 +117,7 @@ class DiskJournal:
         return self._disk.results.get(goal_id)
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: no file is open."""
 
     def _append(self, record: Record) -> None:
         if self._disk.ledger.says_already(record):
@@ -151,7 +151,7 @@ def _result(
 
 
 class CachedPlanner(Planner):
-    """The product's planner; what is planned once is not planned again."""
+    """The product's planner with a cache: no motion is planned twice."""
 
     def plan(self, motion: AskedMotion) -> MotionPlan:
         key = (self.spec.duration_max_s, motion)
@@ -161,7 +161,7 @@ class CachedPlanner(Planner):
         return _PLANS[key]
 
     def _check_limits(self, plan: MotionPlan) -> None:
-        """Check every sample that the robot would see, from rest to rest; raises Violation."""
+        """Check every sample of a plan's reference, from rest to rest; raises Violation."""
         if not isinstance(plan, ExcitationPlan):
             raise Violation(f"{plan} is not what a study asks for")
         reference, (axis,) = reference_of(plan), self.spec.axes
@@ -177,13 +177,20 @@ class Playing:
     """The motion in progress."""
 
     assignment: Assignment
+    """Accepted goal that is played."""
+
     record: Motion
+    """Entry of the motion in the history."""
+
     ends_s: float
+    """Time at which its last sample has been played."""
+
     resting: bool = False
+    """Whether the robot is coming to rest."""
 
 
 class _Changed:
-    """Stands for the event by which `Decisions` says that its state is to be published."""
+    """Substitute for the event that `Decisions` sets when its state is to be published."""
 
     def __init__(self, agent: SimulatedAgent) -> None:
         self._agent = agent
@@ -193,7 +200,7 @@ class _Changed:
 
 
 class SimulatedRobot:
-    """One robot: its spec, its disk, and the agent that serves it now, if there is one."""
+    """One robot: its spec, its disk, and the agent that serves it now, if any."""
 
     def __init__(
         self, world: World, network: Network, history: History, name: str, spec: RobotSpec
@@ -210,7 +217,7 @@ class SimulatedRobot:
         self.start()
 
     def start(self) -> None:
-        """Start an agent, unless one runs."""
+        """Start an agent unless one is running."""
         if self.agent is None:
             self.lives += 1
             self.agent = SimulatedAgent(self)
@@ -243,12 +250,12 @@ class SimulatedAgent:
         self._beat()
 
     def die(self) -> None:
-        """End at once; without references its robot comes to rest."""
+        """End the process at once; without references its robot comes to rest."""
         self._robot.network.end(self.node)
         if self._playing is not None:
             self._playing.record.ended_s = self._world.now_s
 
-    # What the network brings.
+    # Events from the network.
 
     def told(self, kind: str, name: str, alive: bool) -> None:
         if kind == "orchestrator":
@@ -326,7 +333,7 @@ class SimulatedAgent:
             self._rest(playing)
 
     def _look(self) -> None:
-        """Bring the robot to rest if its motion was told to end."""
+        """Bring the robot to rest if its motion has been halted."""
         playing = self._playing
         if playing is None or playing.resting or playing.assignment.switch.order is None:
             return
@@ -372,14 +379,14 @@ class SimulatedAgent:
         self._world.after(HEARTBEAT_S, lambda: self.node.do(self._beat))
 
     def _note_gap(self) -> None:
-        """End a motion whose samples were too far apart, as `Pace` does."""
+        """End a motion whose samples are too far apart, as `Pace` does."""
         gap_s = self._world.now_s - self.node.frozen_since_s
         if self.node.frozen_since_s and gap_s > GAP_MAX_S and self._playing is not None:
             self._playing.assignment.switch.halt(Outcome.ABORTED, f"nothing for {gap_s:.1f} s")
             self._look()
 
     def change(self) -> None:
-        """Publish soon; changes that come together share one message."""
+        """Publish the state soon; changes in quick succession share one message."""
         if not self._publishing:
             self._publishing = True
             self._world.after(0.001, lambda: self.node.do(self._publish))

@@ -1,4 +1,4 @@
-"""What goes wrong in one simulation: a list of faults drawn from a seed, which can be shortened."""
+"""The faults of one simulation: a list drawn from a seed, which can be shortened."""
 
 from __future__ import annotations
 
@@ -53,12 +53,19 @@ LAST_FAULT_S = 30.0
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that goes wrong: when, to which robot, for how long or by how much."""
+    """One fault."""
 
     time_s: float
+    """Time at which it happens, on the virtual clock."""
+
     kind: Kind
+    """Kind of fault."""
+
     robot: int
+    """Number of the robot that it concerns, from 1."""
+
     size: float
+    """Duration in seconds, or size, depending on the kind."""
 
     def __str__(self) -> str:
         return f"{self.time_s:8.3f} {self.kind} r{self.robot} {self.size:.3f}"
@@ -66,17 +73,26 @@ class Fault:
 
 @dataclass(frozen=True)
 class Schedule:
-    """All that a simulation is made from."""
+    """The complete input of a simulation."""
 
     seed: int
+    """Seed of every random number drawn during the simulation."""
+
     robots: int
+    """Number of robots."""
+
     duration_max_s: float
+    """Longest motion that the robots accept, in seconds."""
+
     weather: Weather
+    """Quality of the network."""
+
     faults: tuple[Fault, ...]
+    """Faults, in the order of their times."""
 
 
 def drawn(seed: int) -> Schedule:
-    """Return the schedule of a seed."""
+    """Return the schedule that belongs to a seed."""
     rng = random.Random(seed)  # noqa: S311 - a schedule is no secret
     robots = rng.choice((2, 2, 3, 4))
     weather = Weather()
@@ -101,7 +117,7 @@ def _fault(rng: random.Random, robots: int) -> Fault:
     kinds, weights = zip(*KINDS, strict=True)
     (kind,) = rng.choices(kinds, weights)
     size = rng.choice((0.2, 1.0, 2.0, 3.0, 5.0, 15.0)) * (0.5 + rng.random())
-    # Most interesting is what happens around the moment the first goals are sent.
+    # The moment at which the first goals are sent is the most critical, so many faults fall on it.
     begins_s, lasts_s = rng.choice(
         ((0.2, 0.06), (0.0, 1.5), (0.0, LAST_FAULT_S), (0.0, LAST_FAULT_S))
     )

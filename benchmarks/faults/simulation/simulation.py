@@ -1,4 +1,4 @@
-"""Runs one schedule to its end and checks every invariant; shortens one that breaks any."""
+"""Runs one schedule to its end and checks every invariant; shortens a schedule that breaks one."""
 
 from __future__ import annotations
 
@@ -20,19 +20,20 @@ from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
 STUDY = "study"
 ENDS_WITHIN_S = 900.0
-"""How long after the last fault a study may take: it is resumed until it is complete."""
+"""Time after the last fault within which a study has to end; it is resumed until it does."""
 
 RESTS_WITHIN_S = 30.0
-"""How long the last motion may go on after its orchestrator: a frozen agent has to thaw first."""
+"""Time within which the last motion has to end after its orchestrator has; a frozen agent has to
+thaw first."""
 
 WALL_S = 1e6
-"""What the wall clock shows when a simulation begins."""
+"""Time on the wall clock when a simulation begins."""
 
 _PEOPLE_RESUME_S = (0.2, 4.0)
 
 
 def spec(duration_max_s: float) -> RobotSpec:
-    """Return what every simulated robot says of itself."""
+    """Return the description of every simulated robot with this longest motion."""
     return RobotSpec(
         kind="simulated",
         axes=(AxisSpec(name="x", unit="m", amplitude_max=1, velocity_max=2, acceleration_max=9),),
@@ -49,7 +50,7 @@ SPECS: Mapping[float, RobotSpec] = {d: spec(d) for d in (7.0, 60.0)}
 
 
 class Simulation:
-    """One world with a fleet, people, and a study that they want to see complete."""
+    """One world with a fleet, and with people who restart a study until it is complete."""
 
     def __init__(self, schedule: Schedule, *, told: bool = False) -> None:
         self.schedule = schedule
@@ -80,7 +81,7 @@ class Simulation:
         if self.finished is None:
             states = {n: o.over for n, o in enumerate(self.orchestrators)}
             raise Violation(f"the study did not end by {self.world.now_s:.0f} s: {states}")
-        # Whatever is still on its way arrives, and robots without an owner come to rest.
+        # Messages still in transit arrive, and robots without an owner come to rest.
         for orchestrator in self.orchestrators:
             orchestrator.kill()
         arrived_s = self.world.now_s + self.schedule.weather.late_s + LEASE_S
@@ -95,7 +96,7 @@ class Simulation:
     # People.
 
     def _begin(self) -> None:
-        """Start an orchestrator, and another one whenever it ended before the study did."""
+        """Start an orchestrator, and another one whenever it ends before the study does."""
         name = f"orchestrator-{len(self.orchestrators) + 1}"
         orchestrator = self.orchestrate(name, self.repository)
 
@@ -110,7 +111,7 @@ class Simulation:
         self.world.after(0.5, look)
 
     def orchestrate(self, name: str, repository: SimulatedRepository) -> SimulatedOrchestrator:
-        """Start an orchestrator, whose study goes on from what its repository holds."""
+        """Start an orchestrator, which resumes the study from the content of its repository."""
         orchestrator = SimulatedOrchestrator(
             name,
             self.world,
@@ -126,17 +127,17 @@ class Simulation:
         return orchestrator
 
     def cause(self, fault: Fault) -> None:
-        """Have something go wrong, unless the study is over."""
+        """Cause a fault, unless the study is over."""
         if self.finished is None:
             self.history.tell(self.world.now_s, f"fault: {fault.kind} {fault.size:.2f}")
             CAUSES[fault.kind](Case(self, self.robots[f"r{fault.robot}"], fault.size))
 
     @property
     def running(self) -> list[SimulatedOrchestrator]:
-        """The orchestrators that run now."""
+        """Orchestrators that run now."""
         return [known for known in self.orchestrators if known.over is None]
 
-    # What must hold in the end.
+    # Invariants that must hold in the end.
 
     def _check_end(self, finished: SimulatedOrchestrator) -> None:
         trials = self.repository.trials
@@ -167,7 +168,7 @@ class Simulation:
 
 
 def violation(schedule: Schedule) -> str | None:
-    """Return which invariant a schedule breaks; None when all hold."""
+    """Return the invariant that a schedule breaks, in words; None when all hold."""
     try:
         Simulation(schedule).run()
     except Violation as broken:
@@ -176,7 +177,7 @@ def violation(schedule: Schedule) -> str | None:
 
 
 def shortened(schedule: Schedule) -> Schedule:
-    """Return a schedule with as few faults as break an invariant still."""
+    """Leave out faults until none can be left out without restoring every invariant."""
     smaller = True
     while smaller:
         smaller = False
@@ -189,7 +190,7 @@ def shortened(schedule: Schedule) -> Schedule:
 
 
 def story(schedule: Schedule) -> list[str]:
-    """Return what happens in a schedule, line by line, up to the violation if there is one."""
+    """Return the events of a schedule, one per line, up to the violation if there is one."""
     simulation = Simulation(schedule, told=True)
     try:
         simulation.run()

@@ -1,4 +1,4 @@
-"""A study of few rounds whose outcome is known, and the responses that robots give in it."""
+"""A short study whose outcome is known, and the responses of the robots in it."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _OMEGA_RAD_S = (8.0, 12.0)
 
 @cache
 def response_of(robot: str) -> FrequencyResponse:
-    """Return what a good test of a robot gives: |z| tells its place in the ranking."""
+    """Return the response of a good test of a robot; |z| determines its place in the ranking."""
     return _response(robot, Quality())
 
 
 @cache
 def useless(robot: str) -> FrequencyResponse:
-    """Return what a test gives whose sensor failed."""
+    """Return the response of a test whose sensor failed."""
     finding = Finding.model_construct(code="frozen", text="the sensor reads 0")
     return _response(robot, Quality.model_construct(reasons=(finding,), warnings=()))
 
@@ -42,7 +42,11 @@ def _response(robot: str, quality: Quality) -> FrequencyResponse:
 
 
 class RankingStudy:
-    """Ranks by |z|; the first robot is the target, and what it asks next depends on the answers."""
+    """Ranks robots by the sum of |z| over its rounds.
+
+    The first robot is the target, the others are the sources; a source that fails is dropped from
+    the following questions.
+    """
 
     def __init__(self, robots: tuple[str, ...]) -> None:
         self._target, self._sources = robots[0], list(robots[1:])
@@ -53,7 +57,7 @@ class RankingStudy:
 
     @property
     def ranking(self) -> tuple[str, ...]:
-        """The sources, best first."""
+        """Names of the sources, best first."""
         return tuple(sorted(self._sources, key=lambda robot: (self._sums[robot], robot)))
 
     def ask(self) -> Question | None:

@@ -1,6 +1,6 @@
-"""The fixes of defects that were reproduced once, each taken out again: a simulation must find it.
+"""Removes the fixes of earlier defects, one at a time, each of which a simulation must then find.
 
-A simulation that finds nothing shows little until it is known what it would find.
+A simulation that finds no defect proves little unless it is known which defects it would find.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Patches = Iterator[Any]
 
 
 def _interrupt_once() -> Patches:
-    """Ctrl-C cancels what runs once; a goal that is asked for is asked for on (defect 1)."""
+    """Ctrl-C cancels running goals once; a goal being submitted is submitted again (defect 1)."""
     take, told = Pursuit.take, weakref.WeakSet[Pursuit]()
 
     def took(self: Pursuit, event: Event, now_s: float) -> tuple[Ask, ...]:
@@ -64,7 +64,7 @@ def _question(event: Any) -> Question:
 
 
 def _believe_old_states() -> Patches:
-    """A state from before the goal, or none for a while, ends its robot's part (defect 6)."""
+    """A state from before the goal, or silence for a while, ends the robot's part (defect 6)."""
     refused = Pursuit._note_refusal  # noqa: SLF001 - what is taken out lies inside
 
     def noted(self: Pursuit, question: Question, error: Any, now_s: float) -> None:
@@ -77,7 +77,7 @@ def _believe_old_states() -> Patches:
 
 
 def _compare_epochs() -> Patches:
-    """An owner whose epoch this repository has passed is taken for gone (defect 10)."""
+    """An owner whose epoch this repository has passed counts as gone (defect 10)."""
 
     def check(
         fleet: Any, descriptions: Mapping[str, Description], given: Mapping[str, Any]
@@ -94,7 +94,7 @@ def _compare_epochs() -> Patches:
 
 
 def _lengthen_without_limit() -> Patches:
-    """A test is repeated with twice the time, whatever its robot accepts (defect 11)."""
+    """A test is repeated with twice the time, even if its robot will refuse that (defect 11)."""
 
     def longer(excitation: Excitation, result: GoalResult, spec: RobotSpec) -> Excitation:
         del spec
@@ -108,7 +108,7 @@ def _lengthen_without_limit() -> Patches:
 
 
 def _time_leases() -> Patches:
-    """A lease is lost when the clock says so, though nobody took it (defect 12)."""
+    """A lease is lost when the clock says so, although no other owner took it (defect 12)."""
 
     def check(stored: StoredLease, lease: Lease) -> None:
         check_held(stored, lease)
@@ -129,7 +129,7 @@ def _time_leases() -> Patches:
 
 
 def _interrupt_in_turn() -> Patches:
-    """Ctrl-C reaches one robot after another, each when the one before has answered (defect 16)."""
+    """Ctrl-C reaches each robot only when the one before it has answered (defect 16)."""
 
     def interrupted(self: SimulatedOrchestrator) -> None:
         for place, run in enumerate(tuple(self._runs.values())):
@@ -142,12 +142,12 @@ def _interrupt_in_turn() -> Patches:
 
 
 def _forget_forgone() -> Patches:
-    """A goal that is cancelled before it comes is not remembered, and moves its robot."""
+    """A goal cancelled before it arrives is not recorded, and moves its robot when it arrives."""
     yield patch.object(goal_machine, "forgo", lambda goals, goal_id, owner: goals)
 
 
 def _wake_at_once() -> Patches:
-    """An agent that was frozen takes the goals that waited for it, whoever is gone since."""
+    """An agent that was frozen takes the goals that waited, even of owners that have gone since."""
     yield patch.object(Freezes, "refusal", lambda self, now_s: None)
 
 
@@ -165,7 +165,7 @@ WITHOUT: Mapping[str, Callable[[], Patches]] = {
 
 @contextmanager
 def without(name: str | None) -> Iterator[None]:
-    """Take a fix out for a while; None leaves all in."""
+    """Remove a fix within this context; None leaves all fixes in place."""
     patches = () if name is None else tuple(WITHOUT[name]())
     begun = []
     try:

@@ -1,4 +1,4 @@
-"""A virtual clock and what is to happen when; everything drawn comes from one seed."""
+"""A virtual clock and the jobs scheduled on it; all random numbers come from one seed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ Job = Callable[[], None]
 
 
 class World:
-    """Runs jobs in the order of their times; two at the same time in the order they were given."""
+    """Runs jobs in the order of their times, and those at the same time in the order given.
+
+    `now_s` is the virtual time, `events` the number of jobs run so far.
+    """
 
     def __init__(self, seed: int) -> None:
         self.now_s = 0.0
@@ -20,20 +23,20 @@ class World:
         self._jobs: list[tuple[float, int, Job]] = []
 
     def at(self, time_s: float, job: Job) -> None:
-        """Do a job at a time, or now where that has passed."""
+        """Schedule a job for a time, or for now if that time has passed."""
         self._given += 1
         heapq.heappush(self._jobs, (max(time_s, self.now_s), self._given, job))
 
     def after(self, delay_s: float, job: Job) -> None:
-        """Do a job after a while."""
+        """Schedule a job for `delay_s` seconds from now."""
         self.at(self.now_s + delay_s, job)
 
     def between(self, low: float, high: float) -> float:
-        """Draw a number."""
+        """Draw a number uniformly from [low, high)."""
         return low + (high - low) * self.random.random()
 
     def run(self, until_s: float, done: Callable[[], bool]) -> None:
-        """Go on until a time has come, or something is done."""
+        """Run jobs until a time has come, `done` returns True, or no job is left."""
         jobs = self._jobs
         while jobs and not done():
             time_s, _, job = heapq.heappop(jobs)
