@@ -56,7 +56,7 @@ class StopService:
         return self._stored()
 
     def close(self) -> None:
-        """Store the stops handled so far, and end."""
+        """Store the stops that have been handled, and end."""
         with self._lock:
             self._closed = True
         self._writer.shutdown()

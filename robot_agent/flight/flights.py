@@ -58,7 +58,7 @@ def performance_of(
             rich flight yields.
         realtime: Multiple of real time that a simulated robot keeps; None for as fast as it can.
         switch: Switch that ends the motion early.
-        on_played: Callback that receives the number of samples played so far.
+        on_played: Callback that receives the number of samples played until now.
         watch: Callback that receives every sample along a tracked path.
     """
     monitored = MonitoredRobot(robot)

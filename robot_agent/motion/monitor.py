@@ -279,7 +279,7 @@ class _AxisMonitor:
         """Return whether an output is far from every reference of the last settling time.
 
         With the least and the largest of these references, l and h, and the largest magnitude m of
-        any reference so far, outputs in [l − d, h + d] are near, where
+        any reference until now, outputs in [l − d, h + d] are near, where
         d = `FOLLOWED_RANGE` (h − l) + `FOLLOWED_SHARE` m + offset.
         """
         self._sample += 1

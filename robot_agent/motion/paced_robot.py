@@ -31,7 +31,7 @@ class PacedRobot(Robot):
             robot: The robot, connected and at rest.
             pace: Timing of the motion's samples.
             switch: Switch of the motion; once it is thrown, `step` and `run` raise `Halted`.
-            on_played: Callback that receives the number of samples played so far.
+            on_played: Callback that receives the number of samples played until now.
         """
         self._robot, self._pace, self._switch = robot, pace, switch
         self._on_played = on_played

@@ -22,7 +22,7 @@ HEARING_S = 1.0
 class Freezes:
     """Decides from regular beats of the process whether it may take a goal; usable from any thread.
 
-    Every time is that of one monotonic clock, in seconds.
+    All times come from one monotonic clock, in seconds.
     """
 
     def __init__(self, now_s: float) -> None:

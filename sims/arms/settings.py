@@ -28,8 +28,13 @@ class ReferenceLimits(Strict):
     """Limits on the reference of a frequency test on either joint."""
 
     amplitude_rad: Positive = 0.3
+    """Largest amplitude."""
+
     velocity_rad_s: Positive = 0.6
+    """Largest angular velocity."""
+
     acceleration_rad_s2: Positive = 2.0
+    """Largest angular acceleration."""
 
 
 class ArmSettings(Strict):
@@ -66,7 +71,11 @@ class ArmSettings(Strict):
     """Whether the controller also receives the reference's backward difference as velocity."""
 
     noise: EncoderNoise = EncoderNoise()
+    """Measurement noise of the joint states."""
+
     limits: ReferenceLimits = ReferenceLimits()
+    """Limits on frequency tests."""
+
     # Paths stay within the joints' stops; they may have twice the speed and acceleration of a
     # test, which the torque limit leaves room for.
     tracking: TrackingLimits = TrackingLimits(
@@ -76,7 +85,16 @@ class ArmSettings(Strict):
         correction_max=0.2,
         correction_speed_max=0.8,
     )
+    """Limits on tracked paths and their corrections, in rad and s."""
+
     omega_min_rad_s: Positive = 0.2
+    """Lower edge of the band for frequency tests."""
+
     omega_max_rad_s: Positive = 12.0
+    """Upper edge of the band for frequency tests."""
+
     motion_time_max_s: Positive = 600.0
+    """Longest motion that the robot accepts."""
+
     settling_time_s: NonNegative = 3.0
+    """Time in which the arm settles after a change of its reference."""

@@ -44,7 +44,7 @@ class Track(NamedTuple):
     states: FloatArray
     """Position [m], velocity [m/s] and tilt [rad] along x and y, shape (samples + 1, 2, 3).
 
-    The tilt is that of the thrust, positive where it accelerates the vehicle along the axis."""
+    The tilt is the thrust's, and positive where it accelerates the vehicle along the axis."""
 
     height_m: FloatArray
     """Height, shape (samples + 1,)."""

@@ -102,7 +102,7 @@ class AttitudeVehicle(Strict):
 class SensorNoise(Strict):
     """Standard deviations of the states recorded in flight, white from sample to sample.
 
-    The defaults are those of a motion capture system. The baseline controller flies on its own
+    The defaults describe a motion capture system. The baseline controller flies on its own
     filtered estimate and does not see this noise.
     """
 
@@ -124,21 +124,34 @@ class ReferenceLimits(Strict):
     """
 
     amplitude_m: Positive = 0.3
+    """Largest amplitude."""
+
     velocity_m_s: Positive = 0.6
+    """Largest velocity."""
+
     acceleration_m_s2: Positive = 1.6
+    """Largest acceleration."""
 
 
 class QuadrotorSettings(Strict):
     """One simulated quadrotor.
 
-    Its reference is the position. With `velocity_reference`, the controller also receives the
-    reference's backward difference as the wanted velocity, as a trajectory follower would send it.
+    Its reference is the horizontal position.
     """
 
     vehicle: Annotated[MellingerVehicle | AttitudeVehicle, Field(discriminator="controller")]
+    """Vehicle and its baseline controller."""
+
     velocity_reference: bool = True
+    """Whether the controller also receives the reference's backward difference as the wanted
+    velocity, as a trajectory follower would send it."""
+
     noise: SensorNoise = SensorNoise()
+    """Measurement noise of the recorded states."""
+
     limits: ReferenceLimits = ReferenceLimits()
+    """Limits on frequency tests."""
+
     # The room is 3 m wide. The paper flies at up to 0.9 m/s; 2 m/s² needs a tilt of 12 degrees,
     # which every vehicle of the fleet can fly. A correction at about two thirds of the path's own
     # speed catches up with a lag; one that jumped would overturn a vehicle.
@@ -149,9 +162,18 @@ class QuadrotorSettings(Strict):
         correction_max=0.5,
         correction_speed_max=0.6,
     )
+    """Limits on tracked paths and their corrections, in m and s."""
+
     omega_min_rad_s: Positive = 0.1  # the paper's band, Section VI-A
+    """Lower edge of the band for frequency tests."""
+
     omega_max_rad_s: Positive = 5.4
+    """Upper edge of the band for frequency tests."""
+
     flight_time_max_s: Positive = 420.0  # the smallest vehicle's battery: seven minutes
+    """Longest motion that the robot accepts."""
+
     # After this time less than 0.3 % of a sinusoid's initial transient is left, on every vehicle
     # of the fleet and at every frequency.
     settling_time_s: NonNegative = 4.0
+    """Time in which the vehicle settles after a change of its reference."""

@@ -117,7 +117,8 @@ def _fault(rng: random.Random, robots: int) -> Fault:
     kinds, weights = zip(*KINDS, strict=True)
     (kind,) = rng.choices(kinds, weights)
     size = rng.choice((0.2, 1.0, 2.0, 3.0, 5.0, 15.0)) * (0.5 + rng.random())
-    # The moment at which the first goals are sent is the most critical, so many faults fall on it.
+    # The moment at which the first goals are sent is the most critical: a quarter of the faults
+    # fall on it.
     begins_s, lasts_s = rng.choice(
         ((0.2, 0.06), (0.0, 1.5), (0.0, LAST_FAULT_S), (0.0, LAST_FAULT_S))
     )

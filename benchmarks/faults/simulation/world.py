@@ -12,7 +12,7 @@ Job = Callable[[], None]
 class World:
     """Runs jobs in the order of their times, and those at the same time in the order given.
 
-    `now_s` is the virtual time, `events` the number of jobs run so far.
+    `now_s` is the virtual time, `events` the number of jobs run until then.
     """
 
     def __init__(self, seed: int) -> None:
