@@ -77,14 +77,14 @@ class FaultBase(Strict):
 
 
 class NotANumber(FaultBase):
-    """Samples read NaN."""
+    """Each sample reads NaN with this probability."""
 
     kind: Literal["not-a-number"]
     probability: Probability = 1.0
 
 
 class Infinite(FaultBase):
-    """Samples read infinity of either sign."""
+    """Each sample reads infinity, of either sign, with this probability."""
 
     kind: Literal["infinite"]
     probability: Probability = 1.0
@@ -119,16 +119,21 @@ class Noisy(FaultBase):
 
 
 class Spikes(FaultBase):
-    """Single samples are off by `height`, up or down; with `replace` they read `height` instead."""
+    """Single samples are far off."""
 
     kind: Literal["spikes"]
     probability: Probability
+    """Probability of a spike at each sample."""
+
     height: float
+    """Amount by which a spike is off, up or down, in the axis's unit."""
+
     replace: bool = False
+    """Whether a spike reads `height` itself instead."""
 
 
 class Late(FaultBase):
-    """Each reading is `late_min` to `late_max` samples old, drawn for every sample."""
+    """Each reading is `late_min` to `late_max` samples old, drawn independently for each sample."""
 
     kind: Literal["late"]
     late_min: SampleCount = 0
@@ -153,7 +158,7 @@ class Held(FaultBase):
 
 
 class DropOut(FaultBase):
-    """The driver reports an error (`RobotError`) instead of a sample."""
+    """The driver reports an error (`RobotError`) instead of a sample, with this probability."""
 
     kind: Literal["drop-out"]
     probability: Probability = 1.0

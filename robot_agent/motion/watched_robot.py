@@ -31,9 +31,16 @@ class _Call:
     """A driver call in progress, and for how long the checks have found it in progress."""
 
     what: str
+    """Name of the method called."""
+
     allowed_s: float
+    """Time that the call may take."""
+
     seen_s: float = 0.0
+    """Time for which the checks have found it in progress."""
+
     hangs: bool = False
+    """Whether it has taken longer than it may."""
 
 
 class WatchedRobot(Robot):
