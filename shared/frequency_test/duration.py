@@ -1,9 +1,9 @@
-"""How long the parts of a frequency test are, known before it is asked for.
+"""The durations of the parts of a frequency test, known before the test is requested.
 
-A segment lasts one period of the slowest tone, `segment_min_s`, or what it takes for all segments
-together to hold `RESOLUTION_PERIODS` beats of the closest tones. Without `settle_s` the measuring
-part begins `settling_time_s` after the ramp: a transient decays at the robot's own rate, whatever
-the tone's frequency.
+A segment lasts the longest of three times: one period of the slowest tone; `segment_min_s`; and the
+time that lets all segments together hold `RESOLUTION_PERIODS` beats of the two closest tones.
+Without `settle_s` the measuring part begins `settling_time_s` after the ramp: a transient decays at
+the robot's own rate, which does not depend on the frequency of the tone.
 """
 
 from __future__ import annotations
@@ -18,32 +18,40 @@ from nufleet.shared.robots.spec import RobotSpec
 
 RAMP_MAX_S = 5.0
 RAMP_MIN_PERIODS = 1 / 8
-"""A ramp lasts one period of the tone where that is short. A slow tone is ramped over 5 s or an
-eighth of its period: a whole one would cost minutes, and at worst this triples the peak velocity of
-a motion that is slow anyway. Of several tones it is the period of their geometric mean: the fast
-ones make the velocity, and what the slow ones excite decays while the robot settles."""
+"""Bounds on the ramp of a slow tone. A ramp lasts one period of the tone if that is short. A slow
+tone is ramped over 5 s or an eighth of its period, whichever is longer: a whole period would cost
+minutes, and at worst the shorter ramp triples the peak velocity of a motion that is slow anyway.
+For several tones the period is that of their geometric mean frequency: the fast tones determine the
+velocity, and the transient that the slow ones excite decays while the robot settles."""
 
 RESOLUTION_PERIODS = 2.0
-"""Periods of the slowest beat between two tones that the measuring part has to hold. At one the
-least squares can just tell them apart; at two its variance is that of each tone alone."""
+"""Periods of the slowest beat between two tones that the measuring part must hold. With one period,
+least squares can just separate the tones; with two, the variance equals that of each tone alone."""
 
 
 @dataclass(frozen=True)
 class Timing:
-    """The parts of a test as they follow from the request and the robot, before sampling."""
+    """Durations of the parts of a test, from the request and the robot, before sampling."""
 
     ramp_s: float
+    """Duration of each of the two ramps, at the beginning and at the end."""
     settle_s: float
+    """Duration of settling, between the first ramp and the measuring part."""
     segments: int
+    """Number of segments of the measuring part."""
     segment_s: float
+    """Duration of one segment."""
 
     @property
     def asked_s(self) -> float:
-        """How long all parts take together; sampled they take up to a few samples longer."""
+        """Duration of all parts together; rounded to whole samples they take slightly longer."""
         return 2 * self.ramp_s + self.settle_s + self.segments * self.segment_s
 
     def sampled(self, sample_time_s: float) -> tuple[int, int, int]:
-        """Return the samples of a ramp, of the settling part and of a segment."""
+        """Return the number of samples of a ramp, of the settling part and of a segment.
+
+        Each part is rounded up; a segment has at least four samples.
+        """
         return (
             math.ceil(self.ramp_s / sample_time_s),
             math.ceil(self.settle_s / sample_time_s),
@@ -52,13 +60,19 @@ class Timing:
 
 
 def timing(excitation: Excitation, spec: RobotSpec) -> Timing:
-    """Choose the lengths of all parts."""
+    """Choose the durations of all parts of a test.
+
+    Args:
+        excitation: Request for the test.
+        spec: Description of the robot that will perform it.
+    """
     omegas = sorted(tone.omega_rad_s for tone in excitation.tones)
     period_s = 2 * math.pi / omegas[0]
     segment_s = max(period_s, excitation.segment_min_s)
     if len(omegas) > 1:
         beat_s = 2 * math.pi / float(np.min(np.diff(omegas)))
         segment_s = max(segment_s, RESOLUTION_PERIODS * beat_s / excitation.segments)
+    # The period of the geometric mean of all frequencies, see RAMP_MIN_PERIODS.
     middle_s = 2 * math.pi / math.exp(float(np.mean(np.log(omegas))))
     return Timing(
         ramp_s=min(middle_s, max(RAMP_MAX_S, RAMP_MIN_PERIODS * middle_s)),
@@ -69,6 +83,14 @@ def timing(excitation: Excitation, spec: RobotSpec) -> Timing:
 
 
 def duration_s(excitation: Excitation, spec: RobotSpec) -> float:
-    """Return how long the whole motion takes, whether or not the robot would accept it."""
+    """Return the duration of the whole motion, whether or not the robot would accept it.
+
+    Args:
+        excitation: Request for the test.
+        spec: Description of the robot that would perform it.
+
+    Returns:
+        Duration in seconds on the robot's clock, a whole number of samples.
+    """
     ramp, settle, segment = timing(excitation, spec).sampled(spec.sample_time_s)
     return (2 * ramp + settle + excitation.segments * segment) * spec.sample_time_s

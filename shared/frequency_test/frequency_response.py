@@ -1,4 +1,8 @@
-"""The response z(ω) of a robot from one frequency test, with its uncertainty and a verdict."""
+"""The response z(ω) of a robot from one frequency test, with its uncertainty and a verdict.
+
+z(ω) = A(ω) e^{jθ(ω)} is the paper's eq. (5): amplitude gain A and phase shift θ from reference to
+output.
+"""
 
 from __future__ import annotations
 
@@ -41,52 +45,70 @@ from nufleet.shared.frequency_test.sinusoid_fit import (
 from nufleet.shared.frequency_test.suspect_samples import Tested, suspicions
 
 GAIN_MAX = 1e12
-"""An output larger than this multiple of the reference is no response to it."""
+"""An output larger than this multiple of the reference is not a response to it."""
 
 REFERENCE_TONE_MIN = 1e-9
-"""A tone below this share of the reference's largest sample is not in the reference."""
+"""A tone below this fraction of the reference's largest sample counts as missing from it."""
 
 
 @dataclass(frozen=True)
 class FrequencyResponse:
     """Estimates ẑ of z(ω) = Y/U at the tones of one test, in the order of its plan.
 
-    `variance` is E|ẑ − z|² (of a circular error), estimated from `segments` segments with so many
-    `degrees` of freedom, None for the 2P − 2 of tones that every segment tells apart, and what
-    suspicious samples may have added to it. `amplitude` is the peak of the reference in the axis's
-    unit, None where it is not known. Where nothing could be estimated ẑ is NaN and its variance
-    infinite, and the test is not usable.
+    If nothing could be estimated, ẑ is NaN, its variance infinite, and the test not usable.
     """
 
-    omega_rad_s: FloatArray  # (tones,)
-    z: ComplexArray  # (tones,)
-    variance: FloatArray  # (tones,)
+    omega_rad_s: FloatArray
+    """Frequencies of the tones, shape (tones,)."""
+    z: ComplexArray
+    """Estimates ẑ, output over reference in the same unit, shape (tones,)."""
+    variance: FloatArray
+    """E|ẑ − z|² of each estimate, shape (tones,), for a circular error: the scatter between
+    segments, plus the contribution that suspicious samples may have made."""
     segments: int
+    """Number P of segments that the variance was estimated from."""
     quality: Quality
-    degrees: FloatArray | None = None  # (tones,)
+    """Verdict on the test."""
+    degrees: FloatArray | None = None
+    """Degrees of freedom of each variance, shape (tones,). None means 2P − 2, which holds for tones
+    that each segment alone can separate."""
     amplitude: float | None = None
+    """Peak of the reference in the axis's unit; None if unknown."""
 
     @property
     def degrees_of_freedom(self) -> FloatArray:
-        """Of each variance, shape (tones,)."""
+        """Degrees of freedom of each variance, shape (tones,)."""
         if self.degrees is not None:
             return self.degrees
         return np.full(len(self.omega_rad_s), 2.0 * (self.segments - 1))
 
     def radius(self, alpha: float = 0.05) -> FloatArray:
-        """Return the radius ρ of the disc around each ẑ that holds z with probability 1 − α."""
+        """Return the radius ρ of the disc around each ẑ that holds z with probability 1 − α.
+
+        Args:
+            alpha: Probability α that a disc misses z.
+
+        Returns:
+            Radii in the complex plane, shape (tones,).
+        """
         return uncertainty_radius(self.variance, self.degrees_of_freedom, alpha)
 
 
 def uncertainty_radius(
     variance: FloatArray, degrees: FloatArray, alpha: float = 0.05
 ) -> FloatArray:
-    """Return ρ with ρ² = s² F and F the 1 − α quantile of F with 2 and `degrees` degrees.
+    """Return the radius ρ of each estimate's confidence disc.
+
+    ρ² = s² F, where F is the 1 − α quantile of the F distribution with 2 and `degrees` degrees of
+    freedom (real and imaginary part have half the variance each).
 
     Args:
-        variance: s², the variance of each estimate, shape (…).
-        degrees: degrees of freedom of each, of the same shape.
-        alpha: probability that the disc misses z.
+        variance: Variance s² of each estimate, any shape.
+        degrees: Degrees of freedom of each variance, the same shape.
+        alpha: Probability α that a disc misses z.
+
+    Returns:
+        Radii in the complex plane, the same shape.
     """
     return np.sqrt(variance * f_quantile(alpha, degrees / 2))
 
@@ -97,14 +119,14 @@ def estimate_frequency_response(
     """Estimate z at every tone of a test from the samples of its measuring part.
 
     All tones, an offset, a drift and second and third harmonics are fitted jointly to the whole
-    measuring part; what each segment contributes gives the variance. (The mean of phasors fitted to
-    each segment alone has up to 2.8 times the variance: within one period a drift looks like a
-    sine.) Whatever is wrong with the samples is a verdict, never an exception.
+    measuring part; the variance comes from the contributions of the single segments. (The mean of
+    phasors fitted to each segment alone has up to 2.8 times the variance: within one period a drift
+    looks like a sine.) Faults in the samples lead to a verdict, never to an exception.
 
     Args:
-        reference: one axis's reference, shape (samples,).
-        response: the output measured at the same times, shape (samples,).
-        plan: what was played.
+        reference: Reference of the tested axis, shape (samples,), in the axis's unit.
+        response: Output measured at the same times, shape (samples,), in the axis's unit.
+        plan: Excitation that the robot played.
     """
     omegas = np.array([tone.omega_rad_s for tone in plan.tones])
     first = plan.first_measured_sample
@@ -118,7 +140,7 @@ def estimate_frequency_response(
         if len(bad):
             text = f"the {name} holds {len(bad)} samples that are not finite"
             return _failed(omegas, plan, "not-finite", text)
-    # Scaled to 1, so that no square overflows however far a robot has gone.
+    # Scaled to 1, so that no square overflows, however far the robot has moved.
     u_scale, y_scale = float(np.max(np.abs(u))), float(np.max(np.abs(y)))
     if u_scale == 0.0:
         return _failed(omegas, plan, "no-reference", "the reference is zero throughout")
@@ -130,21 +152,28 @@ def estimate_frequency_response(
 
 @dataclass(frozen=True)
 class _Samples:
-    """The measuring part, scaled to largest samples of 1; its scales are in the axis's unit."""
+    """The measuring part of a test, scaled so that the largest sample of each signal is 1."""
 
     u: FloatArray
+    """Scaled reference, shape (samples,)."""
     y: FloatArray
+    """Scaled output, shape (samples,)."""
     u_scale: float
+    """Largest magnitude of the reference, in the axis's unit."""
     y_scale: float
+    """Largest magnitude of the output, in the axis's unit."""
 
 
 @dataclass(frozen=True)
 class _Estimates:
-    """What each segment says of z, shape (segments, tones), and the variance of their mean."""
+    """The estimates of z from single segments, and the variance of their mean."""
 
     segment_z: ComplexArray
+    """Estimate of z from each segment, shape (segments, tones)."""
     variance: FloatArray
+    """Variance of their mean, shape (tones,)."""
     degrees: FloatArray
+    """Degrees of freedom of that variance, shape (tones,)."""
 
 
 def _estimate(samples: _Samples, omegas: FloatArray, plan: ExcitationPlan) -> FrequencyResponse:
@@ -161,7 +190,8 @@ def _estimate(samples: _Samples, omegas: FloatArray, plan: ExcitationPlan) -> Fr
     if np.min(np.abs(input_tones)) < REFERENCE_TONE_MIN:
         return _failed(omegas, plan, "no-reference", "a tone is missing from the reference")
     scaled_z = output_fit.phasors[:tones] / input_tones
-    # A segment's own z to first order: 1/U_p would be biased if the reference scattered too.
+    # z of each segment to first order, z + (Y_p − z U_p)/U: dividing by the segment's own U_p would
+    # be biased if the reference scattered too.
     segment_output = output_fit.segment_phasors[:, :tones]
     segment_input = input_fit.segment_phasors[:, :tones]
     segment_z = scaled_z + (segment_output - scaled_z * segment_input) / input_tones
@@ -176,6 +206,7 @@ def _estimate(samples: _Samples, omegas: FloatArray, plan: ExcitationPlan) -> Fr
     )
     suspected = list(suspicions(tested))
     variance = output_fit.scatter_factor[:tones] * variance_of_mean(gain * segment_z)
+    # Systematic errors do not show as scatter; a bound on each is added to the variance instead.
     for suspicion in suspected:
         variance += (gain * suspicion.phasor_error / np.abs(input_tones)) ** 2
     degrees = output_fit.scatter_degrees[:tones]
@@ -208,14 +239,14 @@ def _findings(
         sum_of_tones(phasors, omegas, step_s, len(samples.y))
         for phasors in (
             input_fit.phasors[:tones],
-            # The median resists one bad segment, which spreads its error over all in the mean.
+            # The median is robust to one bad segment; the mean would spread its error over all.
             complex_median(output_fit.segment_phasors[:, :tones]),
         )
     )
     silent = (tested.amplitudes <= SILENCE) | (
         np.abs(z) <= uncertainty_radius(variance, degrees, NO_RESPONSE_SIGNIFICANCE)
     )
-    # In the unit that the output was scaled to; an output of zeros has none.
+    # Converted to the scaled output's unit; an output of zeros was not scaled.
     reference_rms = float(np.std(samples.u)) * samples.u_scale / (samples.y_scale or math.inf)
     findings: list[Finding | None] = [
         *sensor_faults(samples.y, moved, samples.y_scale),
@@ -225,11 +256,13 @@ def _findings(
     if silent.all():
         return findings
     distortion = harmonic_distortion(output_fit, tones, residual)
-    # The powers of a single tone are its harmonics.
+    # For a single tone the powers contain nothing but harmonics, which were tested above.
     if tones > 1:
         powers = power_distortion(residual, (moved, played), omegas, step_s, segments)
         distortion = max(distortion, powers)
     gain = samples.y_scale / samples.u_scale
+    # A change dY of the output's phasor moves z by dY/U, and its point on the Riemann sphere by
+    # |dz| / (1 + |z|²), the metric that the chordal distance has for close points.
     on_the_sphere = gain / np.abs(input_fit.phasors[:tones]) / (1 + np.abs(z) ** 2)
     settling = unsettled(segment_z, omegas)
     if settling is None or settling.code != "unsettled":

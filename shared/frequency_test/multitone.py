@@ -8,19 +8,21 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.excitation import Tone
 
 CLIPPING_ROUNDS = 60
+"""Number of clipping iterations in the search for phases."""
+
 SAMPLES_PER_PERIOD = 8
-"""Of the fastest tone, while phases are searched; more would find the same phases."""
+"""Samples per period of the fastest tone during the search; more would find the same phases."""
 
 
 def multitone(
     base_rad_s: float, harmonics: tuple[int, ...], weights: FloatArray
 ) -> tuple[Tone, ...]:
-    """Return tones at multiples of a base frequency whose sum stays low everywhere.
+    """Return tones at multiples of a base frequency, with phases that keep their sum's peak low.
 
     Args:
-        base_rad_s: base frequency; the sum repeats after 2π / base.
-        harmonics: rising multiples of it.
-        weights: relative amplitudes, shape (tones,), positive.
+        base_rad_s: Base frequency; the sum repeats after 2π / base.
+        harmonics: Increasing multiples of the base frequency, one per tone.
+        weights: Relative amplitudes, positive, shape (tones,).
     """
     phases = low_crest_phases(harmonics, weights)
     return tuple(
@@ -32,9 +34,17 @@ def multitone(
 def low_crest_phases(harmonics: tuple[int, ...], weights: FloatArray) -> FloatArray:
     """Return phases φ of Σ w sin(h t + φ) that make its largest value small.
 
-    Starts from Schroeder's phases (IEEE Trans. Inf. Theory 16, 1970) and repeats what Van der
-    Ouderaa, Schoukens and Renneboog do (IEEE Trans. Instrum. Meas. 37, 1988): clip the signal, keep
-    the phases of what is left. The best phases met on the way are returned.
+    The search starts from Schroeder's phases (IEEE Trans. Inf. Theory 16, 1970) and iterates the
+    method of Van der Ouderaa, Schoukens and Renneboog (IEEE Trans. Instrum. Meas. 37, 1988): clip
+    the signal, then give the tones the phases of the clipped signal. The best phases of all
+    iterations are returned.
+
+    Args:
+        harmonics: Increasing multiples h of the base frequency, one per tone.
+        weights: Relative amplitudes w, positive, shape (tones,).
+
+    Returns:
+        Phases in rad, shape (tones,).
     """
     if len(harmonics) == 1:
         return np.zeros(1)
@@ -44,12 +54,13 @@ def low_crest_phases(harmonics: tuple[int, ...], weights: FloatArray) -> FloatAr
     best, best_crest = phases, np.inf
     for round_ in range(CLIPPING_ROUNDS):
         spectrum = np.zeros(samples // 2 + 1, dtype=np.complex128)
+        # w sin(h t + φ) has the one-sided spectrum −j/2 w e^{jφ}, times the length of the signal.
         spectrum[orders] = -0.5j * samples * weights * np.exp(1j * phases)
         signal = np.fft.irfft(spectrum, samples)
         peak = float(np.max(np.abs(signal)))
         if peak < best_crest:
             best, best_crest = phases, peak
-        # Clipping less and less: a hard clip moves far, a soft one settles.
+        # Clip less and less: hard clipping moves the phases far, soft clipping lets them settle.
         level = peak * (0.8 + 0.19 * round_ / CLIPPING_ROUNDS)
         clipped = np.fft.rfft(np.clip(signal, -level, level))
         phases = np.angle(clipped[orders]) + np.pi / 2
@@ -57,11 +68,22 @@ def low_crest_phases(harmonics: tuple[int, ...], weights: FloatArray) -> FloatAr
 
 
 def schroeder_phases(weights: FloatArray) -> FloatArray:
-    """Return φ_k = −2π Σ_{l<k} (k − l) p_l with p the tones' shares of the power."""
+    """Return Schroeder's phases φ_k = −2π Σ_{l<k} (k − l) p_l, p_l being tone l's share of power.
+
+    Args:
+        weights: Relative amplitudes, shape (tones,).
+
+    Returns:
+        Phases in rad, shape (tones,).
+    """
     power = weights**2 / np.sum(weights**2)
     return np.asarray(-2 * np.pi * np.concatenate([[0.0], np.cumsum(np.cumsum(power))[:-1]]))
 
 
 def crest_factor(signal: FloatArray) -> float:
-    """Return the largest magnitude over the root mean square."""
+    """Return the ratio of a signal's largest magnitude to its root mean square.
+
+    Args:
+        signal: Samples in any unit, shape (samples,).
+    """
     return float(np.max(np.abs(signal)) / np.sqrt(np.mean(signal**2)))

@@ -1,4 +1,4 @@
-"""Whether a response is linear at a test's amplitude: harmonics, and powers of the signals."""
+"""Tests for nonlinearity at a test's amplitude, by harmonics and by powers of the signals."""
 
 from __future__ import annotations
 
@@ -12,19 +12,22 @@ from nufleet.shared.frequency_test.sinusoid_fit import SinusoidFit, fit_sinusoid
 
 HARMONIC_SIGNIFICANCE = 1e-3
 HARMONIC_SCATTER_SIGNIFICANCE = 1e-2
-"""Chances that noise alone makes a harmonic: against white noise, against scatter of segments."""
+"""Probabilities that noise alone passes for a harmonic: in the test against white noise, and in the
+test against the scatter between segments."""
 
 POWERS_EXPLAIN_MIN = 0.1
-"""Powers of the signals have to predict this share of the residual of segments held out."""
+"""Least fraction of the residual's power in held-out segments that powers of the signals must
+predict to count as distortion."""
 
 DISTORTION_REPORTED = 0.01
 DISTORTION_MAX = 0.2
-"""What is not linear relative to the tones: reported above the first, failed above the second,
-where one complex number does not describe the response any more."""
+"""Ratio of the nonlinear to the linear part of the output. Above the first value distortion is
+reported; above the second the test fails, because one complex number no longer describes the
+response."""
 
 
 def nonlinear(distortion: float) -> Finding | None:
-    """Return the finding for a ratio of what is not linear to what is."""
+    """Return the finding for a ratio of the nonlinear to the linear part; None if negligible."""
     if distortion <= DISTORTION_REPORTED:
         return None
     return Finding(
@@ -35,20 +38,25 @@ def nonlinear(distortion: float) -> Finding | None:
 
 
 def harmonic_distortion(fit: SinusoidFit, tones: int, residual: FloatArray) -> float:
-    """Return the amplitude of all harmonics that stand out of the noise, relative to all tones.
+    """Return the amplitude of all significant harmonics, relative to that of all tones.
 
-    A harmonic stands out when |Y_h|² > (4σ²/N) ln(1/α), and when it exceeds the scatter between
-    segments too, since noise need not be white.
+    A harmonic is significant if |Y_h|² > (4σ²/N) ln(1/α), which white noise exceeds with
+    probability α, and if it also exceeds the scatter between segments, since noise need not be
+    white.
 
     Args:
-        fit: the fit of the output; tones first, then harmonics.
-        tones: how many of its frequencies are tones.
-        residual: what the fit leaves over, shape (samples,).
+        fit: Fit of the output; the first `tones` frequencies are tones, the others harmonics.
+        tones: Number of tones.
+        residual: Output minus the fit, shape (samples,).
+
+    Returns:
+        Ratio of the root sums of squares, without unit.
     """
     power = np.abs(fit.phasors) ** 2
     linear_power = float(np.sum(power[:tones]))
     if linear_power <= SILENCE**2:
         return 0.0
+    # Bonferroni: the significance is shared out among all harmonics tested.
     many = max(1, len(power) - tones)
     white = 4 * np.var(residual) / len(residual)
     over_white = power > white * math.log(many / HARMONIC_SIGNIFICANCE)
@@ -65,19 +73,23 @@ def power_distortion(
     sample_time_s: float,
     segments: int,
 ) -> float:
-    """Return how much of the residual squares and cubes of the signals predict, over the tones.
+    """Return the part of the residual that squares and cubes of the signals predict.
 
-    With several tones most of a distortion lies between the harmonics, at sums and differences of
-    the tones, where it looks like noise. What makes it is a power of a signal (Ramsey's RESET test,
-    J. R. Stat. Soc. B 31, 1969); it counts when powers fitted to all other segments predict each
-    segment's residual, which noise of any colour hardly allows.
+    With several tones most of the distortion lies between the harmonics, at sums and differences of
+    the tones, where it looks like noise. It is caused by powers of the signals, so the test is
+    whether these explain the residual (Ramsey's RESET test, J. R. Stat. Soc. B 31, 1969). They
+    count only if powers fitted to all other segments predict each segment's residual, which hardly
+    ever happens with noise of any colour.
 
     Args:
-        residual: what the fit of the output leaves over, shape (samples,).
-        signals: the fitted tones of the output first, then of the reference, the same shape.
-        omega_rad_s: the tones.
-        sample_time_s: time between samples.
-        segments: number of segments of equal length.
+        residual: Output minus the fit, shape (samples,).
+        signals: Fitted tones of the output, then those of the reference, each of shape (samples,).
+        omega_rad_s: Frequencies of the tones, shape (tones,).
+        sample_time_s: Time between samples.
+        segments: Number of segments of equal length.
+
+    Returns:
+        Root mean square of the predicted part, relative to that of the output's fitted tones.
     """
     scales = [float(np.std(signal)) for signal in signals]
     if min(scales) <= SILENCE or not residual.any():
@@ -87,6 +99,7 @@ def power_distortion(
         for signal, scale in zip(signals, scales, strict=True)
         for exponent in (2, 3)
     ]
+    # The residual is orthogonal to tones, offset and drift; so must be what is to explain it.
     fits = fit_sinusoids(powers, omega_rad_s, sample_time_s, segments)
     unexplained = [power - fit.fitted for power, fit in zip(powers, fits, strict=True)]
     columns = np.stack(unexplained, axis=-1).reshape(segments, -1, len(powers))
@@ -96,7 +109,7 @@ def power_distortion(
     error = 0.0
     for p in range(segments):
         others = gram.sum(axis=0) - gram[p], moments.sum(axis=0) - moments[p]
-        # The cut-off drops powers that hardly differ, as the output's and the reference's may.
+        # The cut-off drops powers that hardly differ; those of output and reference may coincide.
         weights = np.linalg.lstsq(*others, rcond=1e-6)[0]
         error += float(np.sum((left[p] - columns[p] @ weights) ** 2))
     total = float(np.sum(left**2))

@@ -1,13 +1,16 @@
 """The compiled numerics of exact Gaussian processes: Matérn 3/2 likelihood, its maximum, posterior.
 
-Everything compiled is in this one file on purpose: numba's cache of a function notices changes in
-the function's own file only, so a kernel in a second file could be called in an outdated version.
+All compiled functions are in this one file on purpose: numba's cache of a function notices changes
+in that function's own file only, so a kernel in a second file could be called in an outdated
+version.
 
 Notation (Rasmussen & Williams, *Gaussian Processes for Machine Learning*, 2006, ch. 2 and 5):
 K = σ_f² (R + jitter I) + N with R_ij = (1 + s) e^{−s}, s = √3 |x_i − x_j| / ℓ, and
 N = diag(σ_n² + known noise variances). Parameters are θ = (log σ_f², log ℓ, log σ_n²);
-K_i = ∂K/∂θ_i, P = K⁻¹, α = P y. What is minimised is f = ½ yᵀα + ½ log|K| + ½ n log 2π, the
-negative log marginal likelihood.
+K_i = ∂K/∂θ_i, P = K⁻¹, α = P y. The function minimised is the negative log marginal likelihood
+f = ½ yᵀα + ½ log|K| + ½ n log 2π (ibid., eq. 2.30 and 5.8). Subscripts f, ℓ and n stand for the
+derivatives by log σ_f², log ℓ and log σ_n². For n points, arrays have shape (n,) or (n, n); rows
+are padded to whole vector registers, see `_width`.
 """
 
 from __future__ import annotations
@@ -26,42 +29,46 @@ from nufleet.shared.gaussian_process.problem import FitStatus
 IntArray = NDArray[np.int64]
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-# Plain numbers, which compiled code can return.
+# Members of an enum are not numbers to compiled code; plain integers can be returned from it.
 CONVERGED, PRECISION_LIMIT = int(FitStatus.CONVERGED), int(FitStatus.PRECISION_LIMIT)
 EVALUATION_LIMIT, FAILED = int(FitStatus.EVALUATION_LIMIT), int(FitStatus.FAILED)
 
-_LANES = 8  # rows are padded to whole vector registers
-_BLOCK = 64  # queries that share one forward substitution
-_SCALED_DISTANCE_MAX = 700.0  # beyond it e^{−s} is a denormal number or zero
+_LANES = 8  # rows are padded to a multiple of this: one vector register of eight doubles
+_BLOCK = 64  # number of queries that share one forward substitution
+_SCALED_DISTANCE_MAX = 700.0  # for a larger s, e^{−s} is a denormal number or zero
+# The jitter tried after 0 fails, and the largest tried, as fractions of σ_f²; it grows tenfold.
 _JITTER_FIRST, _JITTER_LAST = 1e-13, 1e-5
+# Half the width of the trust region, in units of θ: 2 is a factor e² of a hyperparameter.
 _RADIUS_FIRST, _RADIUS_MAX, _RADIUS_MIN = 2.0, 8.0, 1e-10
-_STEPS_BELOW_ROUNDING = 4  # Newton needs no more for the gradient to follow
+# Steps allowed after the decrease they predict has sunk below the rounding error of f. Newton's
+# method converges quadratically, so the gradient, which rounds less, needs no more to vanish.
+_STEPS_BELOW_ROUNDING = 4
 _HALF_LOG_2PI = 0.5 * math.log(2.0 * math.pi)
 _EPSILON = float(np.finfo(np.float64).eps)
 _LOG2_E = 1.0 / math.log(2.0)
-# log 2 in two parts, the first with zeros in its last 21 bits, so that n × part is exact.
+# log 2 in two parts (Cody and Waite). The first ends in 21 zero bits, so that k × part is exact.
 _LOG_2_HIGH = float.fromhex("0x1.62e42fee00000p-1")
 _LOG_2_LOW = float.fromhex("0x1.a39ef35793c76p-33")
 
 
 def _compiled(function: _Function) -> _Function:
-    """Compile a function that others in this file call; products and sums may be fused.
+    """Compile a function that is called only from this file; products and sums may be fused.
 
-    They may not be reordered: a loop has a vector and a scalar form, which of them runs can depend
-    on where memory lies, and both have to give the same numbers. (A function takes over its
-    caller's `fastmath` unless it has its own.)
+    Sums may not be reordered. A loop is compiled to a vector and a scalar form, the alignment of
+    its memory may decide which of them runs, and both must give the same numbers. (A function
+    inherits its caller's `fastmath` unless it sets its own.)
     """
     return cast(_Function, njit(fastmath={"contract"}, error_model="numpy", cache=True)(function))
 
 
 def _summing(function: _Function) -> _Function:
-    """Compile a function whose inner loops only add up, in any order, and store nothing."""
+    """Compile a function whose inner loops only accumulate sums, which may be reordered."""
     fast = {"contract", "reassoc"}
     return cast(_Function, njit(fastmath=fast, error_model="numpy", cache=True)(function))
 
 
 def _entry(signature: str) -> Callable[[_Function], _Function]:
-    """Compile a function that Python calls: for one signature, without the interpreter lock."""
+    """Compile an entry point for Python: one signature, compiled on import, releasing the GIL."""
 
     def compile_entry(function: _Function) -> _Function:
         compiled = njit(signature, error_model="numpy", cache=True, nogil=True)(function)
@@ -71,25 +78,25 @@ def _entry(signature: str) -> Callable[[_Function], _Function]:
 
 
 class _Work(NamedTuple):
-    """The memory of one problem, allocated once for the largest of a batch."""
+    """Working memory for one problem, allocated once for the largest problem of a batch."""
 
-    distance: FloatArray  # √3 |x_i − x_j| for i < j, row by row
-    scaled: FloatArray  # s
-    decay: FloatArray  # e^{−s}
-    noise: FloatArray  # the diagonal of N
-    factor: FloatArray  # U with K = UᵀU in the upper triangle; column n is z = U⁻ᵀ y
-    factor_inverse: FloatArray  # U⁻ᵀ, lower triangle
-    inverse: FloatArray  # P
-    slope: FloatArray  # K_ℓ
-    product: FloatArray  # P K_ℓ
-    alpha: FloatArray  # α
-    weighted: FloatArray  # N α
-    turned: FloatArray  # K_ℓ α
+    distance: FloatArray  # √3 |x_i − x_j| for i < j, row by row, (n (n − 1) / 2,)
+    scaled: FloatArray  # s of the same pairs, (n (n − 1) / 2,)
+    decay: FloatArray  # e^{−s} of the same pairs, (n (n − 1) / 2,)
+    noise: FloatArray  # the diagonal of N, (n,)
+    factor: FloatArray  # U with K = UᵀU in the upper triangle; column n is z = U⁻ᵀ y; (n, width)
+    factor_inverse: FloatArray  # U⁻ᵀ, lower triangle, (n, width)
+    inverse: FloatArray  # P, (n + 1, width): one spare row for `_multiply`
+    slope: FloatArray  # K_ℓ, (n, width)
+    product: FloatArray  # P K_ℓ, (n + 1, width)
+    alpha: FloatArray  # α, (width,)
+    weighted: FloatArray  # N α, (width,)
+    turned: FloatArray  # K_ℓ α, (width,)
 
 
 @_compiled
 def _width(n: int) -> int:
-    """Return the row length for n columns and the targets, in whole registers."""
+    """Return the row length for n columns and one of targets, rounded up to whole registers."""
     return (n + 1 + _LANES - 1) // _LANES * _LANES
 
 
@@ -116,9 +123,11 @@ def _allocate(n: int) -> _Work:
 def _exp(x: float) -> float:
     """Return e^x for −708 < x < 709 to one unit in the last place, in a form that vectorises.
 
-    x = k log 2 + r with |r| ≤ ½ log 2; e^r by its Taylor series to r¹³, whose remainder is 4e-18.
+    x = k log 2 + r with |r| ≤ ½ log 2; e^r comes from its Taylor series up to r¹³, whose remainder
+    is 4e-18. A call of the library's exp would keep the loops around it from being vectorised.
     """
     k = math.floor(x * _LOG2_E + 0.5)
+    # Subtracting the two parts of k log 2 one after the other loses no digit of r.
     r = (x - k * _LOG_2_HIGH) - k * _LOG_2_LOW
     series = 1.0 / 6227020800.0
     series = series * r + 1.0 / 479001600.0
@@ -134,13 +143,14 @@ def _exp(x: float) -> float:
     series = series * r + 0.5
     series = series * r + 1.0
     series = series * r + 1.0
+    # 2^k is made from its bits: the biased exponent of a double, above 52 bits of mantissa.
     exponent = (np.int64(np.int32(k)) + 1023) << 52
     return series * np.int64(exponent).view(np.float64)
 
 
 @_compiled
 def _measure(work: _Work, x: FloatArray) -> None:
-    """Fill in the distances between the rows of x, shape (n, d)."""
+    """Set `work.distance` to √3 times the distances between the rows of x, shape (n, d)."""
     n, d = x.shape
     q = 0
     for i in range(n):
@@ -165,9 +175,10 @@ def _add_rows(
 ) -> None:
     """Add sign × Σ_k weights[k, i] source[k] to target[i], for k in `rows`, in `columns`.
 
-    All that is cubic in n, but one product, comes down to this. Four rows at a time save most loads
-    and stores of the target; `columns` begin and end at whole registers. One plain loop over them
-    becomes vector code where they are known to begin at 0; blocks of constant length never did.
+    Everything cubic in n, except for one product, is done by this function. Taking four rows at a
+    time saves most loads and stores of the target; `columns` begin and end at whole registers. One
+    plain loop over the columns is compiled to vector code where they are known to begin at 0; loops
+    over blocks of constant length never were.
     """
     first, last = rows
     four = first + (last - first) // 4 * 4
@@ -187,13 +198,14 @@ def _add_rows(
 def _cholesky(a: FloatArray, n: int, floor: float) -> bool:
     """Factorise the upper triangle of a in place, K = UᵀU, turning column n from y into U⁻ᵀ y.
 
-    Entries left of the diagonal are scratch. Returns False at a pivot that is not above `floor`
-    times its diagonal: rounding alone could have made it.
+    Entries left of the diagonal are scratch. Returns False if a pivot is not above `floor` times
+    the diagonal entry it came from: a pivot that small could be the result of rounding alone.
     """
     width = _width(n)
     for i in range(n):
         start = i // _LANES * _LANES
         smallest = floor * a[i, i]
+        # U_ij = (K_ij − Σ_{k<i} U_ki U_kj) / U_ii; the column of targets is treated like any other.
         _add_rows(a, i, a, a, (0, i), (start, width), -1.0)
         if not a[i, i] > smallest:
             return False
@@ -207,7 +219,10 @@ def _cholesky(a: FloatArray, n: int, floor: float) -> bool:
 def _likelihood(
     work: _Work, y: FloatArray, known: FloatArray, theta: FloatArray, jitter: float
 ) -> float:
-    """Return f at θ, leaving U, z, s and e^{−s} in `work`; ∞ where K is not positive definite."""
+    """Return f at θ, leaving U, z, s and e^{−s} in `work`; ∞ if K is not positive definite.
+
+    `y` and `known`, the known noise variances, have shape (n,), `theta` has shape (3,).
+    """
     n = len(y)
     width = _width(n)
     signal, scale, noise = math.exp(theta[0]), math.exp(-theta[1]), math.exp(theta[2])
@@ -215,6 +230,7 @@ def _likelihood(
         s = min(work.distance[q] * scale, _SCALED_DISTANCE_MAX)
         work.scaled[q] = s
         work.decay[q] = _exp(-s)
+    # Pair q of (i, j), i < j, row by row: offset + j, without a table of indices.
     q = 0
     for i in range(n):
         work.noise[i] = noise + known[i]
@@ -228,6 +244,7 @@ def _likelihood(
             work.factor[i, j] = 0.0
     if not _cholesky(work.factor, n, n * _EPSILON):
         return np.inf
+    # ½ log|K| = Σ log U_ii and ½ yᵀα = ½ |z|².
     f = n * _HALF_LOG_2PI
     for i in range(n):
         f += math.log(work.factor[i, i]) + 0.5 * work.factor[i, n] * work.factor[i, n]
@@ -236,7 +253,7 @@ def _likelihood(
 
 @_compiled
 def _invert(work: _Work, n: int) -> None:
-    """Turn U and z into X = U⁻ᵀ row by row, P = XᵀX and α = Xᵀz."""
+    """Compute X = U⁻ᵀ row by row from U and z, then P = XᵀX and α = Xᵀz, all in `work`."""
     u, x, p, width = work.factor, work.factor_inverse, work.inverse, _width(n)
     for j in range(width):
         work.alpha[j] = 0.0
@@ -260,7 +277,11 @@ def _invert(work: _Work, n: int) -> None:
 
 @_compiled
 def _multiply(p: FloatArray, d: FloatArray, w: FloatArray, n: int) -> None:
-    """Set w = p d, two rows of w and four of d at a time; p and w have a spare row for odd n."""
+    """Set w = p d, two rows of w and four of d at a time.
+
+    Each row of d that is loaded then serves two rows of w, and each row of w that is loaded takes
+    four rows of d. p and w have a spare row as the partner of the last one of an odd n.
+    """
     width = _width(n)
     four = n // 4 * 4
     for i in range(0, n, 2):
@@ -283,7 +304,7 @@ def _multiply(p: FloatArray, d: FloatArray, w: FloatArray, n: int) -> None:
 
 @_compiled
 def _differentiate(work: _Work, theta: FloatArray, n: int) -> None:
-    """Fill in K_ℓ."""
+    """Set `work.slope` to K_ℓ, with off-diagonal entries σ_f² s² e^{−s} and a zero diagonal."""
     signal, width, slope = math.exp(theta[0]), _width(n), work.slope
     q = 0
     for i in range(n):
@@ -302,7 +323,10 @@ def _differentiate(work: _Work, theta: FloatArray, n: int) -> None:
 
 @_summing
 def _curvature(work: _Work, n: int) -> float:
-    """Return −½ αᵀK_ℓℓ α + ½ tr(P K_ℓℓ), where K_ℓℓ = (s − 2) K_ℓ."""
+    """Return −½ αᵀK_ℓℓ α + ½ tr(P K_ℓℓ), where K_ℓℓ = (s − 2) K_ℓ entry by entry.
+
+    Both matrices are symmetric, so the sum over i < j, doubled, cancels the factor ½.
+    """
     alpha, p, slope = work.alpha, work.inverse, work.slope
     curvature = 0.0
     q = 0
@@ -321,11 +345,16 @@ def _derivatives(
 ) -> float:
     """Fill in the gradient and the exact Hessian of f at the θ that `_likelihood` just factorised.
 
-    Returns how much f moves with rounding errors of K: |α|² + tr P per unit of them. As
-    f_i = −½ αᵀK_i α + ½ tr(P K_i),
-    f_ij = αᵀK_i P K_j α − ½ tr(P K_i P K_j) − ½ αᵀK_ij α + ½ tr(P K_ij);
-    since K_f = K − N and K_n = σ_n² I, every trace but those with P K_ℓ comes from P alone, and
-    without the cancellation there is in a sum over P K_f.
+    The gradient is Rasmussen & Williams' eq. 5.9 with the opposite sign; the Hessian follows by
+    differentiating it once more:
+
+        f_i = −½ αᵀK_i α + ½ tr(P K_i)
+        f_ij = αᵀK_i P K_j α − ½ tr(P K_i P K_j) − ½ αᵀK_ij α + ½ tr(P K_ij)
+
+    Since K_f = K − N and K_n = σ_n² I, every trace except those with P K_ℓ follows from P alone,
+    without the cancellation that a sum over P K_f would suffer.
+
+    Returns the sensitivity of f to rounding errors in K, |α|² + tr P per unit of error.
     """
     n = len(y)
     _invert(work, n)
@@ -379,6 +408,9 @@ def _derivatives(
         q_ln += n_alpha * p_turned
         q_nn += n_alpha * noise * p_alpha
 
+    # P K_f = I − P N and K_f α = y − N α replace K_f throughout. Since K_f and K_n are proportional
+    # to their parameters, K_ff = K_f, K_fℓ = K_ℓ and K_nn = K_n, so their second-order terms are
+    # the gradient again; K_fn and K_ℓn are zero.
     gradient[0] = 0.5 * (n - pn_trace - alpha_f)
     gradient[1] = 0.5 * (w_trace - alpha_l)
     gradient[2] = 0.5 * noise * (p_trace - alpha_alpha)
@@ -394,7 +426,11 @@ def _derivatives(
 
 @_compiled
 def _condense(gradient: FloatArray, hessian: FloatArray, face: FloatArray, out: FloatArray) -> None:
-    """Write the equations of the model's stationary point on a face: H p = −g where p is free."""
+    """Write into `out` (3, 4) the equations of the stationary point on a face of the box.
+
+    They are H p = −g in the free components of p and p_i = face_i in the fixed ones; the fixed
+    ones are moved to the right-hand side, column 3, so that the system stays symmetric.
+    """
     for i in range(3):
         for j in range(3):
             out[i, j] = 1.0 if i == j else 0.0
@@ -410,7 +446,11 @@ def _condense(gradient: FloatArray, hessian: FloatArray, face: FloatArray, out: 
 
 @_compiled
 def _solve_definite(system: FloatArray) -> bool:
-    """Solve three equations, the solution replacing column 3; return False if not definite."""
+    """Solve three equations in place, the solution replacing column 3.
+
+    Returns False if the matrix is not positive definite, which Gaussian elimination without
+    pivoting shows by a pivot that is not positive.
+    """
     for k in range(3):
         if not system[k, k] > 0.0:
             return False
@@ -427,7 +467,7 @@ def _solve_definite(system: FloatArray) -> bool:
 
 @_compiled
 def _model(gradient: FloatArray, hessian: FloatArray, system: FloatArray) -> float:
-    """Return gᵀp + ½ pᵀHp for the p in column 3."""
+    """Return the quadratic model gᵀp + ½ pᵀHp at the step p in column 3 of `system`."""
     model = 0.0
     for i in range(3):
         bent = 0.0
@@ -439,9 +479,10 @@ def _model(gradient: FloatArray, hessian: FloatArray, system: FloatArray) -> flo
 
 @_compiled
 def _name_face(number: int, low: FloatArray, high: FloatArray, face: FloatArray) -> bool:
-    """Set face_i to the side that digit i of `number` (base 3) names; NaN means free.
+    """Set face_i to the bound that digit i of `number` (base 3) selects; NaN means free.
 
-    Returns False where the box has no thickness and the digit would repeat the one side it has.
+    Returns False if the box has no thickness in some direction and the digit would select its only
+    side a second time.
     """
     for i in range(3):
         digit = number // 3**i % 3
@@ -460,9 +501,10 @@ def _box_minimum(
 ) -> float:
     """Set `step` to the global minimum of the quadratic model over a box; return the model there.
 
-    A minimum lies inside one of the 27 faces of the box (interior, sides, edges, corners) and the
-    model is convex on that face, so looking at each is exact for an indefinite Hessian too. Face 0
-    is the interior: a minimum there is the global one.
+    A minimum lies inside one of the 27 faces of the box (interior, sides, edges, corners), and the
+    model is convex on that face. Solving the model on every face is therefore exact even for an
+    indefinite Hessian. Face 0 is the interior: a minimum there is the global one, since it exists
+    only if the whole Hessian is positive definite.
     """
     face, system = np.empty(3), np.empty((3, 4))
     best = np.inf
@@ -490,7 +532,10 @@ def _box_minimum(
 def _factorise(
     work: _Work, y: FloatArray, known: FloatArray, theta: FloatArray, jitter: float
 ) -> tuple[float, float]:
-    """Return f and the jitter it took: the given one, or the next of its decades that is enough."""
+    """Return f at θ and the jitter used: the given one or, if K is indefinite, larger ones.
+
+    The jitter is raised by factors of ten up to `_JITTER_LAST`; if that fails too, f is ∞.
+    """
     while True:
         value = _likelihood(work, y, known, theta, jitter)
         if value < np.inf or jitter >= _JITTER_LAST:
@@ -502,9 +547,9 @@ def _factorise(
 def _projected_gradient(
     derivatives: tuple[FloatArray, FloatArray], theta: FloatArray, bounds: FloatArray
 ) -> float:
-    """Return the largest component of θ − clip(θ − g): zero exactly at a stationary point.
+    """Return the largest component of |θ − clip(θ − g)|: zero exactly at a stationary point.
 
-    It is infinite where a derivative has overflowed.
+    It is infinite if a derivative has overflowed.
     """
     gradient, hessian = derivatives
     largest = 0.0
@@ -512,6 +557,7 @@ def _projected_gradient(
         if not math.isfinite(gradient[i] + hessian[i, 0] + hessian[i, 1] + hessian[i, 2]):
             return np.inf
         if bounds[0, i] < bounds[1, i]:
+            # Descent moves against the gradient, towards the lower bound if it is positive.
             room = theta[i] - bounds[0, i] if gradient[i] > 0.0 else bounds[1, i] - theta[i]
             largest = max(largest, min(abs(gradient[i]), room))
     return largest
@@ -525,9 +571,9 @@ def _try_step(
     radius: float,
     trial: FloatArray,
 ) -> tuple[float, float]:
-    """Set `trial` to the model's minimum within the bounds and the radius of θ.
+    """Set `trial` to the minimum of the quadratic model within the bounds and the radius around θ.
 
-    Returns the decrease that the model predicts and the largest component of the step.
+    Returns the decrease of f that the model predicts, and the largest component of the step.
     """
     low, high, step = np.empty(3), np.empty(3), np.empty(3)
     for i in range(3):
@@ -544,7 +590,11 @@ def _try_step(
 
 @_compiled
 def _next_radius(radius: float, ratio: float, length: float) -> float:
-    """Shrink the radius where the model promised too much, grow it where it held the step back."""
+    """Return the next radius of the trust region.
+
+    It shrinks if f decreased by much less than predicted (`ratio` of actual to predicted), and
+    grows if the model was accurate and the radius is what limited the step.
+    """
     if ratio < 0.25:
         return 0.25 * length
     if ratio > 0.75 and length > 0.99 * radius:
@@ -564,9 +614,10 @@ def _minimise(
 ) -> tuple[float, float, float, int, int]:
     """Minimise f from θ, in place; return f, projected gradient, jitter, evaluations and status.
 
-    Newton's method in a trust region (Conn, Gould & Toint, *Trust-Region Methods*, 2000, ch. 6 and
-    12) that is a box, as the bounds are, so that each step is the exact minimum of the model within
-    both. As there (section 17.4.2), f's rounding error is added to both sides of the comparison.
+    The method is Newton's in a trust region (Conn, Gould & Toint, *Trust-Region Methods*, 2000,
+    ch. 6 and 12). The region is a box like the bounds, so each step is the exact minimum of the
+    model within both. The rounding error of f is added to both the actual and the predicted
+    decrease before they are compared (ibid., section 17.4.2).
     """
     trial, derivatives = np.empty(3), (np.empty(3), np.empty((3, 3)))
     value, jitter = _factorise(work, y, known, theta, 0.0)
@@ -580,6 +631,7 @@ def _minimise(
         residual = _projected_gradient(derivatives, theta, bounds)
         if residual <= tolerance:
             return value, residual, jitter, evaluations, CONVERGED
+        # The values of f can no longer tell a better point from a worse one.
         blind = residual == np.inf or below_rounding > _STEPS_BELOW_ROUNDING
         if blind or radius < _RADIUS_MIN:
             return value, residual, jitter, evaluations, PRECISION_LIMIT
@@ -588,6 +640,7 @@ def _minimise(
         predicted, length = _try_step(theta, bounds, derivatives, radius, trial)
         attempt = _likelihood(work, y, known, trial, jitter)
         evaluations += 1
+        # Errors of f itself, and of entries of K (ε σ_f² each) times the sensitivity of f to them.
         rounding = 4.0 * _EPSILON * (max(1.0, abs(value)) + math.exp(theta[0]) * sensitivity)
         below_rounding += predicted < rounding
         ratio = (value - attempt + rounding) / (predicted + rounding)
@@ -598,10 +651,11 @@ def _minimise(
             for i in range(3):
                 theta[i] = trial[i]
         elif radius < _RADIUS_MIN and attempt == np.inf and jitter < _JITTER_LAST:
-            # The way down leads out of what can be factorised: more jitter moves that edge away.
+            # Every descent step ends where K cannot be factorised; more jitter moves that edge.
             value, jitter = _factorise(work, y, known, theta, max(10.0 * jitter, _JITTER_FIRST))
             radius = _RADIUS_FIRST
         else:
+            # The step was rejected and θ is unchanged, so its derivatives are still valid.
             stale = False
 
 
@@ -635,12 +689,23 @@ def fit_range(
     outcomes: FloatArray,
     counts: IntArray,
 ) -> None:
-    """Fit problems `first` to `last` − 1 from each of their starts and keep the best.
+    """Fit problems `first` to `last` − 1 from each of their starts and keep the best maximum.
 
-    Problem p owns rows offsets[p] to offsets[p + 1] of x (rows, d), y and known (rows,). starts is
-    (starts, problems, 3), bounds (2, 3). Outputs: theta (problems, 3); outcomes (problems, 3) with
-    log marginal likelihood, projected gradient and jitter; counts (problems, 2) with evaluations
-    over all starts and status.
+    Args:
+        x: Inputs of all problems, shape (rows, d), in any unit.
+        y: Targets, shape (rows,).
+        known: Known noise variances, shape (rows,), in the targets' unit squared.
+        offsets: Row boundaries, shape (problems + 1,); problem p owns rows offsets[p] to
+            offsets[p + 1] − 1.
+        first: Index of the first problem to fit.
+        last: Index after the last problem to fit.
+        starts: θ at each start, shape (starts, problems, 3).
+        bounds: Least and greatest θ, shape (2, 3).
+        tolerance: Projected gradient in θ at which a search has converged.
+        evaluations_max: Limit on evaluations of the likelihood per problem and start.
+        theta: Output, shape (problems, 3): θ at the maximum.
+        outcomes: Output, shape (problems, 3): log marginal likelihood, projected gradient, jitter.
+        counts: Output, shape (problems, 2): evaluations over all starts, and the `FitStatus`.
     """
     work = _allocate(_largest(offsets, first, last))
     point = np.empty(3)
@@ -655,6 +720,7 @@ def fit_range(
                 work, y[rows], known[rows], point, bounds, tolerance, evaluations_max
             )
             counts[problem, 0] += evaluations
+            # Strictly greater, so that the first of equal maxima is kept.
             if start == 0 or -value > outcomes[problem, 0]:
                 outcomes[problem, 0] = -value
                 outcomes[problem, 1] = residual
@@ -676,7 +742,19 @@ def likelihood_range(
     value: FloatArray,
     gradient: FloatArray,
 ) -> None:
-    """Fill in log marginal likelihoods (problems,) and gradients (problems, 3); else −∞ and 0."""
+    """Compute log marginal likelihoods and their gradients for problems `first` to `last` − 1.
+
+    Args:
+        x: Inputs of all problems, shape (rows, d).
+        y: Targets, shape (rows,).
+        known: Known noise variances, shape (rows,).
+        offsets: Row boundaries of the problems, shape (problems + 1,).
+        first: Index of the first problem.
+        last: Index after the last problem.
+        theta: θ of each problem, shape (problems, 3).
+        value: Output, shape (problems,): log p(y | x, θ); −∞ if no jitter makes K definite.
+        gradient: Output, shape (problems, 3): its gradient in θ; 0 where `value` is −∞.
+    """
     work = _allocate(_largest(offsets, first, last))
     slope, hessian = np.empty(3), np.empty((3, 3))
     for problem in range(first, last):
@@ -701,10 +779,10 @@ def _predict_block(
     mean: FloatArray,
     variance: FloatArray,
 ) -> None:
-    """Predict at up to `_BLOCK` queries, shape (d, lanes), with U and z in `work`.
+    """Predict at up to `_BLOCK` queries, shape (d, lanes), given U and z in `work`.
 
-    V = U⁻ᵀ K(x, queries) by forward substitution in `cross` (n, _BLOCK), over all lanes at once;
-    the mean is Vᵀz, the variance σ_f² − |V|².
+    V = U⁻ᵀ K(x, queries) is found by forward substitution in `cross` (n, _BLOCK), for all lanes at
+    once. The mean is Vᵀz and the latent variance σ_f² − |V|² (Rasmussen & Williams, algorithm 2.1).
     """
     d, lanes = queries.shape
     signal, scale = math.exp(theta[0]), math.exp(-theta[1])
@@ -727,6 +805,7 @@ def _predict_block(
             v = cross[i, b] * inverse
             cross[i, b] = v
             mean[b] += z * v
+            # Rounding may take the last digits of a vanishing variance below zero.
             variance[b] = max(variance[b] - v * v, 0.0)
 
 
@@ -743,9 +822,22 @@ def posterior_range(
     mean: FloatArray,
     variance: FloatArray,
 ) -> None:
-    """Fill in the posterior mean and latent variance (problems, queries) at queries (d, queries).
+    """Compute posterior means and latent variances for problems `first` to `last` − 1.
 
-    A covariance that no jitter makes positive definite gives the prior: mean 0, variance σ_f².
+    If no jitter makes a problem's covariance positive definite, the result is its prior: mean 0,
+    variance σ_f².
+
+    Args:
+        x: Inputs of all problems, shape (rows, d).
+        y: Targets, shape (rows,).
+        known: Known noise variances, shape (rows,).
+        offsets: Row boundaries of the problems, shape (problems + 1,).
+        first: Index of the first problem.
+        last: Index after the last problem.
+        theta: θ of each problem, shape (problems, 3).
+        queries: Points to predict at, shape (d, queries), the same for all problems.
+        mean: Output, shape (problems, queries), in the targets' unit.
+        variance: Output, shape (problems, queries), in the targets' unit squared.
     """
     n = _largest(offsets, first, last)
     work = _allocate(n)

@@ -1,10 +1,11 @@
 """Exact Gaussian processes, zero mean and Matérn 3/2, with hyperparameters of maximum likelihood.
 
-One compiled core serves the surrogates of the experience selection, thousands of small problems at
-once, and the online model in a robot's control loop (`nufleet.shared.gaussian_process.online`).
-κ(x, x') = σ_f² (1 + s) e^{−s}, s = √3 |x − x'| / ℓ, isotropic; measurement i has the noise variance
-σ_n² + v_i, of which v_i is known. Rasmussen & Williams, *Gaussian Processes for Machine Learning*
-(2006), ch. 2 and 5.
+One compiled core serves two uses: the surrogates of the experience selection, thousands of small
+problems at once, and the online model in a robot's control loop
+(`nufleet.shared.gaussian_process.online`). The kernel is isotropic,
+κ(x, x') = σ_f² (1 + s) e^{−s} with s = √3 |x − x'| / ℓ. Measurement i has the noise variance
+σ_n² + v_i, of which v_i is known. See Rasmussen & Williams, *Gaussian Processes for Machine
+Learning* (2006), ch. 2 and 5.
 """
 
 from __future__ import annotations
@@ -36,24 +37,27 @@ __all__ = [
 ]
 
 _PROBLEMS_WORTH_A_THREAD = 32
+"""Number of problems per thread below which starting another thread costs more than it saves."""
 
 
 @dataclass(frozen=True, eq=False)
 class BatchFit:
-    """What was found for each problem; every array has shape (problems,).
-
-    With f the negative log marginal likelihood and θ the log hyperparameters, `projected_gradient`
-    is the largest component of θ − clip(θ − ∇f(θ)), clip keeping to the bounds. `jitter` is what
-    was added to the diagonal, as a fraction of the signal variance. `evaluations` counts
-    likelihoods over all starts; `status` holds `FitStatus` values.
-    """
+    """The result of fitting each problem of a batch; every array has shape (problems,)."""
 
     hyperparameters: Hyperparameters
+    """The hyperparameters at the best maximum, one of each per problem."""
     log_marginal_likelihood: FloatArray
+    """log p(y | x, θ) at that maximum."""
     projected_gradient: FloatArray
+    """Largest component of |θ − clip(θ − ∇f(θ))|, where f is the negative log marginal likelihood,
+    θ the log hyperparameters, and clip restricts to the bounds; it is zero at a stationary point.
+    """
     jitter: FloatArray
+    """Addition to the diagonal of the covariance, as a fraction of the signal variance."""
     evaluations: NDArray[np.int64]
+    """Number of likelihood evaluations, summed over all starts."""
     status: NDArray[np.int64]
+    """`FitStatus` of the start that gave the best maximum."""
 
 
 def fit(
@@ -65,21 +69,26 @@ def fit(
     evaluations_max: int = 500,
     threads: int | None = None,
 ) -> BatchFit:
-    """Maximise the log marginal likelihood of every problem.
+    """Maximise the log marginal likelihood of every problem (Rasmussen & Williams, section 5.4.1).
 
     The result is the same for any number of threads.
 
     Args:
-        batch: the problems.
-        starts: where to start, at least one; the best maximum is kept, the first of equals.
-        bounds: a start outside is moved inside.
-        gradient_tolerance: of the projected gradient in log hyperparameters.
-        evaluations_max: likelihoods per problem and start.
-        threads: at most; one per processor if left out.
+        batch: Problems to fit.
+        starts: Hyperparameters to start the search from, at least one set. The best maximum found
+            is kept, and the first one if several are equal.
+        bounds: Bounds on the hyperparameters; a start outside is moved to the nearest bound.
+        gradient_tolerance: Projected gradient, in log hyperparameters, at which a search has
+            converged.
+        evaluations_max: Limit on likelihood evaluations per problem and start.
+        threads: Largest number of threads; None means one per processor.
+
+    Returns:
+        The best maximum of each problem and how its search ended, arrays of shape (problems,).
 
     Raises:
-        ValueError: no start, or one for another number of problems. Numerics never raise: see
-            `FitStatus`.
+        ValueError: `starts` is empty, or holds values for another number of problems. Numerical
+            trouble never raises; it is reported as a `FitStatus`.
     """
     if not starts:
         raise ValueError("fit needs at least one start")
@@ -115,13 +124,20 @@ def fit(
 def log_marginal_likelihood(
     batch: Batch, hyperparameters: Hyperparameters
 ) -> tuple[FloatArray, FloatArray]:
-    """Return log p(y | x, θ), shape (problems,), and its gradient in θ, (problems, 3).
+    """Return the log marginal likelihood of every problem and its gradient.
 
-    θ = (log σ_f², log ℓ, log σ_n²). A covariance that no jitter makes positive definite gives −∞
-    and a zero gradient.
+    It implements Rasmussen & Williams, eq. 2.30 and 5.9, with θ = (log σ_f², log ℓ, log σ_n²).
+
+    Args:
+        batch: Problems to evaluate.
+        hyperparameters: One set for all problems, or one per problem.
+
+    Returns:
+        log p(y | x, θ), shape (problems,), and its gradient in θ, shape (problems, 3). If no jitter
+        makes a covariance positive definite, the value is −∞ and the gradient zero.
 
     Raises:
-        ValueError: hyperparameters for another number of problems.
+        ValueError: the hyperparameters are given for another number of problems.
     """
     from nufleet.shared.gaussian_process import core
 
@@ -148,21 +164,26 @@ def posterior(
     *,
     threads: int | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the posterior mean and variance of every problem's function, noise not included.
+    """Return the posterior mean and variance of every problem's function, without noise.
+
+    It implements Rasmussen & Williams, eq. 2.25 and 2.26, which is the paper's eq. (2) with a prior
+    mean of zero.
 
     Args:
-        batch: the problems.
-        hyperparameters: those of all problems or of each.
-        x_query: the same for all problems, shape (queries,) or (queries, d).
-        threads: at most; one per processor if left out.
+        batch: Problems to predict.
+        hyperparameters: One set for all problems, or one per problem.
+        x_query: Points to predict at, the same for all problems, shape (queries,) or (queries, d),
+            in the inputs' unit.
+        threads: Largest number of threads; None means one per processor.
 
     Returns:
-        Mean and variance, shape (problems, queries). A covariance that is not positive definite
-        gets the least jitter that makes it so; where none does, the answer is the prior.
+        Mean and variance, each of shape (problems, queries), in the targets' unit and its square.
+        A covariance that is not positive definite gets the smallest jitter that makes it so; if
+        none does, the result is the prior.
 
     Raises:
-        ValueError: queries that are not finite or of another dimension, or hyperparameters for
-            another number of problems.
+        ValueError: `x_query` is not finite or has another dimension, or the hyperparameters are
+            given for another number of problems.
     """
     from nufleet.shared.gaussian_process import core
 
@@ -193,19 +214,20 @@ def posterior(
 
 
 def warm_up() -> None:
-    """Compile the core, some ten seconds, or load what numba cached, so that no later call waits.
+    """Load the compiled core ahead of time, so that no later call has to wait for it.
 
-    The cache lies where NUMBA_CACHE_DIR says, else beside the module, else in the user's cache
-    folder.
+    Compilation takes some ten seconds; afterwards numba's cache is used. The cache is kept in
+    NUMBA_CACHE_DIR if that is set, otherwise next to the module, or in the user's cache folder if
+    the module's folder cannot be written.
     """
     import_module("nufleet.shared.gaussian_process.core")
 
 
 def _share_out(work: Callable[[int, int], None], problems: int, threads: int | None) -> None:
-    """Run `work` on ranges that cover 0 to `problems`, on several threads where that pays.
+    """Run `work` on ranges that cover 0 to `problems`, on several threads where that pays off.
 
-    Plain threads rather than numba's: kernels release the interpreter lock, and numba's fallback
-    thread layer ends the process when two Python threads enter it at once.
+    The threads are Python's rather than numba's: the kernels release the interpreter lock, and
+    numba's fallback thread layer ends the process when two Python threads enter it at once.
     """
     if threads is None:
         threads = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
@@ -213,6 +235,7 @@ def _share_out(work: Callable[[int, int], None], problems: int, threads: int | N
     if workers < 2:
         work(0, problems)
         return
+    # Eight ranges per thread even out problems that take longer than others.
     edges = np.linspace(0, problems, 8 * workers + 1).astype(int).tolist()
     with ThreadPoolExecutor(workers) as pool:
         for done in [pool.submit(work, a, b) for a, b in pairwise(edges)]:

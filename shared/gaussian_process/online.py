@@ -1,4 +1,4 @@
-"""The Gaussian process of a control loop: a few outputs over one window, refitted every step."""
+"""A Gaussian process for a control loop: a few outputs over one window, refitted every step."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from nufleet.shared.gaussian_process.problem import Bounds, Hyperparameters
 
 
 class OnlineFit:
-    """Outputs that share their inputs, each with its own hyperparameters, fitted to convergence.
+    """Independent processes for several outputs over the same inputs, fitted to convergence.
 
-    Memory is allocated and the core loaded (or compiled) when it is made, so that `refit` and
-    `predict` take the time of their arithmetic. A refit starts from the hyperparameters that the
-    last one found. Not for calls from two threads at once.
+    Each output has its own hyperparameters. The constructor allocates all memory and loads (or
+    compiles) the core, so that `refit` and `predict` take only as long as their arithmetic. Each
+    refit starts from the hyperparameters that the previous one found. The posterior is the paper's
+    eq. (2), with the prior mean subtracted from the targets beforehand. Not thread-safe.
     """
 
     def __init__(
@@ -28,10 +29,20 @@ class OnlineFit:
         gradient_tolerance: float = 1e-7,
         evaluations_max: int = 100,
     ) -> None:
-        """Prepare for windows of up to `capacity` points, with so many inputs and outputs.
+        """Allocate memory for windows of up to `capacity` points and load the compiled core.
+
+        Args:
+            capacity: Largest number of points in a window.
+            dimension: Number of inputs per point.
+            outputs: Number of outputs per point.
+            start: Hyperparameters of the first refit, one set for all outputs or one per output.
+            bounds: Bounds on the hyperparameters of every output.
+            gradient_tolerance: Projected gradient, in log hyperparameters, at which a refit has
+                converged.
+            evaluations_max: Limit on likelihood evaluations per output and refit.
 
         Raises:
-            ValueError: a size below 1, or a start for another number of outputs.
+            ValueError: a size is below 1, or `start` is given for another number of outputs.
         """
         if min(capacity, dimension, outputs, evaluations_max) < 1:
             raise ValueError("capacity, dimension, outputs and evaluations_max must be at least 1")
@@ -53,17 +64,17 @@ class OnlineFit:
 
     @property
     def hyperparameters(self) -> Hyperparameters:
-        """What the last refit found, one of each per output; the start before there was one."""
+        """Hyperparameters of the last refit, one set per output; the start before the first."""
         return Hyperparameters.from_log(self._theta)
 
     @property
     def log_marginal_likelihood(self) -> FloatArray:
-        """The maximum the last refit found, shape (outputs,)."""
+        """Log marginal likelihood of each output at the last refit, shape (outputs,)."""
         return self._outcomes[:, 0].copy()
 
     @property
     def evaluations(self) -> NDArray[np.int64]:
-        """How many likelihoods the last refit took, shape (outputs,)."""
+        """Number of likelihood evaluations in the last refit, shape (outputs,)."""
         return self._counts[:, 0].copy()
 
     @property
@@ -72,18 +83,18 @@ class OnlineFit:
         return self._counts[:, 1].copy()
 
     def restart(self) -> None:
-        """Let the next refit begin at the start given at first, not at the last hyperparameters."""
+        """Make the next refit begin at the constructor's `start` rather than at its predecessor."""
         self._theta[:] = self._start
 
     def refit(self, x: FloatArray, y: FloatArray) -> None:
-        """Take a new window and maximise each output's marginal likelihood.
+        """Replace the window and maximise each output's marginal likelihood.
 
         Args:
-            x: inputs, shape (n, dimension), 1 ≤ n ≤ capacity.
-            y: targets less their prior mean, shape (n, outputs).
+            x: Inputs, shape (n, dimension), 1 ≤ n ≤ capacity.
+            y: Targets less their prior mean, shape (n, outputs).
 
         Raises:
-            ValueError: another shape, or a number that is not finite; the last window stays.
+            ValueError: a shape is wrong or a number is not finite; the previous window is kept.
         """
         n = len(x)
         if not 1 <= n <= self._capacity or x.shape != (n, self._dimension):
@@ -117,13 +128,19 @@ class OnlineFit:
         )
 
     def predict(self, x_query: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the posterior mean and the variance without noise, shape (queries, outputs) each.
+        """Return the posterior mean and variance of the outputs, without noise.
+
+        Before the first refit this is the prior.
 
         Args:
-            x_query: shape (queries, dimension). Before the first refit the answer is the prior.
+            x_query: Points to predict at, shape (queries, dimension).
+
+        Returns:
+            Mean and variance, each of shape (queries, outputs), in the outputs' unit and its
+            square.
 
         Raises:
-            ValueError: another shape, or a number that is not finite.
+            ValueError: the shape is wrong or a number is not finite.
         """
         if x_query.ndim != 2 or x_query.shape[1] != self._dimension:
             raise ValueError(

@@ -1,4 +1,4 @@
-"""What an exact Gaussian process is fitted to, and how a fit ends."""
+"""The input of an exact Gaussian process fit: data, hyperparameters and bounds; and its status."""
 
 from __future__ import annotations
 
@@ -14,14 +14,18 @@ from nufleet.shared.arrays import FloatArray
 
 @dataclass(frozen=True, init=False, eq=False)
 class Hyperparameters:
-    """Signal variance σ_f², lengthscale ℓ and noise variance σ_n²: one of each, or one per problem.
+    """Hyperparameters of the Matérn 3/2 kernel and the noise: one of each, or one per problem.
 
-    The variances are in the targets' unit squared, the lengthscale in the inputs'. σ_n² may be 0.
+    Raises ValueError when a value is not finite, not positive (the noise variance may be 0), or an
+    array with more than one dimension.
     """
 
     signal_variance: FloatArray
+    """σ_f², in the targets' unit squared, shape () or (problems,)."""
     lengthscale: FloatArray
+    """ℓ, in the inputs' unit, shape () or (problems,)."""
     noise_variance: FloatArray
+    """σ_n² ≥ 0, in the targets' unit squared, shape () or (problems,)."""
 
     def __init__(
         self, signal_variance: ArrayLike, lengthscale: ArrayLike, noise_variance: ArrayLike
@@ -42,6 +46,9 @@ class Hyperparameters:
     def log(self, problems: int) -> FloatArray:
         """Return θ = (log σ_f², log ℓ, log σ_n²) for each problem, shape (problems, 3).
 
+        Args:
+            problems: Number of problems; single values are repeated for all of them.
+
         Raises:
             ValueError: a hyperparameter is given for another number of problems.
         """
@@ -54,20 +61,23 @@ class Hyperparameters:
 
     @classmethod
     def from_log(cls, theta: FloatArray) -> Hyperparameters:
-        """Return the hyperparameters of θ, shape (problems, 3)."""
+        """Return the hyperparameters for θ of shape (problems, 3), the inverse of `log`."""
         return cls(*np.exp(theta).T)
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """Closed intervals, the same for all problems; equal ends fix a hyperparameter.
+    """Closed intervals for the hyperparameters, the same for all problems.
 
-    The noise variance may be fixed at 0, when all noise is known.
+    Equal ends fix a hyperparameter. Raises ValueError unless 0 < low ≤ high < ∞.
     """
 
     signal_variance: tuple[float, float]
+    """Least and greatest σ_f², in the targets' unit squared."""
     lengthscale: tuple[float, float]
+    """Least and greatest ℓ, in the inputs' unit."""
     noise_variance: tuple[float, float]
+    """Least and greatest σ_n², in the targets' unit squared; (0, 0) if all noise is known."""
 
     def __post_init__(self) -> None:
         for name in ("signal_variance", "lengthscale", "noise_variance"):
@@ -77,7 +87,7 @@ class Bounds:
                 raise ValueError(f"{name} needs 0 < low ≤ high < ∞, got ({low}, {high})")
 
     def log(self) -> FloatArray:
-        """Return the least and the greatest θ, shape (2, 3)."""
+        """Return the least and the greatest θ = (log σ_f², log ℓ, log σ_n²), shape (2, 3)."""
         pairs = np.array([self.signal_variance, self.lengthscale, self.noise_variance])
         with np.errstate(divide="ignore"):
             return np.ascontiguousarray(np.log(pairs).T)
@@ -85,7 +95,11 @@ class Bounds:
     def starts(self, start: Hyperparameters, lengthscales: int) -> list[Hyperparameters]:
         """Return `start` and copies of it with other lengthscales, log-spaced between the bounds.
 
-        Few points make a likelihood with several maxima, which differ in ℓ above all.
+        With few points the likelihood has several maxima, which differ mainly in ℓ.
+
+        Args:
+            start: Hyperparameters to vary.
+            lengthscales: Number of copies.
         """
         low, high = self.lengthscale
         spaced = low * (high / low) ** ((np.arange(lengthscales) + 0.5) / lengthscales)
@@ -96,16 +110,22 @@ class Bounds:
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Independent regression problems; problem p owns rows offsets[p] to offsets[p + 1].
+    """Independent regression problems, stored one after another; see `ragged` and `stacked`.
 
-    inputs (rows, d), targets and known_noise_variance (rows,), offsets (problems + 1,); `ragged`
-    and `stacked` build it.
+    Raises ValueError when shapes disagree, a number is not finite, a variance is negative, or a
+    problem has no points.
     """
 
     inputs: FloatArray
+    """Inputs x of all problems, shape (rows, d)."""
     targets: FloatArray
+    """Targets y less their prior mean, shape (rows,)."""
     known_noise_variance: FloatArray
+    """Known part v_i of each target's noise variance, in the targets' unit squared, shape (rows,).
+    """
     offsets: NDArray[np.int64]
+    """Row boundaries, shape (problems + 1,): problem p owns rows offsets[p] to offsets[p + 1] − 1.
+    """
 
     def __post_init__(self) -> None:
         for name in ("inputs", "targets", "known_noise_variance"):
@@ -140,16 +160,17 @@ class Batch:
         targets: Sequence[FloatArray],
         known_noise_variance: Sequence[FloatArray] | None = None,
     ) -> Batch:
-        """Build problems of different sizes.
+        """Build a batch from problems of different sizes.
 
         Args:
-            inputs: per problem, shape (n,) or (n, d).
-            targets: per problem, shape (n,).
-            known_noise_variance: per problem, shape (n,); none is known if left out.
+            inputs: Inputs of each problem, shape (n,) or (n, d).
+            targets: Targets of each problem, shape (n,).
+            known_noise_variance: Known noise variances of each problem, shape (n,), in the targets'
+                unit squared; None means zero.
 
         Raises:
-            ValueError: nothing to fit, shapes that disagree, numbers that are not finite, or a
-                negative variance.
+            ValueError: there is nothing to fit, shapes disagree, a number is not finite, or a
+                variance is negative.
         """
         if known_noise_variance is None:
             known_noise_variance = [np.zeros(len(y)) for y in targets]
@@ -172,15 +193,18 @@ class Batch:
         targets: FloatArray,
         known_noise_variance: FloatArray | None = None,
     ) -> Batch:
-        """Build problems of one size.
+        """Build a batch from problems of one size.
 
         Args:
-            inputs: shared by all problems, shape (n,) or (n, d), or their own, (problems, n, d).
-            targets: shape (problems, n).
-            known_noise_variance: broadcasts to (problems, n); none is known if left out.
+            inputs: Inputs shared by all problems, shape (n,) or (n, d), or one set per problem,
+                shape (problems, n, d).
+            targets: Targets, shape (problems, n).
+            known_noise_variance: Known noise variances in the targets' unit squared, of any shape
+                that broadcasts to (problems, n); None means zero.
 
         Raises:
-            ValueError: as for `ragged`.
+            ValueError: there is nothing to fit, shapes disagree, a number is not finite, or a
+                variance is negative.
         """
         if targets.ndim != 2:
             raise ValueError(f"targets must have shape (problems, n), got {targets.shape}")
@@ -196,13 +220,13 @@ class Batch:
 
 
 class FitStatus(IntEnum):
-    """How the search for the hyperparameters of one problem ended."""
+    """Outcome of the search for the hyperparameters of one problem."""
 
     CONVERGED = 0
     """The projected gradient is within its tolerance."""
     PRECISION_LIMIT = 1
-    """Rounding, or overflow, hides what is left to gain."""
+    """Rounding or overflow hides any improvement that may be left."""
     EVALUATION_LIMIT = 2
-    """The likelihood was evaluated as often as allowed; the best point so far is returned."""
+    """The limit on likelihood evaluations was reached; the best point found is returned."""
     FAILED = 3
     """No jitter made the covariance at the start positive definite; the start is returned."""
