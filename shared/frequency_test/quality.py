@@ -1,4 +1,4 @@
-"""Whether a frequency test can be believed: findings in words, from the samples and their fit."""
+"""The reliability of a frequency test: findings in words, from the samples and their fit."""
 
 from __future__ import annotations
 
@@ -15,56 +15,63 @@ BoolArray = NDArray[np.bool_]
 
 SETTLED_CHORDAL = 1e-3
 UNSETTLED_CHORDAL = 1e-2
-"""A change of z during the test is reported above the first and makes it fail above the second,
-both as chordal distance, which is what z is used for."""
+"""Limits on a change of z during the test, as chordal distance, since that is how z is used. Above
+the first value the change is reported; above the second the test fails."""
 
 SETTLED_SIGNIFICANCE = 1e-3
-"""Chance that noise alone is reported as a change."""
+"""Probability that noise alone is reported as a change."""
 
 WINDOWS_MAX = 64
-"""In how many windows at most a tone's response is looked at for a change."""
+"""Largest number of windows in which a tone's response is examined for a change."""
 
 CHANGED_SIGNIFICANCE = 1e-4
-"""Chance that white noise is taken for a change in the middle; slow noise is some times as often.
-"""
+"""Probability that white noise is taken for a change in the middle of a test; for slow noise it is
+several times higher."""
 
 R_SQUARED_REPORTED = 0.9
 R_SQUARED_MIN = 0.5
+"""Coefficients of determination: below the first value the test is reported as noisy; below the
+second it fails, provided that the residual is also larger than the reference."""
 
 DISTURBED_RATIO = 10.0
 DISTURBED_SHARE = 0.1
-"""A segment is disturbed when its residual has so many times the power of the other segments' and
-this share of the tones' root mean square."""
+"""A segment counts as disturbed if its residual has more than `DISTURBED_RATIO` times the power of
+the other segments' residuals, and more than `DISTURBED_SHARE` of the tones' root mean square."""
 
 NO_RESPONSE_SIGNIFICANCE = 1e-3
-"""Chance that the noise of a robot that does not move at all is taken for a response."""
+"""Probability that the noise of a robot that does not move at all is taken for a response."""
 
 SILENCE = 1e-9
-"""Tones below this share of the output's largest sample are rounding errors of its offset."""
+"""Tones below this fraction of the output's largest sample are rounding errors of its offset."""
 
 UNCERTAINTY_MAX_RAD = 0.2
-"""A disc of a larger geodesic radius tells no robots apart; π/2 is the whole sphere."""
+"""Largest useful geodesic radius of the disc around z; a larger disc cannot distinguish robots. At
+π/2 it covers the whole sphere."""
 
 
 class Finding(Strict):
-    """One thing to know of a test: `code` for programs, `text` for people."""
+    """One observation about the quality of a test."""
 
     code: Name
+    """Kind of finding, for programs."""
     text: Reason
+    """The finding in words, for people."""
 
     def __str__(self) -> str:
         return self.text
 
 
 class Quality(Strict):
-    """The verdict on a test: with any of `reasons` it has failed; `warnings` qualify a good one."""
+    """The verdict on a test."""
 
     reasons: tuple[Finding, ...] = ()
+    """Findings that make the test fail; empty for a usable test."""
     warnings: tuple[Finding, ...] = ()
+    """Findings that qualify a test without making it fail."""
 
     @property
     def usable(self) -> bool:
-        """Whether the estimate may be used as a measurement."""
+        """True if the estimate may be used as a measurement."""
         return not self.reasons
 
     def __str__(self) -> str:
@@ -72,16 +79,18 @@ class Quality(Strict):
 
 
 def unexplained(reference_rms: float, measured: FloatArray, residual: FloatArray) -> Finding | None:
-    """Return the finding that the output is not a response to the reference.
+    """Return the finding that the output is not a response to the reference, or is noisy.
+
+    A small coefficient of determination alone is a matter of noise, which the variance accounts
+    for. If the residual is also larger than the reference, the robot did something else.
 
     Args:
-        reference_rms: root mean square of the reference, in the unit of the output given here.
-        measured: the output, shape (samples,).
-        residual: what the fit leaves over of it, shape (samples,).
+        reference_rms: Root mean square of the reference, in the same unit as `measured`.
+        measured: Measured output, shape (samples,).
+        residual: Output minus the fit, shape (samples,), in the same unit.
 
-    A small coefficient of determination alone is a matter of noise, which
-    the variance carries; together with a residual larger than the reference the robot did something
-    else.
+    Returns:
+        A finding with the code `unexplained` or `noisy`, or None.
     """
     residual_rms = float(np.std(residual))
     total_rms = float(np.std(measured))
@@ -103,11 +112,17 @@ def unexplained(reference_rms: float, measured: FloatArray, residual: FloatArray
 
 
 def disturbed(residual: FloatArray, tones: FloatArray, segments: int) -> Finding | None:
-    """Return the finding that one segment does not fit, as after a collision or a fall.
+    """Return the finding that one segment does not fit, for example after a collision or a fall.
 
-    Both of shape (samples,): what the fit leaves over, and the fitted tones.
+    Args:
+        residual: Output minus the usual response to the tones, shape (samples,).
+        tones: Fitted tones of the output, shape (samples,), in the same unit.
+        segments: Number of segments of equal length.
+
+    Returns:
+        A finding with the code `disturbed`, or None.
     """
-    # Slow noise moves whole segments; it says nothing of what happened within one.
+    # Slow noise shifts and tilts whole segments, which is no sign of an event within one.
     power = np.mean(_detrended(residual.reshape(segments, -1)) ** 2, axis=1)
     worst = int(np.argmax(power))
     usual = float(np.median(np.delete(power, worst)))
@@ -124,9 +139,15 @@ def disturbed(residual: FloatArray, tones: FloatArray, segments: int) -> Finding
 def unsettled(segment_z: ComplexArray, omega_rad_s: FloatArray) -> Finding | None:
     """Return the finding that z changes during the test: in the first segment, or steadily.
 
+    The estimates of the segments are projected onto both profiles of change. A projection counts if
+    its power exceeds the mean power of the rest by more than the quantile of the F distribution.
+
     Args:
-        segment_z: each segment's own estimate, shape (segments, tones).
-        omega_rad_s: shape (tones,).
+        segment_z: Estimate of z from each segment, shape (segments, tones).
+        omega_rad_s: Frequencies of the tones, shape (tones,).
+
+    Returns:
+        A finding with the code `unsettled` (fails the test) or `settling` (a warning), or None.
     """
     segments, tones = segment_z.shape
     first = np.zeros(segments)
@@ -137,7 +158,7 @@ def unsettled(segment_z: ComplexArray, omega_rad_s: FloatArray) -> Finding | Non
         unit /= np.linalg.norm(unit)
         change, noise = _projection(segment_z, unit)
         limit = f_quantile(SETTLED_SIGNIFICANCE / (2 * tones), segments - 2)
-        # The change between the ends of the profile, scaled to the sphere.
+        # The change between the extremes of the profile, as a chordal distance: |dz| / (1 + |z|²).
         size = np.sqrt(change) * np.ptp(unit) / (1 + np.abs(segment_z.mean(axis=0)) ** 2)
         size[change <= limit * noise] = 0.0
         if size.max() > worst:
@@ -154,30 +175,37 @@ def unsettled(segment_z: ComplexArray, omega_rad_s: FloatArray) -> Finding | Non
 def changed(
     residual: FloatArray, z_scale: FloatArray, omega_rad_s: FloatArray, sample_time_s: float
 ) -> Finding | None:
-    """Return the finding that z became another in the middle of the test, at any moment.
+    """Return the finding that z changed abruptly at some moment in the middle of the test.
 
-    Half-periods of each tone are demodulated, and each moment is tried as the one at which their
-    mean changes. Segments are too few and too long to tell that from noise.
+    Half-periods of each tone are demodulated, and every boundary between them is tried as the
+    moment at which their mean changes. Segments would be too few and too long to distinguish such a
+    change from noise.
 
     Args:
-        residual: what the fit of the output leaves over, shape (samples,).
-        z_scale: what a phasor of 1 in the residual is on the sphere, shape (tones,).
-        omega_rad_s: shape (tones,).
-        sample_time_s: time between samples.
+        residual: Output minus the fit, shape (samples,).
+        z_scale: Chordal distance that corresponds to a phasor of 1 in the residual, shape (tones,).
+        omega_rad_s: Frequencies of the tones, shape (tones,).
+        sample_time_s: Time between samples.
+
+    Returns:
+        A finding with the code `changed`, or None.
     """
     worst, worst_omega, worst_at = 0.0, 0.0, 0
     for omega, scale in zip(omega_rad_s.tolist(), z_scale.tolist(), strict=True):
         edges = _half_periods(len(residual), omega * sample_time_s)
         windows = len(edges) - 1
         turned = residual * np.exp(-1j * omega * sample_time_s * np.arange(len(residual)))
+        # The phasor of the residual in each window: twice the mean of r(t) e^{−jωt}.
         values = 2 * np.add.reduceat(turned, edges[:-1]) / np.diff(edges)
         values -= values.mean()
         before = np.arange(1, windows)
-        # With the mean taken out, both sides of a step say the same.
+        # Without the mean, the sums before and after a step are opposite, so one of them suffices:
+        # S/n₁ + S/n₂ is the difference of the two means.
         step = np.abs(np.cumsum(values)[:-1]) * windows / (before * (windows - before))
         explained = step**2 * before * (windows - before) / windows
         total = float(np.sum(np.abs(values) ** 2))
         noise = np.maximum(total - explained, 0.0) / (windows - 2)
+        # Bonferroni: the significance is shared out among all tones and moments tried.
         limit = f_quantile(CHANGED_SIGNIFICANCE / (len(omega_rad_s) * len(before)), windows - 2)
         size = np.where(explained > limit * noise, scale * step, 0.0)
         if size.max() > worst:
@@ -195,12 +223,12 @@ def changed(
 def uncertain(
     omega_rad_s: FloatArray, silent: BoolArray, geodesic_rad: FloatArray
 ) -> Iterator[Finding]:
-    """Yield the findings that the noise hides the response, at some tones or at all.
+    """Yield the findings that noise hides the response, at some tones or at all of them.
 
     Args:
-        omega_rad_s: the tones; the rest has the same shape (tones,).
-        silent: whether no response stands out of noise and rounding.
-        geodesic_rad: radius of the disc that holds z, on the sphere.
+        omega_rad_s: Frequencies of the tones, shape (tones,).
+        silent: True for tones whose response is hidden by noise and rounding, shape (tones,).
+        geodesic_rad: Radius of the disc around z, as an angle on the sphere, shape (tones,).
     """
     for code, bad, text in (
         ("no-response", silent, "no response stands out of the noise at"),
@@ -231,7 +259,11 @@ FATAL = frozenset(
 
 
 def verdict(findings: list[Finding | None]) -> Quality:
-    """Sort findings into reasons to reject a test and warnings about one that stands."""
+    """Sort findings into reasons to reject a test and warnings about a usable one.
+
+    Args:
+        findings: Findings in the order to be reported; None entries are dropped.
+    """
     found = [finding for finding in findings if finding is not None]
     return Quality(
         reasons=tuple(finding for finding in found if finding.code in FATAL),
@@ -240,13 +272,26 @@ def verdict(findings: list[Finding | None]) -> Quality:
 
 
 def f_quantile(alpha: float, pairs: ArrayLike) -> FloatArray:
-    """Return the upper α quantile of F with 2 and 2 × `pairs` degrees of freedom."""
+    """Return the upper α quantile of the F distribution with 2 and 2 × `pairs` degrees of freedom.
+
+    With two degrees in the numerator it has the closed form d (α^(−1/d) − 1), where d = `pairs`.
+
+    Args:
+        alpha: Probability that the quantile is exceeded.
+        pairs: Half the degrees of freedom of the denominator, any shape.
+
+    Returns:
+        Quantiles of the same shape.
+    """
     halves = np.asarray(pairs, dtype=np.float64)
     return np.asarray(halves * np.expm1(-math.log(alpha) / halves))
 
 
 def _half_periods(samples: int, phase_per_sample: float) -> NDArray[np.intp]:
-    """Return the edges of windows of whole half-periods, at most `WINDOWS_MAX` of them."""
+    """Return the edges of at most `WINDOWS_MAX` windows of whole half-periods, (windows + 1,).
+
+    The edges are indices of samples; the last window takes the remainder.
+    """
     half = np.pi / phase_per_sample
     half *= math.ceil(samples / half / WINDOWS_MAX)
     edges = np.round(half * np.arange(math.floor(samples / half) + 1)).astype(np.intp)
@@ -255,7 +300,7 @@ def _half_periods(samples: int, phase_per_sample: float) -> NDArray[np.intp]:
 
 
 def _detrended(rows: FloatArray) -> FloatArray:
-    """Return rows without their least-squares lines; shape (rows, samples)."""
+    """Return each row minus its least-squares line, shape (rows, samples)."""
     ramp = np.linspace(-1.0, 1.0, rows.shape[1])
     centred = rows - rows.mean(axis=1, keepdims=True)
     slopes: FloatArray = (centred @ ramp) / (ramp @ ramp)
@@ -264,7 +309,11 @@ def _detrended(rows: FloatArray) -> FloatArray:
 
 
 def _projection(segment_values: ComplexArray, unit: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the power along a unit profile and the mean power in the rest, mean left out."""
+    """Return the power along a unit profile, and the mean power per remaining degree of freedom.
+
+    `segment_values` has shape (segments, n), its mean over segments is removed first; both results
+    have shape (n,).
+    """
     centred = segment_values - segment_values.mean(axis=0)
     along = np.abs(unit @ centred) ** 2
     total = np.sum(np.abs(centred) ** 2, axis=0)

@@ -1,4 +1,4 @@
-"""Faults of a sensor that show as runs of identical samples: frozen and clipped outputs."""
+"""Detection of sensor faults from runs of identical samples: frozen and clipped outputs."""
 
 from __future__ import annotations
 
@@ -13,25 +13,29 @@ from nufleet.shared.frequency_test.quality import Finding
 IndexArray = NDArray[np.intp]
 
 RUN_MIN_SAMPLES = 10
-"""Shorter runs of identical samples are a matter of resolution or of lost samples, not of a sensor
-that is stuck."""
+"""Length from which a run of identical samples may mean a stuck sensor. Shorter runs come from the
+sensor's resolution or from lost samples."""
 
 RUN_MOTION_MIN = 0.02
-"""A run is a fault when the output should have moved by this share of its range meanwhile."""
+"""A run counts as a fault if the output should have moved by this fraction of its range during it.
+"""
 
 CUT_OFF_MIN_SAMPLES = 5
 CUT_OFF_RATIO = 4.0
-"""A range ends where its last level was read so often, and so many times as often as the level
-before: at the turning points of a quantised sinusoid that ratio stays below 2.5."""
+"""A sensor's range is taken to end at an extreme level if that level was read at least
+`CUT_OFF_MIN_SAMPLES` times (in units of the usual run length), and more than `CUT_OFF_RATIO` times
+as often as the level next to it. At the turning points of a quantised sinusoid the ratio stays
+below 2.5."""
 
 
 def sensor_faults(measured: FloatArray, tones: FloatArray, scale: float) -> Iterator[Finding]:
-    """Yield what runs of identical samples say of the sensor.
+    """Yield findings about the sensor from runs of identical samples.
 
     Args:
-        measured: the output, shape (samples,).
-        tones: the fitted tones alone, shape (samples,): how the output should have moved.
-        scale: what 1 stands for in the axis's unit, for the text.
+        measured: Measured output, scaled, shape (samples,).
+        tones: Fitted tones alone, that is the motion expected of the output, shape (samples,), in
+            the same unit.
+        scale: Value of 1 in the axis's unit, used in the text of the findings.
     """
     starts, lengths = repeated_runs(measured)
     if len(starts) == 1:
@@ -47,7 +51,7 @@ def sensor_faults(measured: FloatArray, tones: FloatArray, scale: float) -> Iter
             "a sensor or actuator saturates",
         )
         return
-    # A coarse or slow sensor repeats itself too, but never by more than its resolution or rate.
+    # A coarse or slow sensor repeats samples too, but only within its resolution or update period.
     motion_min = max(2 * resolution_of(measured), RUN_MOTION_MIN * float(np.ptp(tones)))
     length_min = RUN_MIN_SAMPLES * max(1.0, float(np.median(lengths)))
     stuck = [
@@ -65,13 +69,24 @@ def sensor_faults(measured: FloatArray, tones: FloatArray, scale: float) -> Iter
 
 
 def repeated_runs(measured: FloatArray) -> tuple[IndexArray, IndexArray]:
-    """Return where the runs of identical samples begin, and how long they are; at least one."""
+    """Return the first index and the length of each run of identical samples.
+
+    Args:
+        measured: Samples in any unit, shape (samples,), at least one.
+
+    Returns:
+        Indices and lengths in samples, each of shape (runs,); a run may have a single sample.
+    """
     starts = np.concatenate([[0], np.flatnonzero(np.diff(measured)) + 1])
     return starts, np.diff(np.concatenate([starts, [len(measured)]]))
 
 
 def resolution_of(measured: FloatArray) -> float:
-    """Return the least difference between samples that differ; 0 when none do."""
+    """Return the smallest difference between distinct levels of a signal; 0 if it is constant.
+
+    Args:
+        measured: Samples in any unit, shape (samples,).
+    """
     levels = np.unique(measured)
     return float(np.min(np.diff(levels))) if len(levels) > 1 else 0.0
 
@@ -79,7 +94,10 @@ def resolution_of(measured: FloatArray) -> float:
 def _cut_off(
     measured: FloatArray, tones: FloatArray, starts: IndexArray, lengths: IndexArray
 ) -> list[float]:
-    """Return the levels at which the sensor's range ends, at least twice, as far as it shows."""
+    """Return the levels at which the sensor's range ends, as far as the samples show them.
+
+    A level counts only if the output reached it in at least two separate runs.
+    """
     levels = measured[starts]
     usual = float(np.median(lengths))
     bounds = []

@@ -11,10 +11,10 @@ from scipy.linalg import cho_factor, cho_solve
 from nufleet.shared.arrays import ComplexArray, FloatArray
 
 CONDITION_MAX = 1e10
-"""Above this condition number of the normal equations, frequencies cannot be told apart."""
+"""Condition number of the normal equations above which frequencies cannot be separated."""
 
 SCATTER_MIN = 1e-6
-"""Below this share of the variance the scatter of segments is rounding, not noise."""
+"""Fraction of the variance below which the scatter of segments is rounding rather than noise."""
 
 
 class UnresolvableError(ValueError):
@@ -23,37 +23,54 @@ class UnresolvableError(ValueError):
 
 @dataclass(frozen=True)
 class SinusoidFit:
-    """Phasors Y of y(t) = Re Σ Y e^{jωt} + offset + drift at F frequencies.
+    """Phasors Y of y(t) = Re Σ Y e^{jωt} + offset + drift at F frequencies."""
 
-    `segment_phasors` split the estimate into what each segment says: their mean over segments is
-    `phasors`, and where segments hold whole periods they are the phasors fitted to each segment
-    alone. Their scatter therefore measures the noise at each frequency, white or not. Where
-    segments are too short to tell the tones apart it falls short of the noise, by `scatter_factor`,
-    and has fewer degrees of freedom than two for each segment but one.
-    """
-
-    omega_rad_s: FloatArray  # (F,)
-    phasors: ComplexArray  # (F,)
-    segment_phasors: ComplexArray  # (segments, F)
-    scatter_factor: FloatArray  # (F,)
-    scatter_degrees: FloatArray  # (F,)
-    fitted: FloatArray  # (samples,)
+    omega_rad_s: FloatArray
+    """Frequencies ω, shape (F,)."""
+    phasors: ComplexArray
+    """Estimated phasors Y, shape (F,), in the signal's unit."""
+    segment_phasors: ComplexArray
+    """Contribution of each segment to the estimate, shape (segments, F): their mean over segments
+    is `phasors`, and if segments hold whole periods they are the phasors fitted to each segment
+    alone. Their scatter therefore measures the noise at each frequency, white or not."""
+    scatter_factor: FloatArray
+    """Factor by which the scatter underestimates the variance, shape (F,); above 1 if segments are
+    too short to separate the tones."""
+    scatter_degrees: FloatArray
+    """Degrees of freedom of the scatter, shape (F,): 2 (segments − 1), or fewer if segments are too
+    short to separate the tones."""
+    fitted: FloatArray
+    """The fit at every sample, shape (samples,), in the signal's unit."""
 
     @property
     def variance(self) -> FloatArray:
-        """The variance E|Ŷ − Y|² of each phasor, shape (F,): s²/P times `scatter_factor`."""
+        """Variance E|Ŷ − Y|² of each phasor, shape (F,): s²/P times `scatter_factor`."""
         return np.asarray(self.scatter_factor * variance_of_mean(self.segment_phasors))
 
 
 def variance_of_mean(segment_values: ComplexArray) -> FloatArray:
-    """Return s²/P, the variance of the mean over segments; shape (segments, n) to (n,)."""
+    """Return s²/P, the variance of the mean over P segments.
+
+    Args:
+        segment_values: One value per segment and quantity, shape (segments, n).
+
+    Returns:
+        Variances in the values' unit squared, shape (n,).
+    """
     segments = len(segment_values)
     spread = np.abs(segment_values - segment_values.mean(axis=0)) ** 2
     return np.asarray(spread.sum(axis=0) / (segments * (segments - 1)), dtype=np.float64)
 
 
 def complex_median(segment_values: ComplexArray) -> ComplexArray:
-    """Return the median over segments of real and imaginary parts; shape (segments, n) to (n,)."""
+    """Return the median over segments, separately for real and imaginary parts.
+
+    Args:
+        segment_values: One value per segment and quantity, shape (segments, n).
+
+    Returns:
+        Medians, shape (n,).
+    """
     median: ComplexArray = np.median(segment_values.real, axis=0) + 1j * np.median(
         segment_values.imag, axis=0
     )
@@ -65,27 +82,32 @@ def fit_sinusoids(
 ) -> list[SinusoidFit]:
     """Fit all frequencies jointly to the whole of each signal.
 
-    With H = [cos ωt, sin ωt, 1, t − t̄] the estimate is θ̂ = (HᵀH)⁻¹Hᵀy. Segment p adds
-    (HᵀH)⁻¹H_pᵀ(y_p − H_p θ̂) to it; these contributions sum to zero, and P times each, added to θ̂,
-    is that segment's own estimate (the clusters of a cluster-robust covariance: Liang and Zeger,
+    With H = [cos ωt, sin ωt, 1, t − t̄] the estimate is θ̂ = (HᵀH)⁻¹Hᵀy. Segment p contributes
+    (HᵀH)⁻¹H_pᵀ(y_p − H_p θ̂) to it. These contributions sum to zero; P times each of them, added to
+    θ̂, is that segment's own estimate (the clusters of a cluster-robust covariance: Liang and Zeger,
     Biometrika 73, 1986).
 
-    That covariance is too small where segments differ in what they say of a parameter (Bell and
-    McCaffrey, Survey Methodology 28, 2002): a segment's residual lacks what the segment itself has
-    put into θ̂. In white noise E[s²/P] is P/(P − 1) diag(G⁻¹ (G − Σ_p G_p G⁻¹ G_p) G⁻¹) and the
-    variance diag(G⁻¹), with G = HᵀH and G_p = H_pᵀH_p; their ratio is the `scatter_factor`. The
-    degrees of freedom are those of the χ² with the same mean and variance (Satterthwaite,
-    Biometrics Bulletin 2, 1946).
+    That covariance is too small if segments differ in their information on a parameter (Bell and
+    McCaffrey, Survey Methodology 28, 2002): a segment's residual lacks the part of its noise that
+    has already entered θ̂. In white noise E[s²/P] is
+    P/(P − 1) diag(G⁻¹ (G − Σ_p G_p G⁻¹ G_p) G⁻¹) and the variance is diag(G⁻¹), with G = HᵀH and
+    G_p = H_pᵀH_p; the ratio of the two is the `scatter_factor`. The degrees of freedom belong to
+    the χ² distribution with the same mean and variance (Satterthwaite, Biometrics Bulletin 2,
+    1946).
 
     Args:
-        signals: all of the same shape (samples,), a multiple of `segments`.
-        omega_rad_s: shape (F,), all different and below the Nyquist frequency.
-        sample_time_s: time between samples.
-        segments: number of segments P of equal length.
+        signals: Signals in any unit, all of the same shape (samples,), where samples is a multiple
+            of `segments`.
+        omega_rad_s: Frequencies, shape (F,), all different and below the Nyquist frequency.
+        sample_time_s: Time between samples.
+        segments: Number of segments P of equal length.
+
+    Returns:
+        One fit per signal, in the same order.
 
     Raises:
         UnresolvableError: the normal equations are singular to working precision, or leave no
-            residual that would tell of the noise.
+            residual from which the noise could be estimated.
     """
     stacked = np.column_stack(signals)
     samples, count = stacked.shape
@@ -94,7 +116,7 @@ def fit_sinusoids(
     size = 2 * len(omega_rad_s) + 2
     grams = np.empty((segments, size, size))
     moments = np.zeros((size, count))
-    # One segment of H at a time: all of it would be gigabytes for many tones in a long test.
+    # One segment of H at a time: the whole of H would take gigabytes for many tones in a long test.
     for p, block in enumerate(blocks):
         columns = _columns(block, samples, omega_rad_s, sample_time_s)
         grams[p] = columns.T @ columns
@@ -129,7 +151,17 @@ def fit_sinusoids(
 def sum_of_tones(
     phasors: ComplexArray, omega_rad_s: FloatArray, sample_time_s: float, samples: int
 ) -> FloatArray:
-    """Return Re Σ Y e^{jωt} at the samples of a fit, shape (samples,)."""
+    """Return Re Σ Y e^{jωt} at the sampling times t = 0, T, 2T, ….
+
+    Args:
+        phasors: Phasors Y in any unit, shape (F,).
+        omega_rad_s: Frequencies ω, shape (F,).
+        sample_time_s: Time T between samples.
+        samples: Number of samples.
+
+    Returns:
+        The sum in the phasors' unit, shape (samples,).
+    """
     total = np.zeros(samples)
     times_s = np.arange(samples) * sample_time_s
     for phasor, omega in zip(phasors, omega_rad_s, strict=True):
@@ -140,9 +172,17 @@ def sum_of_tones(
 def resolvable_harmonics(
     omega_rad_s: FloatArray, sample_time_s: float, duration_s: float
 ) -> FloatArray:
-    """Return 2ω and 3ω of each tone ω, without those too close to a tone, Nyquist or each other.
+    """Return 2ω and 3ω of each tone ω, except those too close to a tone, Nyquist or each other.
 
-    Closer than one period in `duration_s` counts as too close. Shape (at most 2 F,).
+    Frequencies are too close if they differ by less than one period in `duration_s`.
+
+    Args:
+        omega_rad_s: Frequencies of the tones, shape (F,).
+        sample_time_s: Time between samples.
+        duration_s: Duration of the signal that they will be fitted to.
+
+    Returns:
+        Harmonic frequencies in rad/s, shape (h,) with h ≤ 2 F.
     """
     resolution_rad_s = 2 * np.pi / duration_s
     taken = [np.pi / sample_time_s, *omega_rad_s.tolist()]
@@ -158,14 +198,15 @@ def resolvable_harmonics(
 
 
 def _scatter(factor: tuple[FloatArray, bool], grams: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Compare s²/P of each phasor with its variance in white noise.
+    """Compare s²/P of each phasor with its variance in white noise, see `fit_sinusoids`.
 
     Args:
-        factor: Cholesky factor of G, as `cho_factor` gives it.
+        factor: Cholesky factor of G, as returned by `cho_factor`.
         grams: G_p of each segment, shape (segments, 2F + 2, 2F + 2).
 
     Returns:
-        The factor that s²/P falls short by and its degrees of freedom, both of shape (F,).
+        The factor by which s²/P underestimates the variance, and the degrees of freedom of s²/P,
+        both of shape (F,).
     """
     segments, size, _ = grams.shape
     frequencies = (size - 2) // 2
@@ -183,6 +224,8 @@ def _scatter(factor: tuple[FloatArray, bool], grams: FloatArray) -> tuple[FloatA
                 block += np.einsum("saf,sbf->abf", both, through[p])
                 total += block[0, 0] + block[1, 1]
             squares += (1 if p == q else 2) * np.sum(block**2, axis=(0, 1))
+    # s² is a quadratic form in the contributions: its mean is the trace of their covariance, its
+    # variance twice the squared Frobenius norm, so Satterthwaite's degrees are trace² / norm².
     expected = segments / (segments - 1) * total
     diagonal = np.diag(inverse)
     variance = diagonal[:frequencies] + diagonal[frequencies : 2 * frequencies]

@@ -1,8 +1,9 @@
-"""Samples of a test that are not what they should be, and how far they may move its estimate.
+"""Detection of suspect samples in a test, and bounds on the error they may cause in its estimate.
 
-Few of them do not make a test useless, but they do not show as scatter between segments either:
-what is wrong all along is wrong in every segment alike. So each kind found here says how much it
-may have moved each phasor, which the estimate's variance then carries.
+A few suspect samples do not make a test useless, but they do not show as scatter between segments
+either, because a fault that lasts throughout the test affects every segment alike. Each kind of
+fault found here therefore comes with a bound on the error of each phasor, which is added to the
+variance of the estimate.
 """
 
 from __future__ import annotations
@@ -20,59 +21,79 @@ from nufleet.shared.frequency_test.quality import Finding
 from nufleet.shared.frequency_test.sensor_faults import repeated_runs, resolution_of
 
 SPIKE_DEVIATIONS = 7.0
-"""A spike leaves the median of its neighbours by so many standard deviations of the others."""
+"""Distance of a spike from the median of its neighbours, in standard deviations of the noise."""
 
 SPIKE_NEIGHBOURS = 7
 SPIKE_SURROUNDINGS = 31
-"""Samples whose median a spike leaves, and samples that say what is usual around it."""
+"""Number of samples in the median that a spike departs from, and number of samples around it that
+the usual size of such departures is taken from."""
 
 SPIKES_MAX = 0.1
-"""With a larger share of spikes nobody knows which samples are the right ones."""
+"""Largest fraction of spikes; with more, correct samples can no longer be identified."""
 
 NORMAL_DEVIATION = 1.4826
-"""Standard deviation of normal noise whose median magnitude is 1."""
+"""Standard deviation of normally distributed noise whose median magnitude is 1."""
 
 LATE_SIGNIFICANCE = 5.0
-"""Standard errors by which the noise has to grow with the output's speed."""
+"""Number of standard errors by which the noise must grow with the output's speed to count as late
+samples."""
 
 NEGLIGIBLE = 1e-6
-"""Share of the output below which nothing is suspected: rounding, and what a fit leaves over."""
+"""Fraction of the output below which deviations are ignored as rounding and imperfections of the
+fit."""
 
 BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
 class Suspicion:
-    """A finding, and by how much what was found may have moved each phasor, shape (tones,)."""
+    """A finding about suspect samples, and a bound on the error they cause."""
 
     finding: Finding
+    """The finding in words."""
     phasor_error: FloatArray
+    """Bound on the error of each phasor of the output, shape (tones,), in the output's unit."""
 
 
 @dataclass(frozen=True)
 class Tested:
-    """The output of a test and what was made of it, each of shape (samples,) and in one unit.
-
-    `tones` is the part of the fit that responds to the reference, `residual` what the whole fit
-    leaves over. `omega_rad_s` and `amplitudes` of the output have shape (tones,).
-    """
+    """The output of a test and its fit, all in one unit."""
 
     measured: FloatArray
+    """Measured output, shape (samples,)."""
     tones: FloatArray
+    """Part of the fit that responds to the reference, shape (samples,)."""
     residual: FloatArray
+    """Output minus the whole fit, shape (samples,)."""
     omega_rad_s: FloatArray
+    """Frequencies of the tones, shape (tones,)."""
     amplitudes: FloatArray
+    """Amplitudes of the tones in the output, shape (tones,)."""
     sample_time_s: float
+    """Time between samples."""
 
     def phasor_error(self, error: FloatArray) -> FloatArray:
-        """Return what errors of single samples, shape (samples,), do to each phasor."""
+        """Return the magnitude of the error that errors of single samples cause in each phasor.
+
+        To good approximation it is |2/N Σ e_k e^{−jω t_k}|, as if the tones were orthogonal.
+
+        Args:
+            error: Errors of the samples in the output's unit, shape (samples,), mostly zero.
+
+        Returns:
+            Errors of the phasors in the output's unit, shape (tones,).
+        """
         index = np.flatnonzero(error)
         phase = np.outer(self.omega_rad_s, index * self.sample_time_s)
         return np.asarray(2 * np.abs(np.exp(-1j * phase) @ error[index]) / len(error))
 
 
 def suspicions(tested: Tested) -> Iterator[Suspicion]:
-    """Yield what is suspicious about single samples of a test."""
+    """Yield every suspicion about single samples of a test: held, spikes, late.
+
+    Args:
+        tested: Output of the test and its fit.
+    """
     held = _held(tested)
     if held.any():
         yield Suspicion(
@@ -105,9 +126,10 @@ def suspicions(tested: Tested) -> Iterator[Suspicion]:
 
 
 def _held(tested: Tested) -> FloatArray:
-    """Return the errors of samples that repeat the one before, 0 where a sample is its own.
+    """Return the errors of samples that only repeat the previous one, shape (samples,).
 
-    A sensor that is slower than the loop repeats itself by as much as it always does.
+    The error of a genuine sample is 0. A sensor that is slower than the loop always repeats its
+    samples a usual number of times; only longer runs count.
     """
     measured, tones = tested.measured, tested.tones
     starts, lengths = repeated_runs(measured)
@@ -126,14 +148,15 @@ def _held(tested: Tested) -> FloatArray:
 
 
 def _is_spike(tested: Tested) -> BoolArray:
-    """Return which samples leave their neighbours, both as measured and in the residual.
+    """Return True for samples that depart from their neighbours, shape (samples,).
 
-    As measured alone, the turning points of fast tones would count; in the residual alone, the
-    steps of a slow sensor.
+    They must do so both in the measured output and in the residual. In the output alone, the
+    turning points of fast tones would count; in the residual alone, the steps of a slow sensor.
     """
     away, alone = _off_the_median(tested.residual), _off_the_median(tested.measured)
-    # Of the whole test, and around the sample: a transient is no spike. Samples that are the median
-    # themselves, many in slow noise, say nothing of its size.
+    # The usual departure is taken over the whole test and around the sample, so that a transient is
+    # not taken for a spike. Samples that equal the median of their neighbours, of which there are
+    # many in slow noise, carry no information on the noise's size and are left out.
     in_all = float(np.median(away[away > 0])) if away.any() else 0.0
     usual = np.maximum(in_all, median_filter(away, SPIKE_SURROUNDINGS))
     limit = np.maximum(SPIKE_DEVIATIONS * NORMAL_DEVIATION * usual, NEGLIGIBLE)
@@ -141,24 +164,27 @@ def _is_spike(tested: Tested) -> BoolArray:
 
 
 def _off_the_median(signal: FloatArray) -> FloatArray:
-    """Return how far each sample is from the median of its neighbours."""
+    """Return the distance of each sample from the median of its neighbours, shape (samples,)."""
     half = SPIKE_NEIGHBOURS // 2
-    # Beyond its ends a signal goes on as it came, so that the first and last sample are no peaks.
+    # An odd reflection continues the trend at both ends, so that the end samples are not peaks.
     beyond = np.pad(signal, half, mode="reflect", reflect_type="odd")
     return np.abs(signal - median_filter(beyond, SPIKE_NEIGHBOURS)[half:-half])
 
 
 def _late_deviation_s(tested: Tested, bad: BoolArray) -> float:
-    """Return the standard deviation of the samples' times, 0 where nothing tells of one.
+    """Return the standard deviation of the sampling times, or 0 if it is not significant.
 
-    A sample taken δ too late is off by δ times the output's speed: the noise's variance grows with
-    the square of the speed, by Var δ. A part of δ that never changes cannot be seen; it looks like
-    a slower robot; where δ is anything between none and a largest delay, its mean is √3 deviations.
-    Differences of neighbouring samples leave slow disturbances out.
+    A sample taken δ too late is off by δ times the output's speed, so the variance of the noise
+    grows with the square of the speed, at the rate Var δ. A constant part of δ cannot be seen; it
+    looks like a slower robot. If δ is uniform between 0 and a largest delay, its mean is √3
+    standard deviations. Differencing neighbouring samples removes slow disturbances.
 
     Args:
-        tested: the test.
-        bad: samples with a fault of their own, to be left out.
+        tested: Output of the test and its fit.
+        bad: True for samples with another fault, which are left out, shape (samples,).
+
+    Returns:
+        Standard deviation in seconds.
     """
     step_s = tested.sample_time_s
     speed = np.diff(tested.tones) / step_s
@@ -170,6 +196,8 @@ def _late_deviation_s(tested: Tested, bad: BoolArray) -> float:
     spread = float(centred @ centred)
     if spread <= 0.0:
         return 0.0
+    # Regression of the squared noise on the squared speed. Its standard error is White's, which
+    # allows the noise of the squares to grow with the speed.
     slope = float(centred @ squares) / spread
     left = squares - squares.mean() - slope * centred
     error = float(np.sqrt(np.sum((centred * left) ** 2))) / spread
