@@ -1,4 +1,4 @@
-"""A stored experience: the manifest of an inverse model and its network, one safetensors file."""
+"""The file of an experience: an inverse model's manifest and network as one safetensors file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from nufleet.shared.errors import MalformedMessageError
 from nufleet.shared.experience.manifest import ExperienceManifest
 
 EXPERIENCE_BYTES_MAX = 4 * 2**20
-"""Ten times what the paper's network (4 × 128) takes."""
+"""Largest accepted file: ten times the size of the paper's network (4 × 128)."""
 
 _HEADER_BYTES_MAX = 64 * 2**10
 _LENGTH = struct.Struct("<Q")
@@ -28,14 +28,24 @@ Weights = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Experience:
-    """A manifest and the arrays that it describes, float32."""
+    """An inverse model: the paper's f_S, learned on a source robot."""
 
     manifest: ExperienceManifest
+    """Origin, inputs, output and layers of the model."""
     arrays: dict[str, Weights]
+    """Weights and biases of the network, with the names and shapes of `ExperienceManifest.shapes`.
+    """
 
 
 def encode_experience(experience: Experience) -> bytes:
-    """Return an experience as one safetensors file; the same experience gives the same bytes."""
+    """Return an experience as one safetensors file; equal experiences give equal bytes.
+
+    Args:
+        experience: Experience to encode.
+
+    Raises:
+        MalformedMessageError: the arrays are not those that the manifest describes.
+    """
     arrays = {
         name: np.ascontiguousarray(experience.arrays[name]) for name in experience.manifest.shapes
     }
@@ -45,15 +55,15 @@ def encode_experience(experience: Experience) -> bytes:
 
 
 def decode_experience(payload: bytes, sha256: str | None = None) -> Experience:
-    """Read an experience that came from outside.
+    """Read and check an experience that came from outside.
 
     Args:
-        payload: the file.
-        sha256: of the file as it was offered; not compared if left out.
+        payload: Contents of the file.
+        sha256: SHA-256 of the file as it was offered, in hexadecimal; None skips the comparison.
 
     Raises:
-        MalformedMessageError: too large, truncated, altered, of another type, or a network that is
-            not the one its manifest describes.
+        MalformedMessageError: the file is too large, truncated, altered or of another type, or its
+            network is not the one that its manifest describes.
     """
     if len(payload) > EXPERIENCE_BYTES_MAX:
         raise MalformedMessageError(
@@ -73,7 +83,7 @@ def decode_experience(payload: bytes, sha256: str | None = None) -> Experience:
 
 
 def digest(payload: bytes) -> str:
-    """Return the sha256 of a stored experience, in hexadecimal."""
+    """Return the SHA-256 of the contents of an experience's file, in hexadecimal."""
     return hashlib.sha256(payload).hexdigest()
 
 

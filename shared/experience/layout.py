@@ -1,17 +1,20 @@
-"""What goes into an inverse model and what comes out of it, the same in training and in flight.
+"""Inputs and output of an inverse model, computed alike in training and in flight.
 
-The core of inverse learning is y(k + h) = F(x(k), u(k)) with the reference u: learn u(k) from x(k)
-and the output wanted h samples ahead. Two architectures:
+Inverse learning rests on y(k + h) = F(x(k), u(k)), where u is the reference: the model learns u(k)
+as a function of the state x(k) and of the desired output h samples ahead. Inputs are ξ and the
+output γ, as in the paper's section III. There are two architectures:
 
-- `state`, the paper's: fed with the robot's own measured state, so it closes a feedback loop. The
-  baseline controllers act on the reference's velocity too, which makes u(k − 1) part of the state
-  and the reference's speed what is chosen: γ = (u(k) − u(k − 1))/T − (y(k + h) − u(k − 1))/(hT).
-  γ = 0 is then the reference that heads for the point to be reached in h samples.
-- `preview`: fed with the wanted path alone, a filter in front of the robot, so that the error it
-  leaves is the one that the frequency responses predict: γ = (u(k) − y(k))/(hT).
+- `state`, the paper's: the inputs contain the robot's own measured state, so the model closes a
+  feedback loop. Since the baseline controllers also act on the velocity of the reference, u(k − 1)
+  is part of the state, and the model chooses the speed of the reference:
+  γ = (u(k) − u(k − 1))/T − (y(k + h) − u(k − 1))/(hT). With γ = 0 the reference heads straight for
+  the point to be reached in h samples.
+- `preview`: the inputs come from the desired path alone. The model is then a filter in front of the
+  robot, and the error that remains is the one that the frequency responses predict:
+  γ = (u(k) − y(k))/(hT).
 
-Everything is relative to the output, because the dynamics do not depend on where the robot is
-(difference learning). γ is a speed in both.
+All inputs are relative to the output, because the dynamics do not depend on the robot's position
+(difference learning). In both architectures γ is a speed.
 """
 
 from __future__ import annotations
@@ -27,23 +30,25 @@ from nufleet.shared.strict import Name, Positive, Strict
 Architecture = Literal["state", "preview"]
 
 HORIZON_SAMPLES_MAX = 500
+"""Longest accepted horizon h."""
 
 _PREVIEW_SHAPE = (-10.0, -7.0, -5.0, -3.5, -2.5, -1.6, -1.0, -0.6, -0.3, 0.3, 0.6, 1.0)
-"""Where a preview looks, in horizons: far back, because an inverse remembers for as long as the
-baseline controller's zero is slow, and no further ahead than the robot's delay."""
+"""Points of the path that a preview uses, in horizons from now. They reach far back, because the
+memory of an inverse lasts as long as the slow zero of the baseline controller, and no further ahead
+than the robot's delay."""
 
 
 class InverseLayout(Strict):
-    """Inputs and output of the inverse model of one axis.
-
-    `states` are the names that `Robot.observe` gives, the axis's output first. `horizon_samples` is
-    h: how far ahead the output aimed at is (`state`), or how far the preview reaches.
-    """
+    """Inputs and output of the inverse model of one axis."""
 
     architecture: Architecture
+    """Kind of inputs, see the module's description."""
     states: Annotated[tuple[Name, ...], Field(min_length=1, max_length=8)]
+    """Names of the states that `Robot.observe` measures, the axis's output first."""
     sample_time_s: Positive
+    """Time T between samples."""
     horizon_samples: Annotated[int, Field(ge=1, le=HORIZON_SAMPLES_MAX)]
+    """Horizon h: distance to the output aimed at (`state`), or to the end of the preview."""
 
     @model_validator(mode="after")
     def _preview_is_resolved(self) -> InverseLayout:
@@ -53,12 +58,12 @@ class InverseLayout(Strict):
 
     @property
     def horizon_s(self) -> float:
-        """The horizon in seconds."""
+        """The horizon h in seconds."""
         return self.horizon_samples * self.sample_time_s
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """One name per input, in order."""
+        """Name of each input, in order."""
         if self.architecture == "preview":
             return tuple(f"output-ahead-{offset}" for offset in self.offsets)
         velocity = ("velocity-ahead",) if self._velocity is not None else ()
@@ -66,36 +71,38 @@ class InverseLayout(Strict):
 
     @property
     def offsets(self) -> tuple[int, ...]:
-        """Where a preview looks, in samples from now."""
+        """Points of the path that a preview uses, in samples from now, ascending."""
         return tuple(round(share * self.horizon_samples) for share in _PREVIEW_SHAPE)
 
     @property
     def back_samples(self) -> int:
-        """How many samples before now the inputs need of the path."""
+        """Number of past samples of the path that the inputs need."""
         return -self.offsets[0] if self.architecture == "preview" else 0
 
     @property
     def span_samples(self) -> int:
-        """The shortest record that holds one training pair."""
+        """Number of samples of the shortest record that contains a training pair."""
         if self.architecture == "state":
             return self.horizon_samples + 2
         return self.back_samples + self.horizon_samples + 2 * self._smoothing + 1
 
     @property
     def _smoothing(self) -> int:
-        """Half the width of the window that measured paths are smoothed with; a preview only.
+        """Half the width, in samples, of the window that smooths measured paths; preview only.
 
-        It meets noise-free paths in flight, so noise in its training inputs would bias it; inputs
-        and output pass the same window, which leaves a linear relation between them as it is.
+        A preview is queried with noise-free paths in flight, so noise in its training inputs would
+        bias it. Inputs and output are smoothed by the same window, which preserves any linear
+        relation between them.
         """
         return max(1, self.horizon_samples // 2)
 
     @property
     def gp_ease_samples(self) -> int:
-        """Over how many samples a new mean of the GP takes effect.
+        """Number of samples over which a new mean of the online GP takes effect.
 
-        A preview moves nothing fast, so its correction need not be; one that jumps from refit to
-        refit would excite the robot beyond its band and teach the process that.
+        The corrections of a preview vary slowly, so they need not act at once. A correction that
+        jumps from refit to refit would excite the robot outside its band, and the process would
+        learn from that.
         """
         return self.horizon_samples // 2 if self.architecture == "preview" else 0
 
@@ -104,14 +111,16 @@ class InverseLayout(Strict):
         return self.states.index("velocity") if "velocity" in self.states else None
 
     def pairs(self, references: FloatArray, states: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the training pairs that a record of one axis holds, oldest first.
+        """Return the training pairs (ξ, γ) contained in a record of one axis, oldest first.
 
         Args:
-            references: u, shape (n,). A reference not sent yet may stand last; it is not used.
-            states: shape (n, states), measured before each reference acted.
+            references: References u in the axis's unit, shape (n,). The last one is not used and
+                need not have been sent yet.
+            states: States, shape (n, states), each row measured before its reference acted.
 
         Returns:
-            Inputs, shape (m, inputs), and γ, shape (m,), m = max(0, n − span + 1).
+            Inputs ξ, shape (m, inputs), and γ in unit/s, shape (m,), with
+            m = max(0, n − `span_samples` + 1).
         """
         if len(references) < self.span_samples:
             return np.empty((0, len(self.input_names))), np.empty(0)
@@ -135,7 +144,7 @@ class InverseLayout(Strict):
         window = np.hanning(2 * self._smoothing + 3)[1:-1]
         window /= window.sum()
         path = np.convolve(outputs, window, mode="valid")
-        # The newest reference lies beyond every window that is used; it may not be known yet.
+        # The newest reference is beyond every window that is used, and may not be known yet.
         sent = np.convolve(references[:-1], window, mode="valid")
         centre = np.arange(self.back_samples, len(path) - self.horizon_samples)
         inputs = path[centre[:, np.newaxis] + np.array(self.offsets)] - path[centre, np.newaxis]
@@ -144,14 +153,17 @@ class InverseLayout(Strict):
     def query(
         self, states: FloatArray, previous: FloatArray, path: FloatArray, velocity: FloatArray
     ) -> FloatArray:
-        """Return the inputs at which the inverse is asked now, shape (axes, inputs).
+        """Return the inputs ξ at which the inverse is to be evaluated now.
 
         Args:
-            states: measured now, shape (axes, states).
-            previous: the reference sent last, shape (axes,).
-            path: the wanted path from `back_samples` before now to `horizon_samples` ahead, shape
-                (back + horizon + 1, axes).
-            velocity: of the wanted path at the horizon, shape (axes,).
+            states: Current states, shape (axes, states).
+            previous: Last reference sent, in the axes' unit, shape (axes,).
+            path: Desired path from `back_samples` before now to `horizon_samples` ahead, in the
+                axes' unit, shape (back + horizon + 1, axes).
+            velocity: Velocity of the desired path at the horizon, in unit/s, shape (axes,).
+
+        Returns:
+            Inputs of each axis, shape (axes, inputs).
         """
         if self.architecture == "state":
             return self._state_inputs(states, path[-1], velocity, previous)
@@ -159,23 +171,40 @@ class InverseLayout(Strict):
         return np.asarray((path[now + np.array(self.offsets)] - path[now]).T)
 
     def reference(self, gamma: FloatArray, previous: FloatArray, path: FloatArray) -> FloatArray:
-        """Return the reference to send now for γ, shape (axes,); arguments as for `query`."""
+        """Return the reference to send now, by solving the definition of γ for u(k).
+
+        Args:
+            gamma: Output γ of the inverse, in unit/s, shape (axes,).
+            previous: Last reference sent, in the axes' unit, shape (axes,).
+            path: Desired path, as for `query`.
+
+        Returns:
+            Reference in the axes' unit, shape (axes,).
+        """
         if self.architecture == "state":
             speed = gamma + (path[-1] - previous) / self.horizon_s
             return np.asarray(previous + self.sample_time_s * speed)
         return np.asarray(path[self.back_samples] + self.horizon_s * gamma)
 
     def gp_inputs(self, inputs: FloatArray) -> FloatArray:
-        """Return what the online GP sees of the inputs, shape (m, inputs of the GP).
+        """Return the inputs of the online GP.
 
-        All of a state. Of a preview the local speed and acceleration only: its many values would
-        need more points than a window of fifty holds.
+        With `state` they are the inverse's own inputs. With `preview` they are only the local speed
+        and acceleration of the path: the many values of a preview would need more points than a
+        window of fifty holds.
+
+        Args:
+            inputs: Inputs ξ of the inverse, shape (m, inputs).
+
+        Returns:
+            Inputs of the GP, shape (m, inputs) or (m, 2), the latter in unit/s and unit/s².
         """
         if self.architecture == "state":
             return inputs
         after = _PREVIEW_SHAPE.index(0.6)
         before = _PREVIEW_SHAPE.index(-0.6)
         reach_s = self.offsets[after] * self.sample_time_s
+        # Central differences of the path; the inputs are relative to its value now.
         speed = (inputs[:, after] - inputs[:, before]) / (2 * reach_s)
         acceleration = (inputs[:, after] + inputs[:, before]) / reach_s**2
         return np.stack([speed, acceleration], axis=1)

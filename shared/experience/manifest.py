@@ -1,4 +1,4 @@
-"""What an inverse model says of itself: where it comes from, what it takes and gives."""
+"""The description of an inverse model: its origin, its inputs, its output and its layers."""
 
 from __future__ import annotations
 
@@ -17,38 +17,55 @@ _Scales = Annotated[tuple[Positive, ...], Field(min_length=1, max_length=64)]
 
 
 class ExperienceManifest(Strict):
-    """What an inverse model was learned from and what it may be used for.
+    """Origin of an inverse model and conditions of its use.
 
-    `axes` are those whose flights it learned; they share `unit`. `hidden` are the widths of the
-    hidden layers; without any the model is linear. Inputs are (ξ − input_mean) / input_scale; the
-    network's output times `output_scale` plus `output_mean` is γ in unit/s. `validation_rms` is the
-    error of γ on points held back, in unit/s.
+    The network is evaluated at (ξ − `input_mean`) / `input_scale`; its output times `output_scale`
+    plus `output_mean` is γ in unit/s.
     """
 
     schema_version: Literal[1] = 1
+    """Version of this schema."""
     robot: Name
+    """Name of the robot that learned the model."""
     robot_kind: Name
+    """Kind of that robot; only robots of the same kind can use the model."""
     axes: Annotated[tuple[Name, ...], Field(min_length=1, max_length=16)]
+    """Axes whose flights the model was learned from."""
     unit: Literal["m", "rad"]
+    """Unit of these axes."""
     layout: InverseLayout
+    """Inputs and output of the model."""
     inputs: Annotated[tuple[str, ...], Field(min_length=1, max_length=64)]
+    """Names of the inputs, equal to those of the layout."""
     output: Literal["reference-speed"] = "reference-speed"
+    """Name of the output γ."""
     relative_degree: Annotated[int, Field(ge=1, le=1000)]
+    """Number of samples after which the robot's output first responds to its reference."""
     hidden: Annotated[tuple[Annotated[int, Field(ge=1, le=256)], ...], Field(max_length=8)] = (
         128,
         128,
         128,
         128,
     )
+    """Widths of the hidden layers; without any the model is linear."""
     input_mean: _Numbers
+    """Offset of each input, in the input's own unit."""
     input_scale: _Scales
+    """Scale of each input, in the input's own unit."""
     output_mean: float
+    """Offset of the output, in unit/s."""
     output_scale: Positive
+    """Scale of the output, in unit/s."""
     points: Annotated[int, Field(ge=1)]
+    """Number of training pairs."""
     validation_rms: NonNegative
+    """Root mean square error of γ on held-out pairs, in unit/s."""
     data_sha256: Digest
+    """SHA-256 of the training data."""
     seed: Annotated[int, Field(ge=0)]
+    """Seed of the random generator used in training."""
     training_version: Annotated[str, Field(max_length=100)]
+    """Version of the training program."""
 
     @model_validator(mode="after")
     def _consistent(self) -> ExperienceManifest:
@@ -62,7 +79,10 @@ class ExperienceManifest(Strict):
 
     @property
     def shapes(self) -> dict[str, tuple[int, ...]]:
-        """The name and shape of every array of the network; a weight maps rows to columns."""
+        """Name and shape of every array of the network.
+
+        A weight has shape (inputs of its layer, outputs of its layer), a bias (outputs,).
+        """
         widths = (len(self.inputs), *self.hidden, 1)
         shapes: dict[str, tuple[int, ...]] = {}
         for layer, (before, after) in enumerate(pairwise(widths)):
@@ -73,17 +93,26 @@ class ExperienceManifest(Strict):
 
 @dataclass(frozen=True)
 class Needs:
-    """What an experience needs of a robot: its kind, axes and their unit, sample time, states."""
+    """Requirements that a robot must meet to use an experience."""
 
     robot_kind: str
+    """Kind of robot."""
     axes: tuple[str, ...]
+    """Axes on which the experience may be used."""
     unit: str
+    """Unit of these axes."""
     sample_time_s: float
+    """Sample time of the robot."""
     states: tuple[str, ...]
+    """States that the robot must measure, in this order before any others."""
 
 
 def needs_of(manifest: ExperienceManifest) -> Needs:
-    """Return what a robot has to have to fly with an experience."""
+    """Return the requirements for flying with an experience.
+
+    Args:
+        manifest: Manifest of the experience.
+    """
     layout = manifest.layout
     return Needs(
         robot_kind=manifest.robot_kind,
@@ -97,19 +126,29 @@ def needs_of(manifest: ExperienceManifest) -> Needs:
 def misfit(
     manifest: ExperienceManifest, spec: RobotSpec, state_names: tuple[str, ...], axis: str
 ) -> str | None:
-    """Return why an experience cannot serve an axis of a robot; None when it can.
+    """Return the reason why an experience cannot be used on an axis of a robot; None if it can.
 
     Args:
-        manifest: of the experience.
-        spec: of the robot that would use it.
-        state_names: what that robot's `observe` measures.
-        axis: the axis to be driven.
+        manifest: Manifest of the experience.
+        spec: Description of the robot that would use it.
+        state_names: Names of the states that this robot measures.
+        axis: Name of the axis to be driven.
     """
     return unmet(needs_of(manifest), spec, state_names, axis)
 
 
 def unmet(needs: Needs, spec: RobotSpec, state_names: tuple[str, ...], axis: str) -> str | None:
-    """Return which need an axis of a robot does not meet; None when it meets all."""
+    """Return the first requirement that an axis of a robot does not meet; None if it meets all.
+
+    Args:
+        needs: Requirements of the experience.
+        spec: Description of the robot that would use it.
+        state_names: Names of the states that this robot measures.
+        axis: Name of the axis to be driven.
+
+    Returns:
+        A phrase for people, such as "it is in m, axis 'yaw' is in rad".
+    """
     mine = next((a for a in spec.axes if a.name == axis), None)
     if mine is None:
         return f"the robot has no axis {axis!r}"

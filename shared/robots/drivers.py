@@ -1,4 +1,4 @@
-"""Robots by name: drivers are found through the entry-point group `nufleet.robots`."""
+"""Drivers of robots by name, found through the entry-point group `nufleet.robots`."""
 
 from __future__ import annotations
 
@@ -19,31 +19,43 @@ ENTRY_POINT_GROUP = "nufleet.robots"
 class RobotDriver(Protocol):
     """Builds robots of one kind (`nufleet.robot_agent.robot.Robot`) from their settings.
 
-    Robots that share one simulator are built together: `build` takes all robots of its kind that
-    live in one process, and `shares_process` says that all of a fleet must.
+    Robots that share a simulator are built together: `build` receives all robots of its kind in one
+    process, and `shares_process` requires that process to have all of the fleet's.
     """
 
     @property
     def settings(self) -> type[Strict]:
-        """The model of one robot's settings in a fleet file."""
+        """Model that validates one robot's settings in a fleet file."""
 
     @property
     def shares_process(self) -> bool:
-        """Whether all robots of this kind in a fleet have to live in one process."""
+        """True if all robots of this kind in a fleet must run in one process."""
 
     @property
     def environment(self) -> Mapping[str, str]:
-        """Environment variables that have to be set before the process imports anything."""
+        """Environment variables that must be set before the process imports anything."""
 
     def build(self, settings: Mapping[str, Any], rng: np.random.Generator) -> Mapping[str, Any]:
-        """Build the robots, disconnected, by name."""
+        """Build robots, not yet connected.
+
+        Args:
+            settings: Validated settings of each robot, by its name.
+            rng: Source of all simulated noise.
+
+        Returns:
+            The robots, by name.
+        """
 
 
 def load_driver(name: str) -> RobotDriver:
     """Return the driver of that name.
 
+    Args:
+        name: Name of the driver in the entry-point group.
+
     Raises:
-        FleetFileError: there is none, with the names there are; or what it needs is not installed.
+        FleetFileError: no such driver is installed (the message lists those that are), or a package
+            that it needs is not installed.
     """
     found = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
     if name not in found:
@@ -58,7 +70,15 @@ def load_driver(name: str) -> RobotDriver:
 
 
 def check_settings(fleet: FleetFile, path: Path) -> None:
-    """Check every robot's settings before anything is started; raises FleetFileError."""
+    """Check the settings of every robot, before any robot is started.
+
+    Args:
+        fleet: Contents of the fleet file.
+        path: Path of the fleet file, for error messages.
+
+    Raises:
+        FleetFileError: settings are wrong, or a driver cannot be loaded.
+    """
     models = {
         driver: load_driver(driver).settings
         for driver in {entry.driver for entry in fleet.robots.values()}
@@ -68,6 +88,14 @@ def check_settings(fleet: FleetFile, path: Path) -> None:
 
 
 def needed_environment(fleet: FleetFile, robots: Iterable[str]) -> dict[str, str]:
-    """Return the environment variables that these robots' drivers need to find set."""
+    """Return the environment variables that the drivers of these robots need.
+
+    Args:
+        fleet: Contents of the fleet file.
+        robots: Names of robots in it.
+
+    Raises:
+        FleetFileError: a driver cannot be loaded.
+    """
     drivers = {fleet.robots[robot].driver for robot in robots}
     return {k: v for name in sorted(drivers) for k, v in load_driver(name).environment.items()}

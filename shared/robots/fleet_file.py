@@ -1,4 +1,4 @@
-"""Fleet files: which robots there are, each with its driver and the driver's settings, in TOML."""
+"""Fleet files: TOML files that list robots, each with its driver and the driver's settings."""
 
 from __future__ import annotations
 
@@ -17,32 +17,40 @@ ENTRY_POINT_GROUP = "nufleet.fleets"
 
 
 class RobotEntry(Strict):
-    """One robot: the name of its driver (entry-point group `nufleet.robots`) and its settings.
-
-    `allow_unguarded` lets it fly with a learned inverse and no guard where somebody asks for that.
-    """
+    """One robot of a fleet file."""
 
     driver: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,62}$")]
+    """Name of its driver in the entry-point group `nufleet.robots`."""
     settings: Annotated[dict[str, Any], Field(default_factory=dict)]
+    """Settings of its driver, validated by `RobotDriver.settings`."""
     allow_unguarded: bool = False
+    """True if the robot accepts requests to fly with a learned inverse and without the guard."""
 
 
 class StudyDefaults(Strict):
-    """What a ranking of this fleet is about when the command line does not say."""
+    """Defaults for a ranking of this fleet, used where the command line gives no value."""
 
     target: Name
+    """Name of the target robot."""
     band_rad_s: tuple[float, float]
+    """Lowest and highest frequency of the band W."""
 
 
 class FleetFile(Strict):
-    """A fleet: `seed` starts the generators of every simulated noise."""
+    """Contents of a fleet file."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
+    """Version of this schema."""
     name: Name
+    """Name of the fleet, part of every key on the network."""
     description: str = ""
+    """Description of the fleet, for people."""
     seed: Annotated[int, Field(ge=0)] = 0
+    """Seed of the random generators of all simulated noise."""
     study: StudyDefaults | None = None
+    """Defaults for a ranking of this fleet."""
     robots: Annotated[dict[Name, RobotEntry], Field(min_length=1, max_length=4096)]
+    """The robots, by name."""
 
     @model_validator(mode="after")
     def _target_exists(self) -> FleetFile:
@@ -57,10 +65,13 @@ S = TypeVar("S", bound=BaseModel)
 
 
 def find_fleet_file(path_or_name: str) -> Path:
-    """Return the path of a fleet file given as a path, or by the name of one that is installed.
+    """Return the path of a fleet file that is given by its path or by the name of an installed one.
+
+    Args:
+        path_or_name: Path of a file, or name in the entry-point group `nufleet.fleets`.
 
     Raises:
-        FleetFileError: it is neither.
+        FleetFileError: there is neither such a file nor such a name.
     """
     path = Path(path_or_name)
     if path.exists():
@@ -76,27 +87,42 @@ def find_fleet_file(path_or_name: str) -> Path:
 def read_fleet_file(path: Path) -> FleetFile:
     """Read and check a fleet file.
 
+    Args:
+        path: Path of the file.
+
     Raises:
-        FleetFileError: naming the file, the field and what was expected.
+        FleetFileError: the file cannot be read or is wrong; the message names the file, the field
+            and the expected value.
     """
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise FleetFileError(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
-        # Wrong TOML or UTF-8, numbers too long for Python, tables nested beyond its stack.
+        # Invalid TOML or UTF-8, numbers too long for Python, or tables nested too deeply for it.
         raise FleetFileError(f"{path}: not valid TOML: {error}") from error
     return _validated(FleetFile, document, str(path))
 
 
 def validated_settings(model: type[S], path: Path, robot: str, settings: dict[str, Any]) -> S:
-    """Check a robot's settings against its driver's model; raises FleetFileError."""
+    """Return a robot's settings, checked against the model of its driver.
+
+    Args:
+        model: Model of the settings.
+        path: Path of the fleet file, for error messages.
+        robot: Name of the robot.
+        settings: Settings as they are in the file.
+
+    Raises:
+        FleetFileError: a setting is wrong; the message names the file, the field and the expected
+            value.
+    """
     return _validated(model, settings, f"{path}: robots.{robot}.settings")
 
 
 def _validated(model: type[S], document: dict[str, Any], where: str) -> S:
     try:
-        # Through JSON, since strict models take a list for a tuple from there only.
+        # Validated as JSON, because only there do strict models accept a list for a tuple.
         return model.model_validate_json(json.dumps(document, default=str))
     except ValidationError as error:
         raise FleetFileError(f"{where}: {describe_validation(error)}") from error

@@ -1,4 +1,4 @@
-"""What a robot says of itself before it moves: axes, limits, sample time."""
+"""The description that a robot gives of itself before it moves: axes, limits, sample time."""
 
 from __future__ import annotations
 
@@ -12,52 +12,59 @@ from nufleet.shared.strict import Name, NonNegative, Positive, Strict
 
 
 class AxisSpec(Strict):
-    """One axis of a robot's baseline loop, and how far, fast and hard it may be driven.
-
-    The limits are in the axis's unit, unit/s and unit/s²; they bound the *reference* of a test.
-    """
+    """One axis of a robot's baseline loop, with the limits on the *reference* of a test."""
 
     name: Name
+    """Name of the axis."""
     unit: Literal["m", "rad"]
+    """Unit of its reference and output."""
     amplitude_max: Positive
+    """Largest amplitude of the reference, in the axis's unit."""
     velocity_max: Positive
+    """Largest velocity of the reference, in unit/s."""
     acceleration_max: Positive
+    """Largest acceleration of the reference, in unit/s²."""
     model: LinearModel | None = None
+    """Exact model of the axis, known only for linear simulations; used to check estimates."""
 
 
 class TrackingLimits(Strict):
-    """What a path to be tracked may ask of a robot, in its axes' unit.
-
-    `position_max` bounds each axis of the path, `speed_max` and `acceleration_max` the Euclidean
-    norms along it. On each axis the reference sent may be `correction_max` away from the path, and
-    that correction may change at `correction_speed_max`: baseline controllers act on the speed of
-    their reference, so a correction that jumps can throw a robot over.
-    """
+    """Limits on the path that a robot may be asked to track, and on the corrections to it."""
 
     position_max: Positive
+    """Largest magnitude of the path on each axis, in the axes' unit."""
     speed_max: Positive
+    """Largest speed along the path (Euclidean norm), in unit/s."""
     acceleration_max: Positive
+    """Largest acceleration along the path (Euclidean norm), in unit/s²."""
     correction_max: Positive
+    """Largest distance of the reference from the path on each axis, in the axes' unit."""
     correction_speed_max: Positive
+    """Largest rate of change of that distance, in unit/s. Baseline controllers act on the speed of
+    their reference, so a correction that jumps can throw a robot over."""
 
 
 class RobotSpec(Strict):
-    """A robot's description, readable while it is disconnected.
-
-    `settling_time_s` is the time after which a transient of the baseline loop is negligible;
-    `duration_max_s` is the longest motion the robot accepts (battery, patience). A robot without
-    `tracking` limits only takes frequency tests.
-    """
+    """A robot's description, available even while the robot is disconnected."""
 
     kind: Name
+    """Kind of robot; experiences can be transferred only between robots of one kind."""
     axes: Annotated[tuple[AxisSpec, ...], Field(min_length=1, max_length=16)]
+    """Axes of the baseline loop; their names differ."""
     sample_time_s: Positive
+    """Time between samples."""
     omega_min_rad_s: Positive
+    """Lowest frequency of a test."""
     omega_max_rad_s: Positive
+    """Highest frequency of a test, below the Nyquist frequency."""
     duration_max_s: Positive
+    """Longest motion that the robot accepts (battery, patience)."""
     settling_time_s: NonNegative
+    """Time after which a transient of the baseline loop is negligible."""
     simulated: bool
+    """True for a simulated robot."""
     tracking: TrackingLimits | None = None
+    """Limits on paths; a robot without them accepts only frequency tests."""
 
     @model_validator(mode="after")
     def _consistent(self) -> RobotSpec:
@@ -74,7 +81,11 @@ class RobotSpec(Strict):
         return self
 
     def axis(self, name: str) -> AxisSpec:
-        """Return the axis of that name; raises KeyError with the names there are."""
+        """Return the axis of that name.
+
+        Raises:
+            KeyError: there is no such axis; the message lists the existing ones.
+        """
         for axis in self.axes:
             if axis.name == name:
                 return axis

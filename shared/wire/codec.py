@@ -1,7 +1,7 @@
-"""Messages as bytes and back: a strict JSON body with its arrays as raw bytes behind it.
+"""Encoding of messages to bytes and back: a strict JSON body, followed by its arrays as raw bytes.
 
-`nufleet.shared.wire.frame` says what a frame looks like. Every length is checked against a cap and
-against the payload before anything is allocated, and no part of a frame can name code to run.
+`nufleet.shared.wire.frame` describes the layout of a frame. Every length is checked against a cap
+and against the payload before anything is allocated, and no part of a frame can name code to run.
 """
 
 from __future__ import annotations
@@ -27,11 +27,12 @@ from nufleet.shared.strict import Strict, describe_validation
 from nufleet.shared.wire.frame import LENGTHS, MAGIC, PREFIX_BYTES, PROTOCOL_VERSION, framed
 
 MAX_MESSAGE_BYTES = 15 * 2**20
-"""Default cap on one frame, below what sessions and routers let through; a test of ten minutes at
-100 Hz on one axis is about 1 MB."""
+"""Default cap on one frame, below the limit of sessions and routers. A test of ten minutes at
+100 Hz on one axis takes about 1 MB."""
 
 MAX_BODY_BYTES = 2**20
-"""Cap on the JSON of one frame: parsed it takes many times its length. Bulk travels as arrays."""
+"""Cap on the JSON of one frame, which takes many times its length in memory once it is parsed. Bulk
+data travel as arrays."""
 
 _MAX_HEADER_BYTES = 4096
 _ITEM_BYTES = {"<f8": 8, "|u1": 1}
@@ -39,18 +40,18 @@ _MAX_DIMENSIONS = 3
 
 
 class Message(Strict):
-    """Base of everything that crosses the network."""
+    """Base class of everything that crosses the network."""
 
 
 class _Versioned(BaseModel):
-    """The one field of a header that every version of the protocol has."""
+    """The only header field that every version of the protocol has."""
 
     model_config = ConfigDict(strict=True)
     protocol: Annotated[int, Field(ge=0, lt=2**31)]
 
 
 class _ArrayHeader(Strict):
-    # A length beyond what a frame may hold would overflow NumPy's, even beside a length of 0.
+    # A length above the frame's cap could overflow NumPy's sizes, even in a shape that contains 0.
     dtype: Literal["<f8", "|u1"]
     shape: Annotated[
         tuple[Annotated[int, Field(ge=0, le=MAX_MESSAGE_BYTES)], ...],
@@ -59,7 +60,7 @@ class _ArrayHeader(Strict):
 
     @property
     def size_bytes(self) -> int:
-        # Python integers do not overflow, so a header that lies about its shape cannot wrap round.
+        # Python integers do not overflow, so a false shape in a header cannot wrap around.
         return math.prod(self.shape) * _ITEM_BYTES[self.dtype]
 
 
@@ -70,7 +71,7 @@ class _Header(Strict):
 
 
 class _FrameArrays:
-    """The arrays of a frame that is being decoded; each belongs to exactly one field."""
+    """The arrays of a frame being decoded; each must be claimed by exactly one field."""
 
     def __init__(self, arrays: list[np.ndarray]) -> None:
         self._left: dict[int, np.ndarray] = dict(enumerate(arrays))
@@ -86,7 +87,7 @@ class _FrameArrays:
 
 
 def _resolve_array(value: object, info: ValidationInfo) -> np.ndarray:
-    """Take an array as it is, or the one of the frame that the body refers to by its index."""
+    """Return the value itself if it is an array, else the frame's array that it is the index of."""
     if isinstance(value, np.ndarray):
         array = value
     elif type(value) is int and isinstance(info.context, _FrameArrays):
@@ -118,7 +119,8 @@ Float64Array = Annotated[
     PlainValidator(lambda value, info: _float64_only(_resolve_array(value, info))),
     PlainSerializer(_refer_to_array, return_type=int),
 ]
-"""A field of finite float64 numbers that travels as raw bytes; a decoded one is read-only."""
+"""Type of a field for an array of finite float64 numbers of one to three dimensions, which travels
+as raw bytes. A decoded array is read-only."""
 
 
 def _as_bytes(value: object, info: ValidationInfo) -> bytes:
@@ -138,7 +140,7 @@ Bytes = Annotated[
         return_type=int,
     ),
 ]
-"""A field of bytes that travel as they are."""
+"""Type of a field for bytes, which travel unchanged behind the JSON."""
 
 M = TypeVar("M", bound=Message)
 
@@ -146,8 +148,11 @@ M = TypeVar("M", bound=Message)
 def encode(message: Message) -> bytes:
     """Return a message as one frame.
 
+    Args:
+        message: Message to encode.
+
     Raises:
-        MalformedMessageError: the message is larger than `decode` takes.
+        MalformedMessageError: the message is larger than `decode` accepts.
     """
     arrays: list[np.ndarray] = []
     body = message.model_dump_json(context=arrays).encode()
@@ -166,7 +171,7 @@ def encode(message: Message) -> bytes:
     )
     head = header.model_dump_json().encode()
     if raw:
-        # Spaces behind the JSON, so that the receiver's arrays lie at multiples of 8 bytes.
+        # Pad the JSON with spaces, so that the arrays are aligned to 8 bytes at the receiver.
         body += b" " * (-(PREFIX_BYTES + len(head) + len(body)) % 8)
     return b"".join([framed(head, body), *(a.tobytes() for a in raw)])
 
@@ -174,9 +179,15 @@ def encode(message: Message) -> bytes:
 def decode(payload: bytes, *expected: type[M], max_bytes: int = MAX_MESSAGE_BYTES) -> M:
     """Return the message in a frame, which must be of one of the expected types.
 
+    Args:
+        payload: The frame.
+        *expected: Types of message to accept.
+        max_bytes: Largest accepted frame.
+
     Raises:
         ProtocolVersionError: the frame was written by another protocol version.
-        MalformedMessageError: it is anything else but a valid message of an expected type.
+        MalformedMessageError: the frame is not a valid message of an expected type for any other
+            reason.
     """
     if len(payload) > max_bytes:
         raise MalformedMessageError(f"message of {len(payload)} bytes; at most {max_bytes} allowed")

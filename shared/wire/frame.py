@@ -1,7 +1,8 @@
-"""The outside of every message, and the one message that must not wait for heavy imports: a stop.
+"""The outer layout of every message, and the one that must not wait for heavy imports: a stop.
 
-A frame is `NUF1`, the lengths of header and body as two little-endian uint32, the header (protocol
-version, message type, dtype and shape of each array), the body, and the arrays one after another.
+A frame consists of `NUF1`, the lengths of header and body as two little-endian uint32, the header
+(protocol version, message type, dtype and shape of each array), the body, and the arrays one after
+another.
 """
 
 from __future__ import annotations
@@ -18,15 +19,24 @@ PREFIX_BYTES = len(MAGIC) + LENGTHS.size
 
 
 def framed(head: bytes, body: bytes) -> bytes:
-    """Return a frame up to its arrays."""
+    """Return a frame up to its arrays.
+
+    Args:
+        head: Header, encoded as JSON.
+        body: Message, encoded as JSON.
+    """
     return b"".join([MAGIC, LENGTHS.pack(len(head), len(body)), head, body])
 
 
 def stop_frame(sender: str, reason: str) -> bytes:
-    """Return what `nufleet.shared.wire.codec.encode` makes of a StopRequest, without pydantic and
-    NumPy.
+    """Return a StopRequest as `nufleet.shared.wire.codec.encode` would encode it.
 
-    Their imports take longer than everything else between a person and a robot that is to stop.
+    It is made without pydantic and NumPy, because importing them takes longer than all other steps
+    from a person's command to the robot's stop.
+
+    Args:
+        sender: Identifier of the person or program that stops the robot.
+        reason: Why it is stopped; any text is made printable and cut to length.
     """
     head = {"protocol": PROTOCOL_VERSION, "type": "StopRequest", "arrays": []}
     return framed(_json(head), _json({"sender": sender, "reason": as_reason(reason)}))

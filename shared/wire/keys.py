@@ -8,14 +8,22 @@ from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.text import is_identifier, is_name
 
 EVERY_FLEETS_ROBOTS_ALIVE = "nufleet/*/robot/*/alive"
-"""The key expression that matches the tokens of all robots of all fleets at a router."""
+"""Key expression that matches the liveliness tokens of all robots of all fleets at a router."""
 
 EVERY_FLEETS_STOP = "nufleet/*/stop"
-"""A put here stops every robot of every fleet at a router."""
+"""Key expression on which a put stops every robot of every fleet at a router."""
 
 
 def checked_name(value: str, what: str) -> str:
-    """Return a robot's or fleet's name if it can be part of a key; raise InvalidInputError."""
+    """Return the name of a robot or fleet if it can be part of a key.
+
+    Args:
+        value: Name to check.
+        what: Kind of thing it names, for the error message: `robot` or `fleet`.
+
+    Raises:
+        InvalidInputError: the name contains a character that is not allowed, or is too long.
+    """
     if is_name(value):
         return value
     raise InvalidInputError(
@@ -25,7 +33,15 @@ def checked_name(value: str, what: str) -> str:
 
 
 def checked_identifier(value: str, what: str) -> str:
-    """Return a goal's, boot's or orchestrator's id if it can be one; raise InvalidInputError."""
+    """Return the id of a goal, boot or orchestrator if it can be part of a key.
+
+    Args:
+        value: Id to check.
+        what: Kind of thing it identifies, for the error message, such as `orchestrator`.
+
+    Raises:
+        InvalidInputError: the id contains a character that is not allowed, or is too long.
+    """
     if is_identifier(value):
         return value
     raise InvalidInputError(
@@ -35,12 +51,20 @@ def checked_identifier(value: str, what: str) -> str:
 
 
 def robot_in_every_fleet(robot: str, leaf: str) -> str:
-    """Return the key expression that matches one key of the robots of one name in all fleets."""
+    """Return the key expression that matches one key of every robot of this name in any fleet.
+
+    Args:
+        robot: Name of the robot.
+        leaf: End of the key, below the robot's name, for example `stop`.
+
+    Raises:
+        InvalidInputError: `robot` is not a name.
+    """
     return f"nufleet/*/robot/{checked_name(robot, 'robot')}/{leaf}"
 
 
 def fleet_of(key: str) -> str | None:
-    """Return the fleet that a key from the network belongs to; None when that is no name."""
+    """Return the name of the fleet that a key from the network belongs to; None if invalid."""
     root, _, below = key.partition("/")
     fleet = below.split("/", 1)[0]
     return fleet if root == "nufleet" and is_name(fleet) else None
@@ -48,49 +72,62 @@ def fleet_of(key: str) -> str | None:
 
 @dataclass(frozen=True)
 class FleetKeys:
-    """The keys under `nufleet/{fleet}/`."""
+    """The keys under `nufleet/{fleet}/`; raises InvalidInputError unless `fleet` is a name."""
 
     fleet: str
+    """Name of the fleet."""
 
     def __post_init__(self) -> None:
         checked_name(self.fleet, "fleet")
 
     @property
     def root(self) -> str:
-        """The prefix of all keys."""
+        """The prefix of all keys of this fleet, without a slash at the end."""
         return f"nufleet/{self.fleet}"
 
     def robot(self, robot: str, leaf: str) -> str:
-        """One key of one robot, for example `state`, `goal` or `telemetry/motion`."""
+        """Return one key of one robot.
+
+        Args:
+            robot: Name of the robot.
+            leaf: End of the key, for example `state`, `goal` or `telemetry/motion`.
+
+        Raises:
+            InvalidInputError: `robot` is not a name.
+        """
         return f"{self.root}/robot/{checked_name(robot, 'robot')}/{leaf}"
 
     def every_robot(self, leaf: str) -> str:
-        """The key expression that matches one key of all robots."""
+        """Return the key expression that matches the key with this `leaf` of all robots."""
         return f"{self.root}/robot/*/{leaf}"
 
     def robot_of(self, key: str) -> str | None:
-        """The robot that a key from the network belongs to; None when that is no name."""
+        """Return the name of the robot that a key from the network belongs to; None if invalid."""
         robot = self._below(key, "robot")
         return robot if is_name(robot) else None
 
     def orchestrator_alive(self, orchestrator_id: str) -> str:
-        """The liveliness token of one orchestrator."""
+        """Return the key of one orchestrator's liveliness token.
+
+        Raises:
+            InvalidInputError: `orchestrator_id` is not an identifier.
+        """
         checked = checked_identifier(orchestrator_id, "orchestrator")
         return f"{self.root}/orchestrator/{checked}/alive"
 
     @property
     def every_orchestrator_alive(self) -> str:
-        """The key expression that matches the tokens of all orchestrators."""
+        """Key expression that matches the liveliness tokens of all orchestrators."""
         return f"{self.root}/orchestrator/*/alive"
 
     def orchestrator_of(self, key: str) -> str | None:
-        """The orchestrator that a key from the network belongs to; None when that is no id."""
+        """Return the id of the orchestrator that a key from the network names; None if invalid."""
         orchestrator = self._below(key, "orchestrator")
         return orchestrator if is_identifier(orchestrator) else None
 
     @property
     def stop(self) -> str:
-        """A put here stops every robot of the fleet."""
+        """Key on which a put stops every robot of the fleet."""
         return f"{self.root}/stop"
 
     def _below(self, key: str, kind: str) -> str:

@@ -19,20 +19,23 @@ from nufleet.shared.wire.motions import FlightDetails, Motion, MotionPlan
 Count = Annotated[int, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Epoch = Annotated[int, Field(ge=0, lt=2**63)]
-"""Of the lease under which an orchestrator commands a robot; 0 when it has none.
+"""Epoch of the lease under which an orchestrator commands a robot; 0 without a lease.
 
-Wider than what robots obey, so that one that was told more can say so.
+The type is wider than the range that robots obey, so that a robot that receives a larger epoch can
+report it.
 """
 
 EPOCH_MAX = 2**53
-"""No robot obeys a higher epoch: there would soon be none above it, and JSON holds no more."""
+"""Highest epoch that robots obey. Near the end of the range there would soon be no higher epoch
+left, and JSON represents integers exactly only up to here."""
 
 EPOCH_JUMP_MAX = 2**20
-"""So far above the last epoch a robot obeys the next: as many leases as nobody takes in years."""
+"""Largest step from the last epoch to the next that a robot obeys: more leases than are taken in
+years of operation."""
 
 
 class RobotStatus(StrEnum):
-    """What a robot is doing."""
+    """Activity of a robot."""
 
     IDLE = "idle"
     RUNNING = "running"
@@ -42,113 +45,150 @@ class RobotStatus(StrEnum):
 
 
 class Outcome(StrEnum):
-    """How a goal ended; one that is `LOST` ended with the agent process that played it."""
+    """The way in which a goal ended."""
 
     COMPLETED = "completed"
     CANCELLED = "cancelled"
     ABORTED = "aborted"
     FAILED = "failed"
     LOST = "lost"
+    """The agent process that played the goal ended before it did."""
 
 
 class Refusal(Message):
-    """The answer no: `code` for programs, `reason` for people."""
+    """Reply: the request is refused."""
 
     code: Name
+    """Kind of refusal, for programs."""
     reason: Reason
+    """Explanation, for people."""
 
 
 class DescribeRequest(Message):
-    """Asks a robot what it is."""
+    """Request for a robot's description; answered by `Description`."""
 
 
 class ExperienceOffer(Message):
     """A stored inverse model, without its weights."""
 
     sha256: Digest
+    """SHA-256 of the stored file, by which it can be fetched."""
     size_bytes: Count
+    """Length of the stored file."""
     manifest: ExperienceManifest
+    """Origin and use of the model."""
 
 
 class Description(Message):
-    """What a robot is, which agent process serves it, and what it has learned.
-
-    `state_names` is what it measures on every axis; `experiences` are its own, `prior` is what was
-    transferred to it, `baseline_known` says whether a flight with that can be guarded. `owner`
-    commanded it last under a lease, and `epoch` is that lease's: lower ones are refused.
-    """
+    """A robot's properties, the agent process that serves it, and the experience it has."""
 
     robot: Name
+    """Name of the robot."""
     boot_id: Identifier
+    """Identifier of the agent process, new at every start."""
     spec: RobotSpec
+    """Axes, limits and sample time of the robot."""
     state_names: tuple[Name, ...] = ()
+    """Names of the states that the robot measures on every axis."""
     experiences: tuple[ExperienceOffer, ...] = ()
+    """Experiences that the robot learned itself."""
     prior: ExperienceOffer | None = None
+    """Experience that was transferred to the robot."""
     baseline_known: bool = False
+    """True if the robot has learned how its baseline behaves, so that a flight with the prior can
+    be guarded."""
     owner: Identifier | None = None
+    """Orchestrator that last commanded the robot under a lease."""
     epoch: Epoch = 0
+    """Epoch of that lease; requests with a lower epoch are refused."""
 
 
 class GoalRequest(Message):
-    """Asks for one motion. The same id and content again is the same goal: one motion.
+    """Request for one motion.
 
-    `acknowledges` names earlier goals whose results arrived, so that the agent may forget them.
+    A request with the same id and content as an earlier one refers to the same goal and causes no
+    second motion.
     """
 
     goal_id: Identifier
+    """Identifier of the goal."""
     owner: Identifier
+    """Orchestrator that requests the motion."""
     epoch: Epoch = 0
+    """Epoch of the orchestrator's lease on the robot."""
     motion: Motion
+    """Frequency test or flight to perform."""
     acknowledges: Annotated[tuple[Identifier, ...], Field(max_length=64)] = ()
+    """Earlier goals whose results have arrived, so that the agent may discard them."""
 
 
 class GoalAccepted(Message):
-    """The goal is, or was already, taken; `wall_duration_s` is what it takes on the wall clock."""
+    """Reply: the goal is accepted, now or by an earlier identical request."""
 
     goal_id: Identifier
+    """Identifier of the goal."""
     boot_id: Identifier
+    """Identifier of the agent process that accepted it."""
     plan: MotionPlan
+    """The motion as it will be performed."""
     wall_duration_s: NonNegative
+    """Expected duration on the wall clock."""
 
 
 class CancelRequest(Message):
-    """Asks to end a goal early, with the robot at rest."""
+    """Request to end a goal early, with the robot brought to rest."""
 
     sender: Identifier
+    """Orchestrator that sends the request."""
     epoch: Epoch = 0
+    """Epoch of its lease on the robot."""
     goal_id: Identifier
+    """Goal to cancel."""
 
 
 class ResultRequest(Message):
-    """Asks for the result of a goal."""
+    """Request for the result of a goal."""
 
     goal_id: Identifier
+    """Goal whose result is wanted."""
 
 
 class AcknowledgeRequest(Message):
-    """Says that these goals' results arrived and may be forgotten."""
+    """Notice that the results of these goals have arrived and may be discarded."""
 
     sender: Identifier
+    """Orchestrator that received the results."""
     epoch: Epoch = 0
+    """Epoch of its lease on the robot."""
     goal_ids: Annotated[tuple[Identifier, ...], Field(max_length=64)]
+    """Goals whose results arrived."""
 
 
 class GoalResult(Message):
-    """How a goal ended and what was measured: reference and response, of one shape.
+    """The outcome of a goal and its measurements.
 
-    That is (samples,) for a frequency test, which moves one axis, and (samples, axes) for a flight.
-    Sample k was taken at k × `plan.sample_time_s` on the robot's own clock. A goal that ended early
-    holds the samples up to its end; a completed one holds all of its plan.
+    Reference and response have the same shape: (samples,) for a frequency test, which moves one
+    axis, and (samples, axes) for a flight. Sample k was taken at k × `plan.sample_time_s` on the
+    robot's own clock. The result of a goal that ended early holds the samples up to its end; that
+    of a completed goal holds all samples of its plan.
     """
 
     goal_id: Identifier
+    """Identifier of the goal."""
     boot_id: Identifier
+    """Identifier of the agent process that performed it."""
     outcome: Outcome
+    """The way in which it ended."""
     reason: Reason
+    """Explanation of the outcome, for people."""
     plan: MotionPlan
+    """The motion as it was planned."""
     reference: Float64Array
+    """Reference sent to the robot, in the unit of its axes, (samples,) or (samples, axes)."""
     response: Float64Array
+    """Measured output, same unit and shape as the reference."""
     details: FlightDetails | None = None
+    """Further measurements of a flight; None for a frequency test."""
 
     @model_validator(mode="after")
     def _samples_agree(self) -> GoalResult:
@@ -162,93 +202,129 @@ class GoalResult(Message):
 
     @property
     def test_plan(self) -> ExcitationPlan:
-        """The plan of a frequency test; raises MalformedMessageError for any other motion."""
+        """The plan of a frequency test.
+
+        Raises:
+            MalformedMessageError: the goal was another motion.
+        """
         if not isinstance(self.plan, ExcitationPlan):
             raise MalformedMessageError(f"{self.goal_id} is no frequency test")
         return self.plan
 
 
 class FetchRequest(Message):
-    """Asks for the file of an experience or prior that a robot has."""
+    """Request for the file of an experience or prior that a robot has."""
 
     sha256: Digest
+    """SHA-256 of the file."""
 
 
 class ExperienceFile(Message):
-    """A stored experience, as `nufleet.shared.experience.file` reads and writes it."""
+    """A stored experience, in the format of `nufleet.shared.experience.file`."""
 
     sha256: Digest
+    """SHA-256 of the payload."""
     payload: Bytes
+    """The file."""
 
 
 class InstallRequest(Message):
-    """Gives a robot an experience: as its own, or as the prior that it flies with."""
+    """Request to store an experience on a robot: as its own, or as the prior that it flies with."""
 
     sender: Identifier
+    """Orchestrator that sends the request."""
     epoch: Epoch = 0
+    """Epoch of its lease on the robot."""
     sha256: Digest
+    """SHA-256 of the payload."""
     payload: Bytes
+    """The experience's file."""
 
 
 class RemovePriorRequest(Message):
-    """Takes a robot's prior away."""
+    """Request to remove a robot's prior."""
 
     sender: Identifier
+    """Orchestrator that sends the request."""
     epoch: Epoch = 0
+    """Epoch of its lease on the robot."""
 
 
 class PredictRequest(Message):
-    """Asks an experience for γ at inputs of shape (m, inputs), in the manifest's units."""
+    """Request to evaluate an experience; answered by `Prediction`."""
 
     sha256: Digest
+    """SHA-256 of the experience's file."""
     inputs: Float64Array
+    """Inputs ξ, shape (m, inputs), in the units of its manifest."""
 
 
 class Prediction(Message):
-    """γ in unit/s, shape (m,)."""
+    """Output of an experience at the requested inputs."""
 
     gamma: Float64Array
+    """γ in unit/s, shape (m,)."""
 
 
 class StopRequest(Message):
-    """Stops a robot at once and for good, until it is released on purpose."""
+    """Request to stop a robot at once; it stays stopped until it is explicitly released."""
 
     sender: Identifier
+    """Identifier of the person or program that stops the robot."""
     reason: Reason
+    """Why it is stopped."""
 
 
 class ReleaseRequest(Message):
-    """Lets a stopped robot move again."""
+    """Request to let a stopped robot move again."""
 
     sender: Identifier
+    """Identifier of the person or program that releases the robot."""
 
 
 class Done(Message):
-    """The answer yes."""
+    """Reply: the request has been carried out."""
 
 
 class RobotState(Message):
-    """What a robot publishes of itself: at every change, and twice a second as its heartbeat."""
+    """A robot's state, published at every change and, as its heartbeat, twice a second."""
 
     robot: Name
+    """Name of the robot."""
     boot_id: Identifier
+    """Identifier of the agent process, new at every start."""
     sequence: Count
+    """Number of this message, counted from the start of the agent process."""
     status: RobotStatus
+    """Activity of the robot."""
     goal_id: Identifier | None
+    """Goal in progress."""
     progress: Fraction
+    """Fraction of that goal that is done."""
     reason: Reason
+    """Explanation of the status, for people."""
     last_goal_id: Identifier | None
+    """Goal that ended last."""
     robot_time_s: NonNegative
+    """Time on the robot's own clock."""
 
 
 class Telemetry(Message):
-    """A batch of a running test's samples, for whoever watches; losing some is allowed."""
+    """A batch of samples of a running test, for display only; batches may be lost.
+
+    Reference and response have the same shape, (n,) or (n, axes).
+    """
 
     goal_id: Identifier
+    """Goal in progress."""
     first_sample: Count
+    """Index of the first sample of the batch within the test."""
     sample_time_s: NonNegative
+    """Time between samples."""
     reference: Float64Array
+    """Reference sent to the robot, in the unit of its axes."""
     response: Float64Array
+    """Measured output, in the same unit."""
 
     @model_validator(mode="after")
     def _samples_agree(self) -> Telemetry:
@@ -257,17 +333,26 @@ class Telemetry(Message):
 
 
 class TrackingTelemetry(Message):
-    """A batch of samples along a path; shapes (n, axes), `share` (n,), see `TrackingDetails`."""
+    """A batch of n samples of a flight along a path, for display; see also `TrackingDetails`."""
 
     goal_id: Identifier
+    """Goal in progress."""
     first_sample: Count
+    """Index of the first sample of the batch within the flight."""
     sample_time_s: NonNegative
+    """Time between samples."""
     desired: Float64Array
+    """Desired path, shape (n, axes), in the axes' unit."""
     actual: Float64Array
+    """Measured output, shape (n, axes), in the axes' unit."""
     prior: Float64Array
+    """γ from the prior, shape (n, axes), in unit/s."""
     mean: Float64Array
+    """Posterior mean of γ less the prior, shape (n, axes), in unit/s."""
     variance: Float64Array
+    """Posterior variance of γ, shape (n, axes), in (unit/s)²."""
     share: Float64Array
+    """Fraction of the correction that acted, shape (n,)."""
 
     @model_validator(mode="after")
     def _samples_agree(self) -> TrackingTelemetry:
@@ -278,7 +363,7 @@ class TrackingTelemetry(Message):
 
 
 def _samples(reference: FloatArray, response: FloatArray) -> int:
-    """Return how many samples two arrays hold; raise ValueError unless both hold as many."""
+    """Return the number of samples of two arrays; raise ValueError unless their shapes agree."""
     if reference.ndim > 2 or reference.shape != response.shape:
         raise ValueError(
             "reference and response must have one shape, (samples,) or (samples, axes), "

@@ -1,4 +1,4 @@
-"""What a robot can be asked to do, what it plans then, and what a flight measures besides."""
+"""The motions that a robot can be asked for, their plans, and the extra measurements of flights."""
 
 from __future__ import annotations
 
@@ -15,41 +15,51 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class StepTest(Strict):
-    """Asks for small steps on one axis, up and down, as quick as the axis's limits allow."""
+    """Request for small steps on one axis, up and down, as fast as the axis's limits allow."""
 
     kind: Literal["step-test"] = "step-test"
+    """Discriminator among the motions a robot can be asked for."""
     axis: Name
+    """Name of the axis to step."""
 
 
 class RichFlight(Strict):
-    """Asks for a flight that shows a robot's whole dynamics, under its baseline alone.
+    """Request for a flight that excites all of a robot's dynamics, under its baseline alone.
 
-    The robot draws its references from `seed`, under its own tracking limits, and learns from the
-    flight what its baseline does.
+    The robot generates random references within its own tracking limits. From the flight it learns
+    how its baseline behaves.
     """
 
     kind: Literal["rich-flight"] = "rich-flight"
+    """Discriminator among the motions a robot can be asked for."""
     duration_s: Annotated[float, Field(gt=0, le=3600)]
+    """Duration of the references."""
     seed: Count
+    """Seed of the random generator that draws the references."""
 
 
 class Tracking(Strict):
-    """Asks to follow a path: `desired`, shape (samples, axes), one row per sample of the robot.
+    """Request to follow a path, with or without a learned inverse before the baseline controller.
 
-    `inverse` says what stands in front of the baseline controller: nothing, an online process that
-    begins with nothing (it needs a `layout`), or one whose prior mean is the experience that was
-    transferred to the robot, which then must be the one with `prior_sha256`. A `guarded` flight
-    falls back to the baseline when it does worse than that would; one that does not `learn` uses
-    the prior as it is.
+    The inverse is the paper's inverse dynamics module: a Gaussian process whose prior mean may be
+    an experience of another robot, eq. (2).
     """
 
     kind: Literal["tracking"] = "tracking"
+    """Discriminator among the motions a robot can be asked for."""
     desired: Float64Array
+    """Path to follow, shape (samples, axes), one row per sample of the robot, in the axes' unit."""
     inverse: Literal["baseline", "zero-prior", "prior"]
+    """Module in front of the baseline controller: none; a process that starts without experience;
+    or a process whose prior mean is the experience that was transferred to the robot."""
     layout: InverseLayout | None = None
+    """Inputs and output of a process with a zero prior; None for the other inverses."""
     prior_sha256: Digest | None = None
+    """SHA-256 of the transferred experience, to be checked by the robot; None without a prior."""
     guarded: bool = True
+    """True if the flight falls back to the baseline once it does worse than the baseline would."""
     learn: bool = True
+    """False if the prior is used as it is, without learning online."""
 
     @model_validator(mode="after")
     def _complete(self) -> Tracking:
@@ -67,58 +77,68 @@ Motion = Annotated[Excitation | Flight, Field(discriminator="kind")]
 
 
 class FlightPlan(Strict):
-    """A flight that was accepted: how many samples it will record.
-
-    `duration_s` is on the robot's clock and counts what is flown besides: the way to the start,
-    settling.
-    """
+    """Plan of an accepted flight."""
 
     kind: Literal["flight"] = "flight"
+    """Discriminator among the plans of motions."""
     sample_time_s: Positive
+    """Time between samples."""
     samples: Annotated[int, Field(ge=1)]
+    """Number of samples that the flight will record."""
     duration_s: Positive
+    """Duration on the robot's clock, including parts that are not recorded: flying to the start and
+    settling."""
 
 
 MotionPlan = Annotated[ExcitationPlan | FlightPlan, Field(discriminator="kind")]
 
 
 class RichFlightDetails(Strict):
-    """What a rich flight measured besides reference and output.
-
-    `states` has shape (samples, axes, states) and was taken before each reference acted;
-    `state_names` names them, the output first.
-    """
+    """Measurements of a rich flight in addition to reference and output."""
 
     kind: Literal["rich-flight"] = "rich-flight"
+    """Discriminator among the details of flights."""
     state_names: tuple[Name, ...]
+    """Names of the states, the output first."""
     states: Float64Array
+    """States, shape (samples, axes, states), measured before the reference of each sample acted."""
 
 
 class TakenBack(Strict):
-    """The guard took the prior back at that sample, and why."""
+    """Event: the guard withdrew the prior during a flight."""
 
     sample: Count
+    """Sample at which it was withdrawn."""
     reason: Reason
+    """Why it was withdrawn."""
 
 
 class TrackingDetails(Strict):
-    """What happened along a path, sample by sample.
+    """Measurements of a flight along a path, in addition to reference and output.
 
-    `desired`, `prior`, `mean` and `variance` have shape (samples, axes) and are zero for γ where
-    the baseline flew alone; `share` (how much of the correction acted), `limited` (1 where it was
-    held to its bounds) and `step_time_s` (what choosing the reference took) shape (samples,).
+    The arrays on γ, the output of the inverse, are zero if the baseline flew alone.
     """
 
     kind: Literal["tracking"] = "tracking"
+    """Discriminator among the details of flights."""
     desired: Float64Array
+    """Desired path, shape (samples, axes), in the axes' unit."""
     prior: Float64Array
+    """γ from the prior, shape (samples, axes), in unit/s."""
     mean: Float64Array
+    """Posterior mean of γ less the prior, shape (samples, axes), in unit/s."""
     variance: Float64Array
+    """Posterior variance of γ, shape (samples, axes), in (unit/s)²."""
     share: Float64Array
+    """Fraction of the correction that acted, shape (samples,)."""
     limited: Float64Array
+    """1 where the correction was limited by its bounds, else 0, shape (samples,)."""
     step_time_s: Float64Array
+    """Computing time for choosing each reference, shape (samples,)."""
     dropped_pairs: Count
+    """Number of training pairs dropped because they were not finite."""
     taken_back: TakenBack | None
+    """Withdrawal of the prior by the guard; None if there was none."""
 
 
 FlightDetails = Annotated[RichFlightDetails | TrackingDetails, Field(discriminator="kind")]

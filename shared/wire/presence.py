@@ -1,4 +1,4 @@
-"""Which liveliness tokens a watch has reported, so that each change is reported once."""
+"""Bookkeeping of the liveliness tokens that a watch has reported, to report each change once."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import threading
 from collections.abc import Callable, Iterable
 
 OnPresence = Callable[[str, bool], None]
-"""Takes a token's key, and whether it appeared (True) or disappeared (False)."""
+"""Handler that takes the key of a token, and True if it appeared or False if it disappeared."""
 
 
 class Presence:
-    """Merges what a question and a watch say of the same tokens; used from several threads.
+    """Merges the results of a query and of a watch for the same tokens; thread-safe.
 
-    A token that goes between the question and the beginning of the watch is told of by neither:
-    it is one that the question knew and the watch has never mentioned.
+    If a token disappears after the query and before the watch begins, neither reports that. Such a
+    token is recognised by being in the query's result and never mentioned by the watch.
     """
 
     def __init__(self, handler: OnPresence) -> None:
@@ -24,12 +24,12 @@ class Presence:
         self._settled = False
 
     def asked(self, keys: Iterable[str]) -> None:
-        """Note what the question found."""
+        """Record the tokens that the query found alive."""
         for key in keys:
             self._note(key, True)
 
     def watched(self, key: str, alive: bool) -> None:
-        """Note what the watch says."""
+        """Record that the watch reported a token as alive or gone."""
         with self._changed:
             self._note(key, alive)
             if not self._settled:
@@ -37,7 +37,10 @@ class Presence:
                 self._changed.notify_all()
 
     def settle(self, *, timeout_s: float) -> None:
-        """Wait for the watch to mention what the question found; let go of what it does not."""
+        """Wait for the watch to mention the tokens that the query found, and drop the others.
+
+        Tokens that the watch has not mentioned within `timeout_s` are reported as gone.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._mentioned >= self._there, timeout_s)
             for key in self._there - self._mentioned:

@@ -1,7 +1,7 @@
 """The network as nufleet uses it: the only module that imports Zenoh.
 
-Handlers given to a session run on threads that Zenoh feeds, one for each: they must only hand the
-event on and return. Zero replies to a query is an error with a name, never an empty result.
+Each handler given to a session runs on a thread of its own, fed by Zenoh; it must only hand the
+event on and return. A query without any reply is a typed error, never an empty result.
 """
 
 from __future__ import annotations
@@ -36,42 +36,48 @@ from nufleet.shared.wire.presence import OnPresence, Presence
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 PRESENCE_TIMEOUT_S = 3.0
+"""Longest wait for the liveliness tokens that exist when a watch begins."""
+
 PRESENCE_SETTLED_S = 1.0
-"""How long a watch may take to tell of a token that was there before it; normally milliseconds."""
+"""Longest wait for a watch to report tokens that existed before it; it normally takes milliseconds.
+"""
 
 LEASE_MS = 2000
-"""A silent session is given up after this long: what a partition costs to be noticed."""
+"""Time after which a silent session is considered lost, and thus the delay in noticing a partition.
+"""
 
 FULL_LINK_WAIT_US = 250_000
-"""How long a router waits for a link that takes nothing before it closes it.
+"""Time that a router waits for a blocked link before closing it.
 
-Meanwhile everything else of the same sender waits too, a stop of other robots among it. Zenoh's own
-choice is 5 s, which lets 4 MB through a link of 20 Mbit/s; this one (measured) 1 MB through one of
-10 Mbit/s.
+Meanwhile all other messages of the same sender wait too, including a stop of other robots. Zenoh's
+default of 5 s lets 4 MB through a link of 20 Mbit/s; this value lets 1 MB through a link of
+10 Mbit/s (measured).
 """
 
 MAX_MESSAGE_BYTES = 16 * 2**20
-"""What a session takes at most, whatever it is: a board of 1 GB must survive whoever sends more."""
+"""Largest message of any kind that a session accepts: a computer with 1 GB of memory must survive a
+sender of larger ones."""
 
 MAX_STATE_BYTES = 64 * 1024
-"""What a subscriber to states takes at most; they are a few kilobytes at their longest."""
+"""Largest state that a subscriber accepts; real ones take a few kilobytes at most."""
 
 PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream")
-"""What an endpoint may begin with."""
+"""Protocols with which an endpoint may begin."""
 
 LONGEST_TRY_S = 3.0
-"""How long one attempt to reach a router lasts at most: Zenoh cannot be interrupted meanwhile."""
+"""Longest duration of one attempt to reach a router, during which Zenoh cannot be interrupted."""
 
 OnSample = Callable[[str, bytes], None]
-"""Takes the key that something was put on, and what."""
+"""Handler that takes the key of a put and its payload."""
 
 _log = logging.getLogger(__name__)
 _ANSWER = zenoh.Encoding.APPLICATION_OCTET_STREAM
-"""Marks an error reply that a handler gave; Zenoh's own, such as a timeout's, have another."""
+"""Encoding that marks an error reply as given by a handler. Zenoh's own error replies, for example
+after a timeout, have another encoding."""
 
 
 class Request:
-    """A query that arrived; it must be answered exactly once, from any thread."""
+    """A query that has arrived; it must be answered exactly once, from any thread."""
 
     def __init__(self, query: zenoh.Query) -> None:
         self.key = str(query.key_expr)
@@ -79,26 +85,32 @@ class Request:
 
     @property
     def is_wildcard(self) -> bool:
-        """Whether it was asked of many keys at once."""
+        """True if the query addresses many keys at once."""
         return "*" in self.key
 
     @property
     def size_bytes(self) -> int:
-        """Length of the payload, known without copying it."""
+        """Length of the payload in bytes, available without copying it."""
         payload = self._query.payload
         return 0 if payload is None else len(payload)
 
     @property
     def payload(self) -> bytes:
-        """A copy of what was sent along; not to be read after the answer."""
+        """A copy of the query's payload; it cannot be read after the query was answered."""
         payload = self._query.payload
         return b"" if payload is None else payload.to_bytes()
 
     def answer(self, payload: bytes) -> None:
-        """Send the reply and end the query; raises TransportError when nobody can hear it.
+        """Send the reply and end the query.
 
-        A reply to many keys at once has none it could stand under; it goes as an error reply,
-        which `Session.ask_all` returns as any other.
+        A reply to a query on many keys has no single key to be sent on. It is sent as an error
+        reply, which `Session.ask_all` returns like any other.
+
+        Args:
+            payload: Reply, one encoded message.
+
+        Raises:
+            TransportError: the reply cannot be delivered.
         """
         with _transport_errors(f"replying on {self.key}"), self._query as query:
             if self.is_wildcard:
@@ -108,15 +120,15 @@ class Request:
 
 
 class Declaration:
-    """Something declared on a session: a subscriber, a queryable, a token, a publisher."""
+    """An object declared on a session: a subscriber, a queryable, a token or a publisher."""
 
     def __init__(self, declared: Any) -> None:
         self._declared = declared
 
     def withdraw(self) -> None:
-        """Undeclare it now rather than when the session closes; twice does nothing more.
+        """Undeclare the object now rather than when the session closes; idempotent.
 
-        A handler that is running goes on until it returns.
+        A handler that is already running is not interrupted.
         """
         with suppress(zenoh.ZError):  # withdrawn before, or the session is closed
             self._declared.undeclare()
@@ -126,7 +138,11 @@ class Publisher(Declaration):
     """Publishes on one key."""
 
     def put(self, payload: bytes) -> None:
-        """Send a payload to every subscriber there is now; raises TransportError."""
+        """Send a payload to all current subscribers.
+
+        Raises:
+            TransportError: Zenoh cannot send it.
+        """
         with _transport_errors("publishing"):
             self._declared.put(payload)
 
@@ -135,7 +151,7 @@ D = TypeVar("D", bound=Declaration)
 
 
 class Session:
-    """One open Zenoh session; a context manager, since an unclosed one keeps its process alive."""
+    """An open Zenoh session; a context manager, because an unclosed one keeps its process alive."""
 
     def __init__(self, session: zenoh.Session) -> None:
         self._session = session
@@ -148,7 +164,7 @@ class Session:
         self.close()
 
     def close(self) -> None:
-        """Withdraw everything declared and close; calling it twice does nothing more."""
+        """Withdraw all declarations and close the session; idempotent."""
         for declaration in reversed(self._declarations):
             declaration.withdraw()
         self._declarations.clear()
@@ -156,7 +172,16 @@ class Session:
             self._session.close()  # type: ignore[no-untyped-call]
 
     def serve(self, key_expr: str, handler: Callable[[Request], None]) -> Declaration:
-        """Answer queries on a key expression."""
+        """Answer queries on a key expression.
+
+        Args:
+            key_expr: Key expression to serve.
+            handler: Function that answers a request or hands it on. If it raises, the error is
+                logged and the query dropped, so that the sender does not wait for its timeout.
+
+        Raises:
+            TransportError: Zenoh cannot declare the queryable.
+        """
 
         def on_query(query: zenoh.Query) -> None:
             try:
@@ -172,8 +197,14 @@ class Session:
     def ask(self, key: str, payload: bytes, *, timeout_s: float) -> bytes:
         """Return the one reply to a query on a concrete key.
 
+        Args:
+            key: Key to query.
+            payload: Request, one encoded message.
+            timeout_s: Longest wait for the reply.
+
         Raises:
-            NoReplyError: nobody answered in time, or nobody is there to answer.
+            NoReplyError: no reply arrived in time, or the key is not served.
+            TransportError: Zenoh cannot send the query.
         """
         replies = self.ask_all(key, payload, timeout_s=timeout_s)
         if not replies:
@@ -181,7 +212,16 @@ class Session:
         return replies[0]
 
     def ask_all(self, key: str, payload: bytes, *, timeout_s: float) -> list[bytes]:
-        """Return the replies of everyone who serves a key."""
+        """Return the replies of all who serve a key; the list may be empty.
+
+        Args:
+            key: Key or key expression to query.
+            payload: Request, one encoded message.
+            timeout_s: Longest wait for all replies.
+
+        Raises:
+            TransportError: Zenoh cannot send the query.
+        """
         with _transport_errors(f"asking on {key}"):
             replies = self._session.get(
                 key,
@@ -194,7 +234,11 @@ class Session:
             return [said for reply in replies if (said := _said(reply)) is not None]
 
     def put_urgent(self, key: str, payload: bytes) -> None:
-        """Send a payload ahead of everything else that waits to be sent."""
+        """Send a payload ahead of all other messages that are waiting to be sent.
+
+        Raises:
+            TransportError: Zenoh cannot send it.
+        """
         with _transport_errors(f"sending on {key}"):
             self._session.put(
                 key,
@@ -205,7 +249,7 @@ class Session:
             )
 
     def state_publisher(self, key: str) -> Publisher:
-        """Publish a state whose last value late subscribers also get."""
+        """Declare a publisher of a state, whose last value late subscribers receive too."""
 
         def declare() -> Publisher:
             return Publisher(
@@ -222,7 +266,7 @@ class Session:
         return self._declared(key, declare)
 
     def telemetry_publisher(self, key: str) -> Publisher:
-        """Publish measurements of which some may be lost under load."""
+        """Declare a publisher of measurements, some of which may be lost under load."""
 
         def declare() -> Publisher:
             return Publisher(
@@ -237,7 +281,13 @@ class Session:
         return self._declared(key, declare)
 
     def subscribe_state(self, key_expr: str, handler: OnSample) -> Declaration:
-        """Receive states, the last one of each publisher first; as `subscribe` otherwise."""
+        """Receive states, beginning with the last one of each publisher.
+
+        Args:
+            key_expr: Key expression of the states.
+            handler: Function called with each state, in a thread of Zenoh. States above
+                `MAX_STATE_BYTES` arrive as an empty payload, see `subscribe`.
+        """
 
         def declare() -> Declaration:
             history = HistoryConfig(detect_late_publishers=True, max_samples=1)
@@ -253,10 +303,13 @@ class Session:
         return self._declared(key_expr, declare)
 
     def subscribe(self, key_expr: str, handler: OnSample, *, max_bytes: int) -> Declaration:
-        """Receive what is put on a key expression from now on.
+        """Receive all puts on a key expression from now on.
 
-        What is longer than `max_bytes` is not copied: the handler gets an empty payload in its
-        place, which is no message either, but says that somebody put something there.
+        Args:
+            key_expr: Key expression to subscribe to.
+            handler: Function called with each put, in a thread of Zenoh.
+            max_bytes: Longest payload that is copied. For a longer one the handler receives an
+                empty payload, which is not a valid message but shows that there was a put.
         """
         on_sample = _on_sample(handler, max_bytes)
         return self._declared(
@@ -264,16 +317,24 @@ class Session:
         )
 
     def declare_alive(self, key: str) -> Declaration:
-        """Be seen as alive under a key until withdrawn or the process is gone."""
+        """Declare a liveliness token, alive until it is withdrawn or the process ends."""
         return self._declared(
             key, lambda: Declaration(self._session.liveliness().declare_token(key))
         )
 
     def alive(self, key_expr: str, *, timeout_s: float) -> list[str]:
-        """Return the keys of the tokens that are alive now.
+        """Return the keys of the tokens that are alive now, sorted.
 
-        Ask before `watch_alive`: in a session that watches, Zenoh answers from what the watch has
-        heard so far, which at first is nothing (measured: wrong in 7 of 10 right after).
+        Call this before `watch_alive`. In a session with a watch, Zenoh answers from the tokens
+        that the watch has received until then, at first none (measured: the answer was wrong in 7
+        of 10 cases right after the watch began).
+
+        Args:
+            key_expr: Key expression of the tokens.
+            timeout_s: Longest wait for the answer.
+
+        Raises:
+            TransportError: Zenoh cannot send the query.
         """
         with _transport_errors(f"looking for {key_expr}"):
             replies = self._session.liveliness().get(key_expr, timeout=timeout_s)
@@ -281,9 +342,13 @@ class Session:
         return sorted({str(sample.key_expr) for sample in samples if sample is not None})
 
     def watch_alive(self, key_expr: str, handler: OnPresence) -> Declaration:
-        """Report each token that is there, appears (True) or disappears (False).
+        """Report tokens that exist or appear (True) and tokens that disappear (False).
 
-        Who is there now is reported before this returns.
+        Tokens that exist now are reported before this method returns.
+
+        Args:
+            key_expr: Key expression of the tokens.
+            handler: Function called with each change, once per change.
         """
         presence = Presence(handler)
         presence.asked(self.alive(key_expr, timeout_s=PRESENCE_TIMEOUT_S))
@@ -300,7 +365,11 @@ class Session:
         return declaration
 
     def listening_on(self) -> list[str]:
-        """Return the endpoints this router really listens on, with the ports it was given."""
+        """Return the endpoints that this router actually listens on, with their assigned ports.
+
+        Raises:
+            TransportError: the router does not report its endpoints.
+        """
         with _transport_errors("asking the router"):
             zid = self._session.info.zid()
             for reply in self._session.get(f"@/{zid}/router", timeout=5.0):
@@ -320,11 +389,12 @@ def open_router(listen: list[str], *, connect: list[str] | None = None) -> Itera
     """Open a session that routes messages between all others.
 
     Args:
-        listen: endpoints such as `tcp/0.0.0.0:7447`, `tcp/127.0.0.1:0` or `unixsock-stream//path`.
-        connect: other routers to join.
+        listen: Endpoints to listen on, such as `tcp/0.0.0.0:7447`, `tcp/127.0.0.1:0` or
+            `unixsock-stream//path`.
+        connect: Endpoints of other routers to join.
 
     Raises:
-        InvalidInputError: an endpoint is not one.
+        InvalidInputError: an endpoint is malformed.
         EndpointInUseError: an endpoint is taken or may not be used.
     """
     config = _base_config("router")
@@ -339,11 +409,14 @@ def open_router(listen: list[str], *, connect: list[str] | None = None) -> Itera
 
 @contextmanager
 def open_configured_router(path: Path) -> Iterator[Session]:
-    """Open a router as a Zenoh configuration file (JSON5) describes it.
+    """Open a router with the settings of a Zenoh configuration file.
+
+    Args:
+        path: Configuration file in JSON5.
 
     Raises:
         InvalidInputError: the file is not a Zenoh configuration.
-        EndpointInUseError: an endpoint of it is taken or may not be used.
+        EndpointInUseError: one of its endpoints is taken or may not be used.
     """
     try:
         config = zenoh.Config.from_file(path)
@@ -370,16 +443,16 @@ def _opened_router(config: zenoh.Config, endpoints: str) -> Iterator[Session]:
 def open_client(
     connect: str, *, timeout_s: float | None, given_up: threading.Event | None = None
 ) -> Iterator[Session]:
-    """Open a session through the router at an endpoint; it survives the router's restarts.
+    """Open a session through the router at an endpoint; it survives restarts of the router.
 
     Args:
-        connect: the router's endpoint.
-        timeout_s: how long to look for it; None looks for ever.
-        given_up: ends the looking from another thread.
+        connect: Endpoint of the router.
+        timeout_s: Longest time to try to reach the router; None tries forever.
+        given_up: Event that ends the attempts when it is set from another thread.
 
     Raises:
-        InvalidInputError: the endpoint is not one.
-        NoRouterError: there is none.
+        InvalidInputError: the endpoint is malformed.
+        NoRouterError: no router answered.
     """
     config = _base_config("client")
     _insert_endpoints(config, "connect", [connect])
@@ -403,7 +476,7 @@ def _insert_endpoints(config: zenoh.Config, role: str, endpoints: list[str]) -> 
 def _reach(
     config: zenoh.Config, connect: str, timeout_s: float | None, given_up: threading.Event | None
 ) -> zenoh.Session:
-    """Open a client session in short attempts, since a waiting `zenoh.open` hears no Ctrl-C."""
+    """Open a client session in short attempts, because `zenoh.open` cannot be interrupted."""
     deadline = None if timeout_s is None else time.monotonic() + timeout_s
     try_s = 0.2
     while True:
@@ -432,7 +505,7 @@ def _on_sample(handler: OnSample, max_bytes: int) -> Callable[[zenoh.Sample], No
 
 
 def _bounded(payload: zenoh.ZBytes, max_bytes: int, what: str) -> bytes:
-    """Return a copy of a payload; nothing, and no copy, of one that is too long."""
+    """Return a copy of a payload, or empty bytes, without copying, if it is too long."""
     if len(payload) > max_bytes:
         _log.warning("%d bytes were %s; at most %d are taken", len(payload), what, max_bytes)
         return b""
@@ -440,7 +513,7 @@ def _bounded(payload: zenoh.ZBytes, max_bytes: int, what: str) -> bytes:
 
 
 def _said(reply: zenoh.Reply) -> bytes | None:
-    """Return what a handler answered; None for Zenoh's own words, such as a timeout's."""
+    """Return the payload that a handler replied with; None for an error of Zenoh's own."""
     if reply.ok is not None:
         return _bounded(reply.ok.payload, MAX_MESSAGE_BYTES, "answered")
     if reply.err is not None and reply.err.encoding == _ANSWER:
@@ -457,7 +530,7 @@ def _transport_errors(doing: str) -> Iterator[None]:
 
 
 def _cause(error: zenoh.ZError) -> str:
-    """Return a Zenoh error without the places in Zenoh's source that it mentions."""
+    """Return the text of a Zenoh error without references to Zenoh's source files."""
     return without_secrets(re.sub(r"\s*at \S+\.rs:\d+\.", "", str(error)).rstrip(". "))
 
 
