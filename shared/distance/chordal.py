@@ -10,26 +10,32 @@ from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.models.linear_model import LinearModel
 
 POLE_FROM = 1e150
-"""From this magnitude on z is the north pole to double precision; squares overflow beyond."""
+"""Magnitude from which on z is the north pole in double precision; the squares of larger magnitudes
+overflow."""
 
 GRID_POINTS = 2000
-"""Frequencies on each of the linear and the logarithmic grid of a worst-case search."""
+"""Number of frequencies on the linear grid, and on the logarithmic grid, of a worst-case search."""
 
 PEAKS_REFINED = 32
-"""At most so many peaks are refined: between equal models, rounding makes every point a peak."""
+"""Largest number of peaks refined; for equal models, rounding makes every grid point a peak."""
 
 RESPONSES_AT_ONCE = 2**20
-"""Matrix entries solved for at a time, so that models of high order fit into memory."""
+"""Largest number of matrix entries solved for at once, so that models of high order fit into
+memory."""
 
 
 def chordal_distance(z_1: ComplexArray, z_2: ComplexArray) -> FloatArray:
     """Return ψ = |z₁ − z₂| / (√(1 + |z₁|²) √(1 + |z₂|²)), the paper's eq. (4), in [0, 1].
 
     Args:
-        z_1: responses of any shape; infinity is the north pole of the sphere.
-        z_2: responses of a shape that broadcasts with it.
+        z_1: Responses, any shape; infinity is the north pole of the sphere.
+        z_2: Responses, a shape that broadcasts with that of `z_1`.
+
+    Returns:
+        Chordal distances, of the broadcast shape.
     """
     (finite_1, pole_1), (finite_2, pole_2) = _finite_part(z_1), _finite_part(z_2)
+    # hypot gives √(1 + |z|²) without overflow. The distance from z to the pole is 1 / √(1 + |z|²).
     h_1, h_2 = np.hypot(1.0, np.abs(finite_1)), np.hypot(1.0, np.abs(finite_2))
     between = np.abs(finite_1 - finite_2) / (h_1 * h_2)
     to_pole = np.where(pole_1, np.where(pole_2, 0.0, 1 / h_2), 1 / h_1)
@@ -40,7 +46,10 @@ def riemann_sphere(z: ComplexArray) -> FloatArray:
     """Return the stereographic projections (x, y, height) of z, shape (…, 3).
 
     The sphere has radius ½ and touches the plane at 0, as in the paper's Fig. 1: 0 is its south
-    pole, infinity its north pole (0, 0, 1). Euclidean distances between projections are ψ.
+    pole, infinity its north pole (0, 0, 1). The Euclidean distance between projections is ψ.
+
+    Args:
+        z: Responses, any shape.
     """
     finite, pole = _finite_part(z)
     h = np.hypot(1.0, np.abs(finite))
@@ -54,8 +63,17 @@ def chordal_variance(
 ) -> FloatArray:
     """Return Var ψ̂ ≈ ½ (1 − ψ²) [σ₁²/(1 + |z₁|²)² + σ₂²/(1 + |z₂|²)²].
 
-    To first order in the (circular) errors, with σ² = E|ẑ − z|². Near ψ = 0 the estimate ψ̂ is
-    biased upwards instead, since a distance is never negative.
+    This holds to first order in the (circular) errors. Near ψ = 0 it does not: there the estimate ψ̂
+    is biased upwards, since a distance is never negative.
+
+    Args:
+        z_1: Estimated responses of one robot, any shape.
+        variance_1: σ₁² = E|ẑ₁ − z₁|², the same shape.
+        z_2: Estimated responses of the other robot, the same shape.
+        variance_2: σ₂² = E|ẑ₂ − z₂|², the same shape.
+
+    Returns:
+        Variances of the chordal distances, the same shape.
     """
     psi = chordal_distance(z_1, z_2)
     spread = sum(
@@ -66,10 +84,18 @@ def chordal_variance(
 
 
 def geodesic_radius(z: ComplexArray, radius: FloatArray) -> FloatArray:
-    """Return how far on the sphere a disc of the plane reaches from its centre, as an angle.
+    """Return the distance on the sphere from the centre of a disc to its furthest point.
 
-    The furthest point of the disc |w − z| ≤ ρ lies on the line through 0, on the side of 0:
-    r = arctan |z| − arctan(|z| − ρ). Beyond π/2 the disc holds the point opposite z, at π/2.
+    The furthest point of the disc |w − z| ≤ ρ lies on the line through 0 and z, on the side of 0:
+    r = arctan |z| − arctan(|z| − ρ). If that exceeds π/2, the disc contains the point opposite z,
+    whose distance is π/2.
+
+    Args:
+        z: Centres of the discs, any shape.
+        radius: Radii ρ in the plane, the same shape.
+
+    Returns:
+        Angles arcsin ψ in rad, the same shape.
     """
     gain = np.abs(z)
     reach: FloatArray = np.minimum(np.arctan(gain) - np.arctan(gain - radius), np.pi / 2)
@@ -79,9 +105,19 @@ def geodesic_radius(z: ComplexArray, radius: FloatArray) -> FloatArray:
 def chordal_interval(
     z_1: ComplexArray, radius_1: FloatArray, z_2: ComplexArray, radius_2: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the least and greatest ψ between any points of two discs, within [0, 1].
+    """Return bounds on ψ between any points of two discs, within [0, 1].
 
-    On the sphere distances add: |arcsin ψ − arcsin ψ̂| ≤ r₁ + r₂ with the discs' geodesic radii.
+    By the triangle inequality on the sphere, |arcsin ψ − arcsin ψ̂| ≤ r₁ + r₂, where r₁ and r₂ are
+    the geodesic radii of the discs.
+
+    Args:
+        z_1: Centres of the first discs, any shape.
+        radius_1: Their radii in the plane, the same shape.
+        z_2: Centres of the second discs, the same shape.
+        radius_2: Their radii in the plane, the same shape.
+
+    Returns:
+        Lower and upper bounds, each of the same shape.
     """
     angle = np.arcsin(chordal_distance(z_1, z_2))
     reach = geodesic_radius(z_1, radius_1) + geodesic_radius(z_2, radius_2)
@@ -93,18 +129,18 @@ def chordal_interval(
 def worst_case_chordal_distance(
     model_1: LinearModel, model_2: LinearModel, omega_band_rad_s: tuple[float, float]
 ) -> tuple[float, float]:
-    """Return max ψ(z₁(ω), z₂(ω)) over a band, and the ω where it is reached.
+    """Return ψ* = max ψ(z₁(ω), z₂(ω)) over a band, the paper's eq. (6), and the ω that attains it.
 
-    A dense grid, linear, logarithmic and around every pole, finds each peak; a bounded minimiser
-    refines it.
+    A dense grid (linear, logarithmic, and around every pole) locates the peaks; a bounded minimiser
+    refines them.
 
     Args:
-        model_1: one robot's loop.
-        model_2: the other's.
-        omega_band_rad_s: least and greatest frequency, below both Nyquist frequencies.
+        model_1: Baseline loop of one robot.
+        model_2: Baseline loop of the other robot.
+        omega_band_rad_s: Lowest and highest frequency, below the Nyquist frequencies of both.
 
     Returns:
-        (ψ*, ω*): the distance, accurate to about 1e-12 at a peak that was found, and rad/s.
+        The distance ψ*, accurate to about 1e-12 at a peak that was found, and ω* in rad/s.
 
     Raises:
         InvalidInputError: the band is empty or reaches a Nyquist frequency.
@@ -137,14 +173,17 @@ def worst_case_chordal_distance(
 
 
 def _finite_part(z: ComplexArray) -> tuple[ComplexArray, np.ndarray]:
-    """Return z with what lies at (or too near) infinity replaced by 0, and where that was."""
+    """Return z with infinite (or too large) values replaced by 0, and True where that was done."""
     values = np.asarray(z, dtype=np.complex128)
     pole = np.maximum(np.abs(values.real), np.abs(values.imag)) > POLE_FROM
     return np.where(pole, 0.0, values), pole
 
 
 def _search_grid(model_1: LinearModel, model_2: LinearModel, low: float, high: float) -> FloatArray:
-    """Return frequencies that no peak hides between: resonances are as narrow as their damping."""
+    """Return frequencies dense enough that no peak lies undetected between them, ascending.
+
+    A resonance is as narrow as the damping of its pole, so points are spaced by that width there.
+    """
     grids = [
         np.linspace(low, high, GRID_POINTS),
         np.geomspace(max(low, 1e-6 * high), high, GRID_POINTS),
@@ -154,8 +193,8 @@ def _search_grid(model_1: LinearModel, model_2: LinearModel, low: float, high: f
         poles = poles[np.abs(poles) > np.finfo(float).tiny]
         exponents = np.log(poles) / model.sample_time_s
         widths = np.maximum(np.abs(exponents.real), 1e-9 * high)
-        # Far out on a resonance's flank its response still passes what is opposite to the other's,
-        # so the points thin out with the distance from the pole instead of ending.
+        # Even far out on the flank of a resonance the response may pass the point opposite to the
+        # other model's, so the points thin out with the distance from the pole but do not end.
         flank = np.geomspace(8.0, 1e8, 180)
         offsets = np.concatenate([-flank, np.linspace(-8.0, 8.0, 65), flank])
         grids.append((np.abs(exponents.imag)[:, None] + np.outer(widths, offsets)).ravel())
@@ -164,9 +203,9 @@ def _search_grid(model_1: LinearModel, model_2: LinearModel, low: float, high: f
 
 
 def _promising_peaks(psi: FloatArray) -> list[int]:
-    """Return where the grid's local maxima are that may rise above its greatest, best first.
+    """Return the indices of local maxima that may exceed the greatest grid value, highest first.
 
-    Between grid points a smooth peak rises by less than it falls to the lower of its neighbours.
+    Between grid points a smooth peak rises by less than its fall to the lower of its neighbours.
     """
     padded = np.concatenate([psi[:1], psi, psi[-1:]])
     left, right = padded[:-2], padded[2:]

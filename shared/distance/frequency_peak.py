@@ -1,4 +1,4 @@
-"""The largest value of a function of frequency whose level crossings are known algebraically."""
+"""Maximisation of a function of frequency whose level crossings are known algebraically."""
 
 from __future__ import annotations
 
@@ -12,17 +12,20 @@ from nufleet.shared.errors import NufleetError
 
 
 class PeakSearchError(NufleetError):
-    """The search for a peak did not come to an end: the models are too badly scaled."""
+    """The search for a peak did not terminate, because the models are too badly scaled."""
 
 
 @dataclass(frozen=True)
 class Peak:
-    """The largest value, and the frequency where it is reached (inf: in the limit)."""
+    """The maximum of a function of frequency."""
 
     value: float
+    """Largest value found."""
     omega_rad_s: float
+    """Frequency that attains it; inf for the limit ω → ∞."""
 
 
+# Relative frequencies around a peak, doubling their distance from it: 2⁻³³ to 2⁻².
 _STEPS = 2.0 ** -np.arange(2, 34)
 AROUND = np.concatenate([1 - _STEPS, [1.0], 1 + _STEPS])
 
@@ -34,22 +37,29 @@ def find_peak(
     seeds_rad_s: FloatArray,
     band_rad_s: tuple[float, float],
 ) -> Peak:
-    """Maximise over a band by raising a level until nothing crosses it.
+    """Maximise a function over a band by raising a level until the function no longer crosses it.
 
-    Between neighbouring crossings of a level the function is either above or below it, so a look
-    between them either finds a better level or shows that there is none (Boyd and Balakrishnan
-    1990; Bruinsma and Steinbuch 1990). Every crossing that is only nearly one is looked at too, so
-    that no tolerance decides what counts; the value returned was always evaluated, not inferred.
+    Between neighbouring crossings of a level the function is either above or below it, so one
+    evaluation between each pair either finds a higher level or shows that there is none (Boyd and
+    Balakrishnan, Systems & Control Letters 15, 1990; Bruinsma and Steinbuch, Systems & Control
+    Letters 14, 1990). Points that are only close to being crossings are evaluated too, so that the
+    result depends on no tolerance. The value returned was always evaluated, never inferred.
 
     Args:
-        evaluate: the function at frequencies in rad/s, which may include the band's end inf.
-        crossings: frequencies ≥ 0 where the function may equal a level, the true ones among them.
-        next_level: the level to test above a value: how much higher a peak would have to be.
-        seeds_rad_s: frequencies to look at first.
-        band_rad_s: lowest and highest frequency, the latter possibly inf.
+        evaluate: Function of frequencies in rad/s, shape (k,) to (k,); if the band ends at inf, it
+            must accept inf.
+        crossings: Function of a level that returns frequencies ≥ 0 in rad/s, shape (k,), which
+            include all those at which `evaluate` equals the level.
+        next_level: Function of the best value so far that returns the next level to test, and thus
+            sets the accuracy of the result.
+        seeds_rad_s: Frequencies to evaluate first, shape (k,).
+        band_rad_s: Lowest and highest frequency, the latter possibly inf.
+
+    Returns:
+        The maximum; no value in the band reaches `next_level` of it.
 
     Raises:
-        PeakSearchError: no end after 100 levels.
+        PeakSearchError: the search did not terminate within 100 levels.
     """
     low, high = band_rad_s
     best = _best(evaluate, np.concatenate([seeds_rad_s, [low, high]]), band_rad_s)
@@ -62,7 +72,8 @@ def find_peak(
         if found.value > best.value:
             best = found
         if best.value < level:
-            # Crossings this close to a peak are the least exact: look around it once more.
+            # Crossings are least exact close to a peak, where two of them merge, so its
+            # surroundings are evaluated once more before the search ends.
             found = _best(evaluate, best.omega_rad_s * AROUND, band_rad_s)
             if found.value < level:
                 return best if best.value > found.value else found

@@ -1,4 +1,4 @@
-"""The angles between subspaces, in which every distance between models is expressed."""
+"""The angles between subspaces, which express every distance between models."""
 
 from __future__ import annotations
 
@@ -12,13 +12,16 @@ def sines(first: ComplexArray, second: ComplexArray) -> FloatArray:
     """Return the sines of the angles between pairs of subspaces, largest first.
 
     Args:
-        first: bases, shape (k, q, r), of full column rank; they need not be orthonormal.
-        second: bases, shape (k, q, s).
+        first: Bases of k subspaces, shape (k, q, r), of full column rank but not necessarily
+            orthonormal.
+        second: Bases of the k other subspaces, shape (k, q, s).
 
     Returns:
-        The singular values of what of the first lies outside the second, shape (k, min(q − s, r)).
+        Singular values of the part of the first basis, orthonormalised, that is orthogonal to the
+        second subspace, shape (k, min(q − s, r)).
     """
     if first.shape[1:] == second.shape[1:] == (2, 1):
+        # Two lines in the plane: the sine is their cross product over the product of lengths.
         across = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
         lengths = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
         return np.asarray(np.abs(across) / lengths)
@@ -29,8 +32,17 @@ def sines(first: ComplexArray, second: ComplexArray) -> FloatArray:
 
 
 def model_distance(first: StateSpace, second: StateSpace, omega_rad_s: FloatArray) -> FloatArray:
-    """Return ψ(ω), the sine of the largest angle between the graphs, shape (k,).
+    """Return ψ(ω), the sine of the largest angle between the graphs of two models.
 
-    It equals σ_max[(I + P₂P₂*)^(−1/2) (P₂ − P₁) (I + P₁*P₁)^(−1/2)], and is defined at a pole too.
+    It equals σ_max[(I + P₂P₂*)^(−1/2) (P₂ − P₁) (I + P₁*P₁)^(−1/2)], which for one input and one
+    output is the paper's eq. (4); unlike that expression it is defined at a pole too.
+
+    Args:
+        first: A model P₁.
+        second: A model P₂ with the same inputs, outputs and sample time.
+        omega_rad_s: Frequencies, shape (k,).
+
+    Returns:
+        Distances in [0, 1], shape (k,).
     """
     return sines(first.graph(omega_rad_s), second.graph(omega_rad_s))[:, 0]

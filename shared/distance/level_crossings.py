@@ -1,4 +1,4 @@
-"""The frequencies where the chordal distance of two models equals a level, and their winding."""
+"""The frequencies at which the chordal distance of two models equals a level, and their winding."""
 
 from __future__ import annotations
 
@@ -9,13 +9,21 @@ from nufleet.shared.models.half_plane import Image
 
 
 def level_crossings(first: Image, second: Image, level: float) -> ComplexArray:
-    """Return 2(n₁ + n₂) points, those jω among them where some angle's sine equals the level.
+    """Return points that include every jω at which the sine of some angle equals the level γ.
 
-    sin θ = γ is an angle between graph(P₁) and graph(P₂) iff there are v₁ in graph(P₁) and v₂
-    orthogonal to graph(P₂) with v₂ − γv₁ orthogonal to graph(P₁) and v₁ − γv₂ in graph(P₂). With
-    v₁ = (u₁, P₁u₁), v₂ = (P₂*w₂, −w₂) and the like for the differences, P* realised by
-    (−A*, −C*, B*, D*), these are linear equations between the states of P₁, P₁*, P₂, P₂*; they
+    sin θ = γ holds for an angle θ between graph(P₁) and graph(P₂) iff there are v₁ in graph(P₁) and
+    v₂ orthogonal to graph(P₂) with v₂ − γv₁ orthogonal to graph(P₁) and v₁ − γv₂ in graph(P₂). With
+    v₁ = (u₁, P₁u₁) and v₂ = (P₂*w₂, −w₂), the differences written likewise, and P* realised by
+    (−A*, −C*, B*, D*), these are linear equations between the states of P₁, P₁*, P₂ and P₂*. They
     have a solution at s = jω iff jω is an eigenvalue of the matrix built here.
+
+    Args:
+        first: Model P₁ with n₁ states, mapped to the half-plane.
+        second: Model P₂ with n₂ states, mapped by the same map.
+        level: Level γ.
+
+    Returns:
+        Points of the half-plane variable s, shape (2(n₁ + n₂),).
     """
     a1, b1, c1, d1 = first.a, first.b, first.c, first.d
     a2, b2, c2, d2 = second.a, second.b, second.c, second.d
@@ -27,6 +35,7 @@ def level_crossings(first: Image, second: Image, level: float) -> ComplexArray:
     x2, z2 = slice(2 * n1, 2 * n1 + n2), slice(2 * n1 + n2, 2 * (n1 + n2))
     u, w = slice(0, inputs), slice(inputs, inputs + outputs)
 
+    # The equations without derivatives, to be solved for u₁ and w₂ as functions of all states.
     algebraic = np.empty((inputs + outputs,) * 2, kind)
     algebraic[u, u] = -level * (np.eye(inputs) + d1h @ d1)
     algebraic[u, w] = d2h - d1h
@@ -46,6 +55,7 @@ def level_crossings(first: Image, second: Image, level: float) -> ComplexArray:
     u2 = u1 - level * (d2h @ w2)
     u2[:, z2] -= level * b2.conj().T
 
+    # The state equations of P₁, P₁*, P₂ and P₂*, with their inputs u₁, w₁, u₂ and w₂ inserted.
     matrix = np.empty((2 * (n1 + n2),) * 2, kind)
     matrix[x1] = b1 @ u1
     matrix[z1] = -c1.conj().T @ w1
@@ -59,12 +69,19 @@ def level_crossings(first: Image, second: Image, level: float) -> ComplexArray:
 
 
 def mixed_zeros(first: Image, second: Image) -> ComplexArray:
-    """Return the n₁ + n₂ zeros of det(I + P₂*P₁), counted with P₁'s and P₂*'s poles cancelled.
+    """Return the n₁ + n₂ zeros of det(I + P₂*P₁), after cancelling the poles of P₁ and P₂*.
 
-    They are the zeros of det(G₂*G₁), G the graph symbols, for whatever coprime factors: feedback
-    does not move zeros. G₁ is stable and G₂* antistable with n₂ poles, so det(G₂*G₁) winds
-    (zeros in the right half-plane) − n₂ times around 0, wherever the poles of P₁ and P₂ are.
-    Requires I + D₂*D₁ to be regular.
+    They are the zeros of det(G₂*G₁), where G are the graph symbols, for any coprime factors,
+    because feedback does not move zeros. G₁ is stable and G₂* antistable with n₂ poles, so
+    det(G₂*G₁) winds (number of zeros in the right half-plane) − n₂ times around 0, irrespective of
+    the poles of P₁ and P₂. Requires I + D₂*D₁ to be regular.
+
+    Args:
+        first: Model P₁ with n₁ states, mapped to the half-plane.
+        second: Model P₂ with n₂ states, mapped by the same map.
+
+    Returns:
+        Zeros in the half-plane variable s, shape (n₁ + n₂,).
     """
     a1, b1, c1, d1 = first.a, first.b, first.c, first.d
     a2h, b2h = second.a.conj().T, second.b.conj().T

@@ -20,31 +20,34 @@ from nufleet.shared.models.half_plane import HalfPlane, Image, common_half_plane
 from nufleet.shared.models.transfer_models import ModelError, StateSpace, require_same_shape
 
 ACCURACY = 1e-9
-"""How much higher than the value returned the supremum may be, up to rounding."""
+"""Largest amount by which the supremum may exceed the value returned, apart from rounding."""
 
 
 @dataclass(frozen=True)
 class NuGap:
-    """The ν-gap δ_ν in [0, 1], and why it is what it is.
-
-    `chordal_peak` is sup ψ over all frequencies, reached at `omega_peak_rad_s` (inf: in the limit);
-    it is δ_ν iff `winding_ok`, otherwise δ_ν = 1. `winding_number` is wno det(I + P₂*P₁), clockwise
-    on the imaginary axis indented around P₁'s and P₂'s poles; None where the determinant is 0
-    somewhere. `poles_unstable` are η(P₁), η(P₂); `poles_on_axis` are η₀(P₁), η₀(P₂).
-    """
+    """The ν-gap of two models, and the quantities that it follows from."""
 
     value: float
+    """δ_ν in [0, 1]: the chordal peak if the winding condition holds, otherwise 1."""
     chordal_peak: float
+    """sup ψ over all frequencies."""
     omega_peak_rad_s: float
+    """Frequency that attains the peak; inf for the limit ω → ∞."""
     winding_ok: bool
+    """True if the winding condition holds."""
     winding_number: int | None
+    """wno det(I + P₂*P₁), clockwise, on the imaginary axis indented around the poles of P₁ and P₂;
+    None if the determinant vanishes somewhere on it."""
     poles_unstable: tuple[int, int]
+    """Numbers of unstable poles, η(P₁) and η(P₂)."""
     poles_on_axis: tuple[int, int]
+    """Numbers of poles on the axis, η₀(P₁) and η₀(P₂)."""
     reason: str
+    """Explanation in words, for people."""
 
     @property
     def guarantee(self) -> str:
-        """What δ_ν promises for every controller, in words."""
+        """The guarantee that δ_ν gives for every controller, in words."""
         if self.value >= 1.0:
             return "nothing: no stability margin is larger than 1"
         return (
@@ -54,14 +57,19 @@ class NuGap:
 
 
 def nu_gap(first: StateSpace, second: StateSpace) -> NuGap:
-    """Return the ν-gap between two models of the same signals, to 1e-9 up to rounding.
+    """Return the ν-gap between two models of the same signals, to 1e-9 apart from rounding.
 
     δ_ν = sup ψ(ω) if det(I + P₂*P₁)(jω) ≠ 0 for all ω and
-    wno det(I + P₂*P₁) + η(P₁) − η(P₂) − η₀(P₂) = 0, and 1 otherwise. Models may be unstable, have
-    poles on the axis, and have any number of inputs and outputs.
+    wno det(I + P₂*P₁) + η(P₁) − η(P₂) − η₀(P₂) = 0, and 1 otherwise (Vinnicombe 1993; in
+    the first case it is the paper's eq. (3)). Models may be unstable, have poles on the
+    axis, and have any number of inputs and outputs.
+
+    Args:
+        first: Model P₁.
+        second: Model P₂ with the same inputs, outputs and sample time.
 
     Raises:
-        ModelError: different signals or sample times, or a hidden unstable mode.
+        ModelError: signals or sample times differ, or a model has a hidden unstable mode.
         PeakSearchError: the models are too badly scaled for the search.
     """
     require_same_shape(first, second)
@@ -92,7 +100,11 @@ def verdict(
 ) -> NuGap:
     """Return the ν-gap that follows from sup ψ and from the sum in the winding condition.
 
-    `excess` is wno det(I + P₂*P₁) + η(P₁) − η(P₂) − η₀(P₂), meaningless where sup ψ is 1.
+    Args:
+        peak: sup ψ and the frequency that attains it.
+        excess: Sum wno det(I + P₂*P₁) + η(P₁) − η(P₂) − η₀(P₂); meaningless if sup ψ is 1.
+        poles_unstable: η(P₁) and η(P₂).
+        poles_on_axis: η₀(P₁) and η₀(P₂).
     """
     orthogonal = peak.value >= 1.0 - ACCURACY
     ok = excess == 0 and not orthogonal
@@ -118,16 +130,17 @@ def verdict(
 def chordal_peak_in_band(
     first: StateSpace, second: StateSpace, band_rad_s: tuple[float, float]
 ) -> Peak:
-    """Return max ψ over a band: a lower bound of the ν-gap, which sees no winding.
+    """Return max ψ over a band, the paper's eq. (6): a lower bound of the ν-gap, without winding.
 
     Args:
-        first: a model.
-        second: a model of the same signals.
-        band_rad_s: lowest and highest frequency, at most Nyquist's in discrete time.
+        first: A model.
+        second: A model with the same inputs, outputs and sample time.
+        band_rad_s: Lowest and highest frequency; in discrete time at most the Nyquist frequency.
 
     Raises:
-        ModelError: different signals or sample times.
-        InvalidInputError: a band that is empty or goes beyond the Nyquist frequency.
+        ModelError: signals or sample times differ.
+        InvalidInputError: the band is empty or exceeds the Nyquist frequency.
+        PeakSearchError: the models are too badly scaled for the search.
     """
     require_same_shape(first, second)
     plane = common_half_plane(first, second)

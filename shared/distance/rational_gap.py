@@ -5,12 +5,12 @@ symbols (nᵢ, dᵢ), p~(s) = p(−s) and
 
     f = n₂~ n₁ + d₂~ d₁,   g = n₁ d₂ − n₂ d₁,   Dᵢ = |nᵢ|² + |dᵢ|²   on s = jω,
 
-D₁D₂ = |f|² + |g|² and ψ² = |g|²/(D₁D₂), and the winding condition says that f has as many zeros
-in the right half-plane as d₂ has roots in all. Discrete time is mapped to the same half-plane by
-z = (1 + s)/(1 − s). Nothing is divided by d, so poles on the axis need no care.
+D₁D₂ = |f|² + |g|² and ψ² = |g|²/(D₁D₂). The winding condition is that f has as many zeros in the
+right half-plane as d₂ has roots in total. Discrete time is mapped to the same half-plane by
+z = (1 + s)/(1 − s). Nothing is divided by d, so poles on the axis need no special treatment.
 
-Everything compiled is in this one file, because numba's cache notices changes only in the file of a
-function. The first call in a fresh installation compiles for some seconds.
+All compiled functions are in this one file, because numba's cache of a function notices changes in
+that function's own file only. The first call in a fresh installation compiles for some seconds.
 """
 
 from __future__ import annotations
@@ -37,17 +37,19 @@ _DONE, _ASK_THE_MATRICES = 0, 1
 def rational_nu_gap(
     num1: Polynomial, den1: Polynomial, num2: Polynomial, den2: Polynomial, dt_s: float = 0.0
 ) -> NuGap:
-    """Return the ν-gap of num1/den1 and num2/den2, as `nu_gap` does and some 50 times faster.
+    """Return the ν-gap of num1/den1 and num2/den2, as `nu_gap` does, about 50 times faster.
+
+    Coefficients are ordered from the highest power of s (or of z if `dt_s` > 0) down.
 
     Args:
-        num1: coefficients from the highest power of s (of z where `dt_s` > 0) down; the others too.
-        den1: of no lower degree than num1.
-        num2: the second model's numerator.
-        den2: the second model's denominator.
-        dt_s: sample time in s, 0 for continuous time.
+        num1: Numerator of the first model.
+        den1: Denominator of the first model, of no lower degree than its numerator.
+        num2: Numerator of the second model.
+        den2: Denominator of the second model, of no lower degree than its numerator.
+        dt_s: Sample time, or 0 for continuous time.
 
     Raises:
-        ModelError: an improper or undefined fraction, or a common root that is not stable.
+        ModelError: a fraction is improper or undefined, or has a common root that is not stable.
         PeakSearchError: the models are too badly scaled for the search.
     """
     n1, d1, n2, d2 = (np.array(p, dtype=np.float64, ndmin=1) for p in (num1, den1, num2, den2))
@@ -67,7 +69,7 @@ def _compiled(function: _Function) -> _Function:
 
 @_compiled
 def _at(p: FloatArray, s: complex) -> complex:
-    """Return p(s), coefficients from the constant up."""
+    """Return p(s) by Horner's rule; coefficients are ordered from the constant up."""
     value = complex(p[-1])
     for k in range(len(p) - 2, -1, -1):
         value = value * s + p[k]
@@ -158,7 +160,7 @@ def _dot(p: FloatArray, q: FloatArray) -> float:
 
 @_compiled
 def _first_guess(p: FloatArray) -> ComplexArray:
-    """Return starting points for all roots, of the magnitudes that Newton's polygon tells.
+    """Return starting points for all roots, with magnitudes estimated from the Newton polygon.
 
     D. Bini, "Numerical computation of polynomial zeros by means of Aberth's method", Numerical
     Algorithms 13 (1996).
@@ -182,7 +184,7 @@ def _first_guess(p: FloatArray) -> ComplexArray:
 
 @_compiled
 def _roots(p: FloatArray) -> tuple[bool, ComplexArray]:
-    """Return all finite roots but those at 0, by Aberth's simultaneous iteration."""
+    """Return True on success, and all finite nonzero roots, found by Aberth's method."""
     first, last = 0, len(p) - 1
     while first < last and p[first] == 0.0:
         first += 1
@@ -206,7 +208,10 @@ def _roots(p: FloatArray) -> tuple[bool, ComplexArray]:
 
 @_compiled
 def _step(p: FloatArray, roots: ComplexArray, i: int) -> complex:
-    """Return Aberth's step for one root: Newton's, away from the others; 0 at rounding level."""
+    """Return Aberth's step for one root: Newton's step, repelled by the other roots.
+
+    The step is 0 once the value of the polynomial is at the level of its rounding errors.
+    """
     z = roots[i]
     size = abs(z)
     value, slope, bound = complex(p[-1]), 0j, abs(p[-1])
@@ -216,7 +221,7 @@ def _step(p: FloatArray, roots: ComplexArray, i: int) -> complex:
         bound = bound * size + abs(p[k])
     if abs(value) <= 2 * _EPSILON * bound:
         return 0j
-    # Σ 1/(z − root), written out: it is most of the work.
+    # Σ 1/(z − root), written out in real numbers because it takes most of the time.
     real, imaginary = 0.0, 0.0
     for j in range(len(roots)):
         if j != i:
@@ -229,13 +234,16 @@ def _step(p: FloatArray, roots: ComplexArray, i: int) -> complex:
 
 @_compiled
 def _poles(n: FloatArray, d: FloatArray, scale: float, discrete: bool) -> tuple[bool, int, int]:
-    """Count poles beyond and on the axis; False where n shares one, or where none can be told."""
+    """Count the poles beyond and on the axis.
+
+    The first result is False if n shares such a root, or if the roots could not be found.
+    """
     found, roots = _roots(d)
     at_zero, lost = 0, 0
     while at_zero < len(d) - 1 and d[at_zero] == 0.0:
         at_zero += 1
     lost = len(d) - 1 - at_zero - len(roots)
-    # A root at 0 or at infinity, z = 1 or z = −1, is on the axis; n must not have it too.
+    # Roots at 0 and at infinity (z = 1 and z = −1) lie on the axis; n must not share them.
     fine = found and (at_zero == 0 or n[0] != 0.0) and (lost == 0 or n[-1] != 0.0)
     beyond, on = 0, at_zero + lost
     for root in roots:
@@ -259,7 +267,7 @@ def _poles(n: FloatArray, d: FloatArray, scale: float, discrete: bool) -> tuple[
 def _distance(
     n1: FloatArray, d1: FloatArray, n2: FloatArray, d2: FloatArray, omega: float
 ) -> float:
-    """Return ψ(ω)."""
+    """Return ψ(ω) = |n₁d₂ − n₂d₁| / √(D₁D₂), where ω may be infinite."""
     if math.isinf(omega):
         a, b, c, d = complex(n1[-1]), complex(d1[-1]), complex(n2[-1]), complex(d2[-1])
     else:
@@ -277,7 +285,7 @@ def _best(
     omegas: FloatArray,
     best: tuple[float, float],
 ) -> tuple[float, float]:
-    """Return the best of what was there, (ψ, ω), and ψ at more frequencies."""
+    """Return the larger of the best (ψ, ω) so far and the largest ψ at the given frequencies."""
     for omega in omegas:
         value = _distance(n1, d1, n2, d2, omega)
         if value > best[0]:
@@ -295,7 +303,7 @@ def _peak(
     for i in range(len(seeds)):
         first[2 * i], first[2 * i + 1] = abs(seeds[i].imag), abs(seeds[i])
     best = _best(n1, d1, n2, d2, first, (-1.0, 0.0))
-    # On s = jω, as polynomials of ω².
+    # |g|² and D₁D₂ on s = jω, as polynomials of ω²; ψ equals a level where |g|² − level² D₁D₂ = 0.
     above = _power(_sum(_product(n1, d2), -1.0, _product(n2, d1)))
     below = _product(_sum(_power(n1), 1.0, _power(d1)), _sum(_power(n2), 1.0, _power(d2)))
     around = np.empty(32)
@@ -306,7 +314,8 @@ def _peak(
             return False, best[0], best[1]
         best = _best(n1, d1, n2, d2, _with_middles(_upper_square_roots(squares)), best)
         if best[0] < level:
-            # Crossings this close to a peak are the least exact: look around it once more.
+            # Crossings are least exact close to a peak, where two of them merge, so its
+            # surroundings are evaluated once more before the search ends.
             for k in range(16):
                 around[2 * k] = best[1] * (1 - 0.25 ** (k + 1))
                 around[2 * k + 1] = best[1] * (1 + 0.25 ** (k + 1))
@@ -318,7 +327,7 @@ def _peak(
 
 @_compiled
 def _with_middles(rising: FloatArray) -> FloatArray:
-    """Return the numbers, the middles between them and from 0, and one beyond the last."""
+    """Return ascending numbers, the midpoints between them (the first from 0), and a larger one."""
     count = len(rising)
     omegas, previous = np.empty(2 * count + 1), 0.0
     for i in range(count):
@@ -330,7 +339,7 @@ def _with_middles(rising: FloatArray) -> FloatArray:
 
 @_compiled
 def _upper_square_roots(squares: ComplexArray) -> FloatArray:
-    """Return Re √x, rising; of a complex pair one is enough."""
+    """Return Re √x in ascending order; of each complex pair only one is included."""
     rising, count = np.empty(len(squares)), 0
     for square in squares:
         if square.imag > -1e-6 * abs(square):
@@ -346,7 +355,7 @@ def _upper_square_roots(squares: ComplexArray) -> FloatArray:
 
 @_compiled
 def _size(n: FloatArray, d: FloatArray) -> float:
-    """Return the largest coefficient."""
+    """Return the largest magnitude of a coefficient of n or d, which have the same length."""
     size = 0.0
     for k in range(len(n)):
         size = max(size, abs(n[k]), abs(d[k]))

@@ -1,4 +1,4 @@
-"""How much a loop tolerates, and what a small ν-gap promises about it."""
+"""The stability margin of a loop, and the guarantee that a small ν-gap gives about it."""
 
 from __future__ import annotations
 
@@ -16,30 +16,35 @@ from nufleet.shared.models.transfer_models import ModelError, StateSpace, requir
 
 @dataclass(frozen=True)
 class StabilityMargin:
-    """b_{P,C} in [0, 1], and the frequency where the loop tolerates least; NaN if unstable."""
+    """The generalised stability margin of a loop."""
 
     value: float
+    """b_{P,C} in [0, 1]; 0 if the loop is unstable."""
     omega_worst_rad_s: float
+    """Frequency at which the loop tolerates least; NaN if the loop is unstable."""
 
 
 @dataclass(frozen=True)
 class StabilityGuarantee:
-    """What δ_ν(P₁, P₂) and b_{P₁,C} say of C with P₂.
-
-    If `holds`, C stabilises P₂ with a margin of at least `margin_at_least`, which is
-    sin(arcsin b − arcsin δ_ν) and no less than b − δ_ν; otherwise nothing is known, and it is 0.
-    """
+    """The guarantee about C with P₂ that follows from δ_ν(P₁, P₂) and b_{P₁,C}."""
 
     holds: bool
+    """True if C is guaranteed to stabilise P₂; otherwise nothing is known."""
     margin_at_least: float
+    """Lower bound on b_{P₂,C}: sin(arcsin b − arcsin δ_ν), which is at least b − δ_ν; 0 without a
+    guarantee."""
 
 
 def stability_margin(plant: StateSpace, controller: StateSpace) -> StabilityMargin:
-    """Return b_{P,C} of the loop u = −C y, to a relative 1e-9 up to rounding.
+    """Return b_{P,C} of the loop u = −C y, to a relative accuracy of 1e-9 apart from rounding.
 
-    b_{P,C} = 1/‖[P; I](I + CP)⁻¹[C, I]‖∞ if C stabilises P internally, else 0: the sine of the
-    smallest angle between the graph of P and that of the controller (Vinnicombe 2001, with the
-    sign of his C reversed). A loop that is not well posed counts as unstable.
+    b_{P,C} = 1/‖[P; I](I + CP)⁻¹[C, I]‖∞ if C stabilises P internally, and 0 otherwise. It is the
+    sine of the smallest angle between the graphs of P and of the controller (Vinnicombe 2001, with
+    the sign of his C reversed). A loop that is not well posed counts as unstable.
+
+    Args:
+        plant: Model P.
+        controller: Model C, whose inputs are the outputs of P and vice versa.
 
     Raises:
         ModelError: the controller's signals or sample time do not fit the plant.
@@ -77,7 +82,12 @@ def stability_margin(plant: StateSpace, controller: StateSpace) -> StabilityMarg
 
 
 def stability_guarantee(margin: float, nu_gap: float) -> StabilityGuarantee:
-    """Return what a margin b_{P₁,C} and a gap δ_ν(P₁, P₂), both in [0, 1], promise for P₂ and C."""
+    """Return the guarantee for P₂ with C that follows from a margin and a ν-gap (Vinnicombe 2001).
+
+    Args:
+        margin: b_{P₁,C} in [0, 1].
+        nu_gap: δ_ν(P₁, P₂) in [0, 1].
+    """
     if nu_gap >= margin:
         return StabilityGuarantee(holds=False, margin_at_least=0.0)
     return StabilityGuarantee(
@@ -86,9 +96,9 @@ def stability_guarantee(margin: float, nu_gap: float) -> StabilityGuarantee:
 
 
 def _closed_loop(plant: Image, controller: Image) -> Image:
-    """Return (w₁, w₂) → (y, u) with u = w₂ + C(w₁ − y), y = P u.
+    """Return the closed loop from (w₁, w₂) to (y, u), where u = w₂ + C(w₁ − y) and y = P u.
 
-    Raises LinAlgError where the loop is not well posed.
+    Raises LinAlgError if the loop is not well posed.
     """
     outputs, inputs = plant.d.shape
     states, memory = len(plant.a), len(controller.a)
@@ -113,9 +123,9 @@ def _closed_loop(plant: Image, controller: Image) -> Image:
 
 
 def _gain_crossings(loop: Image, level: float) -> ComplexArray:
-    """Return the points among which are all jω where a singular value of the loop is the level.
+    """Return points that include every jω at which a singular value of the loop equals the level.
 
-    The eigenvalues of the Hamiltonian matrix of the bounded real lemma.
+    They are the eigenvalues of the Hamiltonian matrix of the bounded real lemma.
     """
     a, b, c, d = loop.a, loop.b, loop.c, loop.d
     dh = d.conj().T
