@@ -34,14 +34,14 @@ _GROUP_HELP = {
 
 
 class _OneLine(logging.Formatter):
-    """Shows what the network or a driver said without letting it command the terminal."""
+    """Prints text from the network or a driver without letting it control the terminal."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - its name there
         return printable(super().formatMessage(record))
 
 
 class EntryPointGroup(click.Group):
-    """A group whose commands are loaded from their packages when they are asked for."""
+    """A group whose commands are loaded from their packages only when they are needed."""
 
     def __init__(self, entries: Mapping[str, EntryPoint], **settings: object) -> None:
         super().__init__(**settings)  # type: ignore[arg-type]
@@ -100,7 +100,7 @@ def main() -> NoReturn:
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
-    # Small matrices, many of them: with threads, BLAS takes ten times as long on a busy machine.
+    # The matrices are many and small; with threads, BLAS takes ten times as long on a busy machine.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         code = command_line().main(prog_name="nufleet", standalone_mode=False)
@@ -116,7 +116,7 @@ def main() -> NoReturn:
     except OSError as error:
         if error.errno not in _DISK_TROUBLE:
             raise
-        # Wherever something is being written, there is nothing better to do about it.
+        # A full disk can strike at any write, and there is no better remedy in any of those places.
         place = f" ({error.filename})" if error.filename else ""
         _print_error(f"cannot write: {os.strerror(error.errno)}{place}; make room, and try again")
         sys.exit(NufleetError.exit_code)
@@ -125,7 +125,7 @@ def main() -> NoReturn:
 
 
 def invocation() -> str:
-    """Return how this program was called, for commands that a person is told to type next."""
+    """Return the command that started this program, for hints on the command to type next."""
     called = Path(sys.argv[0])
     if called.suffix == ".py":
         return f"{sys.executable} -m nufleet"
@@ -147,7 +147,7 @@ Experience:   nufleet train              robots learn what they can pass on
 
 def _print_error(sentence: str) -> None:
     click.secho("error: ", fg="red", bold=True, nl=False, err=True)
-    # Of several processes each may have said its own on lines of its own.
+    # A message may have several lines, for example one from each of several processes.
     click.echo("\n".join(printable(line) for line in sentence.splitlines()), err=True)
 
 
@@ -158,5 +158,5 @@ def _print_version(ctx: click.Context, _option: click.Parameter, wanted: bool) -
 
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:
-    """Make every end as orderly as Ctrl-C: robots at rest, recordings closed."""
+    """Make every termination as orderly as Ctrl-C: robots at rest, recordings closed."""
     raise KeyboardInterrupt

@@ -10,13 +10,13 @@ from typing import ClassVar
 
 
 class NufleetError(Exception):
-    """What nufleet could not do, in words for the person who asked for it."""
+    """An operation that nufleet could not perform, explained to the person who requested it."""
 
     exit_code: ClassVar[int] = 1
 
 
 class InvalidInputError(NufleetError):
-    """A flag, a file or an argument that cannot be right, found before anything moves."""
+    """A flag, a file or an argument that is wrong, detected before any robot moves."""
 
     exit_code = 2
 
@@ -38,7 +38,7 @@ class EndpointInUseError(TransportError):
 
 
 class NoReplyError(TransportError):
-    """Nobody answered a query within its time."""
+    """A query received no reply within its time."""
 
 
 class MalformedMessageError(NufleetError):
@@ -50,7 +50,7 @@ class ProtocolVersionError(MalformedMessageError):
 
 
 class RefusedError(NufleetError):
-    """A robot refused a request. `code` is for programs, the message for people."""
+    """A robot refused a request; `code` is meant for programs, the message for people."""
 
     def __init__(self, code: str, reason: str, robot: str) -> None:
         super().__init__(f"{robot} refused: {reason}")
@@ -64,7 +64,7 @@ class RobotError(NufleetError):
 
 
 class RobotLostError(NufleetError):
-    """A robot that was there is not there any more."""
+    """A robot that was present is no longer reachable."""
 
 
 class RobotOwnedError(NufleetError):
@@ -72,4 +72,4 @@ class RobotOwnedError(NufleetError):
 
 
 class StudyError(NufleetError):
-    """A study that cannot go on, for example because its target is gone."""
+    """A study that cannot continue, for example because its target is gone."""

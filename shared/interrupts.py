@@ -1,4 +1,4 @@
-"""Interrupts of a process that has something to finish before it may end: robots in motion."""
+"""Interrupts of a process that must finish something before it may end: robots in motion."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from types import FrameType
 from typing import Any
 
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Ctrl-C, the service manager, and a terminal that is closed or a connection to it that is lost."""
+"""Signals that end a process: Ctrl-C, the service manager, and a closed or lost terminal."""
 
 
 class Interrupts:
-    """Raises KeyboardInterrupt for the first of these signals, and only announces any other.
+    """Raises KeyboardInterrupt for the first signal of `ENDING`, and only announces later ones.
 
-    A context manager of the main thread; in any other, none of which is ever interrupted, it does
-    nothing. A signal that the process was started to ignore, as nohup does it, stays ignored.
+    A context manager for the main thread. In other threads, which are never interrupted, it does
+    nothing. A signal that the process was started to ignore, as by nohup, stays ignored.
     """
 
     def __init__(self, announcement: str, *, held: bool = False) -> None:
-        """Prepare.
+        """Prepare the handlers without installing them.
 
         Args:
-            announcement: what a person who interrupts again is told.
-            held: whether not even the first signal raises.
+            announcement: Line printed on stderr for a person who interrupts again.
+            held: True if not even the first signal raises.
         """
         self._announcement = f"{announcement}\n".encode()
         self._held = held
@@ -47,7 +47,7 @@ class Interrupts:
         self._before.clear()
 
     def hold(self) -> None:
-        """Only announce signals from now on: the end has begun."""
+        """Only announce signals from now on, because the process has begun to end."""
         self._held = True
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
@@ -55,5 +55,5 @@ class Interrupts:
             self._held = True
             raise KeyboardInterrupt
         with suppress(OSError):  # the terminal may be gone; what is being finished is not
-            # Past sys.stderr, which the signal may have found in the middle of a line.
+            # Bypass sys.stderr, which the signal may have interrupted in the middle of a line.
             os.write(sys.stderr.fileno(), self._announcement)

@@ -1,4 +1,4 @@
-"""Ends a child process in an orderly way when the process that started it is gone."""
+"""Orderly end of a child process when the process that started it is gone."""
 
 from __future__ import annotations
 
@@ -14,8 +14,11 @@ _log = logging.getLogger(__name__)
 def when_stdin_closes(act: Callable[[], None]) -> None:
     """Call `act` from a thread once standard input ends.
 
-    A parent that holds the other end of the pipe and dies, however it dies, closes it: so no child
-    outlives it, and each still gets to leave its robot at rest.
+    The parent holds the other end of the pipe, which is closed when it dies, in whatever way. Thus
+    no child outlives its parent, and each can still bring its robot to rest.
+
+    Args:
+        act: Function that ends the process in an orderly way.
     """
 
     def wait() -> None:
@@ -23,7 +26,7 @@ def when_stdin_closes(act: Callable[[], None]) -> None:
             while os.read(sys.stdin.fileno(), 4096):
                 pass
         except OSError as error:
-            # A pipe that cannot be read says as much as one that was closed: nobody holds it.
+            # A pipe that cannot be read is treated like a closed one: its other end is gone.
             _log.warning("standard input: %s", error)
         act()
 

@@ -1,4 +1,4 @@
-"""Files that belong to one user: replaced as a whole, readable by nobody else."""
+"""Files that belong to one user: replaced as a whole, and readable by no other user."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from pathlib import Path
 
 
 def make_private_folder(folder: Path) -> None:
-    """Make sure that a folder is there and that nobody else may look into it (mode 0700).
+    """Make sure that a folder exists and that no other user may look into it (mode 0700).
 
-    Folders above it that are missing are made as private; those that are there stay as they are.
+    Missing folders above it are created with the same mode; existing ones stay unchanged.
+
+    Args:
+        folder: Folder to create or to make private.
 
     Raises:
-        OSError: it cannot be made, or belongs to somebody else.
+        OSError: it cannot be created, or belongs to another user.
     """
     for made in (*reversed(folder.parents), folder):
         if not made.exists():
@@ -21,23 +24,32 @@ def make_private_folder(folder: Path) -> None:
 
 
 def write_privately(path: Path, data: bytes) -> None:
-    """Replace a file as a whole: after a crash there is all of it or what was there before.
+    """Replace a file atomically: after a crash it holds either the new contents or the old ones.
+
+    Args:
+        path: File to replace or create, readable only by its owner.
+        data: New contents.
 
     Raises:
-        OSError: it could not be written; what was there before still is.
+        OSError: the file could not be written; its old contents are unchanged.
     """
     os.close(replace_privately(path, data, path.with_name(f"{path.name}.part")))
 
 
 def replace_privately(path: Path, data: bytes, part: Path) -> int:
-    """Put a new file into the place of `path`, durably, and return its descriptor, which appends.
+    """Replace `path` durably by a new file, and return its descriptor, opened for appending.
 
-    The bytes go to `part` first, a name in the same folder. What lies there is removed, never
-    written to: a link that somebody put there would lead the bytes elsewhere.
+    The bytes are first written to `part`. A file that already exists there is removed and never
+    written to, because a link placed there by another user would redirect the bytes.
+
+    Args:
+        path: File to replace or create, readable only by its owner.
+        data: Contents of the new file.
+        part: Temporary path in the same folder.
 
     Raises:
-        OSError: it could not be written; `part` is gone, and what was at `path` still is there
-            unless the folder itself could not be synchronised.
+        OSError: the file could not be written. `part` is removed, and `path` has its old contents
+            unless it was only the folder that could not be synchronised.
     """
     part.unlink(missing_ok=True)
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -55,14 +67,22 @@ def replace_privately(path: Path, data: bytes, part: Path) -> int:
 
 
 def write_all(descriptor: int, data: bytes) -> None:
-    """Write all of the bytes, however many calls that takes; raises OSError."""
+    """Write all of the bytes, in as many calls as it takes.
+
+    Raises:
+        OSError: a call failed; some of the bytes may have been written.
+    """
     rest = memoryview(data)
     while rest:
         rest = rest[os.write(descriptor, rest) :]
 
 
 def synchronise_folder(folder: Path) -> None:
-    """Return when the names in a folder are on the disk; raises OSError."""
+    """Wait until the names in a folder are stored durably on the disk.
+
+    Raises:
+        OSError: the folder cannot be opened or synchronised.
+    """
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)

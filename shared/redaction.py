@@ -1,4 +1,4 @@
-"""Addresses as they may be shown, logged and stored: without the secrets that are in some."""
+"""Removal of secrets from addresses before they are shown, logged or stored."""
 
 from __future__ import annotations
 
@@ -6,18 +6,21 @@ import re
 
 HIDDEN = "***"
 
-# Each hides rather too much than too little. A parser of URLs would not do: urllib's ends the
-# password at a slash, and what is shown may be a sentence with an address in it.
+# Each pattern hides rather too much than too little. A URL parser is no alternative: urllib's ends
+# the password at a slash, and the text may be a sentence that contains an address.
 _PASSWORD = re.compile(r"(://[^:@\s]*:).*@", re.DOTALL)
 _PASSWORD_IN_QUERY = re.compile(r"([?&]\w*password=)[^&\s]*")
 _ENDPOINT = re.compile(r"(\b[a-z][a-z-]*/[^\s#]*)#\S*")
 
 
 def without_secrets(text: str) -> str:
-    """Return a text with the addresses in it as they may be shown.
+    """Return a text with the secrets hidden in all addresses that it contains.
 
-    Of a database's URL the password is hidden; of a Zenoh endpoint all that comes after its address
-    (`tls/HOST:PORT#...`), where private keys may stand.
+    In the URL of a database the password is hidden. In a Zenoh endpoint everything after the
+    address is hidden (`tls/HOST:PORT#...`), since it may contain private keys.
+
+    Args:
+        text: Address, or any text that may contain addresses.
     """
     text = _PASSWORD.sub(rf"\1{HIDDEN}@", text)
     text = _PASSWORD_IN_QUERY.sub(rf"\1{HIDDEN}", text)

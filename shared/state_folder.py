@@ -1,4 +1,4 @@
-"""Where agents on this machine keep what has to survive them, unless they are told."""
+"""The default folder in which agents on this machine keep the data that must outlive them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,6 @@ from pathlib import Path
 
 
 def default_state_folder() -> Path:
-    """Return the folder for a user's state (XDG Base Directory Specification), ours in it."""
+    """Return nufleet's folder within the user's state folder (XDG Base Directory Specification)."""
     base = os.environ.get("XDG_STATE_HOME")
     return (Path(base) if base else Path.home() / ".local" / "state") / "nufleet"

@@ -11,12 +11,15 @@ ENTRY_POINT_GROUP = "nufleet.drawings"
 
 
 def find_drawing(path_or_name: str) -> Path:
-    """Return the path of a drawing given as a path, or by the name of one that is installed.
+    """Return the path of a drawing that is given by its path or by the name of an installed one.
 
-    What it holds is read by `nufleet.shared.paths.files.read_drawing`.
+    The file itself is read by `nufleet.shared.paths.files.read_drawing`.
+
+    Args:
+        path_or_name: Path of a file, or name in the entry-point group `nufleet.drawings`.
 
     Raises:
-        InvalidInputError: it is neither.
+        InvalidInputError: there is neither such a file nor such a name.
     """
     path = Path(path_or_name)
     if path.exists():

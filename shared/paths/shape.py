@@ -1,4 +1,4 @@
-"""How large, long and bent a drawing is, and the same drawing at another size or place."""
+"""The size, length and bends of a drawing, and the same drawing at another size or place."""
 
 from __future__ import annotations
 
@@ -14,22 +14,31 @@ _STRAIGHT = 1e-3
 
 
 class DrawingShape(Strict):
-    """What can be said of a drawing before anybody flies it, in m.
-
-    `furthest_m` is the largest |x| or |y|, which a robot's workspace bounds. `tightest_radius_m` is
-    that of the sharpest bend as it is travelled, after smoothing; None for a straight line.
-    """
+    """Properties of a drawing that are known before it is flown."""
 
     points: int
+    """Number of points."""
     length_m: Positive
+    """Length along the drawing."""
     width_m: NonNegative
+    """Extent in x."""
     height_m: NonNegative
+    """Extent in y."""
     furthest_m: Positive
+    """Largest |x| or |y|, which a robot's workspace limits."""
     tightest_radius_m: Positive | None
+    """Radius of the sharpest bend as it is travelled, after smoothing; None for a straight line."""
 
 
 def shape_of(points: FloatArray) -> DrawingShape:
-    """Return the shape of a drawing, (n, 2); raises InvalidInputError unless it is a path."""
+    """Return the shape of a drawing.
+
+    Args:
+        points: Points of the drawing in m, shape (n, 2).
+
+    Raises:
+        InvalidInputError: the points are not a path, see `check_path`.
+    """
     check_path(points, "the drawing")
     path, along = smoothed(points)
     width, height = np.ptp(points, axis=0)
@@ -51,16 +60,21 @@ def resized(
     height_m: float | None = None,
     centred: bool = False,
 ) -> FloatArray:
-    """Return a drawing, (n, 2), scaled to a width or a height, its proportions kept, and moved.
+    """Return a drawing scaled to a width or a height, with its proportions kept, and moved.
 
     Args:
-        points: of the drawing.
-        width_m: of the result; None keeps the size, or lets `height_m` say it.
-        height_m: likewise; at most one of the two.
-        centred: puts the middle of its extent at the origin. Without it the origin stays.
+        points: Points of the drawing in m, shape (n, 2).
+        width_m: Width of the result. At most one of width and height may be given; without either
+            the size is kept.
+        height_m: Height of the result.
+        centred: True to move the middle of its extent to the origin; otherwise it is scaled about
+            the origin.
+
+    Returns:
+        Points of the new drawing in m, shape (n, 2).
 
     Raises:
-        InvalidInputError: both sizes are given, or the drawing has none in that direction.
+        InvalidInputError: both sizes are given, or the drawing has no extent in that direction.
     """
     if width_m is not None and height_m is not None:
         raise InvalidInputError("give a width or a height: the other follows")
@@ -80,10 +94,18 @@ def resized(
 
 
 def resampled(points: FloatArray, spacing_m: float, *, count_min: int = 64) -> FloatArray:
-    """Return a drawing, (n, 2), as evenly spaced points, at most `spacing_m` apart, its ends kept.
+    """Return a drawing as evenly spaced points, with its ends kept.
 
-    What lies between two points is cut straight, which is less than smoothing does when it is
-    travelled.
+    Corners between the new points are cut by straight lines, which changes the drawing less than
+    the smoothing does when it is travelled.
+
+    Args:
+        points: Points of the drawing in m, shape (n, 2).
+        spacing_m: Largest distance between neighbouring points, along the drawing.
+        count_min: Least number of points.
+
+    Returns:
+        Points of the new drawing in m, shape (count, 2).
     """
     steps = np.any(np.diff(points, axis=0) != 0, axis=1)
     distinct = points[np.concatenate([[True], steps])]

@@ -1,4 +1,4 @@
-"""Time along a drawn path: as fast as bounds on speed and acceleration allow, smoothly."""
+"""Timing of a drawn path: as fast as bounds on speed and acceleration allow, smoothly."""
 
 from __future__ import annotations
 
@@ -12,16 +12,28 @@ from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.robots.spec import TrackingLimits
 
 POINTS_MAX = 100_000
-"""Points of a path, and samples of a trajectory; half an hour at 50 samples per second."""
+"""Largest number of points of a path, and of samples of a trajectory: half an hour at 50 Hz."""
 
-_SPACING_SHARE = 5e-4  # of the path's extent, between the points that curvature is computed at
-_SMOOTHING_SHARE = 0.015  # of the path's extent: what a hand's tremor and a polygon's corners lose
-_MARGIN = 0.94  # of the acceleration: curvature is computed from differences
-_ROUNDING_S = 0.4  # over which acceleration fades in and out
+# Distance between the points at which curvature is computed, as a fraction of the path's extent.
+_SPACING_SHARE = 5e-4
+# Scale on which a hand's tremor and a polygon's corners are smoothed, as a fraction of the extent.
+_SMOOTHING_SHARE = 0.015
+# Fraction of the acceleration that is used, because curvature is computed from differences.
+_MARGIN = 0.94
+# Time over which acceleration fades in and out.
+_ROUNDING_S = 0.4
 
 
 def check_path(points: FloatArray, name: str) -> None:
-    """Raise InvalidInputError unless `points`, (n, axes), are finite and at least two differ."""
+    """Check that points are a path: finite, not too many, and at least two of them different.
+
+    Args:
+        points: Points in any unit, shape (n, axes).
+        name: Name of the path or its file, for error messages.
+
+    Raises:
+        InvalidInputError: the points are not a path; the message says why.
+    """
     if points.ndim != 2 or points.shape[1] < 1:
         raise InvalidInputError(f"{name}: a path has one row per point, got shape {points.shape}")
     if len(points) > POINTS_MAX:
@@ -36,16 +48,17 @@ def check_path(points: FloatArray, name: str) -> None:
 def check_trajectory(desired: FloatArray, sample_time_s: float, limits: TrackingLimits) -> None:
     """Refuse a trajectory that leaves the workspace or is faster than the robot may go.
 
-    The robot rests at the trajectory's first point before it and at its last point after it, so
-    the way out of rest and back to it counts too.
+    The robot rests at the first point before the trajectory begins and at the last point after it
+    has ended, so the transitions from and to rest are checked too.
 
     Args:
-        desired: shape (samples, axes).
-        sample_time_s: between two samples.
-        limits: what is allowed; 2 % are granted to differences of samples.
+        desired: Positions in the axes' unit, shape (samples, axes).
+        sample_time_s: Time between samples.
+        limits: Limits of the robot; speed and acceleration may exceed them by 2 %, since they are
+            computed from differences of samples.
 
     Raises:
-        InvalidInputError: says which bound is broken, where and by how much.
+        InvalidInputError: a limit is exceeded; the message says which, where and by how much.
     """
     check_path(desired, "the trajectory")
     furthest = float(np.abs(desired).max())
@@ -71,15 +84,16 @@ def check_trajectory(desired: FloatArray, sample_time_s: float, limits: Tracking
 def speeds_and_accelerations(
     positions: FloatArray, sample_time_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the norms of first and second difference quotients between two rests.
+    """Return the norms of first and second difference quotients, with rest before and after.
 
     Args:
-        positions: shape (samples, axes); at rest at the first before, at the last afterwards.
-        sample_time_s: between two samples.
+        positions: Positions in the axes' unit, shape (samples, axes). The motion is taken to be at
+            rest at the first one before it and at the last one after it.
+        sample_time_s: Time between samples.
 
     Returns:
-        Speeds on the way to each sample and from the last one, shape (samples + 1,), and
-        accelerations at each sample, shape (samples,).
+        Speeds towards each sample and away from the last one, in unit/s, shape (samples + 1,), and
+        accelerations at each sample, in unit/s², shape (samples,).
     """
     padded = np.pad(positions, ((1, 1), (0, 0)), mode="edge")
     speeds = np.linalg.norm(np.diff(padded, axis=0), axis=1) / sample_time_s
@@ -90,29 +104,31 @@ def speeds_and_accelerations(
 def travel(
     points: FloatArray, speed: float, acceleration_max: float, sample_time_s: float
 ) -> FloatArray:
-    """Move along a path from rest to rest, at `speed` wherever its bends allow it.
+    """Return a trajectory along a path from rest to rest, at `speed` except where bends forbid it.
 
-    Tremor and corners are smoothed on the scale of 1.5 % of the path's extent. The speed is the
-    largest that respects both bounds, found by a pass forwards and one backwards along the path
-    (Bobrow, Dubowsky & Gibson 1985, for a point mass); a moving average over 0.4 s then rounds the
-    acceleration, and as an average it can break neither bound.
+    Tremor and corners are smoothed on a scale of 1.5 % of the path's extent. The speed is the
+    largest that respects both bounds, found by one pass forwards and one backwards along the path
+    (Bobrow, Dubowsky & Gibson 1985, for a point mass). A moving average over 0.4 s then rounds the
+    acceleration; being an average, it can violate neither bound.
 
     Args:
-        points: shape (n, axes).
-        speed: the largest on the path, in unit/s.
-        acceleration_max: in unit/s².
-        sample_time_s: between two samples of the result.
+        points: Points of the path in the axes' unit, shape (n, axes).
+        speed: Largest speed along the path, in unit/s.
+        acceleration_max: Largest acceleration (Euclidean norm), in unit/s².
+        sample_time_s: Time between samples of the result.
 
     Returns:
-        Positions, shape (samples, axes).
+        Positions in the axes' unit, shape (samples, axes).
 
     Raises:
-        InvalidInputError: not a path, or a speed or acceleration that is not positive.
+        InvalidInputError: the points are not a path, the speed or acceleration is not positive, or
+            the trajectory would take too long.
     """
     check_path(points, "the path")
     if not (0 < speed < math.inf and 0 < acceleration_max < math.inf):
         raise InvalidInputError(f"speed and acceleration must be positive, got {speed}")
     path, along = smoothed(points)
+    # Accelerations along and across the path add as squares, so each may use 1/√2 of the bound.
     time_s = _arrival(path, along, speed, _MARGIN * acceleration_max / math.sqrt(2))
     if time_s[-1] / sample_time_s > POINTS_MAX:
         raise InvalidInputError(
@@ -132,10 +148,11 @@ def smoothed(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return a path as it is travelled: tremor and corners smoothed, its ends kept.
 
     Args:
-        points: shape (n, axes), a path by `check_path`.
+        points: Points of a path that passes `check_path`, shape (n, axes).
 
     Returns:
-        Many evenly spaced points, shape (m, axes), and how far along the path each lies, (m,).
+        Many evenly spaced points, shape (m, axes), and the distance of each along the path, shape
+        (m,), both in the points' unit.
     """
     path = _without_tremor(points)
     length = lengths(path)
@@ -144,13 +161,28 @@ def smoothed(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def lengths(points: FloatArray) -> FloatArray:
-    """Return how far along a path (n, axes) each of its points lies, shape (n,)."""
+    """Return the distance of each point along a path, from 0 at the first.
+
+    Args:
+        points: Points in any unit, shape (n, axes).
+
+    Returns:
+        Distances in the same unit, shape (n,).
+    """
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def curvature(path: FloatArray, along: FloatArray) -> FloatArray:
-    """Return one over the radius at each of the points that `smoothed` gives, shape (m,)."""
+    """Return the curvature, one over the radius, at each point of a smoothed path.
+
+    Args:
+        path: Evenly spaced points as returned by `smoothed`, shape (m, axes).
+        along: Distance of each along the path, shape (m,).
+
+    Returns:
+        Curvatures in 1/unit, shape (m,).
+    """
     step = along[1] - along[0]
     tangent = np.gradient(path, step, axis=0)
     return np.asarray(np.linalg.norm(np.gradient(tangent, step, axis=0), axis=1))
@@ -165,7 +197,7 @@ def _without_tremor(points: FloatArray) -> FloatArray:
     count = min(POINTS_MAX, max(64, math.ceil(length[-1] / (extent * _SPACING_SHARE)) + 1))
     even = _interpolated(np.linspace(0.0, length[-1], count), length, points)
     scale = _SMOOTHING_SHARE * extent / (length[-1] / (count - 1))
-    # An odd reflection at the ends keeps them where they are.
+    # An odd reflection at both ends keeps the end points in place.
     margin = min(count - 1, math.ceil(4 * scale))
     padded = np.pad(even, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
     smooth = gaussian_filter1d(padded, scale, axis=0, mode="nearest")
@@ -173,7 +205,11 @@ def _without_tremor(points: FloatArray) -> FloatArray:
 
 
 def _arrival(path: FloatArray, along: FloatArray, speed: float, acceleration: float) -> FloatArray:
-    """Return when each point of the path is reached, at most `acceleration` along and across it."""
+    """Return the time at which each point is reached, with bounded acceleration along and across.
+
+    Across the path the bound limits the speed to v² ≤ a / curvature; along it, v² changes by at
+    most 2 a Δs from point to point.
+    """
     step = along[1] - along[0]
     square = np.minimum(speed**2, acceleration / np.maximum(curvature(path, along), 1e-12))
     square[0] = square[-1] = 0.0
