@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from rich.console import Console
 from rich.table import Table
 
-from nufleet.orchestrator.study.outcomes import Measured, TestOutcome
 from nufleet.orchestrator.runs.rank_result import ClosedForm
 from nufleet.orchestrator.study.interface import Question, Report, SourceEstimate
+from nufleet.orchestrator.study.outcomes import Measured, TestOutcome
 
 
 def stderr_console() -> Console:

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from nufleet.orchestrator.study.outcomes import Measured
 from nufleet.orchestrator.runs.rank_result import RunRecord
+from nufleet.orchestrator.study.outcomes import Measured
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.private_files import write_privately
 from nufleet.shared.redaction import without_secrets

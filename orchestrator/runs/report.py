@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from nufleet.orchestrator.figures import COLOURS, new_figure, plain, save
 from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord
-from nufleet.orchestrator.study.interface import Curve
 from nufleet.orchestrator.runs.verdict_table import verdict_markdown
+from nufleet.orchestrator.study.interface import Curve
 from nufleet.shared.arrays import FloatArray
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from nufleet.shared.strict import NonNegative, Positive, Strict
 
 
 class ResponseRecord(Strict):
-    """A usable test of a robot; see `nufleet.shared.frequency_test.frequency_response.FrequencyResponse`.
+    """A usable test of a robot, as JSON: what its `FrequencyResponse` says of each tone.
 
     Tones at which nothing could be estimated are left out.
     """

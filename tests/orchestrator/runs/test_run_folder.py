@@ -11,7 +11,13 @@ import pytest
 from run_records import NOON, a_record, a_test
 
 from nufleet.orchestrator.runs.folder import CONFIGURATION as CONFIG
-from nufleet.orchestrator.runs.folder import RunFolder, find_run, list_runs, make_runs_root, read_record
+from nufleet.orchestrator.runs.folder import (
+    RunFolder,
+    find_run,
+    list_runs,
+    make_runs_root,
+    read_record,
+)
 from nufleet.shared.errors import InvalidInputError
 
 
