@@ -14,8 +14,8 @@ _log = logging.getLogger(__name__)
 def when_stdin_closes(act: Callable[[], None]) -> None:
     """Call `act` from a thread once standard input ends.
 
-    The parent holds the other end of the pipe, which is closed when it dies, in whatever way. Thus
-    no child outlives its parent, and each can still bring its robot to rest.
+    The parent holds the other end of the pipe, which is closed when it dies, however it dies.
+    Thus no child outlives its parent, and each can still bring its robot to rest.
 
     Args:
         act: Function that ends the process in an orderly way.

@@ -50,7 +50,7 @@ def find_peak(
             must accept inf.
         crossings: Function of a level that returns frequencies ≥ 0 in rad/s, shape (k,), which
             include all those at which `evaluate` equals the level.
-        next_level: Function of the best value so far that returns the next level to test, and thus
+        next_level: Function of the best value found that returns the next level to test, and thus
             sets the accuracy of the result.
         seeds_rad_s: Frequencies to evaluate first, shape (k,).
         band_rad_s: Lowest and highest frequency, the latter possibly inf.

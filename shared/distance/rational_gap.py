@@ -285,7 +285,7 @@ def _best(
     omegas: FloatArray,
     best: tuple[float, float],
 ) -> tuple[float, float]:
-    """Return the larger of the best (ψ, ω) so far and the largest ψ at the given frequencies."""
+    """Return the larger of the best (ψ, ω) found before and the largest ψ at these frequencies."""
     for omega in omegas:
         value = _distance(n1, d1, n2, d2, omega)
         if value > best[0]:

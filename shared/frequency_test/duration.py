@@ -21,7 +21,7 @@ RAMP_MIN_PERIODS = 1 / 8
 """Bounds on the ramp of a slow tone. A ramp lasts one period of the tone if that is short. A slow
 tone is ramped over 5 s or an eighth of its period, whichever is longer: a whole period would cost
 minutes, and at worst the shorter ramp triples the peak velocity of a motion that is slow anyway.
-For several tones the period is that of their geometric mean frequency: the fast tones determine the
+For several tones the period of their geometric mean frequency is used: the fast tones determine the
 velocity, and the transient that the slow ones excite decays while the robot settles."""
 
 RESOLUTION_PERIODS = 2.0

@@ -1,4 +1,4 @@
-"""Models mapped to one half-plane: discrete and continuous time become the same problem."""
+"""Mapping of models to one half-plane, so that discrete and continuous time are one problem."""
 
 from __future__ import annotations
 
@@ -12,25 +12,29 @@ from nufleet.shared.models.transfer_models import StateSpace
 
 Matrix = FloatArray | ComplexArray
 
-# The point of the unit circle that is sent to infinity keeps this distance from every pole.
+# Least distance from any pole to the point of the unit circle that is mapped to infinity.
 CLEAR_OF_POLES = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Image:
-    """A continuous-time model (A, B, C, D), complex where no real one is well conditioned."""
+    """A continuous-time model, complex if no real one is well conditioned."""
 
     a: Matrix
+    """A, shape (n, n)."""
     b: Matrix
+    """B, shape (n, m)."""
     c: Matrix
+    """C, shape (p, n)."""
     d: Matrix
+    """D, shape (p, m)."""
 
     def triangular(self) -> Image:
         """Return the same model with A in Schur form.
 
-        All modes of a model sampled fast are near one point, and its states are often far from
-        orthogonal to them. From here on the balancing inside the eigenvalue routine can scale them
-        apart; without it peaks were missed by up to 1e-2.
+        The modes of a model sampled fast are all close to one point, and its states are often far
+        from orthogonal. In Schur form, the balancing inside the eigenvalue routine can separate the
+        modes by scaling; without it, peaks were missed by up to 1e-2.
         """
         if not len(self.a):
             return self
@@ -44,11 +48,13 @@ class HalfPlane:
 
     In continuous time it is the identity. In discrete time the unit circle becomes the imaginary
     axis, its inside the left half-plane and its point e^{jφ} infinity, so that poles, zeros and
-    their counts carry over exactly. φ = π, s = (z − 1)/(z + 1), unless a pole is near −1.
+    their counts carry over exactly.
     """
 
     dt_s: float
+    """Sample time of the models; 0 for continuous time."""
     angle_at_infinity: float = np.pi
+    """Angle φ in rad: π, which gives s = (z − 1)/(z + 1), unless a pole is near −1."""
 
     def image(self, model: StateSpace) -> Image:
         """Return the model as a function of the half-plane variable."""
@@ -71,7 +77,14 @@ class HalfPlane:
         ).triangular()
 
     def omega_rad_s(self, points: ComplexArray) -> FloatArray:
-        """Return the frequencies ≥ 0 of the points' imaginary parts, in rad/s."""
+        """Return the frequencies ≥ 0 that the imaginary parts of points correspond to.
+
+        Args:
+            points: Points of the half-plane variable, shape (k,).
+
+        Returns:
+            Frequencies in rad/s, shape (k,).
+        """
         height = points.imag
         if self.dt_s == 0:
             return np.abs(height)
@@ -80,12 +93,17 @@ class HalfPlane:
 
     @property
     def omega_max_rad_s(self) -> float:
-        """The highest frequency there is: infinity, or Nyquist's."""
+        """Highest frequency of the models: infinity, or the Nyquist frequency."""
         return np.inf if self.dt_s == 0 else np.pi / self.dt_s
 
 
 def common_half_plane(first: StateSpace, second: StateSpace) -> HalfPlane:
-    """Return the map under which neither model has a pole at or near infinity."""
+    """Return a map under which neither of two models has a pole at or near infinity.
+
+    Args:
+        first: A model.
+        second: A model with the same sample time.
+    """
     if first.dt_s == 0:
         return HalfPlane(0.0)
     poles = np.concatenate([first.modes, second.modes])

@@ -14,17 +14,21 @@ Row = Annotated[tuple[float, ...], Field(min_length=1, max_length=256)]
 
 
 class LinearModel(Strict):
-    """x(k+1) = A x(k) + B u(k), y(k) = C x(k) + D u(k): reference u to output y, one axis.
+    """x(k+1) = A x(k) + B u(k), y(k) = C x(k) + D u(k), from reference u to output y of one axis.
 
-    A is n × n, B has n entries, C has n entries, D is a number; times are multiples of
-    `sample_time_s`. A study never uses it: it is the closed form that estimates are checked by.
+    A study never uses it; it provides the exact values that estimates are compared with.
     """
 
     a: Annotated[tuple[Row, ...], Field(min_length=1, max_length=256)]
+    """A, n rows of n entries."""
     b: Row
+    """B, n entries."""
     c: Row
+    """C, n entries."""
     d: float = 0.0
+    """D, a number."""
     sample_time_s: Positive
+    """Time T between samples k and k + 1."""
 
     @model_validator(mode="after")
     def _shapes_agree(self) -> LinearModel:
@@ -37,10 +41,10 @@ class LinearModel(Strict):
         """Return z(ω) = C (e^{jωT} I − A)⁻¹ B + D.
 
         Args:
-            omega_rad_s: frequencies, shape (m,), each below the Nyquist frequency π / T.
+            omega_rad_s: Frequencies, shape (m,), each below the Nyquist frequency π / T.
 
         Returns:
-            The complex response, shape (m,).
+            Complex responses, shape (m,).
         """
         a = np.asarray(self.a)
         shift = np.exp(1j * np.asarray(omega_rad_s) * self.sample_time_s)

@@ -1,4 +1,4 @@
-"""Transfer functions, one or a matrix of them, as state-space models."""
+"""Realisation of transfer functions, one or a matrix of them, as state-space models."""
 
 from __future__ import annotations
 
@@ -12,19 +12,24 @@ from scipy.linalg import block_diag, matrix_balance
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.models.transfer_models import ModelError, StateSpace
 
-# Singular values below this, relative to the largest, count as zero when the order is reduced.
+# Singular values below this, relative to the norms of A and B, count as zero when the order is
+# reduced.
 RANK_TOLERANCE = 1e-9
 
 Polynomial = Sequence[float] | NDArray[np.floating]
 
 
 def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> StateSpace:
-    """Realise num(s)/den(s), coefficients from the highest power down, with deg(den) states.
+    """Return a realisation of num/den with deg(den) states, in controllable canonical form, scaled.
 
-    The variable is s for `dt_s` = 0 and z otherwise.
+    Args:
+        num: Coefficients of the numerator, from the highest power of the variable down, which is s
+            in continuous time and z in discrete time.
+        den: Coefficients of the denominator, in the same order.
+        dt_s: Sample time, or 0 for continuous time.
 
     Raises:
-        ModelError: an improper or undefined fraction, or an entry that is not finite.
+        ModelError: the fraction is improper or undefined, or a coefficient is not finite.
     """
     numerator = np.trim_zeros(np.atleast_1d(np.asarray(num, dtype=np.float64)), "f")
     denominator = np.trim_zeros(np.atleast_1d(np.asarray(den, dtype=np.float64)), "f")
@@ -39,8 +44,8 @@ def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> St
             f" the denominator {order}; it must not be lower"
         )
     padded = np.concatenate([np.zeros(order + 1 - numerator.size), numerator])
-    # All poles of a model sampled fast are near z = 1; a companion matrix in z − 1 tells them
-    # apart.
+    # All poles of a model sampled fast are near z = 1, where a companion matrix in z − 1 resolves
+    # them.
     shift = 1.0 if dt_s > 0 and order and -denominator[1] > 0.5 * order * denominator[0] else 0.0
     if shift:
         padded, denominator = _about_one(padded), _about_one(denominator)
@@ -62,7 +67,7 @@ def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> St
 
 
 def _about_one(p: FloatArray) -> FloatArray:
-    """Return the coefficients of p(1 + δ), rounded only at the end, since they nearly cancel."""
+    """Return the coefficients of p(1 + δ), computed exactly, since they nearly cancel."""
     exact = [Fraction(float(coefficient)) for coefficient in p]
     for end in range(len(exact), 1, -1):
         for k in range(1, end):
@@ -73,10 +78,16 @@ def _about_one(p: FloatArray) -> FloatArray:
 def transfer_matrix(
     num: Sequence[Sequence[Polynomial]], den: Sequence[Sequence[Polynomial]], dt_s: float = 0.0
 ) -> StateSpace:
-    """Realise a matrix of fractions, row i from every input to output i, with the fewest states.
+    """Return a realisation of a matrix of fractions, with the fewest possible states.
+
+    Args:
+        num: Numerators, one row per output and one column per input, see `transfer_function`.
+        den: Denominators, of the same shape.
+        dt_s: Sample time, or 0 for continuous time.
 
     Raises:
-        ModelError: num and den of different or ragged shapes, or a fraction as above.
+        ModelError: `num` and `den` have different or ragged shapes, or a fraction cannot be
+            realised, see `transfer_function`.
     """
     inputs = len(num[0]) if num else 0
     if inputs == 0 or [len(row) for row in [*num, *den]] != [inputs] * (2 * len(num)):
@@ -101,16 +112,17 @@ def transfer_matrix(
 
 
 def minimal(model: StateSpace) -> StateSpace:
-    """Return the model without the states that inputs do not reach or outputs do not show."""
+    """Return the model without states that are not reachable or not observable."""
     a, b, c = _reachable(model.a, model.b, model.c)
     a, c, b = (part.T for part in _reachable(a.T, c.T, b.T))
     return StateSpace(a, b, c, model.d, model.dt_s)
 
 
 def _reachable(a: FloatArray, b: FloatArray, c: FloatArray) -> tuple[FloatArray, ...]:
-    """Restrict to the reachable subspace, built block by block (the staircase algorithm).
+    """Restrict a model to its reachable subspace, built block by block (the staircase algorithm).
 
-    Each block holds the new directions that A reaches from the last one; orthogonal throughout.
+    Each block holds the new directions that A reaches from the previous block; the basis is
+    orthonormal throughout.
     """
     size = np.linalg.norm(a) + np.linalg.norm(b)
     basis = np.zeros((len(a), 0))

@@ -1,4 +1,4 @@
-"""Linear models with inputs and outputs, and the graph of one at a frequency."""
+"""Linear models with several inputs and outputs, and their graphs at given frequencies."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.models.linear_model import LinearModel
 
 # A pole this close to the axis, relative to its magnitude, makes the response itself too large to
-# compute with; the graph is then taken from a null space, which such a pole does not disturb.
+# compute with. The graph is then computed as a null space, which such a pole does not disturb.
 NEAR_AXIS = 1e-4
+# A pole this close to the axis, relative to its magnitude, counts as lying on it.
 ON_AXIS = 1e-7
+# Relative singular value of a pencil below which its mode counts as hidden.
 HIDDEN = 1e-10
 
 
@@ -24,17 +26,22 @@ class ModelError(InvalidInputError):
 
 @dataclass(frozen=True, eq=False)
 class StateSpace:
-    """x' = A x + B u, y = C x + D u, where x' is dx/dt, or x(k+1) when `dt_s` > 0.
+    """x' = A x + B u, y = C x + D u, where x' is dx/dt, or x(k+1) if `dt_s` > 0.
 
-    A is n × n, B n × m, C p × n, D p × m; all real and finite, n may be 0. `dt_s` = 0 means
-    continuous time. Raises ModelError when the shapes disagree or an entry is not finite.
+    All entries are real and finite; the number of states n may be 0. Raises ModelError if the
+    shapes disagree or an entry is not finite.
     """
 
     a: FloatArray
+    """A, shape (n, n)."""
     b: FloatArray
+    """B, shape (n, m)."""
     c: FloatArray
+    """C, shape (p, n)."""
     d: FloatArray
+    """D, shape (p, m)."""
     dt_s: float = 0.0
+    """Sample time; 0 for continuous time."""
 
     def __post_init__(self) -> None:
         for name in "abcd":
@@ -81,9 +88,10 @@ class StateSpace:
 
     @cached_property
     def instability(self) -> FloatArray:
-        """How far each mode lies beyond the axis or circle, relative to its size, shape (n,).
+        """Distance of each mode beyond the stability boundary, relative to its size, shape (n,).
 
-        Positive: unstable; within ±`ON_AXIS`: on the imaginary axis or the unit circle.
+        The boundary is the imaginary axis or the unit circle. A positive value means unstable; a
+        value within ±`ON_AXIS` means on the boundary.
         """
         if self.dt_s > 0:
             return np.asarray(np.abs(self.modes) - 1.0)
@@ -91,22 +99,22 @@ class StateSpace:
 
     @property
     def poles_unstable(self) -> int:
-        """η: poles in the open right half-plane, or outside the unit circle."""
+        """η, the number of poles in the open right half-plane or outside the unit circle."""
         return int(np.count_nonzero(self.instability > ON_AXIS))
 
     @property
     def poles_on_axis(self) -> int:
-        """η₀: poles on the imaginary axis, or on the unit circle."""
+        """η₀, the number of poles on the imaginary axis or on the unit circle."""
         return int(np.count_nonzero(np.abs(self.instability) <= ON_AXIS))
 
     def hidden_unstable_mode(self) -> complex | None:
-        """Return a mode on or beyond the axis that inputs do not reach or outputs do not show.
+        """Return a mode on or beyond the stability boundary that is unreachable or unobservable.
 
-        The rank test of Popov, Belevitch and Hautus, at each such mode.
+        It is found by the rank test of Popov, Belevitch and Hautus. None if there is no such mode.
         """
         for mode in self.modes[self.instability > -ON_AXIS]:
             shifted = self.a - mode * np.eye(self.states)
-            # Scaled so that the units of inputs and outputs do not matter.
+            # Rows are scaled so that the units of inputs and outputs do not matter.
             for pencil in (np.vstack([shifted.T, self.b.T]), np.vstack([shifted, self.c])):
                 size = np.linalg.norm(pencil, axis=1, keepdims=True)
                 scaled = pencil / np.where(size > 0, size, 1.0)
@@ -115,10 +123,15 @@ class StateSpace:
         return None
 
     def graph(self, omega_rad_s: FloatArray) -> ComplexArray:
-        """Return bases of {(u, y): y = P(ω) u}, shape (k, m + p, m), at k frequencies.
+        """Return bases of the graphs {(u, y): y = P(ω) u} at k frequencies.
 
-        Columns span the graph and are not normalised. ω may be infinite in continuous time. A pole
-        at ω is no exception: there the graph holds the directions in which P is infinite.
+        The graph is defined at a pole too, where it contains the directions in which P is infinite.
+
+        Args:
+            omega_rad_s: Frequencies, shape (k,); inf is allowed in continuous time.
+
+        Returns:
+            Bases whose columns span the graphs and are not normalised, shape (k, m + p, m).
         """
         finite = np.isfinite(omega_rad_s)
         if finite.all():
@@ -153,7 +166,11 @@ class StateSpace:
 
 
 def state_space(model: LinearModel) -> StateSpace:
-    """Return a robot's discrete-time closed-loop model as a state-space model."""
+    """Return a robot's discrete-time closed-loop model as a state-space model with n states.
+
+    Args:
+        model: Model of one axis, from reference to output.
+    """
     return StateSpace(
         np.asarray(model.a),
         np.asarray(model.b)[:, None],
@@ -164,7 +181,7 @@ def state_space(model: LinearModel) -> StateSpace:
 
 
 def require_same_shape(first: StateSpace, second: StateSpace) -> None:
-    """Raise ModelError unless both have the same inputs, outputs and sample time."""
+    """Raise ModelError unless both models have as many inputs and outputs, and one sample time."""
     require_same_time(first, second)
     shapes = [(model.outputs, model.inputs) for model in (first, second)]
     if shapes[0] != shapes[1]:
@@ -175,7 +192,7 @@ def require_same_shape(first: StateSpace, second: StateSpace) -> None:
 
 
 def require_same_time(first: StateSpace, second: StateSpace) -> None:
-    """Raise ModelError unless both are continuous, or discrete with one sample time."""
+    """Raise ModelError unless both models are continuous, or discrete with the same sample time."""
     if abs(first.dt_s - second.dt_s) > 1e-9 * max(first.dt_s, second.dt_s):
         raise ModelError(
             f"the models differ in sample time: dt = {first.dt_s:g} s and {second.dt_s:g} s"

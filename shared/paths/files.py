@@ -1,4 +1,4 @@
-"""Reads drawn paths from files, CSV in metres or one path of an SVG, and writes them as CSV."""
+"""Reading of drawn paths from files (CSV in metres, or the one path of an SVG), writing as CSV."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.paths.trajectories import POINTS_MAX, check_path
 
 FILE_BYTES_MAX = 8 * 2**20
-"""A hundred thousand points with ten digits each are 3 MB."""
+"""Largest accepted file; a hundred thousand points with ten digits each take 3 MB."""
 
 SVG_EXTENT_M = 2.4
-"""An SVG has no metres: its longer side is drawn this long, centred on the origin."""
+"""Length given to the longer side of an SVG, which has no metres; it is centred on the origin."""
 
 SVG_NUMBER_MAX = 1e9
-"""No drawing has coordinates beyond these; sums of larger ones would overflow."""
+"""Largest accepted coordinate; no drawing needs larger ones, and their sums would overflow."""
 
 _CSV_COLUMNS = ["x_m", "y_m"]
 _CURVE_POINTS = 24
@@ -35,9 +35,13 @@ _ARGUMENTS = {"M": 2, "L": 2, "H": 1, "V": 1, "C": 6, "Q": 4, "Z": 0}
 def read_drawing(path: Path) -> FloatArray:
     """Return the points of a drawing, shape (n, 2), in m.
 
+    Args:
+        path: File with the ending .csv or .svg.
+
     Raises:
-        InvalidInputError: names the file and what is wrong: it cannot be read, it is neither CSV
-            nor SVG, it is not one path, or the path is not one (one point, NaN, too many points).
+        InvalidInputError: the file cannot be read, is neither CSV nor SVG, does not contain exactly
+            one path, or contains an invalid one (one point, NaN, too many points). The message
+            names the file and the fault.
     """
     readers: dict[str, Callable[[str, str], FloatArray]] = {".csv": _csv, ".svg": _svg}
     reader = readers.get(path.suffix.lower())
@@ -55,10 +59,15 @@ def read_drawing(path: Path) -> FloatArray:
 
 
 def write_drawing(path: Path, points: FloatArray) -> None:
-    """Store points (n, 2), in m, as a CSV that `read_drawing` reads, to a tenth of a millimetre.
+    """Store a drawing as a CSV file for `read_drawing`, rounded to a tenth of a millimetre.
+
+    Args:
+        path: File to write, with the ending .csv.
+        points: Points of the drawing in m, shape (n, 2).
 
     Raises:
-        InvalidInputError: they are no path, the file is no .csv, or cannot be written.
+        InvalidInputError: the points are not a path, or the file has another ending or cannot be
+            written.
     """
     if path.suffix.lower() != ".csv":
         raise InvalidInputError(f"{path}: a drawing is stored as a .csv file")
@@ -93,7 +102,7 @@ def _csv(text: str, name: str) -> FloatArray:
 
 
 def _svg(text: str, name: str) -> FloatArray:
-    # Path data are all that is wanted; an XML parser would take more than that from a stranger.
+    # Only path data are needed; an XML parser would accept far more from an untrusted file.
     found = [match["data"] for match in _PATH_DATA.finditer(text)]
     if len(found) != 1:
         raise InvalidInputError(f"{name}: expected one <path> with data, found {len(found)}")
@@ -110,7 +119,7 @@ def _svg(text: str, name: str) -> FloatArray:
 
 
 def _drawn(data: str, name: str) -> list[tuple[float, float]]:
-    """Follow the path data; return its points, curves as chords."""
+    """Return the points of SVG path data, with curves replaced by chords."""
     points: list[tuple[float, float]] = []
     here = start = 0j
     for command, numbers in _segments(data, name):
@@ -141,7 +150,7 @@ def _drawn(data: str, name: str) -> list[tuple[float, float]]:
 
 
 def _bezier(knots: list[complex]) -> list[complex]:
-    """Return points of the Bézier curve after its first knot; a line gives its end alone."""
+    """Return the points of a Bézier curve after its first knot; for a line, only its end."""
     degree = len(knots) - 1
     if degree == 1:
         return knots[1:]
@@ -151,7 +160,7 @@ def _bezier(knots: list[complex]) -> list[complex]:
 
 
 def _segments(data: str, name: str) -> Iterator[tuple[str, list[float]]]:
-    """Yield each command with its numbers; repeated numbers repeat their command."""
+    """Yield each command with its numbers; further numbers repeat the command."""
     command, numbers, at = "", list[float](), 0
     data = data.strip()
     while at < len(data):

@@ -1,4 +1,4 @@
-"""Reads drawings that other programs made: any two columns of numbers, or an SVG."""
+"""Reading of drawings made by other programs: any two columns of numbers, or an SVG."""
 
 from __future__ import annotations
 
@@ -17,13 +17,18 @@ _NAMES = {"x": 0, "x_m": 0, "y": 1, "y_m": 1}
 
 
 def import_points(path: Path) -> FloatArray:
-    """Return the points of a file, shape (n, 2), in its own numbers.
+    """Return the points of a file, shape (n, 2), in the file's own unit.
 
-    An SVG is read as `read_drawing` does. Anything else is a table: numbers between commas,
-    semicolons, tabs or spaces; two columns, or those that the first line calls x and y.
+    An SVG is read by `read_drawing`. Any other file is read as a table of numbers separated by
+    commas, semicolons, tabs or spaces, with two columns or with columns that the first line names x
+    and y.
+
+    Args:
+        path: File to read.
 
     Raises:
-        InvalidInputError: names the file, the line and what was expected.
+        InvalidInputError: the file is neither; the message names the file, the line and the
+            expected contents.
     """
     if path.suffix.lower() == ".svg":
         return read_drawing(path)
@@ -63,7 +68,7 @@ def _rows(text: str, name: str) -> list[tuple[float, float]]:
 
 
 def _columns(cells: list[str], where: str) -> tuple[tuple[int, int], bool]:
-    """Return which columns are x and y, and whether this first line is but their names."""
+    """Return the indices of the columns x and y, and True if this first line is a header."""
     names = [cell.strip("\"'").lower() for cell in cells]
     found: dict[int, int] = {}
     for place, cell in enumerate(names):
