@@ -166,11 +166,6 @@ def predict_transfer(
     )
 
 
-def best_first(predictions: list[TransferPrediction]) -> list[TransferPrediction]:
-    """Return the predictions for one target, sorted by median error with transfer."""
-    return sorted(predictions, key=lambda p: float(p.error_with.median))
-
-
 def _judge(
     helps: float, reduction: Interval, outside: tuple[float, float], delta: float
 ) -> tuple[Verdict, str]:

@@ -102,30 +102,6 @@ def geodesic_radius(z: ComplexArray, radius: FloatArray) -> FloatArray:
     return reach
 
 
-def chordal_interval(
-    z_1: ComplexArray, radius_1: FloatArray, z_2: ComplexArray, radius_2: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return bounds on ψ between any points of two discs, within [0, 1].
-
-    By the triangle inequality on the sphere, |arcsin ψ − arcsin ψ̂| ≤ r₁ + r₂, where r₁ and r₂ are
-    the geodesic radii of the discs.
-
-    Args:
-        z_1: Centres of the first discs, any shape.
-        radius_1: Their radii in the plane, the same shape.
-        z_2: Centres of the second discs, the same shape.
-        radius_2: Their radii in the plane, the same shape.
-
-    Returns:
-        Lower and upper bounds, each of the same shape.
-    """
-    angle = np.arcsin(chordal_distance(z_1, z_2))
-    reach = geodesic_radius(z_1, radius_1) + geodesic_radius(z_2, radius_2)
-    low = np.sin(np.clip(angle - reach, 0.0, np.pi / 2))
-    high = np.sin(np.clip(angle + reach, 0.0, np.pi / 2))
-    return low, high
-
-
 def worst_case_chordal_distance(
     model_1: LinearModel, model_2: LinearModel, omega_band_rad_s: tuple[float, float]
 ) -> tuple[float, float]:

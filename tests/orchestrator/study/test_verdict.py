@@ -11,7 +11,7 @@ from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
 from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum, spectrum_of
-from nufleet.orchestrator.study.verdict import Verdict, best_first, predict_transfer
+from nufleet.orchestrator.study.verdict import Verdict, predict_transfer
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 
@@ -159,7 +159,7 @@ def test_a_trajectory_that_leaves_the_tested_band_is_said(
     assert ("above the tested band" in found.reason) == (verdict is Verdict.NEED_MORE_TESTS)
 
 
-def test_sources_are_ranked_by_the_error_on_the_trajectory() -> None:
+def test_a_source_that_is_closer_is_expected_to_leave_a_smaller_error() -> None:
     spectrum = Spectrum.flat((0.1, 1.0))
     omega = spectrum.omega_rad_s
     target = ("t", known(Loop(3.0), omega))
@@ -168,4 +168,5 @@ def test_sources_are_ranked_by_the_error_on_the_trajectory() -> None:
         predict_transfer((name, known(loop, omega)), target, spectrum, BAND)
         for name, loop in sources.items()
     ]
-    assert [p.source for p in best_first(found)] == ["near", "middle", "far"]
+    by_error = sorted(found, key=lambda prediction: float(prediction.error_with.median))
+    assert [prediction.source for prediction in by_error] == ["near", "middle", "far"]

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from nufleet.shared.arrays import ComplexArray
 from nufleet.shared.distance.chordal import (
     chordal_distance,
-    chordal_interval,
     chordal_variance,
     geodesic_radius,
     riemann_sphere,
@@ -139,18 +138,6 @@ def test_a_geodesic_radius_is_reached_by_some_point_of_the_disc(
     furthest = float(np.max(chordal_distance(array(centre), line)))
     assert math.sin(reach) == pytest.approx(furthest, abs=2e-3)
     assert furthest <= math.sin(reach) + 1e-12
-
-
-@settings(deadline=None)
-@given(moderate, moderate, st.floats(0.0, 2.0), st.floats(0.0, 2.0), angles, angles)
-def test_an_interval_holds_the_distance_between_any_points_of_two_discs(
-    z_1: complex, z_2: complex, radius_1: float, radius_2: float, angle_1: float, angle_2: float
-) -> None:
-    low, high = chordal_interval(array(z_1), np.array([radius_1]), array(z_2), np.array([radius_2]))
-    moved = psi(z_1 + cmath.rect(radius_1, angle_1), z_2 + cmath.rect(radius_2, angle_2))
-    assert 0.0 <= low[0] <= psi(z_1, z_2) + 1e-12
-    assert psi(z_1, z_2) - 1e-12 <= high[0] <= 1.0
-    assert low[0] - 1e-7 <= moved <= high[0] + 1e-7
 
 
 @pytest.mark.parametrize(
