@@ -133,6 +133,8 @@ def _check_layout(
     if abs(layout.sample_time_s - spec.sample_time_s) > 1e-9 * spec.sample_time_s:
         reason = f"a layout of {layout.sample_time_s:g} s; its sample is {spec.sample_time_s:g} s"
         raise RefusedError("layout", reason, robot)
-    if state_names[: len(layout.states)] != layout.states:
-        reason = f"a layout of {', '.join(layout.states)}; it measures {', '.join(state_names)}"
+    needed = layout.measured_states
+    if state_names[: len(needed)] != needed:
+        measured = ", ".join(state_names) or "its output alone"
+        reason = f"a layout of {', '.join(needed)}; it measures {measured}"
         raise RefusedError("layout", reason, robot)

@@ -174,7 +174,7 @@ def track(
         )
     check_trajectory(desired, spec.sample_time_s, limits)
     if learner is not None:
-        needed = learner.layout.states
+        needed = learner.layout.measured_states
         if robot.state_names[: len(needed)] != needed:
             raise InvalidInputError(
                 f"the inverse needs the states {', '.join(needed)}; the robot measures "
@@ -233,7 +233,9 @@ class _Flight:
         samples, axes = desired.shape
         self._back = self._ahead = self._span = 0
         self._learn_every = 1
-        states = max(1, len(robot.state_names))
+        # The output of a robot without states is known only once it has been sent a reference.
+        self._late = 0 if robot.state_names else 1
+        states = 1
         if learner is not None:
             layout = learner.layout
             self._back, self._ahead = layout.back_samples, layout.horizon_samples
@@ -261,7 +263,7 @@ class _Flight:
         for k, wanted in enumerate(self._desired):
             if stopped():
                 return STOPPED
-            observed = self._robot.observe() if self._learner is not None else None
+            observed = self._observed(k) if self._learner is not None else None
             begin_s = time.perf_counter()
             correction, reference = None, wanted
             if observed is not None and not np.isfinite(observed).all():
@@ -269,7 +271,8 @@ class _Flight:
             if self._learner is not None and observed is not None:
                 if self._guard is not None:
                     sent = self._reference[self._span + k - 1] - self._desired[max(0, k - 1)]
-                    self._share[k] = self._guard.judge(k, observed[:, 0] - wanted, sent)
+                    error = observed[:, 0] - self._desired[max(0, k - self._late)]
+                    self._share[k] = self._guard.judge(k, error, sent)
                 correction, reference = self._choose(self._learner, k, observed)
             self._reference[self._span + k] = reference
             self._step_time_s[k] = time.perf_counter() - begin_s
@@ -284,12 +287,22 @@ class _Flight:
                 self._watch(k, wanted, self._actual[k], correction, float(self._share[k]))
         return None
 
+    def _observed(self, k: int) -> FloatArray:
+        """Return the latest states, shape (axes, states): those of sample k, or the output before.
+
+        The robot rested at the path's start before its first sample.
+        """
+        if not self._late:
+            return self._robot.observe()
+        return np.asarray((self._actual[k - 1] if k else self._desired[0])[:, np.newaxis])
+
     def _choose(
         self, learner: Learner, k: int, observed: FloatArray
     ) -> tuple[Correction, FloatArray]:
         layout, process, row = learner.layout, learner.process, self._span + k
-        self._states[row] = observed[:, : self._states.shape[2]]
-        window = slice(row + 1 - self._span, row + 1)
+        known = row - self._late
+        self._states[known] = observed[:, : self._states.shape[2]]
+        window = slice(known + 1 - self._span, known + 1)
         if k > 0 and k % self._learn_every == 0:
             for axis in range(observed.shape[0]):
                 inputs, gamma = layout.pairs(
@@ -299,7 +312,7 @@ class _Flight:
         path = self._path[k : k + self._back + self._ahead + 1]
         previous = self._reference[row - 1]
         query = layout.query(
-            self._states[row], previous, path, self._velocity[k + self._back + self._ahead]
+            self._states[known], previous, path, self._velocity[k + self._back + self._ahead]
         )
         correction = process.correct(query)
         self._prior[k], self._mean[k] = correction.prior, correction.mean
