@@ -258,7 +258,7 @@ class Agent:
             state_names=self._robot.state_names,
             experiences=self._experiences.offers(),
             prior=self._experiences.prior(),
-            baseline_known=bool(self._memory.baseline),
+            own_flight_s=dict(self._memory.flown_s),
             owner=None if commander is None else commander.owner,
             epoch=0 if commander is None else commander.epoch,
         )

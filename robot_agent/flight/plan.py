@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from nufleet.robot_agent.flight.forecast import forecast_of
 from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.flight.own_model import basis_of
 from nufleet.robot_agent.flight.rich_flight import rich_references, step_references
 from nufleet.robot_agent.flight.tracking import approach
 from nufleet.shared.errors import InvalidInputError, RefusedError
@@ -41,7 +43,7 @@ def plan_flight(
     Raises:
         RefusedError: The robot cannot or may not fly it; the code is `unknown-axis`, `no-tracking`,
             `trajectory`, `duration`, `layout`, `baseline`, `no-prior`, `other-prior`, `misfit`,
-            `unguarded` or `no-baseline`.
+            `unguarded`, `no-own-model`, `vague-own-model` or `no-baseline`.
     """
     match motion:
         case StepTest(axis=axis):
@@ -56,6 +58,7 @@ def plan_flight(
             nobody = np.random.default_rng(motion.seed)
             try:
                 samples = before = len(rich_references(spec, motion.duration_s, nobody))
+                basis_of(spec).nodes  # noqa: B018 - raises for a robot that none can describe
             except InvalidInputError as error:
                 raise RefusedError("baseline", str(error), robot) from error
         case Tracking():
@@ -104,6 +107,8 @@ def _check_inverse(
         return
     if motion.layout is not None:
         _check_layout(motion.layout, spec, state_names, robot)
+    elif motion.inverse == "own":
+        _check_own_model(motion, spec, memory, robot)
     else:
         prior = memory.prior
         if prior is None:
@@ -118,13 +123,28 @@ def _check_inverse(
             if changed is not None:
                 reason = f"its prior does not fit it any more: {changed}; transfer another"
                 raise RefusedError("misfit", reason, robot)
-    missing = [axis.name for axis in spec.axes if axis.name not in memory.baseline]
-    if motion.guarded and missing:
+    if motion.guarded and memory.own_model(spec).model is None:
         reason = (
-            f"what its baseline does on {', '.join(missing)} is not known yet, so nothing could "
-            "guard the flight; it learns that from a rich flight"
+            "what its baseline does is not known yet, so nothing could guard the flight; it learns "
+            "that from any completed motion: a frequency test, a path, or a rich flight"
         )
         raise RefusedError("no-baseline", reason, robot)
+
+
+def _check_own_model(motion: Tracking, spec: RobotSpec, memory: Memory, robot: str) -> None:
+    forecast = forecast_of(memory.own_model(spec).model, motion.desired)
+    more = "let it fly a path, or a rich flight (`nufleet track --rich-flight 30`), first"
+    if forecast is None:
+        reason = f"it knows nothing of itself yet: {more}"
+        raise RefusedError("no-own-model", reason, robot)
+    if not forecast.own_helps:
+        unit, own, baseline = spec.axes[0].unit, forecast.own, forecast.baseline
+        reason = (
+            f"its model of itself is too vague for this path: with it an error of {own.rms:.3g} "
+            f"{unit} RMS is expected, {own.low:.3g} to {own.high:.3g} {unit}, and its baseline is "
+            f"expected to leave {baseline.rms:.3g} {unit}; {more}"
+        )
+        raise RefusedError("vague-own-model", reason, robot)
 
 
 def _check_layout(

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
-from nufleet.shared.strict import Digest, Name, Positive, Reason, Strict
+from nufleet.shared.strict import Digest, Name, NonNegative, Positive, Reason, Strict
 from nufleet.shared.wire.codec import Float64Array
 
 Count = Annotated[int, Field(ge=0)]
@@ -49,9 +49,10 @@ class Tracking(Strict):
     """Discriminator among the motions a robot can be asked for."""
     desired: Float64Array
     """Path to follow, shape (samples, axes), one row per sample of the robot, in the axes' unit."""
-    inverse: Literal["baseline", "zero-prior", "prior"]
-    """Module in front of the baseline controller: none; a process that starts without experience;
-    or a process whose prior mean is the experience that was transferred to the robot."""
+    inverse: Literal["baseline", "zero-prior", "prior", "own"]
+    """Module in front of the baseline controller: none; a process that starts without experience; a
+    process whose prior mean is the experience that was transferred to the robot; or the robot's
+    model of itself, inverted along the whole path."""
     layout: InverseLayout | None = None
     """Inputs and output of a process with a zero prior; None for the other inverses."""
     prior_sha256: Digest | None = None
@@ -104,6 +105,20 @@ class RichFlightDetails(Strict):
     """States, shape (samples, axes, states), measured before the reference of each sample acted."""
 
 
+class PredictedError(Strict):
+    """The root mean square error that a robot expects of a flight from its model of itself.
+
+    It contains the measurement noise, like the error that is measured.
+    """
+
+    rms: NonNegative
+    """Median, in the unit of the axes."""
+    low: NonNegative
+    """Value that the error is above with a probability of 95 %."""
+    high: NonNegative
+    """Value that the error is below with a probability of 95 %."""
+
+
 class TakenBack(Strict):
     """Event: the guard withdrew the prior during a flight."""
 
@@ -111,6 +126,8 @@ class TakenBack(Strict):
     """Sample at which it was withdrawn."""
     reason: Reason
     """Why it was withdrawn."""
+    given_to: Literal["baseline", "own"] = "baseline"
+    """What flew on: the baseline alone, or the robot's model of itself."""
 
 
 class TrackingDetails(Strict):
@@ -139,6 +156,11 @@ class TrackingDetails(Strict):
     """Number of training pairs dropped because they were not finite."""
     taken_back: TakenBack | None
     """Withdrawal of the prior by the guard; None if there was none."""
+    predicted: PredictedError | None = None
+    """Error that the robot expected; None for an inverse whose references were not known ahead, and
+    for a robot that knows nothing of itself."""
+    findings: tuple[Reason, ...] = ()
+    """What the flight showed of the robot's model of itself: that the robot has changed, say."""
 
 
 FlightDetails = Annotated[RichFlightDetails | TrackingDetails, Field(discriminator="kind")]

@@ -186,7 +186,7 @@ def test_a_robot_that_measures_its_output_alone_learns_and_flies_a_preview(blind
 def test_a_robot_that_measures_its_output_alone_learns_no_inverse_of_its_state(
     lab: Lab, blind: Fleet
 ) -> None:
-    with pytest.raises(InvalidInputError, match="measures its output alone.*architecture preview"):
+    with pytest.raises(InvalidInputError, match=r"measures its output alone.*architecture preview"):
         lessons(blind, "state")
     assert_never_moved(lab.orchestrator("orchestrator-2"), "source")
 
