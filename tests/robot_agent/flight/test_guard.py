@@ -259,7 +259,7 @@ def test_a_vague_baseline_makes_the_guard_stricter() -> None:
 def test_the_promise_holds_for_nineteen_of_twenty_robots_that_the_belief_allows(
     seed: int, spread: float, harm: float
 ) -> None:
-    """The true baseline is one draw of the belief, all but its lowest twentieth; harm grows in 2 s."""
+    """The true baseline is a draw of the belief, not of its lowest twentieth; harm takes 2 s."""
     size = 1 + spread * np.random.default_rng(seed).standard_normal()
     if size < 1 - 1.6 * spread:
         return
