@@ -21,7 +21,8 @@ from nufleet.orchestrator.evaluation.report import (
 from nufleet.orchestrator.evaluation.results import EvaluationRecord
 from nufleet.orchestrator.evaluation.run import EvaluationPlan, run_evaluation
 from nufleet.orchestrator.experience.learning import FLIGHT_S
-from nufleet.orchestrator.experience.train import check_torch, train_robots
+from nufleet.orchestrator.experience.library import ExperienceLibrary
+from nufleet.orchestrator.experience.train import Trained, check_torch, train_robots
 from nufleet.orchestrator.experience.transfer import check_would_fit
 from nufleet.orchestrator.fleet.reach import Reach
 from nufleet.orchestrator.flights.legs import legs_of, read_drawings
@@ -166,7 +167,7 @@ def evaluate_and_print(command: EvaluateCommand) -> None:
             pairs = _all_pairs(command, session, plans)
             document = pairs.document()
         else:
-            record = _evaluated(session, plans[0])
+            record = _evaluated(session, _library(command, session), plans[0])
             session.table.close()
             write_figures(session.folder.path, record, session.table.path)
             console.print(evaluation_table(record.result))
@@ -185,18 +186,26 @@ def _all_pairs(
 ) -> PairsResult:
     fleet, _, there = session.connection
     session.console.print(f"{len(there)} robots learn what they would pass on")
+    library = _library(command, session)
+    descriptions = list(fleet.describe_all(there).values())
+    keep = library.keeping(descriptions, session.folder.path.name)
+
+    def on_trained(trained: Trained) -> None:
+        keep(trained)
+        session.console.print(f"  {trained.lesson.robot} has learned")
+
     train_robots(
         fleet,
         session.pilot,
-        [fleet.describe(robot) for robot in there],
+        descriptions,
         (command.architecture,),
         session.folder.path / "experiences",
         seed=command.seed,
         duration_s=command.flight_s,
         say=lambda robot, what: None,
-        on_trained=lambda done: session.console.print(f"  {done.lesson.robot} has learned"),
+        on_trained=on_trained,
     )
-    results = [_evaluated(session, plan).result for plan in plans]
+    results = [_evaluated(session, library, plan).result for plan in plans]
     pairs = compare_pairs(results, str(session.folder.path))
     session.folder.write_document(PAIRS, pairs)
     write_scatter(session.folder.path, pairs)
@@ -235,7 +244,15 @@ def _plan(
     )
 
 
-def _evaluated(session: OpenRun, plan: EvaluationPlan) -> EvaluationRecord:
+def _library(command: EvaluateCommand, session: OpenRun) -> ExperienceLibrary:
+    """Return the experiences of the fleet, without stored ones if it is started for this run."""
+    store = session.archive.repository.robots if command.fleet_file is None else None
+    return ExperienceLibrary(session.connection.fleet, store, session.connection.name)
+
+
+def _evaluated(
+    session: OpenRun, library: ExperienceLibrary, plan: EvaluationPlan
+) -> EvaluationRecord:
     study = plan.ready.plan
     session.console.print(
         f"[bold]target {study.target}[/]: {len(plan.legs)} paths with "
@@ -244,6 +261,7 @@ def _evaluated(session: OpenRun, plan: EvaluationPlan) -> EvaluationRecord:
     return run_evaluation(
         session.connection.fleet,
         session.pilot,
+        library,
         plan,
         session.folder,
         session.archive,

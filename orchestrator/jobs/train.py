@@ -11,7 +11,8 @@ import click
 from nufleet.orchestrator.conduct.leases import lease_robots
 from nufleet.orchestrator.conduct.preflight import check_robots
 from nufleet.orchestrator.evaluation.flight_documents import TRAINING, TrainResult
-from nufleet.orchestrator.experience.train import check_torch, train_robots
+from nufleet.orchestrator.experience.library import ExperienceLibrary
+from nufleet.orchestrator.experience.train import Trained, check_torch, train_robots
 from nufleet.orchestrator.fleet.connection import running_fleet
 from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.orchestrator.history.tables import experiences_table
@@ -64,6 +65,13 @@ def train_and_print(command: TrainCommand) -> None:
         configuration = asdict(command) | storage.document()
         folder.write_configuration({"kind": "train", "fleet": name, **configuration})
         pilot = Pilot(fleet, folder.study_id)
+        library = ExperienceLibrary(fleet, repository.robots, name)
+        keep = library.keeping(descriptions, folder.path.name)
+
+        def on_trained(trained: Trained) -> None:
+            keep(trained)
+            console.print(f"  [green]{trained.lesson.robot} offers it now[/]")
+
         stack.enter_context(leases.guarding(pilot.interrupt))
         trained = train_robots(
             fleet,
@@ -74,7 +82,7 @@ def train_and_print(command: TrainCommand) -> None:
             seed=command.seed,
             duration_s=command.duration_s,
             say=lambda robot, what: console.print(f"  {robot} {what}"),
-            on_trained=lambda done: console.print(f"  [green]{done.lesson.robot} offers it now[/]"),
+            on_trained=on_trained,
         )
         pilot.acknowledge_all()
         result = TrainResult.of(trained, str(folder.path))
