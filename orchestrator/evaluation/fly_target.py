@@ -110,7 +110,7 @@ def fly_target(
     fly_legs(BASELINE, partial(pilot.baseline, robot))
     with prior_put_back(fleet, pilot, target):
         for place, source in enumerate(sources):
-            given = transfer(fleet, library, source, robot, architecture)
+            given = transfer(fleet, library, source, target, architecture)
             if place == 0:
                 layout = given.manifest.layout
                 fly_legs(NO_PRIOR, partial(pilot.zero_prior, robot, layout=layout, guarded=guarded))

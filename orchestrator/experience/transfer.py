@@ -40,7 +40,7 @@ def transfer(
     fleet: Fleet,
     library: ExperienceLibrary,
     source: str,
-    target: str,
+    target: Description,
     architecture: Architecture | None = None,
 ) -> Transferred:
     """Transfer an experience of a source, which need not be there if the experience is stored.
@@ -49,7 +49,7 @@ def transfer(
         fleet: Client of the fleet that the target belongs to.
         library: Experiences of the fleet's robots.
         source: Name of the robot whose experience is transferred.
-        target: Name of the robot that flies with it from now on.
+        target: Description of the robot that flies with it from now on.
         architecture: Architecture of the experience to take; None takes the only one there is.
 
     Returns:
@@ -86,13 +86,13 @@ def read_experience(path: Path) -> bytes:
     return payload
 
 
-def transfer_file(fleet: Fleet, payload: bytes, target: str) -> Transferred:
+def transfer_file(fleet: Fleet, payload: bytes, target: Description) -> Transferred:
     """Transfer an experience that was read from a file.
 
     Args:
         fleet: Client of the target's fleet.
         payload: Content of the file, from `read_experience`.
-        target: Name of the robot that flies with it from now on.
+        target: Description of the robot that flies with it from now on.
 
     Returns:
         The experience that the target now holds.
@@ -107,17 +107,17 @@ def transfer_file(fleet: Fleet, payload: bytes, target: str) -> Transferred:
 
 def _installed(
     fleet: Fleet,
-    target: str,
+    target: Description,
     payload: bytes,
     place: Place,
     reason: str,
     learned_at: datetime | None,
 ) -> Transferred:
     manifest = decode_experience(payload).manifest
-    check_fit(manifest, fleet.describe(target))
-    installed = install(fleet, target, "prior", payload)
+    check_fit(manifest, target)
+    installed = install(fleet, target.robot, "prior", payload)
     return Transferred(
-        manifest.robot, target, installed.sha256, manifest, place, reason, learned_at
+        manifest.robot, target.robot, installed.sha256, manifest, place, reason, learned_at
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,18 +11,16 @@ import click
 from pydantic import Field
 from rich.console import Console
 
-from nufleet.orchestrator.conduct.leases import lease_robots
 from nufleet.orchestrator.conduct.preflight import check_names, check_robots
 from nufleet.orchestrator.conduct.reuse import age_text
 from nufleet.orchestrator.experience.library import ExperienceLibrary, Place
 from nufleet.orchestrator.experience.transfer import Transferred, read_experience, transfer_file
 from nufleet.orchestrator.experience.transfer import transfer as transfer_experience
-from nufleet.orchestrator.fleet.connection import running_fleet
+from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.history.rankings import latest_ranking
+from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.storage import Storage
-from nufleet.orchestrator.repository.repository import Repository
 from nufleet.orchestrator.runs.console import stderr_console
-from nufleet.orchestrator.runs.folder import make_runs_root
 from nufleet.orchestrator.study.verdict import Verdict
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.layout import Architecture
@@ -54,6 +51,10 @@ class TransferCommand:
     """Address of the repository; None for the one in `runs_root`."""
     as_json: bool
     """Whether to print the result as JSON on stdout."""
+
+    def fleet(self) -> FleetChoice:
+        """Return the fleet that both robots belong to."""
+        return FleetChoice.running(self.connect, self.fleet_name)
 
 
 class TransferResult(Strict):
@@ -98,49 +99,47 @@ def transfer(command: TransferCommand, console: Console) -> TransferResult:
         RefusedError: The target refuses the experience.
     """
     payload = None if command.file is None else read_experience(command.file)
-    make_runs_root(command.runs_root)
-    with (
-        Storage(command.runs_root, command.repository).open() as repository,
-        running_fleet(command.connect, command.fleet_name) as (fleet, name, there),
-        ExitStack() as stack,
-    ):
+    with Opening(Storage(command.runs_root, command.repository), console) as run:
+        fleet, name, there = run.reach(command.fleet())
         check_robots((command.target,), there)
-        stack.enter_context(lease_robots(repository.leases, fleet, name, (command.target,)))
-        if command.source == "none":
+        target = fleet.describe(command.target)
+        source = None if command.source == "none" else _source(command, run)
+        run.take({command.target: target})
+        if payload is not None:
+            given = transfer_file(fleet, payload, target)
+        elif source is not None:
+            library = ExperienceLibrary(fleet, run.repository.robots, name)
+            given = transfer_experience(fleet, library, source, target, command.architecture)
+        else:
             fleet.remove_prior(command.target)
             console.print(f"{command.target} flies without a prior from now on")
             return TransferResult(target=command.target)
-        if payload is not None:
-            given = transfer_file(fleet, payload, command.target)
-        else:
-            source = _source(command, name, repository, console)
-            check_names(command.target, (source,), (*there, source))  # it need not be there
-            library = ExperienceLibrary(fleet, repository.robots, name)
-            given = transfer_experience(
-                fleet, library, source, command.target, command.architecture
-            )
     _print(console, given)
     return _result(given)
 
 
-def _source(command: TransferCommand, fleet: str, repository: Repository, console: Console) -> str:
-    if command.source is not None and command.source != "best":
+def _source(command: TransferCommand, run: Opening) -> str | None:
+    """Return the name of the source, which may be away; None without one."""
+    if command.source != "best":
+        if command.source is not None:
+            check_names(command.target, (command.source,), (command.target, command.source))
         return command.source
-    found = latest_ranking(command.runs_root, repository.studies, fleet, command.target)
+    fleet = run.connection.name
+    found = latest_ranking(command.runs_root, run.repository.studies, fleet, command.target)
     if found is None:
         raise InvalidInputError(
             f"no ranking of {command.target} of fleet {fleet} in {command.runs_root} or in "
-            f"{repository.name}: rank its sources first with `nufleet rank --target "
+            f"{run.repository.name}: rank its sources first with `nufleet rank --target "
             f"{command.target}`, or name a source"
         )
     leader = found.result.ranking[0]
-    console.print(
+    run.console.print(
         f"best source of {command.target}: [bold]{leader.robot}[/], "
         f"ψ* = {leader.psi:.4f} ± {leader.psi_std:.4f}, from {found.study_id}"
     )
     verdict = found.result.verdicts.get(leader.robot)
     if verdict is not None and verdict.verdict is not Verdict.TRANSFER:
-        console.print(f"[yellow]the tests say: {verdict.verdict}: {verdict.reason}[/]")
+        run.console.print(f"[yellow]the tests say: {verdict.verdict}: {verdict.reason}[/]")
     return found.result.selected
 
 
