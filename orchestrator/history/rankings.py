@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 class Ranking(NamedTuple):
     """A completed ranking."""
 
-    study_id: str
-    """Id of its study, which begins with the time at which the study began."""
+    run: str
+    """Name of its run's folder, or the id of its study; both begin with the time it began at."""
     result: RankResult
     """Document that it printed."""
 
@@ -48,8 +48,10 @@ def latest_ranking(root: Path, studies: StudyStore, fleet: str, target: str) -> 
     found = latest_in_folders(root, fleet, target)
     if found is None:
         return stored
-    kept = Ranking(study_id_of(found[0]), found[1].result)
-    return kept if stored is None else max(kept, stored, key=lambda one: one.study_id)
+    kept = Ranking(found[0].name, found[1].result)
+    if stored is None or stored.run <= study_id_of(found[0]):
+        return kept
+    return stored
 
 
 def _latest_stored(studies: StudyStore, fleet: str, target: str) -> Ranking | None:

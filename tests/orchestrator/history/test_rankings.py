@@ -58,7 +58,7 @@ def test_the_newest_is_found_wherever_it_is(
         found[stored] = in_repository(repository, stored, result=RESULT)
     ranking = latest_ranking(tmp_path, repository.studies, "lab", "target")
     assert ranking is not None
-    assert ranking.study_id == found[max(found)]
+    assert ranking.run.lower() == found[max(found)]
     assert ranking.result.selected == "source-1"
 
 
