@@ -23,7 +23,8 @@ from nufleet.orchestrator.evaluation.report import (
 from nufleet.orchestrator.evaluation.results import EvaluationRecord, EvaluationResult
 from nufleet.orchestrator.evaluation.run import EvaluationPlan, run_evaluation
 from nufleet.orchestrator.experience.learning import FLIGHT_S
-from nufleet.orchestrator.experience.train import check_torch, train_robots
+from nufleet.orchestrator.experience.library import ExperienceLibrary
+from nufleet.orchestrator.experience.train import Trained, check_torch, train_robots
 from nufleet.orchestrator.experience.transfer import check_would_fit
 from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.flights.legs import legs_of, read_drawings
@@ -175,7 +176,7 @@ def evaluate(command: EvaluateCommand, console: Console) -> EvaluationResult | P
         if command.all_pairs:
             result = _all_pairs(command, run, plans, descriptions)
         else:
-            record = _evaluated(run, plans[0])
+            record = _evaluated(run, _library(command, run), plans[0])
             run.table.close()
             write_figures(run.folder.path, record, run.table.path)
             result = record.result
@@ -195,6 +196,13 @@ def _all_pairs(
     descriptions: Mapping[str, Description],
 ) -> PairsResult:
     run.console.print(f"{len(descriptions)} robots learn what they would pass on")
+    library = _library(command, run)
+    keep = library.keeping(descriptions.values(), run.folder.path.name)
+
+    def on_trained(trained: Trained) -> None:
+        keep(trained)
+        run.console.print(f"  {trained.lesson.robot} has learned")
+
     train_robots(
         run.connection.fleet,
         run.pilot,
@@ -204,9 +212,9 @@ def _all_pairs(
         seed=command.seed,
         duration_s=command.flight_s,
         say=lambda robot, what: None,
-        on_trained=lambda done: run.console.print(f"  {done.lesson.robot} has learned"),
+        on_trained=on_trained,
     )
-    results = [_evaluated(run, plan).result for plan in plans]
+    results = [_evaluated(run, library, plan).result for plan in plans]
     pairs = compare_pairs(results, str(run.folder.path))
     run.folder.write_document(PAIRS, pairs)
     write_scatter(run.folder.path, pairs)
@@ -244,7 +252,15 @@ def _plan(
     )
 
 
-def _evaluated(run: FlyingRun, plan: EvaluationPlan) -> EvaluationRecord:
+def _library(command: EvaluateCommand, run: FlyingRun) -> ExperienceLibrary:
+    """Return the experiences of the fleet, without stored ones if it is started for this run."""
+    store = run.repository.robots if command.fleet_file is None else None
+    return ExperienceLibrary(run.connection.fleet, store, run.connection.name)
+
+
+def _evaluated(
+    run: FlyingRun, library: ExperienceLibrary, plan: EvaluationPlan
+) -> EvaluationRecord:
     study = plan.ready.plan
     run.console.print(
         f"[bold]target {study.target}[/]: {len(plan.legs)} paths with "
@@ -253,6 +269,7 @@ def _evaluated(run: FlyingRun, plan: EvaluationPlan) -> EvaluationRecord:
     return run_evaluation(
         run.connection.fleet,
         run.pilot,
+        library,
         plan,
         run.folder,
         run.archive,
