@@ -65,12 +65,7 @@ class FleetChoice:
 
     @classmethod
     def running(cls, endpoint: str, name: str | None) -> FleetChoice:
-        """Choose a running fleet.
-
-        Args:
-            endpoint: Endpoint of the fleet's router.
-            name: Name of the fleet; None takes the only one at the router.
-        """
+        """Choose the fleet of that name at a router; None takes the only one that runs there."""
         return cls(Reach(connect=endpoint, fleet_name=name))
 
     @classmethod

@@ -25,6 +25,10 @@ ITERATIONS = 7
 DRAWING = "clover"
 SPEED = 0.6
 FLIGHT_S = 60.0
+ARCHITECTURES: dict[str, Architecture] = {"paper_linear": "preview", "paper_quadrotors": "state"}
+"""Architecture of the experiences by fleet. The quadrotors use the paper's own inverse. The linear
+fleet uses the filter whose effect the tests predict: there an inverse fed with the state forms a
+feedback loop, which orders the sources differently."""
 
 
 @dataclass(frozen=True)
@@ -44,21 +48,6 @@ class DemoCommand:
     as_json: bool = False
     """Whether to print the result as JSON on stdout."""
 
-    @property
-    def fleet_name(self) -> str:
-        """Name of the installed fleet."""
-        return "paper_quadrotors" if self.quadrotors else "paper_linear"
-
-    @property
-    def architecture(self) -> Architecture:
-        """Architecture of the experiences.
-
-        The quadrotors use the paper's own inverse. The linear fleet uses the filter whose effect
-        the tests predict: there an inverse fed with the state forms a feedback loop, which orders
-        the sources differently.
-        """
-        return "state" if self.quadrotors else "preview"
-
 
 def demo_and_print(command: DemoCommand) -> None:
     """Run the demonstration, with progress on stderr and, if wanted, the document on stdout."""
@@ -76,7 +65,8 @@ def demo(command: DemoCommand, console: Console) -> DemoResult:
     """
     check_torch()
     began_s = time.monotonic()
-    choice = FleetChoice.started(find_fleet_file(command.fleet_name))
+    fleet_name = "paper_quadrotors" if command.quadrotors else "paper_linear"
+    choice = FleetChoice.started(find_fleet_file(fleet_name))
     request = RankRequest(
         target=choice.target(None),
         sources=None,
@@ -102,7 +92,7 @@ def demo(command: DemoCommand, console: Console) -> DemoResult:
             target,
             record.result,
             legs_of(read_drawings((DRAWING,)), (SPEED,), target),
-            command.architecture,
+            ARCHITECTURES[fleet_name],
             run.folder,
             seed=command.seed,
             flight_s=FLIGHT_S,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +17,9 @@ from nufleet.orchestrator.jobs import study as study_job
 from nufleet.orchestrator.jobs.demo import DemoCommand, demo
 from nufleet.orchestrator.jobs.rank import RankCommand, rank
 from nufleet.orchestrator.jobs.resume import ResumeCommand, resume_run
+from nufleet.orchestrator.jobs.storage import Storage
+from nufleet.orchestrator.repository.records import StudyStatus
+from nufleet.orchestrator.viewer.writer import RerunWriter
 from nufleet.shared.errors import NufleetError
 from nufleet.shared.robots.fleet_file import FleetFile, find_fleet_file
 from nufleet.shared.wire.messages import Description
@@ -66,6 +70,19 @@ def test_a_script_ranks_a_fleet_without_a_word_and_nothing_is_read_or_described_
     assert record.result.selected == "source-2"
     assert capfd.readouterr() == ("", "")
     assert counted == Counted(1, Counter(ONCE))
+
+
+def test_a_ranking_whose_recording_cannot_be_opened_stores_no_study_and_promises_no_resumption(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = io.StringIO()
+    monkeypatch.setattr(RerunWriter, "open", cut)
+    command = RankCommand(runs_root=tmp_path, fleet_file=find_fleet_file("paper_linear"))
+    with pytest.raises(NufleetError, match="cable"):
+        rank(command, Console(file=said, soft_wrap=True))
+    assert "it can go on" not in said.getvalue()
+    with Storage(tmp_path).open() as repository:
+        assert not repository.studies.studies(StudyStatus.OPEN)
 
 
 def test_an_interrupted_ranking_goes_on_and_nothing_is_read_or_described_twice(
