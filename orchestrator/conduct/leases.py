@@ -186,7 +186,7 @@ def lease_robots(
     store: LeaseStore,
     fleet: Fleet,
     scope: str,
-    descriptions: Mapping[str, Description] | Iterable[str],
+    descriptions: Mapping[str, Description],
     *,
     patient: bool = False,
     on_wait: Callable[[LeaseHeldError], None] = lambda held: None,
@@ -222,8 +222,6 @@ def lease_robots(
             repository or its lease has expired.
         NoReplyError: A robot does not answer.
     """
-    if not isinstance(descriptions, Mapping):
-        descriptions = fleet.describe_all(tuple(descriptions))
     check_others(fleet, descriptions, store.last(scope))
     waited = False
 

@@ -41,17 +41,6 @@ class Reach(Strict):
     def _without_secrets(self, connect: str) -> str:
         return without_secrets(connect)
 
-    @property
-    def file(self) -> FleetFile | None:
-        """The content of the fleet file; None for a running fleet."""
-        return FleetChoice.again(self).file
-
-    def connection(
-        self, console: Console, robots: tuple[str, ...] = (), *, wait_s: float = 0.0
-    ) -> AbstractContextManager[Connection]:
-        """Return a context manager that connects to the fleet; see `FleetChoice.connection`."""
-        return FleetChoice.again(self).connection(console, robots, wait_s=wait_s)
-
     def lease_scope(self, fleet: str, run_id: str) -> str:
         """Return the name under which the robots are leased.
 
@@ -104,9 +93,24 @@ class FleetChoice:
 
     @classmethod
     def again(cls, reach: Reach) -> FleetChoice:
-        """Choose the fleet that an earlier run reached; raises FleetFileError like `started`."""
-        path = reach.fleet_file
-        return cls(reach, None if path is None else read_fleet_file(Path(path)))
+        """Choose the fleet that an earlier run reached.
+
+        Args:
+            reach: How that run reached it.
+
+        Raises:
+            FleetFileError: See `started`.
+            InvalidInputError: The file is that of another fleet now.
+        """
+        if reach.fleet_file is None:
+            return cls(reach)
+        file = read_fleet_file(Path(reach.fleet_file))
+        if reach.fleet_name not in (None, file.name):
+            raise InvalidInputError(
+                f"the run is of fleet {reach.fleet_name}, and {reach.fleet_file} is the file of "
+                f"fleet {file.name} now; restore its name to go on"
+            )
+        return cls(reach, file)
 
     def target(self, named: str | None) -> str:
         """Return the target: the robot that was named, or the one that the fleet file names.
