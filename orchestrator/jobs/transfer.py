@@ -72,6 +72,8 @@ class TransferResult(Strict):
     """Description of the experience, as stored in its file."""
     taken_from: Place | None = None
     """Place that it was taken from."""
+    reason: str | None = None
+    """Phrase that says why it was taken from there."""
     learned_at: str | None = None
     """Time at which its robot had learned it, in ISO 8601 and UTC; None if it is not known."""
 
@@ -167,6 +169,7 @@ def _result(given: Transferred) -> TransferResult:
         sha256=given.sha256,
         manifest=given.manifest,
         taken_from=given.place,
+        reason=given.reason,
         learned_at=None
         if given.learned_at is None
         else given.learned_at.isoformat(timespec="seconds"),

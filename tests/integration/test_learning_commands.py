@@ -173,7 +173,8 @@ def test_an_experience_is_handed_over_by_name_from_a_file_and_taken_away(
     assert lab.describe().prior is None
     file = f"{training['run']}/experiences/source-2-preview.safetensors"
     again = typed("transfer", *there, "--file", file, cwd=lab.folder)
-    assert json.loads(again.stdout) == {**transferred, "taken_from": "file", "learned_at": None}
+    as_file = {"taken_from": "file", "reason": "it was given as a file", "learned_at": None}
+    assert json.loads(again.stdout) == {**transferred, **as_file}
     prior = lab.describe().prior
     assert prior is not None
     assert prior.sha256 == transferred["sha256"]

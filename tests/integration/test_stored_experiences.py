@@ -7,6 +7,7 @@ import signal
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,18 +16,25 @@ from fleet_lab import Lab, Orchestrator, double_integrator
 from learned_things import experience, layout
 from polling import PATIENCE_S
 from postgresql_server import PostgresqlServer, running_server
+from rich.console import Console
 from sqlalchemy import create_engine
 
+from nufleet.orchestrator.conduct.rank_run import RankRequest, prepare
+from nufleet.orchestrator.evaluation.run import EvaluationPlan, prepare_robots
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.prior_custody import install
 from nufleet.orchestrator.experience.transfer import transfer
-from nufleet.orchestrator.repository.database import parse_url
+from nufleet.orchestrator.flights.pilot import Pilot
+from nufleet.orchestrator.jobs.transfer import TransferCommand, TransferResult
+from nufleet.orchestrator.jobs.transfer import transfer as run_transfer
+from nufleet.orchestrator.repository.database import default_url, parse_url
 from nufleet.orchestrator.repository.errors import DamagedRecordError
 from nufleet.orchestrator.repository.records import ExperienceRecord, RobotRecord
 from nufleet.orchestrator.repository.repository import Repository, open_repository
 from nufleet.orchestrator.repository.tables import EXPERIENCES
+from nufleet.orchestrator.runs.folder import RunFolder
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.experience.file import digest
+from nufleet.shared.experience.file import decode_experience, digest
 from nufleet.shared.wire.transport import Session
 
 FLEET = """
@@ -43,8 +51,9 @@ settings = { alpha = 0.97, beta = 0.004 }
 """
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="module", autouse=True)
 def server() -> Iterator[PostgresqlServer]:
+    """A server that runs before the first test, which may leave no process of its own behind."""
     with running_server() as running:
         yield running
 
@@ -152,7 +161,7 @@ def prior_of(orchestrator: Orchestrator) -> str | None:
 @pytest.mark.parametrize(
     ("stored", "offered", "taken", "place", "words"),
     [
-        ([OLD], NEW, NEW, "robot", "which the repository does not have"),
+        ([OLD], NEW, NEW, "robot", "offers one that the repository does not have"),
         ([OLD, NEW], NEW, NEW, "robot", "source offers it"),
         ([OLD, NEW], OLD, NEW, "repository", "source offers the older"),
         ([OLD], None, OLD, "repository", "source does not offer preview now"),
@@ -189,6 +198,59 @@ def test_a_fleet_that_exists_for_one_run_takes_nothing_from_robots_of_the_same_n
     learned(orchestrator, repository, OLD)
     with pytest.raises(InvalidInputError, match="it offers none"):
         transfer(fleet, ExperienceLibrary(fleet), "source", fleet.describe("target"))
+
+
+def test_an_experience_that_an_evaluation_trains_is_stored(
+    orchestrator: Orchestrator, tmp_path: Path
+) -> None:
+    fleet = orchestrator.fleet
+    request = RankRequest("target", ("source",), (0.5, 10.0), iterations=1, seed=0, axis=None)
+    plan = EvaluationPlan(
+        ready=prepare(fleet, request, fleet.robots()),
+        legs=(),
+        architecture="preview",
+        seeds=(0,),
+        seed=0,
+        flight_s=60.0,
+    )
+    with (
+        open_repository(str(tmp_path / "nufleet.sqlite")) as repository,
+        RunFolder(tmp_path, "lab-evaluate") as folder,
+    ):
+        library = ExperienceLibrary(fleet, repository.robots, "lab")
+        prepare_robots(fleet, Pilot(fleet, "run"), library, plan, folder, say=lambda text: None)
+        (stored,) = repository.robots.experiences("lab", "source")
+        payload = repository.robots.experience("lab", stored.sha256)
+    (offer,) = fleet.describe("source").experiences
+    assert (stored.sha256, stored.run) == (offer.sha256, folder.path.name)
+    assert fleet.fetch("source", offer.sha256) == payload
+
+
+def test_a_script_transfers_a_stored_experience_without_a_word(
+    orchestrator: Orchestrator, lab: Lab, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with open_repository(default_url(tmp_path)) as repository:
+        learned(orchestrator, repository, experience("away"), "away")
+    command = TransferCommand(
+        connect=lab.endpoint,
+        fleet_name=None,
+        target="target",
+        source="away",
+        file=None,
+        architecture=None,
+        runs_root=tmp_path,
+        repository=None,
+        as_json=False,
+    )
+    given = run_transfer(command, Console(quiet=True))
+    assert (given.source, given.target, given.taken_from) == ("away", "target", "repository")
+    assert given.sha256 == digest(experience("away")) == prior_of(orchestrator)
+    assert given.manifest == decode_experience(experience("away")).manifest
+    assert given.learned_at is not None
+    gone = run_transfer(replace(command, source="none"), Console(quiet=True))
+    assert gone == TransferResult(target="target")
+    assert prior_of(orchestrator) is None
+    assert capfd.readouterr() == ("", "")
 
 
 # What is refused, with the target's prior as it was.
