@@ -27,6 +27,9 @@ from nufleet.shared.errors import InvalidInputError, RobotError
 from nufleet.shared.experience.layout import HORIZON_SAMPLES_MAX, InverseLayout
 from nufleet.shared.wire.messages import Description
 
+InverseChoice = Literal["auto", "prior", "zero-prior", "baseline"]
+"""Inverse models to fly with."""
+
 
 @dataclass(frozen=True)
 class TrackCommand:
@@ -44,7 +47,7 @@ class TrackCommand:
     """Largest speed on the paths, in the unit of the robot's axes per second."""
     scale: float
     """Factor on the points of the drawings."""
-    inverse: Literal["auto", "prior", "zero-prior", "baseline"]
+    inverse: InverseChoice
     """Inverse to fly with; `auto` takes the robot's prior if it has one, else its baseline."""
     horizon_s: float
     """Horizon of the inverse model that is learned from a zero prior."""
