@@ -152,8 +152,8 @@ def choose(
     """Choose the newest experience of a source, at the source or in the repository.
 
     An experience that the source offers and the repository does not have was learned with another
-    repository, at an unknown time. It is taken, since it is what the source itself has learned last
-    as far as it knows.
+    repository, at an unknown time. It counts as the newest, because the source keeps only the one
+    that it learned last.
 
     Args:
         source: Name of the source.
