@@ -8,6 +8,9 @@ BASELINE = "baseline"
 NO_PRIOR = "none"
 """Instead of a source: an online process with a zero prior."""
 
+OWN = "own"
+"""Instead of a source: the robot's model of itself, inverted along the whole path."""
+
 _SEPARATOR = " · "
 
 

@@ -48,13 +48,13 @@ from nufleet.orchestrator.cli.options import (
 )
 @click.option(
     "--inverse",
-    type=click.Choice(["auto", "prior", "zero-prior", "baseline"]),
+    type=click.Choice(["auto", "prior", "own", "zero-prior", "baseline"]),
     default="auto",
     show_default=True,
     help=(
         "What stands in front of the robot's own controller: the prior that was transferred to it, "
-        "an online process that begins with nothing, or nothing. `auto` takes the prior if there "
-        "is one, else the baseline."
+        "its own model of itself from what it has flown, an online process that begins with "
+        "nothing, or nothing. `auto` takes the prior if there is one, else the baseline."
     ),
 )
 @click.option(
@@ -74,6 +74,13 @@ from nufleet.orchestrator.cli.options import (
     is_flag=True,
     help="Never fall back to the baseline; only a robot whose fleet file allows it flies so.",
 )
+@click.option(
+    "--rich-flight",
+    "rich_flight_s",
+    type=PositiveNumber(),
+    metavar="SECONDS",
+    help="First fly a rich flight that long, from which the robot learns more of itself.",
+)
 @live_option
 @runs_option
 @repository_option
@@ -85,10 +92,11 @@ def track(
     drawings: tuple[str, ...],
     speed: float,
     scale: float,
-    inverse: Literal["auto", "prior", "zero-prior", "baseline"],
+    inverse: Literal["auto", "prior", "own", "zero-prior", "baseline"],
     horizon_s: float,
     no_learning: bool,
     no_guard: bool,
+    rich_flight_s: float | None,
     live: bool,
     runs_root: Path,
     repository: str | None,
@@ -116,6 +124,7 @@ def track(
             horizon_s=horizon_s,
             learn=not no_learning,
             guarded=not no_guard,
+            rich_flight_s=rich_flight_s,
             live=live,
             runs_root=runs_root,
             repository=repository,

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from nufleet.orchestrator.evaluation.fly_target import FlightObserver, Psi, fly_target, summarise
 from nufleet.orchestrator.evaluation.results import EvaluationResult
+from nufleet.orchestrator.experience.learning import know_itself
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.train import train_robots
 from nufleet.orchestrator.fleet.client import Fleet
@@ -80,8 +81,8 @@ def demonstrate(
     """
     best, worst = ranking.ranking[0], ranking.ranking[-1]
     chosen = list(dict.fromkeys((best.robot, worst.robot)))
-    say(f"{target.robot} and {' and '.join(chosen)} fly for {flight_s:.0f} s to learn")
-    pilot.rich(target.robot, duration_s=flight_s, seed=seed)
+    say(f"{' and '.join(chosen)} fly for {flight_s:.0f} s to learn")
+    know_itself(fleet, pilot, target.robot, seed=seed, say=say)
     train_robots(
         fleet,
         pilot,
@@ -126,7 +127,7 @@ def demonstrate(
 
 
 def demo_table(result: EvaluationResult) -> Table:
-    """Return a table of the four errors, in the order that the tests predicted."""
+    """Return a table of the errors, in the order that the tests predicted."""
     table = Table(title="what the transfer did, in the order predicted", title_justify="left")
     table.add_column("prior")
     for heading in ("predicted ψ*", f"RMS error, m{result.unit}", "less error"):
@@ -143,6 +144,9 @@ def demo_table(result: EvaluationResult) -> Table:
     table.add_row(
         "none: learns in flight", "", _milli(none.rms_m), _percent(none.reduction_percent)
     )
+    if result.own is not None:
+        own = result.own
+        table.add_row("own model of itself", "", _milli(own.rms_m), _percent(own.reduction_percent))
     table.add_row("baseline controller alone", "", _milli(result.baseline.rms_m), "")
     return table
 

@@ -16,7 +16,8 @@ class FlightRecord(Strict):
     target: str
     """Name of the robot that flew."""
     inverse: str
-    """Name of the source that gave the prior, `none` for a zero prior, or `baseline`."""
+    """Name of the source that gave the prior, `none` for a zero prior, `own` for the target's model
+    of itself, or `baseline`."""
     drawing: str
     """Name of the drawing."""
     speed_m_s: NonNegative
@@ -29,6 +30,17 @@ class FlightRecord(Strict):
     """Why the path was not finished; None when it was."""
     deadline_misses: Annotated[int, Field(ge=0)]
     """Number of references that took longer to choose than a sample lasts."""
+    own_flight_s: NonNegative | None = None
+    """Duration of the motions that the target's model of itself rested on before the flight; that
+    of its least known axis. None if unknown."""
+    predicted_rms_m: NonNegative | None = None
+    """Error that the target expected, from its model of itself; None when it had none."""
+    predicted_low_m: NonNegative | None = None
+    """Error that it expected to exceed with a probability of 95 %."""
+    predicted_high_m: NonNegative | None = None
+    """Error that it expected to stay below with a probability of 95 %."""
+    findings: tuple[str, ...] = ()
+    """What the flight showed of the target's model of itself: that the target has changed, say."""
 
 
 class InverseResult(Strict):
@@ -85,6 +97,8 @@ class EvaluationResult(Strict):
     """Errors with the target's own controller alone."""
     no_prior: InverseResult
     """Errors of online learning that begins with a zero prior."""
+    own: InverseResult | None = None
+    """Errors with the target's model of itself; None when it was not flown."""
     sources: tuple[SourceResult, ...]
     """Errors with each source's experience, in ascending order of ψ̂*."""
     selected: str

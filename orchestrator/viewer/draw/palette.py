@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from nufleet.orchestrator.flight_labels import BASELINE, NO_PRIOR
+from nufleet.orchestrator.flight_labels import BASELINE, NO_PRIOR, OWN
 
 Colour = tuple[int, int, int]
 
@@ -28,7 +28,7 @@ GROUND: Colour = (16, 18, 22)
 ALARM: Colour = (235, 90, 90)
 """Colour of marks where the guard acted."""
 
-_NO_SOURCE: dict[str, Colour] = {BASELINE: TARGET, NO_PRIOR: (176, 166, 200)}
+_NO_SOURCE: dict[str, Colour] = {BASELINE: TARGET, NO_PRIOR: (176, 166, 200), OWN: (196, 164, 98)}
 """Colours of the target's flights without a source: with its own controller alone, and with online
 learning from a zero prior."""
 
@@ -81,7 +81,8 @@ class Palette:
         return self._colours[source]
 
     def of_prior(self, prior: str) -> Colour:
-        """Return the colour of flights, given by the source of their prior, BASELINE or NO_PRIOR.
+        """Return the colour of flights, given by the source of their prior, BASELINE, NO_PRIOR
+            or OWN.
 
         A source without a colour is assigned one.
         """
