@@ -29,7 +29,7 @@ from rich.table import Table
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.distance.nu_gap import NuGap, nu_gap
-from nufleet.shared.distance.rational_gap import rational_nu_gap
+from nufleet.shared.distance.rational_gap import RationalGap, compiled
 from nufleet.shared.models.realization import transfer_function
 
 AGREEMENT = 1e-4
@@ -81,7 +81,7 @@ def random_pairs(rng: np.random.Generator, count: int) -> list[Pair]:
     return pairs
 
 
-def compare(pair: Pair, repeats: int, accuracy: float | None) -> Comparison:
+def compare(pair: Pair, gap: RationalGap, repeats: int, accuracy: float | None) -> Comparison:
     """Run all three on one pair; each time is the best of `repeats`, models included."""
     (n1, d1), (n2, d2) = pair.first, pair.second
     nugap_dt = pair.dt_s or None
@@ -93,7 +93,7 @@ def compare(pair: Pair, repeats: int, accuracy: float | None) -> Comparison:
     def by_matrices() -> NuGap:
         return nu_gap(transfer_function(n1, d1, pair.dt_s), transfer_function(n2, d2, pair.dt_s))
 
-    compiled, compiled_s = _timed(lambda: rational_nu_gap(n1, d1, n2, d2, pair.dt_s), repeats)
+    compiled, compiled_s = _timed(lambda: gap(n1, d1, n2, d2, pair.dt_s), repeats)
     matrices, matrices_s = _timed(by_matrices, repeats)
     value, nugap_s = _timed(lambda: by_nugap(NUGAP_POINTS), repeats)
     agree = abs(value - compiled.value) <= AGREEMENT
@@ -243,10 +243,11 @@ def main() -> None:
     )
     parser.add_argument("--json", type=Path, metavar="FILE")
     arguments = parser.parse_args()
-    rational_nu_gap([1], [1, 1], [1], [1, 2])  # compiled before anything is timed
-    rational_nu_gap([1], [1, 0.5], [1], [1, 0.2], DT_S)
+    gap = compiled()
+    gap([1], [1, 1], [1], [1, 2], 0.0)  # compiled before anything is timed
+    gap([1], [1, 0.5], [1], [1, 0.2], DT_S)
     pairs = random_pairs(np.random.default_rng(arguments.seed), arguments.pairs)
-    result = summary([compare(pair, arguments.repeats, arguments.accuracy) for pair in pairs])
+    result = summary([compare(pair, gap, arguments.repeats, arguments.accuracy) for pair in pairs])
     table = Table(title=f"ν-gap of {arguments.pairs} random pairs, seed {arguments.seed}")
     table.add_column("what")
     table.add_column("value", justify="right")

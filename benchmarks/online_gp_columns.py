@@ -14,12 +14,8 @@ from benchmarks.online_gp_windows import Windows
 from nufleet.robot_agent.flight.online_gp import BOUNDS, START, OnlineGp
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.experience.layout import InverseLayout
-from nufleet.shared.gaussian_process.exact import (
-    Batch,
-    Hyperparameters,
-    fit,
-    log_marginal_likelihood,
-)
+from nufleet.shared.gaussian_process.exact import fit, log_marginal_likelihood
+from nufleet.shared.gaussian_process.problem import Batch, Hyperparameters
 
 EQUAL = 1e-6
 STATES = {4: ("position", "velocity"), 5: ("position", "velocity", "tilt")}

@@ -28,16 +28,13 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.distance.chordal import chordal_distance
 from nufleet.shared.gaussian_process.exact import (
-    Batch,
     BatchFit,
-    Bounds,
-    FitStatus,
-    Hyperparameters,
     fit,
     log_marginal_likelihood,
     posterior,
     warm_up,
 )
+from nufleet.shared.gaussian_process.problem import Batch, Bounds, FitStatus, Hyperparameters
 
 BAND_RAD_S = (0.1, 10.0)
 NOISE = 0.02

@@ -47,7 +47,6 @@ from nufleet.shared.wire.messages import (
     FetchRequest,
     GoalRequest,
     InstallRequest,
-    PredictRequest,
     ReleaseRequest,
     RemovePriorRequest,
     ResultRequest,
@@ -215,9 +214,8 @@ class Agent:
                 "prior": self._fetch,
                 "prior/install": self._install_prior,
                 "prior/remove": self._remove_prior,
-                "predict": self._predict,
             },
-            large=("goal", "experience/install", "prior/install", "predict"),
+            large=("goal", "experience/install", "prior/install"),
             urgent={"stop": stops.asked},
         )
         opened.callback(endpoint.close)
@@ -302,9 +300,6 @@ class Agent:
 
     def _fetch(self, payload: bytes) -> Answer:
         return self._experiences.fetch(_decoded(payload, FetchRequest))
-
-    def _predict(self, payload: bytes) -> Answer:
-        return self._experiences.predict(_decoded(payload, PredictRequest))
 
     def _install_experience(self, payload: bytes) -> Answer:
         return self._experiences.install_experience(_decoded(payload, InstallRequest))

@@ -11,7 +11,6 @@ from functools import partial
 from typing import Literal, TypeVar
 
 from nufleet.orchestrator.fleet.robot_watch import RobotWatch
-from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import MalformedMessageError, NoReplyError, RefusedError, RobotLostError
 from nufleet.shared.wire.codec import Message, decode, encode
 from nufleet.shared.wire.keys import FleetKeys
@@ -28,8 +27,6 @@ from nufleet.shared.wire.messages import (
     GoalRequest,
     GoalResult,
     InstallRequest,
-    Prediction,
-    PredictRequest,
     Refusal,
     ReleaseRequest,
     RemovePriorRequest,
@@ -232,20 +229,6 @@ class Fleet:
         """Remove a robot's prior."""
         request = RemovePriorRequest(sender=self.orchestrator_id, epoch=self.epoch(robot))
         self._ask(robot, "prior/remove", request, Done)
-
-    def predict(self, robot: str, sha256: str, inputs: FloatArray) -> FloatArray:
-        """Evaluate an experience that a robot holds.
-
-        Args:
-            robot: Name of the robot.
-            sha256: SHA-256 digest of the experience file, in hexadecimal.
-            inputs: Inputs ξ of the inverse model, shape (m, inputs).
-
-        Returns:
-            Outputs γ of the inverse model in the axis's unit per s, shape (m,).
-        """
-        request = PredictRequest(sha256=sha256, inputs=inputs)
-        return self._ask(robot, "predict", request, Prediction).gamma
 
     def stop(self, robot: str, reason: str) -> None:
         """Stop a robot; return once it confirms the stop, and raise if it does not."""

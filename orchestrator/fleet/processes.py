@@ -129,10 +129,6 @@ class FleetProcesses:
             if child.process.poll() is not None
         ]
 
-    def pids(self) -> dict[str, int]:
-        """Return the process id of each child, by its role."""
-        return {child.what: child.process.pid for child in self._children}
-
     def stop(self) -> None:
         """End all processes, agents first, so that robots come to rest while the router still runs.
 

@@ -27,7 +27,8 @@ from nufleet.shared.distance.chordal import chordal_distance, chordal_variance
 from nufleet.shared.errors import StudyError
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
-from nufleet.shared.gaussian_process.exact import Batch, Bounds, Hyperparameters, fit, posterior
+from nufleet.shared.gaussian_process.exact import fit, posterior
+from nufleet.shared.gaussian_process.problem import Batch, Bounds, Hyperparameters
 
 GRID_POINTS = 1001
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from nufleet.shared.models.transfer_models import ModelError, StateSpace, requir
 
 ACCURACY = 1e-9
 """Largest amount by which the supremum may exceed the value returned, apart from rounding."""
+
+ComputedFrom = Literal["polynomials", "matrices"]
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,8 @@ class NuGap:
     """Numbers of poles on the axis, η₀(P₁) and η₀(P₂)."""
     reason: str
     """Explanation in words, for people."""
+    computed_from: ComputedFrom
+    """Representation of the models that the ν-gap was computed from."""
 
     @property
     def guarantee(self) -> str:
@@ -92,11 +97,16 @@ def nu_gap(first: StateSpace, second: StateSpace) -> NuGap:
         excess,
         (first.poles_unstable, second.poles_unstable),
         (first.poles_on_axis, second.poles_on_axis),
+        "matrices",
     )
 
 
 def verdict(
-    peak: Peak, excess: int, poles_unstable: tuple[int, int], poles_on_axis: tuple[int, int]
+    peak: Peak,
+    excess: int,
+    poles_unstable: tuple[int, int],
+    poles_on_axis: tuple[int, int],
+    computed_from: ComputedFrom,
 ) -> NuGap:
     """Return the ν-gap that follows from sup ψ and from the sum in the winding condition.
 
@@ -105,6 +115,7 @@ def verdict(
         excess: Sum wno det(I + P₂*P₁) + η(P₁) − η(P₂) − η₀(P₂); meaningless if sup ψ is 1.
         poles_unstable: η(P₁) and η(P₂).
         poles_on_axis: η₀(P₁) and η₀(P₂).
+        computed_from: Representation of the models that these numbers were computed from.
     """
     orthogonal = peak.value >= 1.0 - ACCURACY
     ok = excess == 0 and not orthogonal
@@ -124,6 +135,7 @@ def verdict(
         poles_unstable=poles_unstable,
         poles_on_axis=poles_on_axis,
         reason=reason,
+        computed_from=computed_from,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -19,7 +20,17 @@ RANK_TOLERANCE = 1e-9
 Polynomial = Sequence[float] | NDArray[np.floating]
 
 
-def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> StateSpace:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TransferFunction(StateSpace):
+    """A model with one input and one output that is realised from the fraction num/den."""
+
+    num: FloatArray
+    """Coefficients of the numerator, from the highest power of s or z down."""
+    den: FloatArray
+    """Coefficients of the denominator, in the same order."""
+
+
+def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> TransferFunction:
     """Return a realisation of num/den with deg(den) states, in controllable canonical form, scaled.
 
     Args:
@@ -37,6 +48,7 @@ def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> St
         raise ModelError("the coefficients of a transfer function must be finite")
     if not denominator.size:
         raise ModelError("the denominator of a transfer function is zero")
+    fraction = {"num": numerator, "den": denominator}
     order = denominator.size - 1
     if numerator.size > order + 1:
         raise ModelError(
@@ -57,12 +69,13 @@ def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> St
     _, (scale, _) = matrix_balance(companion, permute=False, separate=True)
     b = np.zeros((order, 1))
     b[:1, 0] = 1.0
-    return StateSpace(
+    return TransferFunction(
         companion * scale / scale[:, None] + shift * np.eye(order),
         b / scale[:, None],
         (padded[1:] - padded[0] * monic[1:])[None, :] * scale,
         padded[:1, None],
         dt_s,
+        **fraction,
     )
 
 

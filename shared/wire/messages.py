@@ -250,22 +250,6 @@ class RemovePriorRequest(Message):
     """Epoch of its lease on the robot."""
 
 
-class PredictRequest(Message):
-    """Request to evaluate an experience; answered by `Prediction`."""
-
-    sha256: Digest
-    """SHA-256 of the experience's file."""
-    inputs: Float64Array
-    """Inputs ξ, shape (m, inputs), in the units of its manifest."""
-
-
-class Prediction(Message):
-    """Output of an experience at the requested inputs."""
-
-    gamma: Float64Array
-    """γ in unit/s, shape (m,)."""
-
-
 class StopRequest(Message):
     """Request to stop a robot at once; it stays stopped until it is explicitly released."""
 

@@ -16,10 +16,9 @@ from nufleet.orchestrator.experience.training import Origin, TrainingData
 from nufleet.orchestrator.experience.transfer import transfer
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.flights.pilot import Pilot
-from nufleet.robot_agent.flight.inverse_model import NetworkInverse
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError, MalformedMessageError, RobotError
-from nufleet.shared.experience.file import decode_experience, digest, encode_experience
+from nufleet.shared.experience.file import digest, encode_experience
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.paths.trajectories import travel
 from nufleet.shared.wire.messages import GoalRequest
@@ -64,16 +63,6 @@ def test_a_robot_offers_what_was_installed_on_it_and_hands_it_out(fleet: Fleet) 
     assert offer.sha256 == digest(payload)
     assert fleet.describe("source").experiences == (offer,)
     assert fleet.fetch("source", offer.sha256) == payload
-
-
-def test_a_robot_predicts_what_its_model_computes(fleet: Fleet) -> None:
-    payload = experience()
-    offer = install(fleet, "source", "experience", payload)
-    inputs = np.random.default_rng(1).standard_normal((7, len(PREVIEW.input_names)))
-    expected = NetworkInverse(decode_experience(payload))(inputs)
-    np.testing.assert_array_equal(fleet.predict("source", offer.sha256, inputs), expected)
-    assert refusal(lambda: fleet.predict("source", offer.sha256, inputs[:, 1:])) == "inputs"
-    assert refusal(lambda: fleet.predict("source", "0" * 64, inputs)) == "unknown-experience"
 
 
 def test_a_transferred_prior_survives_the_agents_restart(lab: Lab, tmp_path: Path) -> None:

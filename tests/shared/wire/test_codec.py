@@ -39,8 +39,6 @@ from nufleet.shared.wire.messages import (
     GoalResult,
     InstallRequest,
     Outcome,
-    Prediction,
-    PredictRequest,
     Refusal,
     ReleaseRequest,
     RemovePriorRequest,
@@ -266,8 +264,6 @@ STRATEGIES: dict[type[Message], st.SearchStrategy[Message]] = {
         InstallRequest, sender=identifiers, epoch=epochs, sha256=digests, payload=st.binary()
     ),
     RemovePriorRequest: st.builds(RemovePriorRequest, sender=identifiers, epoch=epochs),
-    PredictRequest: st.builds(PredictRequest, sha256=digests, inputs=flights),
-    Prediction: st.builds(Prediction, gamma=finite_array(4)),
 }
 
 RESULT = GoalResult(
@@ -561,8 +557,10 @@ def test_another_type_is_refused_by_its_name() -> None:
 
 
 def test_another_protocol_version_is_named_whatever_else_its_header_holds() -> None:
-    other = frame(header(protocol=2, compression="zstd"), b"\xff\xfe not even JSON")
-    with pytest.raises(ProtocolVersionError, match="protocol version 2, this side speaks 1"):
+    version = PROTOCOL_VERSION + 1
+    other = frame(header(protocol=version, compression="zstd"), b"\xff\xfe not even JSON")
+    words = f"protocol version {version}, this side speaks {PROTOCOL_VERSION}"
+    with pytest.raises(ProtocolVersionError, match=words):
         decode(other, Done)
 
 
