@@ -235,7 +235,10 @@ def file_targets(folder: Path) -> list[Target]:
     """Return what reads files, which are written into a folder."""
     fleets = Path(sims.__file__).parent / "fleets"
     drawing = b"x_m,y_m\n0,0\n0.5,0.25\n1,0\n"
-    drawn = b'<svg><path d="M 0 0 L 10 5 C 1 2 3 4 5 6 Q 1 2 3 4 H 3 V 4 Z"/></svg>'
+    drawn = (
+        b'<svg><path d="M 0 0 L 10 5 C 1 2 3 4 5 6 Q 1 2 3 4 H 3 V 4 A 1 2 3 0 1 5 6 Z"/>'
+        b'<g transform="rotate(3)"><circle r="1mm"/></g></svg>'
+    )
     transfer = json.dumps({"num": [1.0, 2.0], "den": [1.0, 0.5, 3.0], "dt": 0.01}).encode()
     space = json.dumps({"A": [[0.5]], "B": [[1.0]], "C": [[1.0]], "D": [[0.0]], "dt": 0.01})
     table = b"omega_rad_s,real,imag,variance\n1,0.5,-0.5,0.01\n2,0.25,-0.5,0.02\n"
