@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from types import TracebackType
 
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.fleet.goal_events import (
@@ -80,12 +79,7 @@ class GoalLoop:
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._inbox.put(None)
         self._thread.join()
         self._askers.shutdown(wait=False, cancel_futures=True)

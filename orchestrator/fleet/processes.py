@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import IO
 
 from nufleet.shared.errors import EndpointInUseError, NufleetError
@@ -62,12 +61,7 @@ class FleetProcesses:
     def __enter__(self) -> FleetProcesses:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
     def start_router(self, endpoint: str, *, timeout_s: float = 20.0) -> None:
