@@ -15,7 +15,7 @@ from nufleet.orchestrator.evaluation.results import (
     EvaluationResult,
     InverseResult,
 )
-from nufleet.orchestrator.evaluation.values import FlightError, FlownPath, StudyEstimate
+from nufleet.orchestrator.evaluation.values import FlightError, FlownPath
 from nufleet.orchestrator.flight_labels import flight_label, path_label
 from nufleet.shared.arrays import FloatArray
 
@@ -132,13 +132,7 @@ def write_figures(folder: Path, record: EvaluationRecord, flights: Path) -> None
     """
     plots = folder / "plots"
     plots.mkdir(exist_ok=True)
-    estimates = [
-        StudyEstimate(study.seed, iteration, source, psi)
-        for study in record.studies
-        for iteration, beliefs in ((2, study.second), (study.iterations, study.last))
-        for source, psi in beliefs.items()
-    ]
-    fig4(plots / "fig4_psi_over_studies.png", estimates)
+    fig4(plots / "fig4_psi_over_studies.png", record.studies)
     errors = [
         FlightError(
             prior=flight.inverse,
