@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from typing import Annotated, Literal
 
-from pydantic import Field
 from rich.table import Table
 
 from nufleet.orchestrator.evaluation.fly_target import FlightObserver, Psi, fly_target, summarise
 from nufleet.orchestrator.evaluation.results import EvaluationResult
+from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.train import train_robots
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.flights.legs import Leg
@@ -18,17 +17,15 @@ from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.orchestrator.runs.folder import RunFolder
 from nufleet.orchestrator.runs.rank_result import RankResult
 from nufleet.shared.experience.layout import Architecture
-from nufleet.shared.strict import Strict
+from nufleet.shared.strict import Document
 from nufleet.shared.wire.messages import Description
 
 DEMONSTRATION = "demo.json"
 
 
-class DemoResult(Strict):
+class DemoResult(Document):
     """What `nufleet demo --json` prints: the ranking, and the flights with the best and worst."""
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    """Version of this document's layout."""
     ranking: RankResult
     """Ranking of all sources by frequency tests, as `nufleet rank --json` prints it."""
     flights: EvaluationResult
@@ -97,7 +94,15 @@ def demonstrate(
     )
     say(f"{target.robot} tracks a drawing with each of them as its prior")
     flights = fly_target(
-        fleet, pilot, target, chosen, legs, architecture, guarded=True, observers=observers
+        fleet,
+        pilot,
+        ExperienceLibrary(fleet),
+        target,
+        chosen,
+        legs,
+        architecture,
+        guarded=True,
+        observers=observers,
     )
     result = DemoResult(
         ranking=ranking,

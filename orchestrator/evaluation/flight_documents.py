@@ -4,32 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
 from nufleet.orchestrator.evaluation.results import FlightRecord
 from nufleet.shared.experience.manifest import ExperienceManifest
-from nufleet.shared.strict import Digest, NonNegative, Strict
+from nufleet.shared.strict import Digest, Document, NonNegative, Strict
 
 if TYPE_CHECKING:
     from nufleet.orchestrator.experience.train import Trained
 
 TRAINING = "train.json"
 TRACKING = "track.json"
-
-
-class Document(Strict):
-    """The result of a run, as printed and as stored in its folder."""
-
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    """Version of this document's layout."""
-    run: str
-    """Path of the run's folder."""
-
-    def document(self) -> str:
-        """Return the JSON that other programs read."""
-        return self.model_dump_json(by_alias=True)
 
 
 class HorizonRecord(Strict):
@@ -57,7 +44,10 @@ class TrainedExperience(Strict):
 
 
 class TrainResult(Document):
-    """What `nufleet train --json` prints."""
+    """What `nufleet train` prints and leaves in its run's folder."""
+
+    run: str
+    """Path of the run's folder."""
 
     experiences: tuple[TrainedExperience, ...]
     """Experiences that were trained, in the order of robots and architectures."""
@@ -69,7 +59,10 @@ class TrainResult(Document):
 
 
 class TrackResult(Document):
-    """What `nufleet track --json` prints."""
+    """What `nufleet track` prints and leaves in its run's folder."""
+
+    run: str
+    """Path of the run's folder."""
 
     flights: tuple[FlightRecord, ...]
     """Flights in the order in which they were flown."""

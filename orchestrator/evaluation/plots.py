@@ -13,8 +13,8 @@ from nufleet.orchestrator.evaluation.results import StudyEstimates
 from nufleet.orchestrator.evaluation.summaries import by_source, reduction
 from nufleet.orchestrator.evaluation.transfer_scatter import scatter
 from nufleet.orchestrator.evaluation.values import FlightError, FlownPath
-from nufleet.orchestrator.figures import new_figure, plain, prior_colours, save
-from nufleet.orchestrator.flight_labels import BASELINE, NO_PRIOR, path_label
+from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR, path_label
+from nufleet.orchestrator.runs.figures import new_figure, plain, prior_colours, save
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 

@@ -16,7 +16,7 @@ from nufleet.orchestrator.evaluation.results import (
     InverseResult,
 )
 from nufleet.orchestrator.evaluation.values import FlightError, FlownPath
-from nufleet.orchestrator.flight_labels import flight_label, path_label
+from nufleet.orchestrator.flights.labels import flight_label, path_label
 from nufleet.shared.arrays import FloatArray
 
 PAPER_TABLE_I = {

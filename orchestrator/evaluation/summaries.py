@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from nufleet.orchestrator.evaluation.values import FlightError, TransferPair
-from nufleet.orchestrator.flight_labels import BASELINE
+from nufleet.orchestrator.flights.labels import BASELINE
 
 
 def by_source(estimates: Iterable[Mapping[str, float]]) -> dict[str, list[float]]:

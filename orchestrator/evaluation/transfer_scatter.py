@@ -11,7 +11,7 @@ import numpy as np
 
 from nufleet.orchestrator.evaluation.summaries import mean_kendall_tau, pooled_kendall_tau
 from nufleet.orchestrator.evaluation.values import TransferPair
-from nufleet.orchestrator.figures import COLOURS, label_places, new_figure, plain, save
+from nufleet.orchestrator.runs.figures import COLOURS, label_places, new_figure, plain, save
 from nufleet.shared.errors import InvalidInputError
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ class FlightError:
     """The tracking error of one flight of a target."""
 
     prior: str
-    """Source of the prior, or one of the names in `flight_labels` for a flight without one."""
+    """Source of the prior, or one of the names in `flights.labels` for a flight without one."""
     drawing: str
     """Name of the drawing that was flown."""
     speed_m_s: float

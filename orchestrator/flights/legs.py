@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nufleet.orchestrator.flight_labels import flight_label, path_label
+from nufleet.orchestrator.flights.labels import flight_label, path_label
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.paths.files import read_drawing

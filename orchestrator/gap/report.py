@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Literal
 
-from pydantic import Field
 from rich.markup import escape
 from rich.table import Table
 
@@ -17,7 +15,7 @@ from nufleet.shared.distance.rational_gap import rational_nu_gap
 from nufleet.shared.distance.stability_margin import stability_guarantee, stability_margin
 from nufleet.shared.models.realization import TransferFunction
 from nufleet.shared.models.transfer_models import StateSpace
-from nufleet.shared.strict import Strict
+from nufleet.shared.strict import Document, Strict
 
 
 class WindingCondition(Strict):
@@ -63,15 +61,13 @@ class ControllerReport(Strict):
     """Lower bound of the second margin that follows from the ν-gap."""
 
 
-class GapReport(Strict):
+class GapReport(Document):
     """The document of `nufleet gap --json`.
 
     A frequency is null where it is infinite. `nu_gap` is null where a response was measured: there
     is then no ν-gap, only `chordal_max_in_band`.
     """
 
-    schema_version: Literal[1] = Field(default=1, alias="schema")
-    """Version of this document's format."""
     first: str
     """File of the first model or response."""
     second: str

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nufleet.orchestrator.figures import COLOURS, new_figure, plain, save
+from nufleet.orchestrator.runs.figures import COLOURS, new_figure, plain, save
 from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord
 from nufleet.orchestrator.runs.verdict_table import verdict_markdown
 from nufleet.orchestrator.study.interface import Curve

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nufleet.orchestrator.flight_labels import BASELINE, prior_and_path
+from nufleet.orchestrator.flights.labels import BASELINE, prior_and_path
 from nufleet.orchestrator.viewer.events import TrackingSamplesEvent
 from nufleet.shared.arrays import FloatArray
 

@@ -26,8 +26,8 @@ from nufleet.orchestrator.evaluation.values import (
     FlownPath,
     TransferPair,
 )
-from nufleet.orchestrator.figures import label_places, prior_colours
-from nufleet.orchestrator.flight_labels import flight_label, path_label, prior_and_path
+from nufleet.orchestrator.flights.labels import flight_label, path_label, prior_and_path
+from nufleet.orchestrator.runs.figures import label_places, prior_colours
 from nufleet.shared.errors import InvalidInputError
 
 SOURCES = ("source-1", "source-2", "source-3")
