@@ -105,7 +105,6 @@ class Pursuit:
         self._heard_s = sighting.heard_s
         self._lost_s = now_s
         self._lost = ""
-        self._running_id: str | None = None
         self._progress = 0.0
         self._abandoned = list(abandoned)
         self._rest_patience_s = REST_PATIENCE_S if self._abandoned else REFUSAL_PATIENCE_S
@@ -203,7 +202,6 @@ class Pursuit:
                 self._note_refusal(question, error, now_s)
 
     def _note_state(self, state: RobotState) -> None:
-        self._running_id = state.goal_id
         if state.goal_id == self.goal_id:
             self._progress = state.progress
         elif self._taken:
