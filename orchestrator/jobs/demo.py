@@ -8,13 +8,15 @@ from pathlib import Path
 import click
 
 from nufleet.orchestrator.conduct.rank_run import RankRequest, configuration, prepare, run_study
-from nufleet.orchestrator.evaluation.demonstration import DemoResult, demo_table, demonstrate
+from nufleet.orchestrator.evaluation.demonstration import demo_table, demonstrate
+from nufleet.orchestrator.evaluation.flight_documents import DemoResult
 from nufleet.orchestrator.experience.train import check_torch
 from nufleet.orchestrator.fleet.reach import Reach
 from nufleet.orchestrator.flights.legs import legs_of, read_drawings
 from nufleet.orchestrator.jobs.flying import KeptFlights, OpenRun, flying
 from nufleet.orchestrator.jobs.storage import Storage
-from nufleet.orchestrator.runs.console import ConsoleObserver, ranking_table, stderr_console
+from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.orchestrator.runs.console import ConsoleObserver, ranking_table
 from nufleet.orchestrator.runs.rank_result import RunRecord
 from nufleet.orchestrator.viewer.study_feed import LiveView
 from nufleet.shared.errors import InvalidInputError

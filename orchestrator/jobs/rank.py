@@ -27,8 +27,8 @@ from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.fleet.reach import REACH, Reach
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.study import show_study
+from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.repository.repository import Repository
-from nufleet.orchestrator.runs.console import stderr_console
 from nufleet.orchestrator.runs.folder import RunFolder, make_runs_root
 from nufleet.orchestrator.runs.rank_result import RunRecord
 from nufleet.shared.errors import InvalidInputError

@@ -18,6 +18,7 @@ from nufleet.orchestrator.conduct.recipe import recipe_of
 from nufleet.orchestrator.fleet.reach import REACH, Reach
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.study import show_study
+from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.repository.errors import LeaseHeldError, UnknownRecordError
 from nufleet.orchestrator.repository.records import (
     StudyRecord,
@@ -26,7 +27,6 @@ from nufleet.orchestrator.repository.records import (
     TrialStatus,
 )
 from nufleet.orchestrator.repository.repository import Repository
-from nufleet.orchestrator.runs.console import stderr_console
 from nufleet.orchestrator.runs.folder import (
     CONFIGURATION,
     RunFolder,

@@ -16,7 +16,7 @@ from nufleet.orchestrator.fleet.connection import running_fleet
 from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.orchestrator.history.tables import experiences_table
 from nufleet.orchestrator.jobs.storage import Storage
-from nufleet.orchestrator.runs.console import stderr_console
+from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.runs.folder import RunFolder, make_runs_root
 from nufleet.shared.experience.layout import Architecture
 

@@ -17,7 +17,7 @@ from nufleet.orchestrator.experience.transfer import transfer as transfer_experi
 from nufleet.orchestrator.fleet.connection import running_fleet
 from nufleet.orchestrator.history.catalogue import latest_ranking
 from nufleet.orchestrator.jobs.storage import Storage
-from nufleet.orchestrator.runs.console import stderr_console
+from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.runs.folder import make_runs_root
 from nufleet.orchestrator.study.verdict import Verdict
 from nufleet.shared.errors import InvalidInputError

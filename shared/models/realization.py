@@ -7,7 +7,6 @@ from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, matrix_balance
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.models.transfer_models import ModelError, StateSpace
@@ -54,7 +53,7 @@ def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> St
     if order:
         companion[0] = -monic[1:]
         companion[1:, :-1] = np.eye(order - 1)
-    _, (scale, _) = matrix_balance(companion, permute=False, separate=True)
+    scale = _balance(companion)
     b = np.zeros((order, 1))
     b[:1, 0] = 1.0
     return StateSpace(
@@ -64,6 +63,17 @@ def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> St
         padded[:1, None],
         dt_s,
     )
+
+
+def _balance(companion: FloatArray) -> FloatArray:
+    """Return the scales of the states, shape (order,), that balance a companion matrix."""
+    if len(companion) < 2:
+        return np.ones(len(companion))
+    # Imported here because it takes longer to load than most comparisons take to compute.
+    from scipy.linalg import matrix_balance
+
+    _, (scale, _) = matrix_balance(companion, permute=False, separate=True)
+    return np.asarray(scale, dtype=np.float64)
 
 
 def _about_one(p: FloatArray) -> FloatArray:
@@ -89,6 +99,8 @@ def transfer_matrix(
         ModelError: `num` and `den` have different or ragged shapes, or a fraction cannot be
             realised, see `transfer_function`.
     """
+    from scipy.linalg import block_diag
+
     inputs = len(num[0]) if num else 0
     if inputs == 0 or [len(row) for row in [*num, *den]] != [inputs] * (2 * len(num)):
         raise ModelError("num and den must be full matrices of polynomials, of the same shape")

@@ -138,7 +138,7 @@ def test_one_robot_that_is_not_released_keeps_no_other_from_it(lab: Lab) -> None
 
 def test_nothing_heavy_is_imported_before_robots_are_told_to_stop() -> None:
     script = (
-        "import sys; import nufleet.orchestrator.cli.stop, nufleet.orchestrator.fleet.stopping; "
+        "import sys; import nufleet.orchestrator.cli.stop, nufleet.orchestrator.jobs.stop; "
         "print({m.partition('.')[0] for m in sys.modules})"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)

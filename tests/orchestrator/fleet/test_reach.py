@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from nufleet.orchestrator.fleet.reach import REACH, Reach
-from nufleet.orchestrator.runs.console import stderr_console
+from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.runs.folder import CONFIGURATION, RunFolder
 from nufleet.shared.errors import InvalidInputError
 
