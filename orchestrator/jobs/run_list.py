@@ -16,7 +16,7 @@ from nufleet.orchestrator.history.catalogue import KINDS, Damaged, Run, read_run
 from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.runs.folder import study_id_of
 
-INTERRUPTED = "interrupted, or not over yet"
+INTERRUPTED = "interrupted, or still running"
 
 
 def list_and_print(runs_root: Path, *, as_json: bool) -> None:

@@ -155,11 +155,11 @@ def _all_confirm(
         asked.update(new)
         _stop(new, reason, told)
     if not asked:
-        who = "every robot" if fleet_name is None else f"every robot of fleet {fleet_name}"
-        fleets_there = f"the fleets there are {', '.join(there)}" if there else "no robot is there"
+        everyone = "all robots" if fleet_name is None else f"all robots of fleet {fleet_name}"
+        found = f"fleets {', '.join(there)}" if there else "no robots"
         raise RobotLostError(
-            f"a stop was sent to {who if robots is None else ', '.join(robots)}, "
-            f"but nobody is there to confirm it: {fleets_there}"
+            f"a stop was sent to {everyone if robots is None else ', '.join(robots)}, "
+            f"but no robot can confirm it: there are {found} at the router"
         )
     return not unconfirmed
 
