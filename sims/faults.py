@@ -43,9 +43,9 @@ class FaultBase(Strict):
     @model_validator(mode="after")
     def _said_once(self) -> FaultBase:
         if self.from_sample is not None and self.from_s is not None:
-            raise ValueError("a fault begins from_sample or from_s, not both")
+            raise ValueError("give either from_sample or from_s, not both")
         if self.samples is not None and self.for_s is not None:
-            raise ValueError("a fault lasts for some samples or for_s, not both")
+            raise ValueError("give either samples or for_s, not both")
         return self
 
     def acts(self, motion: int, sample: int, count: int, sample_time_s: float) -> NDArray[np.bool_]:

@@ -154,7 +154,7 @@ class SimulatedRobot(Robot):
 
     def _ready(self) -> FloatArray:
         if self._failure is not None:
-            raise RobotError(f"{self._name} has to be connected anew: {self._failure}")
+            raise RobotError(f"{self._name} has to be reconnected: {self._failure}")
         if self._state is None:
             raise RobotError(f"{self._name} is not connected")
         return self._state

@@ -159,14 +159,14 @@ class Guard:
             return TakenBack(
                 sample=sample,
                 reason=f"an error of {math.sqrt(self._recent.mean()):.3g}, more than the "
-                "baseline's worst",
+                "largest error of the baseline",
             )
         pull = math.sqrt(self._accelerations.mean())
         if pull > self._acceleration_max:
             return TakenBack(
                 sample=sample,
-                reason=f"its corrections oscillate: they accelerate by {pull:.3g}, which no path "
-                f"asks for; {self._acceleration_max:.3g} is enough",
+                reason=f"its corrections oscillate: their acceleration is {pull:.3g}, and no path "
+                f"requires more than {self._acceleration_max:.3g}",
             )
         excess = self._spent - float(self._allowed[sample])
         if excess > self._budget:
@@ -178,7 +178,7 @@ class Guard:
             size, needed = np.linalg.norm(correction), np.linalg.norm(self._needed[sample])
             return TakenBack(
                 sample=sample,
-                reason=f"a correction of {size:.3g}, where the baseline needs {needed:.3g}: later "
-                "it could not be taken back in time",
+                reason=f"a correction of {size:.3g}, where the baseline needs {needed:.3g}: it "
+                "could not be withdrawn in time later",
             )
         return None

@@ -141,8 +141,9 @@ def decode_record(payload: bytes) -> Record:
         return _RECORD.validate_json(payload)
     except ValidationError as error:
         raise JournalError(
-            f"the journal holds a record of another nufleet ({describe_validation(error)}); "
-            "install the one that wrote it, or move the journal away once the robot was seen to"
+            "the journal holds a record of a different version of nufleet "
+            f"({describe_validation(error)}); install the version that wrote it, or inspect the "
+            "robot and then move the journal away"
         ) from error
 
 

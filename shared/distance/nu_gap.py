@@ -49,7 +49,7 @@ class NuGap:
     def guarantee(self) -> str:
         """The guarantee that δ_ν gives for every controller, in words."""
         if self.value >= 1.0:
-            return "nothing: no stability margin is larger than 1"
+            return "none: no stability margin is larger than 1"
         return (
             "every controller that stabilises the first model with a margin above"
             f" {math.ceil(self.value * 1e4) / 1e4:.4f} also stabilises the second"

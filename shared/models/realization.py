@@ -41,7 +41,7 @@ def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> St
     if numerator.size > order + 1:
         raise ModelError(
             f"improper transfer function: the numerator has degree {numerator.size - 1},"
-            f" the denominator {order}; it must not be lower"
+            f" the denominator {order}; the denominator must not have the lower degree"
         )
     padded = np.concatenate([np.zeros(order + 1 - numerator.size), numerator])
     # All poles of a model sampled fast are near z = 1, where a companion matrix in z − 1 resolves

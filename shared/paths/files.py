@@ -46,7 +46,7 @@ def read_drawing(path: Path) -> FloatArray:
     readers: dict[str, Callable[[str, str], FloatArray]] = {".csv": _csv, ".svg": _svg}
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        raise InvalidInputError(f"{path}: a drawing is a .csv or .svg file")
+        raise InvalidInputError(f"{path}: a drawing must be a .csv or .svg file")
     try:
         if path.stat().st_size > FILE_BYTES_MAX:
             raise InvalidInputError(f"{path}: larger than {FILE_BYTES_MAX} bytes")

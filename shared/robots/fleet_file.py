@@ -79,7 +79,7 @@ def find_fleet_file(path_or_name: str) -> Path:
     installed = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
     if path_or_name not in installed:
         names = ", ".join(sorted(installed))
-        raise FleetFileError(f"{path}: there is no such fleet file; known by name: {names}")
+        raise FleetFileError(f"{path}: no such fleet file; known by name: {names}")
     found: Path = installed[path_or_name].load()
     return found
 

@@ -113,7 +113,7 @@ def test_a_driver_that_loses_a_sample_fails_the_test_with_the_samples_before(
     lab.agent("a", robot, realtime=50.0)
     orchestrator = lab.orchestrator()
     result = orchestrator.run("a", "g1")
-    assert (result.outcome, result.reason) == (Outcome.FAILED, "the driver got no sample 60")
+    assert (result.outcome, result.reason) == (Outcome.FAILED, "the driver received no sample 60")
     assert len(result.response) == 60
     assert inside(robot)._at_rest()
     assert isinstance(outcome_of(orchestrator, tmp_path, "round"), Measured)
@@ -127,8 +127,8 @@ def test_a_driver_that_breaks_is_a_fault_until_it_is_connected_anew(
     orchestrator = lab.orchestrator()
     outcome = outcome_of(orchestrator, tmp_path, "round")
     assert isinstance(outcome, Failed)
-    assert "see to the robot, then release it" in outcome.reason
-    assert "the driver broke at sample 60" in outcome.reason
+    assert "inspect the robot, then release it" in outcome.reason
+    assert "the driver failed at sample 60" in outcome.reason
     orchestrator.state("a", lambda s: s.status is RobotStatus.FAULT)
     assert inside(robot)._at_rest()
     orchestrator.fleet.release("a")

@@ -208,7 +208,7 @@ def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, moment: s
         (["--band", "0.05", "90"], 2, "outside what robot target can be tested at"),
         (["--axis", "yaw"], 2, "no axis 'yaw'; it has x"),
         (["--iterations", "0"], 2, "--iterations"),
-        (["--trajectory", "no-such-drawing"], 2, "there is no such drawing"),
+        (["--trajectory", "no-such-drawing"], 2, "no such drawing"),
         (["--speed", "0.5"], 2, "name one with --trajectory"),
     ],
 )

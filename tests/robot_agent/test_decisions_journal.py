@@ -84,7 +84,7 @@ def test_a_goal_that_cannot_be_stored_is_refused_and_forgotten(
             assert motion is None
             assert isinstance(answer, Refusal)
             assert answer.code == "journal"
-            assert "No space left on device; see to the disk" in answer.reason
+            assert "No space left on device; free or repair the disk" in answer.reason
             assert decisions.state().status is RobotStatus.IDLE
             unknown = decisions.result("a")
             assert isinstance(unknown, Refusal)
@@ -188,7 +188,7 @@ def test_a_damaged_journal_leaves_the_robot_stopped_with_the_reason(tmp_path: Pa
         state = decisions.state()
         assert state.status is RobotStatus.STOPPED
         assert "was altered" in state.reason
-        assert "see to the robot, then release it" in state.reason
+        assert "inspect the robot, then release it" in state.reason
         assert decisions.release("alice") is None
         assert decisions.state().status is RobotStatus.IDLE
 
@@ -199,7 +199,7 @@ def test_a_goal_that_was_lost_is_said_to_be_at_once(tmp_path: Path) -> None:
     with agent_on(tmp_path) as decisions:
         state = decisions.state()
         assert (state.goal_id, state.last_goal_id) == (None, "a")
-        assert state.reason == "the agent before this one ended during a"
+        assert state.reason == "the previous agent process ended during a"
         result = decisions.result("a")
         assert isinstance(result, GoalResult)
         assert (result.outcome, result.plan) == (Outcome.LOST, plan)

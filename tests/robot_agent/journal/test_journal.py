@@ -218,7 +218,7 @@ def test_a_journal_of_a_newer_nufleet_is_left_alone(tmp_path: Path) -> None:
     salt = bytes(16)
     data = file_head(salt) + encode_frame(salt, 1, b'{"kind": "flown to the moon"}')
     (tmp_path / LOG).write_bytes(data)
-    with pytest.raises(JournalError, match="another nufleet"):
+    with pytest.raises(JournalError, match="a different version of nufleet"):
         Journal(tmp_path)
     assert (tmp_path / LOG).read_bytes() == data
 
@@ -424,7 +424,7 @@ def test_an_owner_that_the_disk_does_not_let_go_is_said_and_stays(
         journal.owned("o-1", 3)
         with monkeypatch.context() as broken:
             broken.setattr("os.fsync", failing)
-            with pytest.raises(JournalError, match="see to the disk"):
+            with pytest.raises(JournalError, match="free or repair the disk"):
                 journal.forget_owner()
     with Journal(tmp_path) as journal:
         assert journal.remembrance.owner == Owned(owner="o-1", epoch=3)

@@ -291,7 +291,7 @@ def test_a_transient_is_reported_from_one_thousandth_on_and_fails_a_test_from_on
     slightly = verdict_on(decaying(0.01, 1.0), omegas_rad_s)
     assert slightly.quality.usable
     assert "settling" in warnings(slightly)
-    assert "settle longer" in str(slightly.quality)
+    assert "allow more time to settle" in str(slightly.quality)
     assert verdict_on(decaying(1e-4, 1.0), omegas_rad_s).quality.warnings == ()
 
 

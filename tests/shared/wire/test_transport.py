@@ -104,7 +104,7 @@ def test_an_answer_may_come_later_and_from_another_thread(clients: Callable[[], 
 
 def test_nobody_there_is_an_error_at_once(clients: Callable[[], Session]) -> None:
     began_s = time.monotonic()
-    with pytest.raises(NoReplyError, match="no answer on lab/nobody"):
+    with pytest.raises(NoReplyError, match="no reply on lab/nobody"):
         clients().ask("lab/nobody", b"", timeout_s=PATIENCE_S)
     assert time.monotonic() - began_s < PATIENCE_S / 2
 
