@@ -15,8 +15,8 @@ class Robot(ABC):
 
     A robot rests at reference 0 of every axis: `connect` and `rest` leave it there, and every
     motion begins there with a first reference of 0. The driver itself chooses the reference that
-    holds the robot at rest, and therefore also how to get to 0. A driver that rested wherever the
-    robot happens to be would see its reference jump when the next motion begins. The agent compares
+    holds the robot at rest, and therefore also how to get to 0. If a driver rested at the present
+    position of the robot, its reference would jump when the next motion begins. The agent compares
     the output at rest with the first reference, and refuses to begin a motion when they are further
     apart than `nufleet.robot_agent.motion.monitor` allows.
 
@@ -96,8 +96,8 @@ class Robot(ABC):
     def rest(self) -> None:
         """Bring the robot to rest at reference 0 from any state; returns when it rests there.
 
-        The driver chooses the path, no faster than the robot may move, whatever the last reference
-        was. This is called at the end of every motion, and in the middle of one that is stopped.
+        The driver chooses the path from the last reference, no faster than the robot may move. This
+        is called at the end of every motion, and in the middle of one that is stopped.
         """
 
     @abstractmethod

@@ -193,7 +193,7 @@ def _go_on(run: str) -> None:
     ]
     for option in given:
         if option.name not in _OF_A_RESUMPTION:
-            raise click.UsageError(f"{option.opts[0]} is that of the run; leave it out to resume")
+            raise click.UsageError(f"{option.opts[0]} is taken from the run; omit it to resume")
     connect = next((o for o in given if o.name == "connect"), None)
     options = context.params
     resume_and_print(

@@ -55,7 +55,7 @@ def resume(
 
     What was measured is not flown again. A motion that was in progress is asked for by its id: it
     counts if it was completed, and is repeated if it ended with the process that commanded it. The
-    result is that of the undisturbed run, for robots that answer the same question alike.
+    result equals that of an undisturbed run, if the robots answer equal requests equally.
     """
     from nufleet.orchestrator.jobs.resume import ResumeCommand, resume_and_print
 
@@ -113,7 +113,7 @@ def export(
 
     Each holds one robot's z(ω) with its variance, all its usable tests together. `nufleet gap`
     compares two of them; python-control takes real + 1j imag and omega_rad_s for a
-    FrequencyResponseData. Of an interrupted run it is what is stored so far.
+    FrequencyResponseData. An interrupted run gives the responses that it stored.
 
     \b
     nufleet runs export latest --to responses

@@ -17,7 +17,7 @@ def stop(
 ) -> None:
     """Stop robots now and for good, until they are released.
 
-    Works while a robot is busy and whoever commands it. Without --fleet-name it stops robots of
+    Works while a robot is busy, no matter who commands it. Without --fleet-name it stops robots of
     every fleet at the router. Ends with exit code 1, and says so loudly, when a robot does not
     confirm that it has stopped.
     """
@@ -44,7 +44,7 @@ def stop(
 def release(robots: tuple[str, ...], connect: str, fleet_name: str | None) -> None:
     """Let stopped robots move again.
 
-    Each robot named is asked, whatever becomes of the others. Ends with exit code 1 when one of
+    Each named robot is asked, even if others fail. Ends with exit code 1 when one of
     them stays stopped.
     """
     from nufleet.orchestrator.fleet.connection import running_fleet

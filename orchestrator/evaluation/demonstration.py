@@ -118,7 +118,7 @@ def demonstrate(
 
 def demo_table(result: EvaluationResult) -> Table:
     """Return a table of the four errors, in the order that the tests predicted."""
-    table = Table(title="what the transfer did, in the order predicted", title_justify="left")
+    table = Table(title="effect of the transfer, in the predicted order", title_justify="left")
     table.add_column("prior")
     for heading in ("predicted ψ*", f"RMS error, m{result.unit}", "less error"):
         table.add_column(heading, justify="right")

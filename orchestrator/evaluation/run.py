@@ -147,7 +147,7 @@ def prepare_robots(
 
     def learn_baseline() -> None:
         if not target.baseline_known:
-            say(f"{target.robot} flies for {plan.flight_s:.0f} s to know its own baseline")
+            say(f"{target.robot} flies for {plan.flight_s:.0f} s to learn its own baseline")
             pilot.rich(target.robot, duration_s=plan.flight_s, seed=plan.seed)
 
     # The target's flight and the sources' training take minutes each, so they run side by side.
@@ -155,7 +155,7 @@ def prepare_robots(
         baseline = pool.submit(learn_baseline)
         if lacking:
             names = ", ".join(source.robot for source in lacking)
-            say(f"{names}: experiences are flown and trained")
+            say(f"{names}: flying and training experiences")
             train_robots(
                 fleet,
                 pilot,

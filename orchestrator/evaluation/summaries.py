@@ -41,7 +41,7 @@ def second_and_last(
         if estimate.iteration == ends[estimate.study]:
             last.setdefault(estimate.source, []).append(estimate.psi)
     if not second:
-        raise InvalidInputError("no study has a second iteration to be compared with its last")
+        raise InvalidInputError("no study has a second iteration to compare with its last")
     return second, last
 
 

@@ -136,8 +136,8 @@ def choose_horizon(
         raise StudyError(
             f"robot {origin.robot} could not be flown with a {layouts[0].architecture} inverse of "
             f"any horizon from {shortest:.2f} to {longest:.2f} s: none did better than its "
-            f"baseline; let it learn the other kind (--architecture {other}), or from a longer "
-            "flight (--duration)"
+            f"baseline; use the other architecture (--architecture {other}), or a longer flight "
+            "(--duration)"
         )
     # Trials are in ascending order of the horizon: the last is the longest, the first the shortest.
     alike = [i for i, trial in enumerate(trials) if trial.rms_error <= _CLOSE * best]

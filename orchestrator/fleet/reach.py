@@ -59,8 +59,8 @@ class Reach(Strict):
         if self.fleet_file is None or file is None:
             if self.connect.endswith(f"#{HIDDEN}"):
                 raise InvalidInputError(
-                    f"the run reached its fleet at {self.connect}, and what may be secret there "
-                    "was not stored; name the whole endpoint with --connect"
+                    f"the run reached its fleet at {self.connect}, and the secret part of this "
+                    "endpoint was not stored; give the whole endpoint with --connect"
                 )
             return running_fleet(self.connect, self.fleet_name, robots=robots, wait_s=wait_s)
         console.print(f"starting a router and {len(file.robots)} robots of {self.fleet_file}")

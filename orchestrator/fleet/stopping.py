@@ -132,10 +132,10 @@ def _all_confirm(
         _stop(new, reason, told)
     if not asked:
         who = "every robot" if fleet_name is None else f"every robot of fleet {fleet_name}"
-        fleets_there = f"the fleets there are {', '.join(there)}" if there else "no robot is there"
+        fleets_there = f"the fleets are {', '.join(there)}" if there else "no robot is there"
         raise RobotLostError(
             f"a stop was sent to {who if robots is None else ', '.join(robots)}, "
-            f"but nobody is there to confirm it: {fleets_there}"
+            f"but no robot confirmed it: {fleets_there}"
         )
     return not unconfirmed
 
@@ -161,7 +161,7 @@ def _stop(targets: list[_Target], reason: str, told: Callable[[_Target, str | No
         except NufleetError as error:
             return str(error)
         except Exception as error:  # noqa: BLE001 - one robot's trouble must not hide the others'
-            _log.exception("stopping %r", target.robot)
+            _log.exception("the stop of %r failed", target.robot)
             return f"an unexpected error: {error!r}"
         return None
 

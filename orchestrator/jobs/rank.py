@@ -106,7 +106,7 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
         check_band(command.band_rad_s)
     drawing = _drawing(command)
     if command.reuse_days is not None and command.algorithm != "adaptive":
-        raise InvalidInputError("--reuse is that of --algorithm adaptive, not of paper")
+        raise InvalidInputError("--reuse requires --algorithm adaptive")
     make_runs_root(command.runs_root)
     storage = Storage(command.runs_root, command.repository)
     with ExitStack() as stack:
@@ -220,7 +220,7 @@ def _drawing(command: RankCommand) -> TimedPath | None:
     if command.trajectory is not None:
         return read_motion(command.trajectory, command.speed_m_s)
     if command.speed_m_s is not None:
-        raise InvalidInputError("--speed is that of a trajectory: name one with --trajectory")
+        raise InvalidInputError("--speed requires --trajectory")
     return None
 
 

@@ -194,8 +194,8 @@ def experience_record(row: RowMapping) -> ExperienceRecord:
     summary, data = experience_summary(row), bytes(row["data"])
     if hashlib.sha256(data).hexdigest() != summary.sha256:
         raise DamagedRecordError(
-            f"experience {summary.sha256} of {summary.robot}: its {len(data)} bytes have another "
-            "hash; store the file again"
+            f"experience {summary.sha256} of {summary.robot}: its {len(data)} bytes have a "
+            "different hash; store the file again"
         )
     return ExperienceRecord(summary.fleet, summary.robot, summary.manifest, data)
 

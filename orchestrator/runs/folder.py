@@ -165,8 +165,8 @@ def find_run(root: Path, run: str) -> Path:
         if (candidate / CONFIGURATION).is_file():
             return candidate
     raise InvalidInputError(
-        f"no run {run!r}: expected a run's folder, its name in {root}, or `latest`; "
-        "`nufleet runs list` shows what there is"
+        f"no run {run!r}: expected the folder of a run, its name in {root}, or `latest`; "
+        "`nufleet runs list` shows all runs"
     )
 
 
@@ -211,4 +211,4 @@ def _create(root: Path, name: str) -> Path:
             f"the run's folder cannot be created in {root}: {error.strerror}; "
             "choose another place with --runs"
         ) from error
-    raise InvalidInputError(f"{root} holds too many runs named {name}")
+    raise InvalidInputError(f"{root} contains too many runs named {name}")

@@ -172,7 +172,7 @@ class Guard:
         if excess > self._budget:
             ratio = math.sqrt(self._spent / float(self._allowed[sample]))
             return TakenBack(
-                sample=sample, reason=f"so far {ratio:.2f} times the error of the baseline"
+                sample=sample, reason=f"until now {ratio:.2f} times the error of the baseline"
             )
         if excess + self._return_cost(sample, correction) > self._return_budget:
             size, needed = np.linalg.norm(correction), np.linalg.norm(self._needed[sample])

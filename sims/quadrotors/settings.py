@@ -29,7 +29,7 @@ LINK_TICKS = 32
 class MellingerVehicle(Strict):
     """A Crazyflie with the firmware's Mellinger controller on board, whose gains yield forces.
 
-    As in real flight, the controller assumes its built-in mass whatever `mass_kg` is.
+    As in real flight, the controller assumes its built-in mass, independently of `mass_kg`.
     """
 
     controller: Literal["mellinger"]

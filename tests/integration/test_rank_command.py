@@ -101,14 +101,14 @@ def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(tmp_path:
     assert set(document["verdicts"]) == {"source-1", "source-2", "source-3"}
     assert document["stopped_because"] in adaptive.stderr
     report = (tmp_path / document["run"] / "report.md").read_text(encoding="utf-8")
-    assert f"Right with probability {document['confidence']:.3f}: source-2" in report
+    assert f"Probability of a correct selection: {document['confidence']:.3f}: source-2" in report
     assert all(f"- {source}: " in report for source in document["eliminated"])
     paper = json.loads(nufleet(*arguments, "--algorithm", "paper", cwd=tmp_path).stdout)
     assert "confidence" not in paper
     assert document["robot_time_s"] < paper["robot_time_s"] / 4
     refused = nufleet(*arguments, "--algorithm", "paper", "--reuse", cwd=tmp_path)
     assert refused.returncode == 2
-    assert "--reuse is that of --algorithm adaptive" in refused.stderr
+    assert "--reuse requires --algorithm adaptive" in refused.stderr
     again = nufleet(*arguments, "--reuse", cwd=tmp_path)
     reusing = json.loads(again.stdout)
     assert set(reusing["stored"]) == {"source-1", "source-2", "source-3"}
@@ -157,7 +157,7 @@ def test_the_demo_ranks_as_rank_does_however_robots_share_processes(tmp_path: Pa
         path.name for path in run.iterdir()
     }
     assert "closed form" in alone.stderr
-    assert "what the transfer did" in alone.stderr
+    assert "effect of the transfer" in alone.stderr
     assert " view " in alone.stderr
 
 
@@ -209,7 +209,7 @@ def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, moment: s
         (["--axis", "yaw"], 2, "no axis 'yaw'; it has x"),
         (["--iterations", "0"], 2, "--iterations"),
         (["--trajectory", "no-such-drawing"], 2, "no such drawing"),
-        (["--speed", "0.5"], 2, "name one with --trajectory"),
+        (["--speed", "0.5"], 2, "--speed requires --trajectory"),
     ],
 )
 def test_a_request_that_cannot_be_right_is_refused_with_the_reason(

@@ -96,12 +96,12 @@ def test_a_stop_of_all_stops_every_fleet_at_the_router(lab: Lab) -> None:
 def test_a_stop_that_nobody_can_confirm_is_an_error(lab: Lab) -> None:
     nobody = nufleet(lab, "stop", "--all")
     assert nobody.returncode == 1
-    assert "nobody is there to confirm it: no robot is there" in nobody.stderr
+    assert "no robot confirmed it: no robot is there" in nobody.stderr
     lab.agent("a", PuppetRobot())
     elsewhere = nufleet(lab, "stop", "--all", "--fleet-name", "lap")
     assert elsewhere.returncode == 1
     assert "every robot of fleet lap" in elsewhere.stderr
-    assert "the fleets there are lab" in elsewhere.stderr
+    assert "the fleets are lab" in elsewhere.stderr
 
 
 def test_names_from_the_network_that_are_none_are_neither_printed_nor_counted(lab: Lab) -> None:

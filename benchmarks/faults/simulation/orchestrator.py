@@ -246,7 +246,7 @@ class SimulatedOrchestrator:
             self._take(run, TokenBack() if alive else TokenLost())
 
     def asked(self, question: str, body: Any, answer: OnAnswer) -> None:
-        raise AssertionError("nobody asks an orchestrator")
+        raise AssertionError("an orchestrator receives no requests")
 
     def heard(self, robot: str, state: RobotState) -> None:
         """Receive a robot's state; ignore one older than the last of the same agent process."""
@@ -377,7 +377,7 @@ class SimulatedOrchestrator:
         known = self._repository.leases[error.robot]
         if known.owner == self.name:
             raise Violation(
-                f"{self.world.now_s:.3f}: {self.name} loses its leases, and nobody took them: "
+                f"{self.world.now_s:.3f}: {self.name} loses its leases, but none was taken over: "
                 f"{error}"
             )
 

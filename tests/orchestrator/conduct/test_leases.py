@@ -183,7 +183,7 @@ def test_who_lost_its_robots_is_interrupted_and_told_why(
             raise Interrupted
 
     with hold(repository, "a") as leases:
-        with pytest.raises(LeaseLostError, match="a does not own robot r1 under epoch 1"):
+        with pytest.raises(LeaseLostError, match="a no longer owns robot r1 under epoch 1"):
             work(leases)
         # What begins only now is interrupted at once.
         late = threading.Event()

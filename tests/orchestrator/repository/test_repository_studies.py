@@ -237,7 +237,7 @@ def test_a_goal_id_means_one_test(begun: Repository) -> None:
     begun.studies.intend(intent())
     with pytest.raises(RecordConflictError, match="another test"):
         begun.studies.intend(replace(intent(), excitation=LONGER))
-    with pytest.raises(RecordConflictError, match="under another id"):
+    with pytest.raises(RecordConflictError, match="under an id other than"):
         begun.studies.intend(replace(intent(), goal_id="another"))
 
 

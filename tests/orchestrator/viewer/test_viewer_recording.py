@@ -120,7 +120,7 @@ def test_an_event_that_cannot_be_drawn_costs_nothing_but_itself(
     good = iteration_event(2, t_s=9.0)
     curve = replace(good.curves[0], mean=np.zeros(3))
     path = record(tmp_path / "run.rrd", replace(good, iteration=1, curves=(curve,)), good)
-    assert "cannot draw" in caplog.text
+    assert "could not draw" in caplog.text
     assert column(path, "/psi/worst/s2", "Measurements:values") == [[0.04]]
 
 
