@@ -192,8 +192,11 @@ class FaultyRobotDriver:
     """Builds robots of other drivers with faults; each can run in a process of its own."""
 
     settings: type[FaultyRobotSettings] = FaultyRobotSettings
+    """Settings of one robot in a fleet file."""
     shares_process: bool = False
+    """Whether the robots of a fleet have to run in one process."""
     environment: Mapping[str, str] = field(default_factory=dict)
+    """Environment variables that the process of a robot needs."""
 
     def build(
         self, settings: Mapping[str, FaultyRobotSettings], rng: np.random.Generator

@@ -83,7 +83,7 @@ class Chaos:
         self._finish()
 
     def live(self, seconds: float, faults_min: int) -> None:
-        """Cause at least `faults_min` random faults for `seconds`, during one study after another."""
+        """Cause at least `faults_min` faults at random for `seconds`, one study after another."""
         kinds: list[tuple[str, Callable[[], None], float]] = [
             ("agents killed", self._kill_agent, 3.0),
             ("agents frozen", self._freeze_agent, 2.0),

@@ -89,7 +89,9 @@ class Damaged:
     """A run whose folder cannot be read, and the reason."""
 
     folder: Path
+    """Folder of the run."""
     reason: str
+    """Reason why it cannot be read."""
 
 
 def read_run(folder: Path) -> Run:

@@ -106,7 +106,7 @@ def supervise(state: Supervision, event: Event) -> tuple[Supervision, Halt | Non
         case OwnerLost(owner):
             if state.motion_owner != owner:
                 return state, None
-            return state, _halt_if_moving(state, f"its owner {owner} has disappeared")
+            return state, _halt_if_moving(state, f"its owner {owner} is gone")
         case MotionBegan(owner):
             return replace(state, motion_owner=owner), None
         case MotionEnded(fault):

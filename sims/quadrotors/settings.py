@@ -33,6 +33,8 @@ class MellingerVehicle(Strict):
     """
 
     controller: Literal["mellinger"]
+    """Discriminator of the vehicle's type."""
+
     airframe: Literal["cf2x_L250", "cf2x_P250", "cf2x_T350", "cf21B_500"]
     """Name of crazyflow's identified parameters."""
 
@@ -59,6 +61,8 @@ class AttitudeVehicle(Strict):
     """
 
     controller: Literal["offboard_pd"]
+    """Discriminator of the vehicle's type."""
+
     mass_kg: Positive
     """Mass of the vehicle."""
 

@@ -69,7 +69,7 @@ SENSOR_FAULTS: dict[str, tuple[dict[str, Any], str]] = {
         {"kind": "saturated", "low": -9.0, "high": 0.2},
         "cut off at 0.2",
     ),
-    "very noisy": ({"kind": "noisy", "std": 30.0}, "noise|did something else"),
+    "very noisy": ({"kind": "noisy", "std": 30.0}, "noise|did not follow the test"),
     "full of spikes": ({"kind": "spikes", "probability": 0.3, "height": 0.8}, "spikes"),
     "huge spikes": ({"kind": "spikes", "probability": 0.01, "height": 1e6}, "something else|noise"),
     "very late": ({"kind": "late", "late_max": 60}, "noise"),

@@ -205,7 +205,7 @@ def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, moment: s
         (["--band", "10", "0.1"], 2, "reversed"),
         (["--band", "1", "1"], 2, "empty"),
         (["--band", "0", "10"], 2, "period is infinite"),
-        (["--band", "0.05", "90"], 2, "outside what robot target can be tested at"),
+        (["--band", "0.05", "90"], 2, "exceeds the range in which robot target can be tested"),
         (["--axis", "yaw"], 2, "no axis 'yaw'; it has x"),
         (["--iterations", "0"], 2, "--iterations"),
         (["--trajectory", "no-such-drawing"], 2, "no such drawing"),
@@ -335,7 +335,7 @@ def test_a_running_fleet_is_shown_ranked_stopped_and_released(
             "source-1",
             "source-3",
         ]
-        assert "going on without source-2" in without.stderr
+        assert "continuing without source-2" in without.stderr
         assert nufleet("release", "source-2", *join, cwd=tmp_path).returncode == 0
         assert nufleet("stop", "nobody", *join, cwd=tmp_path).returncode == 1
     finally:

@@ -125,7 +125,7 @@ def test_an_owner_whose_lease_ran_out_by_a_clock_that_was_set_forward_is_left_it
         lease(repository, first)  # never entered: it is about to renew it
         monkeypatch.setattr(Database, "now_s", lambda *asked: right(*asked) + 3600.0)
         assert not repository.leases.held("lab")
-        with pytest.raises(RobotOwnedError, match=r"owned by first \(epoch 1\), who is alive"):
+        with pytest.raises(RobotOwnedError, match=r"owned by first \(epoch 1\), which is alive"):
             lease(repository, second)
         first.session.close()
         wait_until(lambda: not second.fleet.is_alive("first"))

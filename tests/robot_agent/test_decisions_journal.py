@@ -100,7 +100,7 @@ def test_the_robot_is_free_again_though_the_end_of_its_goal_could_not_be_stored(
         with monkeypatch.context() as disk:
             disk.setattr(private_files, "write_all", full)
             decisions.ended(result, None)
-            assert "the end of a is not stored" in caplog.text
+            assert "the end of a could not be stored" in caplog.text
             assert decisions.result("a") == result
             assert refused(decisions, "b") == "journal"
         begun(decisions, "b")

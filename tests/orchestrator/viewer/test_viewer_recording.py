@@ -88,7 +88,7 @@ def test_messages_are_recorded_with_their_levels(tmp_path: Path) -> None:
 def test_a_recording_is_not_written_over(tmp_path: Path) -> None:
     path = record(tmp_path / "run.rrd", iteration_event())
     before = path.read_bytes()
-    with pytest.raises(InvalidInputError, match="exists already"):
+    with pytest.raises(InvalidInputError, match="already exists"):
         RerunWriter("run-2", recording=path, serve=None).open()
     assert path.read_bytes() == before
 
