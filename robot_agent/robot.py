@@ -23,6 +23,46 @@ class Robot(ABC):
     One sample lasts `spec.sample_time_s`. References and outputs hold one number per axis, in the
     order and the units of `spec.axes`. Methods are called from one thread at a time. Each raises
     `RobotError` when the robot cannot do what it is asked to.
+
+    Examples:
+        A robot that reaches its reference within one sample:
+
+        >>> from nufleet.shared.robots.spec import AxisSpec
+        >>> class Follower(Robot):
+        ...     spec = RobotSpec(
+        ...         kind="follower",
+        ...         axes=(
+        ...             AxisSpec(
+        ...                 name="x", unit="m", amplitude_max=1, velocity_max=1, acceleration_max=1
+        ...             ),
+        ...         ),
+        ...         sample_time_s=0.02,
+        ...         omega_min_rad_s=0.1,
+        ...         omega_max_rad_s=6.0,
+        ...         duration_max_s=300.0,
+        ...         settling_time_s=4.0,
+        ...         simulated=True,
+        ...     )
+        ...
+        ...     def connect(self):
+        ...         self.output = np.zeros(1)
+        ...
+        ...     def measure_output(self):
+        ...         return self.output
+        ...
+        ...     def step(self, reference):
+        ...         measured, self.output = self.output, reference
+        ...         return measured
+        ...
+        ...     def rest(self):
+        ...         self.output = np.zeros(1)
+        ...
+        ...     def disconnect(self):
+        ...         self.rest()
+        >>> robot = Follower()
+        >>> robot.connect()
+        >>> robot.run(np.array([[0.0], [0.1], [0.2]])).ravel()
+        array([0. , 0. , 0.1])
     """
 
     @property

@@ -84,7 +84,7 @@ class SimulatedRobot(Robot):
         return self._ready() + self._noise.now
 
     def step(self, reference: FloatArray) -> FloatArray:
-        """Follow a reference for one sample; return the output at its start, both (axes,)."""
+        """Follow a reference for one sample; return the output at its start; shape (axes,)."""
         return np.asarray(self.run(reference[np.newaxis])[0])
 
     def run(self, references: FloatArray) -> FloatArray:

@@ -71,8 +71,8 @@ def demonstrate(
         folder: Folder of the run; experiences and the result are written there.
         seed: Seed of the learning flights and of the networks' first weights.
         flight_s: Duration in s of each flight that a robot learns from.
-        say: Called with one line of progress at a time.
-        observers: Called at the beginning and at the end of each flight along a path.
+        say: Callback that receives one line of progress at a time.
+        observers: Callbacks for the beginning and the end of each flight along a path.
 
     Returns:
         The ranking together with the errors of the flights, as written to the run's folder.

@@ -66,7 +66,7 @@ def fly_lessons(
         architectures: Architectures of the experiences to learn.
         seed: Seed of the rich flight's reference.
         duration_s: Duration of the rich flight.
-        say: Called with the robot's name and what it does now.
+        say: Callback that receives the robot's name and its present activity.
 
     Returns:
         One lesson per architecture, in the given order.

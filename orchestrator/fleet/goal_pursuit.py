@@ -91,7 +91,7 @@ class Pursuit:
         Args:
             robot: Name of the robot.
             goal_id: Id of the goal.
-            sighting: What is known of the robot now.
+            sighting: Present knowledge of the robot.
             now_s: Current time in s, on the same clock as all later times.
             taken_before: Whether the robot accepted this goal from an earlier orchestrator. If so,
                 the goal is never sent again; only its result is requested.

@@ -35,7 +35,16 @@ _PACKAGES = ("nufleet", "eclipse-zenoh", "numpy", "scipy", "numba", "pydantic", 
 
 
 class RunFolder:
-    """Writes one run's folder; close it (or leave its `with`) so that the samples are complete."""
+    """Writes one run's folder; close it (or leave its `with`) so that the samples are complete.
+
+    Examples:
+        >>> with tempfile.TemporaryDirectory() as root:
+        ...     with RunFolder(Path(root), "lab") as run:
+        ...         run.write_configuration({"kind": "rank", "target": "drone-7"})
+        ...     found = find_run(Path(root), "latest")
+        ...     found == run.path, sorted(path.name for path in found.iterdir())
+        (True, ['config.json'])
+    """
 
     def __init__(
         self, root: Path, name: str, *, now: datetime | None = None, goes_on: bool = False

@@ -30,6 +30,14 @@ def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> St
 
     Raises:
         ModelError: the fraction is improper or undefined, or a coefficient is not finite.
+
+    Examples:
+        The model 1/(s + 2), and a delay of one sample at 100 Hz:
+
+        >>> transfer_function([1.0], [1.0, 2.0]).modes
+        array([-2.+0.j])
+        >>> transfer_function([1.0], [1.0, 0.0], dt_s=0.01).states
+        1
     """
     numerator = np.trim_zeros(np.atleast_1d(np.asarray(num, dtype=np.float64)), "f")
     denominator = np.trim_zeros(np.atleast_1d(np.asarray(den, dtype=np.float64)), "f")
@@ -88,6 +96,13 @@ def transfer_matrix(
     Raises:
         ModelError: `num` and `den` have different or ragged shapes, or a fraction cannot be
             realised, see `transfer_function`.
+
+    Examples:
+        One output of two inputs, 1/(s + 1) and 2/(s + 2):
+
+        >>> model = transfer_matrix([[[1.0], [2.0]]], [[[1.0, 1.0], [1.0, 2.0]]])
+        >>> model.outputs, model.inputs, model.states
+        (1, 2, 2)
     """
     inputs = len(num[0]) if num else 0
     if inputs == 0 or [len(row) for row in [*num, *den]] != [inputs] * (2 * len(num)):

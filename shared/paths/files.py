@@ -42,6 +42,11 @@ def read_drawing(path: Path) -> FloatArray:
         InvalidInputError: the file cannot be read, is neither CSV nor SVG, does not contain exactly
             one path, or contains an invalid one (one point, NaN, too many points). The message
             names the file and the fault.
+
+    Examples:
+        >>> from nufleet.shared.paths.installed import find_drawing
+        >>> read_drawing(find_drawing("clover")).shape
+        (312, 2)
     """
     readers: dict[str, Callable[[str, str], FloatArray]] = {".csv": _csv, ".svg": _svg}
     reader = readers.get(path.suffix.lower())

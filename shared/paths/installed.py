@@ -20,6 +20,10 @@ def find_drawing(path_or_name: str) -> Path:
 
     Raises:
         InvalidInputError: there is neither such a file nor such a name.
+
+    Examples:
+        >>> find_drawing("clover").suffix
+        '.csv'
     """
     path = Path(path_or_name)
     if path.exists():

@@ -75,6 +75,13 @@ def resized(
 
     Raises:
         InvalidInputError: both sizes are given, or the drawing has no extent in that direction.
+
+    Examples:
+        >>> corner = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
+        >>> resized(corner, width_m=0.5)
+        array([[0. , 0. ],
+               [0.5, 0. ],
+               [0.5, 1. ]])
     """
     if width_m is not None and height_m is not None:
         raise InvalidInputError("give either a width or a height: the other follows from it")

@@ -123,6 +123,15 @@ def travel(
     Raises:
         InvalidInputError: the points are not a path, the speed or acceleration is not positive, or
             the trajectory would take too long.
+
+    Examples:
+        A straight line of 1 m, at 0.5 m/s and with 1 m/s² at most, for a robot that runs at 50 Hz:
+
+        >>> desired = travel(np.array([[0.0, 0.0], [1.0, 0.0]]), 0.5, 1.0, 0.02)
+        >>> desired[0], desired[-1]
+        (array([0., 0.]), array([1., 0.]))
+        >>> round(float(np.abs(np.diff(desired, axis=0)).max()) / 0.02, 3)
+        0.5
     """
     check_path(points, "the path")
     if not (0 < speed < math.inf and 0 < acceleration_max < math.inf):
