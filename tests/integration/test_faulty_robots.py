@@ -165,7 +165,7 @@ def test_a_driver_that_hangs_is_a_fault_until_it_returns(lab: Lab, tmp_path: Pat
     orchestrator.fleet.stop("a", "smoke")
     assert not robot.at_rest
     gate.opened.set()
-    # It returned after all; then the robot was brought to rest and may be connected anew.
+    # It returned after all; then the robot was brought to rest and may be reconnected.
     wait_until(lambda: released(orchestrator))
     assert robot.at_rest
     assert orchestrator.run("a", "g2", settle_s=0.0).outcome is Outcome.COMPLETED

@@ -137,7 +137,7 @@ def test_training_leaves_an_experience_on_the_robot_and_in_the_run(
     chosen = manifest.layout.horizon_samples
     (mine,) = (t for t in one["horizon_trials"] if t["horizon_samples"] == chosen)
     assert mine["rms_error"] <= 1.05 * min(flown)
-    # Nobody flies with what was only tried.
+    # No robot flies with a prior that was only tried.
     assert lab.describe("source-2").prior is None
 
 

@@ -1,4 +1,4 @@
-"""A robot has the prior in the end that it had before, whatever came between."""
+"""A robot has the same prior afterwards as before, no matter what happened in between."""
 
 from __future__ import annotations
 

@@ -177,7 +177,7 @@ MOMENTS: dict[str, Callable[[int, Path], bool]] = {
 
 @pytest.mark.parametrize("moment", MOMENTS)
 def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, moment: str) -> None:
-    state = str(tmp_path / "its own")  # by which whoever it starts is known
+    state = str(tmp_path / "its own")  # by which the processes that it starts are found
     ranking = subprocess.Popen(
         [*NUFLEET, "rank", "--fleet", str(FLEET), "--realtime", "1"],
         cwd=tmp_path,

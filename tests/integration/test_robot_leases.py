@@ -84,7 +84,7 @@ def test_who_keeps_another_repository_is_told_who_commands_a_robot_until_that_on
 def test_a_living_owner_is_left_its_robot_however_far_the_epochs_of_another_repository_are(
     lab: Lab, tmp_path: Path, ahead: int
 ) -> None:
-    """Epochs of two repositories cannot be compared: also the very same one is another's."""
+    """Epochs of two repositories cannot be compared, even if they are equal."""
     lab.agent("a", PuppetRobot())
     first, second = lab.orchestrator("first"), lab.orchestrator("second")
     with (
@@ -158,7 +158,7 @@ def test_a_robot_whose_owner_falls_silent_rests_and_is_taken_over_within_the_lea
     lab.agent("a", robot, realtime=1.0)
     silent, heir = lab.orchestrator("silent"), lab.orchestrator("heir")
     with open_repository(f"{tmp_path}/nufleet.sqlite") as repository:
-        lease(repository, silent)  # never entered: nobody renews it
+        lease(repository, silent)  # never entered, hence never renewed
         request = silent.request("g", **SLOW)
         epoch = silent.fleet.epoch("a")
         silent.fleet.submit("a", request.model_copy(update={"epoch": epoch}))

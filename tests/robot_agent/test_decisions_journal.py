@@ -142,7 +142,7 @@ def test_a_stop_that_comes_while_a_release_is_stored_stays(
         assert refusal is not None
         assert refusal.code == "stopped"
         assert refused(decisions, "a") == "stopped"
-        decisions.store_stop()  # as whoever took that stop does next
+        decisions.store_stop()  # as the handler of that stop does next
     with agent_on(tmp_path) as decisions:
         assert refused(decisions, "a") == "stopped"
         assert decisions.release("carol") is None
@@ -231,7 +231,7 @@ def test_a_cancel_that_cannot_be_stored_is_confirmed_by_none_that_follows(
             for _ in range(2):
                 with pytest.raises(JournalError, match="No space left"):
                     decisions.cancel("a", Commander("o"))
-            assert refused(decisions, "a") == "cancelled"  # of this process nobody has to fear it
+            assert refused(decisions, "a") == "cancelled"  # of this process it is not a danger
         assert decisions.cancel("a", Commander("o")) is None
     with agent_on(tmp_path) as decisions:
         assert refused(decisions, "a") == "cancelled"

@@ -1,4 +1,4 @@
-"""A simulated robot rests, refuses and fails the same way whatever simulator is inside."""
+"""A simulated robot rests, refuses and fails in the same way with any simulator inside."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rounds that somebody or something ends, and robots that are not heard for a while."""
+"""Rounds that are interrupted, and robots that are not heard for a while."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ ROUNDS = 20
 
 
 class Clock:
-    """The clock of a database, which is right until it is set by so many seconds."""
+    """The clock of a database, which is right until it is set forward by some seconds."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self._off_s, right = 0.0, Database.now_s

@@ -103,7 +103,7 @@ def test_robots_of_any_pace_are_judged_without_a_warning(
     rng, specs = np.random.default_rng(0), dict.fromkeys(fleet, spec)
     study: Study = PaperStudy(plan, rng)
     if algorithm == "adaptive":
-        # It goes on until the last round, in which tests that were told already are added to.
+        # It continues to the last round, which adds to earlier tests.
         impatient = AdaptiveSettings(delta=1e-9, epsilon=0.0)
         study = AdaptiveStudy(plan, specs, rng, settings=impatient)
     while (question := study.ask()) is not None:
@@ -201,7 +201,7 @@ NOISE = 0.005
 def judged_from(
     at_target: Excitation, at_sources: Excitation, motion: DesiredMotion | None, seed: int = 1
 ) -> Judgement:
-    """Judge by stored tests, whatever was played on each robot."""
+    """Judge by stored tests, with different tones on each robot."""
     rng = np.random.default_rng(seed)
     played = {name: at_target if name == "target" else at_sources for name in FLEET}
     stored = {name: [FLEET[name].answer(played[name], NOISE, rng)] for name in FLEET}

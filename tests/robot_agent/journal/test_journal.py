@@ -123,7 +123,7 @@ def test_a_goal_that_was_cancelled_before_it_came_moves_nothing_in_any_later_lif
             assert isinstance(refusal, Refusal)
             assert refusal.code == "cancelled"
             assert (journal.remembrance.lost, journal.result("g1")) == ((), None)
-            journal.owned("orchestrator-1", 3)  # and the log is written anew
+            journal.owned("orchestrator-1", 3)  # and the log is rewritten
             journal.owned("orchestrator-1", 4)
 
 
@@ -452,7 +452,7 @@ def test_a_journal_writes_through_no_link(tmp_path: Path, name: str) -> None:
     else:
         victim.write_bytes(b"somebody's")
         log = bytearray((folder / LOG).read_bytes())
-        log[-1] ^= 1  # so that it is written anew, and what was found is kept
+        log[-1] ^= 1  # so that it is rewritten, and its content is kept
         (folder / LOG).write_bytes(log)
         (folder / name).unlink(missing_ok=True)
     before = victim.read_bytes()

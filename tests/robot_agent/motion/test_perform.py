@@ -1,4 +1,4 @@
-"""Playing a motion: from rest to rest, whatever the robot does meanwhile."""
+"""Performing a motion from rest to rest, no matter what the robot does meanwhile."""
 
 from __future__ import annotations
 

@@ -440,7 +440,7 @@ def test_an_altered_byte_gives_a_valid_message_or_is_refused(place: int, value: 
         message = decode(bytes(payload), GoalResult)
     except MalformedMessageError:
         return
-    # Whatever still decodes keeps the promises of its type.
+    # A message that still decodes satisfies the constraints of its type.
     GoalResult.model_validate(dict(message))
 
 

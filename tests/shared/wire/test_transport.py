@@ -57,7 +57,7 @@ def echo(request: Request) -> None:
 
 
 def served(asker: Session, key: str) -> None:
-    """Wait until somebody serves a key: the declaration takes its way through the router."""
+    """Wait until a key is served: its declaration has to pass through the router."""
     wait_until(lambda: bool(asker.ask_all(key, b"", timeout_s=PATIENCE_S)))
 
 

@@ -28,7 +28,7 @@ FLEET = ["target", "source-1", "source-2", "source-3", "source-4"]
 
 SHIPPED_DAMPING_NMS = {"pusher": (1.0, 0.1), "reacher": (1.0, 1.0)}
 
-# Of the pusher's tip in its home pose, the elbow bent by 1.16 rad: from the vertical shoulder axis,
+# Pusher's tip in its home pose, with the elbow bent by 1.16 rad: from the vertical shoulder axis,
 # and from the elbow axis.
 TIP_DISTANCE_M = (0.1 + 0.4 + 0.321 * np.cos(1.16), 0.321)
 
