@@ -264,7 +264,7 @@ def test_only_a_goal_that_was_accepted_is_known_to_be_taken(
         at = resume("run-1", study(), trials)
         for test in () if at.open is None else at.open.tests:
             status = None if test.record is None else test.record.status
-            # An accepted goal is asked about and never sent again, whichever agent serves its robot.
+            # An accepted goal is asked about but never sent again, whichever agent serves it.
             assert (test.accepted_by == "boot-1") is (status is TrialStatus.ACCEPTED)
             seen.add(status)
     assert seen == {None, TrialStatus.INTENDED, TrialStatus.ACCEPTED}
