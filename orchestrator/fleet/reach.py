@@ -91,7 +91,7 @@ class FleetChoice:
         """Choose the fleet that an earlier run reached.
 
         Args:
-            reach: How that run reached it.
+            reach: Stored way in which that run reached it.
 
         Raises:
             FleetFileError: See `started`.

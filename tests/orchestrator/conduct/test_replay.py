@@ -291,7 +291,7 @@ def test_a_changed_response_is_refused_where_the_study_would_ask_something_else(
     other = next(t.response for t in cuts[-1] if t.intent.goal_id == "run-1.1.source-2.1")
     assert other is not None
     trials = changed(cuts, "run-1.1.target.1", response=replace(other, z=other.z + 0.5))
-    with pytest.raises(ResumeError, match=r"iteration|asks"):
+    with pytest.raises(ResumeError, match=r"iteration|requests"):
         resume("run-1", study(), trials)
 
 

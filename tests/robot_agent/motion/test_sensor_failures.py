@@ -60,7 +60,7 @@ def displaced(onset: int) -> Sensor:
 FAULTS = {
     "NaN": (not_a_number, "not finite"),
     "frozen": (frozen, "stays at exactly"),
-    "displaced": (displaced, "leaps|does not follow"),
+    "displaced": (displaced, "jumps|does not follow"),
 }
 
 

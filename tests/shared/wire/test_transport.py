@@ -270,7 +270,7 @@ def test_what_is_too_long_is_told_of_without_a_copy_of_it(
         assert tracemalloc.get_traced_memory()[1] < 2**20
     finally:
         tracemalloc.stop()
-    assert "8388608 bytes were put on 'lab/stop'; at most 64 are taken" in caplog.text
+    assert "8388608 bytes were put on 'lab/stop'; at most 64 are accepted" in caplog.text
 
 
 def test_an_answer_that_is_too_long_is_not_copied(
