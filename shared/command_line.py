@@ -27,9 +27,9 @@ from nufleet.shared.text import printable
 ENTRY_POINT_GROUP = "nufleet.commands"
 _DISK_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 _GROUP_HELP = {
-    "drawing": "Import, draw and display the drawings that robots track.",
-    "fleet": "Launch a fleet of simulated robots, or list the robots of a fleet.",
-    "runs": "List, display and export earlier runs, or resume one that was interrupted.",
+    "drawing": "Import, draw and look at the drawings that robots track.",
+    "fleet": "Start a fleet of simulated robots, or show the robots of a running one.",
+    "runs": "Look at earlier runs, or resume one that was interrupted.",
 }
 
 
