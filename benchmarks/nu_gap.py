@@ -1,9 +1,10 @@
-"""The ν-gap beside PyPI's `nugap`: the same numbers? how fast? and where not, who is right?
+"""Comparison of the ν-gap with PyPI's `nugap`: agreement, speed, and the correct value.
 
-Pairs are random transfer functions of order 1 to 4, continuous and sampled, stable and not, near
-and far, lightly damped too. Where the answers differ, 50 digits decide. So far every difference was
-nugap's: a peak between the points of its grid, or a large |P| that it takes for det(I + P2*P1) = 0;
-and it does not indent its contour around poles on the axis, which no pair here has.
+Pairs are random transfer functions of order 1 to 4: continuous and sampled, stable and unstable,
+near and far, some of them lightly damped. Where the results differ, arithmetic with 50 digits
+decides. Every difference found until now was an error of nugap: a peak between the points of its
+grid, or a large |P| that it mistakes for det(I + P2*P1) = 0. It also does not indent its contour
+around poles on the axis, which no pair here has.
 
     python -m benchmarks.nu_gap --pairs 500 --seed 1 --json nu_gap.json
 
@@ -237,9 +238,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--pairs", type=int, default=500)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--repeats", type=int, default=5, help="each time is the best of so many")
+    parser.add_argument("--repeats", type=int, default=5, help="runs of which the best is timed")
     parser.add_argument(
-        "--accuracy", type=float, default=1e-6, help="give nugap the points to reach this, too"
+        "--accuracy", type=float, default=1e-6, help="accuracy for which nugap is given points"
     )
     parser.add_argument("--json", type=Path, metavar="FILE")
     arguments = parser.parse_args()

@@ -19,7 +19,7 @@ from nufleet.shared.gaussian_process.problem import Batch, Hyperparameters
 
 EQUAL = 1e-6
 STATES = {4: ("position", "velocity"), 5: ("position", "velocity", "tilt")}
-"""Which states make so many inputs."""
+"""Names of the states, by the number of inputs that they give."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +60,9 @@ class Column:
 class Comparison:
     """Log likelihoods less the product's, over all fits.
 
-    Of the higher ones, `higher_found_from_papers_start` is how many our own search reaches from
-    there. The lower ones either `stopped_short` of a maximum as high as ours or are at
-    `another_maximum`. `mean_difference` is the median of |Δ mean| where likelihoods are equal.
+    `higher_found_from_papers_start` counts those of the `higher` ones that our own search reaches
+    from the paper's start. The lower ones either `stopped_short` of a maximum as high as ours or
+    are at `another_maximum`. `mean_difference` is the median of |Δ mean| over equal likelihoods.
     """
 
     fits: int

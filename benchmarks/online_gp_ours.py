@@ -13,7 +13,7 @@ from nufleet.shared.gaussian_process.exact import fit, posterior
 from nufleet.shared.gaussian_process.problem import Batch, Hyperparameters
 
 NEARLY_LINEAR = Hyperparameters(0.01, BOUNDS.lengthscale[1], BOUNDS.noise_variance[0])
-"""Of a handful of second starts tried on recorded windows, the one that left the fewest traps."""
+"""Second starting point: of several tried on recorded windows, it left the fewest local maxima."""
 
 
 def papers_start(dimension: int, points: int) -> Peer:  # noqa: ARG001

@@ -149,7 +149,7 @@ class Agent:
         journal = Unrecorded() if folder is None else Journal(folder / "journal")
         opened.callback(journal.close)
         for goal_id in journal.remembrance.lost:
-            _log.warning("%s: goal %s was lost with the agent before", self._name, goal_id)
+            _log.warning("%s: goal %s was lost with the previous agent", self._name, goal_id)
         robot, memory = self._robot, self._memory
         planner = Planner(
             self._name,
@@ -232,7 +232,7 @@ class Agent:
     def _on_orchestrator(self, key: str, alive: bool) -> None:
         owner = self._keys.orchestrator_of(key)
         if owner is None:
-            _log.warning("%s: ignoring %r, which names no orchestrator", self._name, key)
+            _log.warning("%s: ignoring %r, which is not an orchestrator's key", self._name, key)
         elif alive:
             self._decisions.owner_appeared(owner)
         else:

@@ -86,7 +86,7 @@ class ExperienceService:
         if own and manifest.robot != self._name:
             return Refusal(
                 code="misfit",
-                reason=f"it was learned on {manifest.robot}; as a prior it can be transferred",
+                reason=f"it was learned on {manifest.robot}; install it as a prior instead",
             )
         for axis in manifest.axes:
             reason = misfit(manifest, self._robot.spec, self._robot.state_names, axis)
@@ -105,7 +105,7 @@ class ExperienceService:
         kept = self._memory.find(sha256)
         if kept is None:
             raise RefusedError(
-                "unknown-experience", f"it has none with sha256 {sha256}", self._name
+                "unknown-experience", f"it has no experience with sha256 {sha256}", self._name
             )
         return kept
 

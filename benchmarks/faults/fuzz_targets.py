@@ -128,7 +128,7 @@ def example_messages() -> list[Message]:
     states = RichFlightDetails(state_names=("position",), states=FLIGHT.reshape(40, 2, 1))
     path = dict.fromkeys(("desired", "actual", "prior", "mean", "variance"), FLIGHT)
     return [
-        Refusal(code="busy", reason="running goal g of somebody"),
+        Refusal(code="busy", reason="running goal g of another owner"),
         DescribeRequest(),
         Description(robot="a", boot_id="b00f", spec=SPEC, experiences=(offer,), prior=offer),
         *(
@@ -308,7 +308,7 @@ def _decoded(kind: type[Message], payload: bytes) -> Message:
 def _scanned(records: tuple[bytes, ...], payload: bytes) -> None:
     found = scan(payload).payloads
     if not set(found) <= set(records):
-        raise ValueError(f"records that nobody wrote: {found}")
+        raise ValueError(f"records that were never written: {found}")
 
 
 def _opened(folder: Path) -> None:

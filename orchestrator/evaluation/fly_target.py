@@ -83,7 +83,7 @@ def fly_target(
         legs: Paths to fly with every inverse.
         architecture: Architecture of the sources' experiences to transfer.
         guarded: Whether the guard may withdraw a prior in flight.
-        observers: Called at the beginning and at the end of each flight.
+        observers: Callbacks for the beginning and the end of each flight.
 
     Returns:
         One record per flight, in the order in which they were flown.

@@ -131,7 +131,7 @@ def fig7(png: Path, errors: Sequence[FlightError]) -> None:
         axes.bar([0], [0], color=colours[prior], label=prior)
     axes.plot([], [], ".", color="0.3", ms=7, label="one drawing")
     if any(error.taken_back for error in errors):
-        axes.plot([], [], "x", color="0.3", ms=5, label="prior taken back")
+        axes.plot([], [], "x", color="0.3", ms=5, label="prior withdrawn")
     if any(math.isinf(error.rms_error_m) for error in errors):
         axes.plot([], [], "^", color="0.3", ms=6, label="not finished")
     plain(axes)
@@ -141,7 +141,7 @@ def fig7(png: Path, errors: Sequence[FlightError]) -> None:
     axes.set_xlabel("largest speed on the path")
     axes.set_ylabel("RMS tracking error [m]")
     axes.set_title(
-        "tracking error by who gave the prior, and its change against the baseline",
+        "tracking error by source of the prior, and its change relative to the baseline",
         loc="left",
         fontsize=10,
     )
@@ -225,7 +225,7 @@ def _path(axes: Axes, flight: FlownPath, colour: str) -> None:
     error = flight.error
     text = f"{1e3 * error.rms_error_m:.0f} mm" if math.isfinite(error.rms_error_m) else "unfinished"
     if error.taken_back:
-        text += ", taken back"
+        text += ", withdrawn"
     axes.set_title(text, fontsize=7.5, color="0.25", pad=3)
 
 

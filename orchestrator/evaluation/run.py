@@ -68,8 +68,8 @@ def run_evaluation(
         plan: Target, sources, paths and seeds.
         folder: Folder of the run; experiences and the result are written there.
         archive: Repository that stores the studies, with the leases on the robots.
-        say: Called with one line of progress at a time.
-        observers: Called at the beginning and at the end of each flight along a path.
+        say: Callback that receives one line of progress at a time.
+        observers: Callbacks for the beginning and the end of each flight along a path.
 
     Returns:
         The result with all studies and flights, as written to the run's folder.
@@ -155,7 +155,7 @@ def prepare_robots(
 
     def learn_baseline() -> None:
         if not target.baseline_known:
-            say(f"{target.robot} flies for {plan.flight_s:.0f} s to know its own baseline")
+            say(f"{target.robot} flies for {plan.flight_s:.0f} s to learn its own baseline")
             pilot.rich(target.robot, duration_s=plan.flight_s, seed=plan.seed)
 
     # The target's flight and the sources' training take minutes each, so they run side by side.
@@ -163,7 +163,7 @@ def prepare_robots(
         baseline = pool.submit(learn_baseline)
         if lacking:
             names = ", ".join(source.robot for source in lacking)
-            say(f"{names}: experiences are flown and trained")
+            say(f"{names}: flying and training experiences")
             keep = library.keeping(lacking, folder.path.name)
 
             def on_trained(trained: Trained) -> None:

@@ -131,7 +131,7 @@ class GoalLoop:
             try:
                 job()
             except Exception as error:  # noqa: BLE001 - no robot may fly on alone for it
-                _log.exception("pursuing goals")
+                _log.exception("the pursuit of goals failed")
                 self._crash = self._crash or error
                 self._interrupt()
         for run in self._running.values():
@@ -237,5 +237,5 @@ class _Run:
             _log.info("%s: asking again", error)
             return Unanswered(ask.question, error)
         except Exception as error:  # noqa: BLE001 - a question always has an end
-            _log.exception("asking %s about %s", robot, ask.goal_id)
+            _log.exception("a request to %s about %s failed", robot, ask.goal_id)
             return Unanswered(ask.question, NufleetError(f"asking {robot}: {error!r}"))

@@ -29,7 +29,7 @@ itself.
 """
 
 ROUTER = "router"
-LANDING = "landing: the robots of this fleet are coming to rest, and then it ends by itself"
+LANDING = "landing: the robots of this fleet are coming to rest, then this process ends by itself"
 
 _log = logging.getLogger(__name__)
 
@@ -171,7 +171,7 @@ def _end(children: list[_Child]) -> None:
             child.process.wait(max(0.0, deadline - time.monotonic()))
         except subprocess.TimeoutExpired:
             _log.warning(
-                "%s did not end within %g s and is killed; its robots may not be at rest",
+                "%s did not end within %g s and was killed; its robots may not be at rest",
                 child.what,
                 GRACE_S,
             )

@@ -178,7 +178,7 @@ def gap_table(report: GapReport) -> Table:
         )
         table.add_row("largest chordal distance", f"{report.chordal_peak:.6f} at {omega}")
         table.add_row("why", report.winding_condition.reason)
-        table.add_row("promises", report.guarantee)
+        table.add_row("guarantee", report.guarantee)
         table.add_row("computed from", f"the {report.computed_from} of both models")
     else:
         table.add_row("ν-gap", "unknown: it needs models, and at least one response was measured")
@@ -187,7 +187,7 @@ def gap_table(report: GapReport) -> Table:
         spread = f" ± {deviation:.2g}" if deviation else ""
         if report.band.band_asked_rad_s not in (None, report.band.band_rad_s):
             asked = "{:.6g} to {:.6g}".format(*report.band.band_asked_rad_s)
-            table.add_row("not the whole band", f"of {asked} rad/s only a part was measured")
+            table.add_row("not the whole band", f"only a part of {asked} rad/s was measured")
         table.add_row(
             f"largest chordal distance from {report.band.band_rad_s[0]:.6g}"
             f" to {report.band.band_rad_s[1]:.6g} rad/s",
@@ -204,10 +204,10 @@ def _add_controller(table: Table, found: ControllerReport) -> None:
         said = f"{margin:.6f}" if margin > 0 else "0: it does not stabilise it"
         table.add_row(escape(f"margin of {found.controller} with the {ordinal}"), said)
     table.add_row(
-        "the ν-gap alone promises",
+        "the ν-gap alone guarantees",
         f"a margin of at least {found.margin_second_at_least:.6f} with the second"
         if found.guaranteed
-        else "nothing: it is not below the margin with the first",
+        else "no margin: it is not below the margin with the first",
     )
 
 

@@ -119,7 +119,7 @@ class Outcomes:
         priors = list(dict.fromkeys(prior for row in self._of.values() for prior in row))
         several = len({robot for robot, _ in self._of}) > 1
         lines = [
-            f"**RMS tracking error** in m{self._unit}, by who gave the prior (\\* taken back)",
+            f"**RMS tracking error** in m{self._unit}, by source of the prior (\\* withdrawn)",
             "",
             f"| | {' | '.join(priors)} |",
             "|:---" + "|---:" * len(priors) + "|",

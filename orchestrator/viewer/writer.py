@@ -127,7 +127,7 @@ class RerunWriter:
             if not outlet.join(deadline - time.monotonic()):
                 complete = False
                 log.warning(
-                    "the viewer's %s is stuck; what it has not written is lost", outlet.name
+                    "the viewer's %s is stuck; the events it has not written are lost", outlet.name
                 )
                 _leave_behind()
         return complete

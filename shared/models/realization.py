@@ -45,6 +45,14 @@ def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> Tr
     Raises:
         ModelError: the fraction is improper or undefined, or a coefficient is not finite, also
             after division by the denominator's first.
+
+    Examples:
+        The model 1/(s + 2), and a delay of one sample at 100 Hz:
+
+        >>> transfer_function([1.0], [1.0, 2.0]).modes
+        array([-2.+0.j])
+        >>> transfer_function([1.0], [1.0, 0.0], dt_s=0.01).states
+        1
     """
     numerator = np.trim_zeros(np.atleast_1d(np.asarray(num, dtype=np.float64)), "f")
     denominator = np.trim_zeros(np.atleast_1d(np.asarray(den, dtype=np.float64)), "f")
@@ -57,7 +65,7 @@ def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> Tr
     if numerator.size > order + 1:
         raise ModelError(
             f"improper transfer function: the numerator has degree {numerator.size - 1},"
-            f" the denominator {order}; it must not be lower"
+            f" the denominator {order}; the denominator must not have the lower degree"
         )
     padded = np.concatenate([np.zeros(order + 1 - numerator.size), numerator])
     # All poles of a model sampled fast are near z = 1, where a companion matrix in z − 1 resolves
@@ -136,6 +144,13 @@ def transfer_matrix(
     Raises:
         ModelError: `num` and `den` have different or ragged shapes, or a fraction cannot be
             realised, see `transfer_function`.
+
+    Examples:
+        One output of two inputs, 1/(s + 1) and 2/(s + 2):
+
+        >>> model = transfer_matrix([[[1.0], [2.0]]], [[[1.0, 1.0], [1.0, 2.0]]])
+        >>> model.outputs, model.inputs, model.states
+        (1, 2, 2)
     """
     from scipy.linalg import block_diag
 

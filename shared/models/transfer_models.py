@@ -29,6 +29,16 @@ class StateSpace:
 
     All entries are real and finite; the number of states n may be 0. Raises ModelError if the
     shapes disagree or an entry is not finite.
+
+    Examples:
+        A double integrator in continuous time:
+
+        >>> import numpy as np
+        >>> a = np.array([[0.0, 1.0], [0.0, 0.0]])
+        >>> b, c = np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
+        >>> model = StateSpace(a, b, c, np.zeros((1, 1)))
+        >>> model.states, model.poles_unstable, model.poles_on_axis
+        (2, 0, 2)
     """
 
     a: FloatArray

@@ -28,11 +28,16 @@ def read_drawing(path: Path) -> FloatArray:
     Raises:
         InvalidInputError: the file cannot be read, is neither CSV nor SVG, or contains no valid
             path (a single point, NaN, too many points). The message names the file and the fault.
+
+    Examples:
+        >>> from nufleet.shared.paths.installed import find_drawing
+        >>> read_drawing(find_drawing("clover")).shape
+        (312, 2)
     """
     readers: dict[str, Callable[[str, str], FloatArray]] = {".csv": _csv, ".svg": svg_points}
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        raise InvalidInputError(f"{path}: a drawing is a .csv or .svg file")
+        raise InvalidInputError(f"{path}: a drawing must be a .csv or .svg file")
     try:
         if path.stat().st_size > FILE_BYTES_MAX:
             raise InvalidInputError(f"{path}: larger than {FILE_BYTES_MAX} bytes")

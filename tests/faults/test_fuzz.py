@@ -1,4 +1,4 @@
-"""Whatever bytes arrive, they are refused in words; who takes them lives on and stays small.
+"""All malformed bytes are refused with a reason; their receiver lives on and stays small.
 
 A share of `python -m benchmarks.faults fuzz`, which does it a hundred thousand times.
 """
@@ -42,7 +42,7 @@ settings = { alpha = 1.0, beta = 0.003 }
 
 @pytest.fixture(autouse=True)
 def _quiet() -> None:
-    """A damaged journal is shouted about, a thousand times."""
+    """Suppress the errors that a thousand damaged journals log."""
     logging.getLogger("nufleet.robot_agent.journal.journal").disabled = True
 
 

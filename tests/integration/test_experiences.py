@@ -184,7 +184,7 @@ def test_a_guarded_flight_needs_a_baseline_that_is_known(fleet: Fleet) -> None:
         (3 * PATH, "outside the workspace"),
         (PATH[::4], "speed"),
         (PATH[:1], "two different points"),
-        (np.repeat(PATH, 2, axis=1), "2 columns for 1 axes"),
+        (np.repeat(PATH, 2, axis=1), "2 columns, the robot has 1 axes"),
     ],
 )
 def test_a_path_that_the_robot_may_not_fly_is_refused_before_it_moves(
@@ -237,7 +237,7 @@ def test_a_prior_is_not_changed_while_the_robot_flies(lab: Lab) -> None:
 
 
 def test_what_a_robot_returns_is_checked_against_what_was_asked(fleet: Fleet) -> None:
-    with pytest.raises(MalformedMessageError, match="no frequency test"):
+    with pytest.raises(MalformedMessageError, match="not a frequency test"):
         Pilot(fleet, "run").steps("target", "x").test_plan  # noqa: B018
 
 

@@ -164,7 +164,7 @@ def test_a_process_that_does_not_end_is_killed_and_said_to_be(
         (pid,) = set(children()) - set(others)
         psutil.Process(pid).suspend()
     assert is_gone(pid)
-    assert "agent of a did not end within 0.2 s and is killed" in caplog.text
+    assert "agent of a did not end within 0.2 s and was killed" in caplog.text
 
 
 def test_what_ends_by_itself_is_reported_with_its_last_words(

@@ -121,7 +121,7 @@ class ViewerServer:
             try:
                 self._process.wait(timeout_s)
             except subprocess.TimeoutExpired:
-                log.warning("the viewer's server did not end; killing it")
+                log.warning("the server of the viewer did not end; killing it")
                 self._process.kill()
                 self._process.wait()
         self._process = None

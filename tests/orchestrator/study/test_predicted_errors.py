@@ -1,4 +1,4 @@
-"""Errors predicted for paths, against closed forms, and how they stand beside what was flown."""
+"""Errors predicted for paths, compared with closed forms and with flights."""
 
 from __future__ import annotations
 

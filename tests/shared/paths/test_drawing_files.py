@@ -29,7 +29,7 @@ def test_a_csv_gives_its_points(tmp_path: Path) -> None:
         ("", "first line must be x_m,y_m"),
         ("x_m,y_m\n1,2\n", "two different points"),
         ("x_m,y_m\n", "two different points"),
-        ("x_m,y_m\n0,0\nnan,1\n", "point 2 holds a number that is not finite"),
+        ("x_m,y_m\n0,0\nnan,1\n", "point 2 contains a number that is not finite"),
         ("x_m,y_m\n0,0\n1,2,3\n", "line 3: expected two numbers"),
         ("x_m,y_m\n0,0\none,2\n", "line 3: expected two numbers"),
     ],

@@ -436,7 +436,7 @@ def test_an_altered_byte_gives_a_valid_message_or_is_refused(place: int, value: 
         message = decode(bytes(payload), GoalResult)
     except MalformedMessageError:
         return
-    # Whatever still decodes keeps the promises of its type.
+    # A message that still decodes satisfies the constraints of its type.
     GoalResult.model_validate(dict(message))
 
 
@@ -520,7 +520,7 @@ def test_two_fields_cannot_share_an_array_nor_leave_one_over() -> None:
     with pytest.raises(MalformedMessageError, match="another field has it"):
         decode(rebuilt(RESULT, body=lambda body: body.update(reference=0, response=0)), GoalResult)
     surplus = frame(header(arrays=[{"dtype": "<f8", "shape": [1]}]), b"{}", b"\0" * 8)
-    with pytest.raises(MalformedMessageError, match="of no field"):
+    with pytest.raises(MalformedMessageError, match="that belongs to no field"):
         decode(surplus, Done)
 
 
