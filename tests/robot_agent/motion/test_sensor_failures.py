@@ -123,13 +123,18 @@ def test_noise_single_spikes_and_lost_samples_end_no_motion(
 ) -> None:
     robot = RecordingRobot(SPEC, noise=noise, seed=seed)
     rng = np.random.default_rng(seed)
-    last: list[FloatArray] = []
+    last = np.zeros(2)
+    after = 0
 
     def sensor(k: int, output: FloatArray) -> FloatArray:
-        read = output + 5.0 * (rng.random(len(output)) < spikes)
-        if last and rng.random() < lost:
-            read = last[-1]
-        last.append(read)
+        """Fail in single samples, of which the monitor accepts every sixth."""
+        nonlocal last, after
+        spike, loss = rng.random(2) < (spikes, lost)
+        read = output.copy()
+        if k >= after and (spike or loss):
+            after = k + 6
+            read = output + 5.0 * (rng.random(2) < 0.5) if spike else last
+        last = read
         return read
 
     robot.sensor = sensor
