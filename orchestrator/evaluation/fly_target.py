@@ -27,7 +27,7 @@ from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.prior_custody import prior_put_back
 from nufleet.orchestrator.experience.transfer import transfer
 from nufleet.orchestrator.fleet.client import Fleet
-from nufleet.orchestrator.flight_labels import BASELINE, NO_PRIOR, OWN
+from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR, OWN
 from nufleet.orchestrator.flights.legs import Leg
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
 from nufleet.orchestrator.study.predicted_errors import PredictedRms
@@ -89,7 +89,7 @@ def fly_target(
         legs: Paths to fly with every inverse.
         architecture: Architecture of the sources' experiences to transfer.
         guarded: Whether the guard may withdraw a prior in flight.
-        observers: Called at the beginning and at the end of each flight.
+        observers: Callbacks for the beginning and the end of each flight.
 
     Returns:
         One record per flight, in the order in which they were flown.

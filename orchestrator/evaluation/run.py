@@ -13,7 +13,7 @@ from nufleet.orchestrator.conduct.archive import Archive
 from nufleet.orchestrator.conduct.rank_run import ReadyStudy
 from nufleet.orchestrator.evaluation.fly_target import FlightObserver, fly_target, summarise
 from nufleet.orchestrator.evaluation.repeated_studies import psi_of, repeat_study
-from nufleet.orchestrator.evaluation.results import EvaluationRecord
+from nufleet.orchestrator.evaluation.results import EVALUATION, EvaluationRecord
 from nufleet.orchestrator.experience.learning import FLIGHT_S, know_itself
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.train import Trained, train_robots
@@ -24,8 +24,6 @@ from nufleet.orchestrator.runs.folder import RunFolder
 from nufleet.orchestrator.study.predicted_errors import predict_rms
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.wire.messages import Description
-
-EVALUATION = "evaluation.json"
 
 Say = Callable[[str], None]
 
@@ -70,8 +68,8 @@ def run_evaluation(
         plan: Target, sources, paths and seeds.
         folder: Folder of the run; experiences and the result are written there.
         archive: Repository that stores the studies, with the leases on the robots.
-        say: Called with one line of progress at a time.
-        observers: Called at the beginning and at the end of each flight along a path.
+        say: Callback that receives one line of progress at a time.
+        observers: Callbacks for the beginning and the end of each flight along a path.
 
     Returns:
         The result with all studies and flights, as written to the run's folder.

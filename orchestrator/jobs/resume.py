@@ -16,6 +16,7 @@ from nufleet.orchestrator.fleet.reach import REACH, FleetChoice, Reach
 from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.study import show_study
+from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.repository.errors import UnknownRecordError
 from nufleet.orchestrator.repository.records import (
     StudyRecord,
@@ -24,7 +25,6 @@ from nufleet.orchestrator.repository.records import (
     TrialStatus,
 )
 from nufleet.orchestrator.repository.repository import Repository
-from nufleet.orchestrator.runs.console import stderr_console
 from nufleet.orchestrator.runs.folder import (
     CONFIGURATION,
     find_run,
@@ -143,7 +143,7 @@ def _open_study(path: Path, repository: Repository) -> StudyRecord:
     if study.status is StudyStatus.COMPLETE:
         raise InvalidInputError(f"{path.name} is complete: `nufleet runs show {path.name}`")
     if study.status is StudyStatus.FAILED:
-        raise InvalidInputError(f"{path.name} could not go on: {study.reason}; begin anew")
+        raise InvalidInputError(f"{path.name} has failed: {study.reason}; start a new study")
     return study
 
 

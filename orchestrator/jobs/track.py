@@ -16,12 +16,12 @@ from nufleet.orchestrator.evaluation.fly_target import flight_record
 from nufleet.orchestrator.evaluation.results import FlightRecord
 from nufleet.orchestrator.experience.learning import know_itself
 from nufleet.orchestrator.fleet.reach import FleetChoice
-from nufleet.orchestrator.flight_labels import BASELINE, NO_PRIOR, OWN
+from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR, OWN
 from nufleet.orchestrator.flights.legs import Leg, legs_of, read_drawings
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
 from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
 from nufleet.orchestrator.jobs.storage import Storage
-from nufleet.orchestrator.runs.console import stderr_console
+from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError, RobotError
 from nufleet.shared.experience.layout import HORIZON_SAMPLES_MAX, InverseLayout

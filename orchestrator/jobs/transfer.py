@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Literal
 
 import click
-from pydantic import Field
 from rich.console import Console
 
 from nufleet.orchestrator.conduct.preflight import check_names, check_robots
@@ -20,12 +18,12 @@ from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.history.rankings import latest_ranking
 from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.storage import Storage
-from nufleet.orchestrator.runs.console import stderr_console
+from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.study.verdict import Verdict
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.experience.manifest import ExperienceManifest
-from nufleet.shared.strict import Digest, Strict
+from nufleet.shared.strict import Digest, Document
 
 
 @dataclass(frozen=True)
@@ -57,11 +55,9 @@ class TransferCommand:
         return FleetChoice.running(self.connect, self.fleet_name)
 
 
-class TransferResult(Strict):
+class TransferResult(Document):
     """What `nufleet transfer --json` prints; only the target is set if its prior was removed."""
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    """Version of this document's layout."""
     target: str
     """Name of the robot that flies with the experience from now on."""
     source: str | None = None
@@ -76,10 +72,6 @@ class TransferResult(Strict):
     """Phrase that says why it was taken from there."""
     learned_at: str | None = None
     """Time at which its robot had learned it, in ISO 8601 and UTC; None if it is not known."""
-
-    def document(self) -> str:
-        """Return the JSON that other programs read."""
-        return self.model_dump_json(by_alias=True)
 
 
 def transfer_and_print(command: TransferCommand) -> None:
