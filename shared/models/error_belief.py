@@ -138,6 +138,9 @@ class ErrorBelief:
     flown_s: float
     """Duration in s of the flights of this axis that the belief rests on; 0 for one that is only
     believed to be like the robot's other axes."""
+    model_error: float = MODEL_ERROR
+    """Standard deviation of the relative size of what is not linear: `MODEL_ERROR`, or less where
+    the noise of the flights could not have hidden as much."""
 
     def error(self, reference: FloatArray, before: float) -> FloatArray:
         """Predict the error u − y along a reference, shape (samples,), without noise.
@@ -154,7 +157,7 @@ class ErrorBelief:
         Each draw is larger or smaller as a whole by what no linear response is better known than.
         """
         normal = rng.standard_normal((self.factor.shape[1], count))
-        scale = 1 + MODEL_ERROR * rng.standard_normal(count)
+        scale = 1 + self.model_error * rng.standard_normal(count)
         return np.asarray((self.mean[:, None] + self.factor @ normal) * scale)
 
     def response(self, omega_rad_s: FloatArray) -> tuple[ComplexArray, FloatArray]:
@@ -218,6 +221,7 @@ def believe(basis: ErrorBasis, evidence: Evidence) -> ErrorBelief:
                 spread / np.sqrt(1 + power / noise[at]),
                 float(np.sqrt(noise[at])),
                 evidence.flown_s,
+                min(MODEL_ERROR, float(np.sqrt(noise[at] / scale))),
             )
             best = float(cost[at]), belief
     if best is None:

@@ -11,7 +11,7 @@ from scipy.signal import dlsim
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.models.error_belief import ErrorBelief, Evidence, believe, like
+from nufleet.shared.models.error_belief import MODEL_ERROR, ErrorBelief, Evidence, believe, like
 from nufleet.shared.models.error_response import ErrorBasis
 from nufleet.shared.models.linear_model import LinearModel
 from nufleet.sims.double_integrator import DoubleIntegratorSettings, closed_loop
@@ -80,6 +80,12 @@ def test_a_flight_with_holds_shows_a_loop_that_rests_short_of_its_reference() ->
 
 def test_the_noise_is_found() -> None:
     assert belief(2e-3).noise_std == pytest.approx(2e-3, rel=0.1)
+
+
+def test_a_loop_that_was_seen_to_be_linear_is_believed_to_be() -> None:
+    """Under noise, three hundredths of its error may be hidden; without, hardly any."""
+    assert belief(2e-3).model_error == MODEL_ERROR
+    assert belief(1e-6).model_error < 0.1 * MODEL_ERROR
 
 
 def test_a_sensors_offset_is_no_error_response() -> None:
