@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples"
 
 
 def test_ten_lines_of_python_rank_a_fleet_and_print_nothing_by_themselves(tmp_path: Path) -> None:
@@ -22,3 +24,8 @@ def test_ten_lines_of_python_rank_a_fleet_and_print_nothing_by_themselves(tmp_pa
     assert first.startswith("1. source-2: ψ* 0.0")
     assert chosen.startswith("take source-2's experience")
     assert "source-2" in headline
+
+
+def test_the_program_in_the_readme_is_the_example() -> None:
+    programs = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    assert (EXAMPLES / "rank.py").read_text().partition("\n\n")[2] in programs
