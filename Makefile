@@ -60,7 +60,7 @@ lint: .venv/installed-test
 
 .venv/installed-test: .venv/installed-demo
 	@echo "== installing what the tests need, simulators among it (once; some minutes)"
-	$(PIP_INSTALL) -e '.[test,quadrotors,arms,learning,repository]'
+	$(PIP_INSTALL) -e '.[test,quadrotors,arms,learning,repository,logs]'
 	@touch $@
 
 .venv/installed-quadrotors: .venv/installed-demo

@@ -203,9 +203,9 @@ def _averaged(
     low, high = band_rad_s
     count = [len(z) for z in fit.z]
     omega = np.concatenate([lines.omega_rad_s[:n] for lines, n in zip(records, count, strict=True)])
-    z, noise, transient = (np.concatenate(parts) for parts in (fit.z, fit.noise, fit.transient))
     inside = (omega >= low) & (omega <= high)
-    omega, z, noise, transient = (part[inside] for part in (omega, z, noise, transient))
+    omega, z = omega[inside], np.concatenate(fit.z)[inside]
+    noise, transient = np.concatenate(fit.noise)[inside], np.concatenate(fit.transient)[inside]
     width = BIN_MAX_RAD_S
     if settling_time_s > 0:
         width = min(width, BIN_DECAYS * DECAYS_UNTIL_SETTLED / settling_time_s)
@@ -220,12 +220,7 @@ def _averaged(
     # Noise differs from line to line; the transients' error is that of all lines together.
     independent = np.bincount(place, weight**2 * noise, bins) / total**2
     together = np.square(mean(np.asarray(np.sqrt(transient))))
-    return _Averaged(
-        mean(omega),
-        mean(np.asarray(np.real(z), dtype=np.float64))
-        + 1j * mean(np.asarray(np.imag(z), dtype=np.float64)),
-        independent + together,
-    )
+    return _Averaged(mean(omega), mean(z.real) + 1j * mean(z.imag), independent + together)
 
 
 def _findings(
