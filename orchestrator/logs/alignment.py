@@ -28,6 +28,9 @@ spline then errs by 0.3 %."""
 
 STRETCH_MIN_SAMPLES = 16
 
+ROUNDING = 1e-3
+"""Part of a sample by which time stamps may differ that mean the same instant."""
+
 
 @dataclass(frozen=True)
 class Timing:
@@ -87,22 +90,25 @@ def align(
         LogError: The signals do not overlap, or one of them has no usable time stamps.
     """
     origin_s = min(float(np.min(reference.time_s)), float(np.min(output.time_s)))
-    window_s = origin_s + begin_s, origin_s + end_s
-    sent, measured = _ordered(reference, window_s), _ordered(output, window_s)
+    sent, measured = (
+        _ordered(signal, origin_s, (begin_s, end_s)) for signal in (reference, output)
+    )
     if max(sent.time_s[0], measured.time_s[0]) >= min(sent.time_s[-1], measured.time_s[-1]):
         raise LogError(
-            f"{reference.name} spans {_span(sent, origin_s)} and {output.name} "
-            f"{_span(measured, origin_s)} of the log: they have no time in common; are they of the "
+            f"{reference.name} spans {_span(sent)} and {output.name} "
+            f"{_span(measured)} of the log: they have no time in common; are they of the "
             "same clock?"
         )
+    # Stamps of the same instant may differ by rounding, of seconds since 1970 by 2e-7 s.
+    rounding_s = ROUNDING * sample_time_s
     stretches, began_s = [], math.inf
     for start, end in _between(sent.gaps(sample_time_s), measured.gaps(sample_time_s)):
-        count = math.floor((end - start) / sample_time_s + 1e-9) + 1
+        count = math.floor((end - start) / sample_time_s + ROUNDING) + 1
         if count < STRETCH_MIN_SAMPLES:
             continue
         grid_s = start + np.arange(count) * sample_time_s
-        latest = np.searchsorted(sent.time_s, grid_s + 1e-9, side="right") - 1
-        there = (measured.time_s >= start - 1e-9) & (measured.time_s <= end + 1e-9)
+        latest = np.searchsorted(sent.time_s, grid_s + rounding_s, side="right") - 1
+        there = (measured.time_s >= start - rounding_s) & (measured.time_s <= end + rounding_s)
         if np.count_nonzero(there) < STRETCH_MIN_SAMPLES // 4 + 2:
             continue
         spline = CubicSpline(measured.time_s[there] - start, measured.value[there])
@@ -120,7 +126,7 @@ def align(
         output=timing,
         omega_max_rad_s=INTERPOLATED_RAD / timing.interval_s,
         delay_std_s=_delay_std_s(reference, output, sent_timing, timing, sample_time_s),
-        began_s=began_s,
+        began_s=origin_s + began_s,
     )
 
 
@@ -158,9 +164,11 @@ class _Ordered:
         return max(GAP_SAMPLES * usual_s, GAP_ROBOT_SAMPLES * sample_time_s)
 
 
-def _ordered(signal: Signal, window_s: tuple[float, float]) -> _Ordered:
-    inside = (signal.time_s >= window_s[0] - 1e-9) & (signal.time_s <= window_s[1] + 1e-9)
-    time_s, value = signal.time_s[inside], signal.value[inside]
+def _ordered(signal: Signal, origin_s: float, window_s: tuple[float, float]) -> _Ordered:
+    """Return the samples of a window in s from the origin, their times from there as well."""
+    from_origin_s = signal.time_s - origin_s
+    inside = (from_origin_s >= window_s[0] - 1e-6) & (from_origin_s <= window_s[1] + 1e-6)
+    time_s, value = from_origin_s[inside], signal.value[inside]
     if len(time_s) < STRETCH_MIN_SAMPLES // 4 + 2:
         raise LogError(
             f"{signal.name} has only {len(time_s)} samples between --from and --to: take more of "
@@ -216,5 +224,5 @@ def _delay_std_s(
     return math.hypot(*parts)
 
 
-def _span(part: _Ordered, origin_s: float) -> str:
-    return f"{part.time_s[0] - origin_s:.3f} to {part.time_s[-1] - origin_s:.3f} s"
+def _span(part: _Ordered) -> str:
+    return f"{part.time_s[0]:.3f} to {part.time_s[-1]:.3f} s"
