@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from nufleet.orchestrator.conduct.archive import Archive
+from nufleet.orchestrator.conduct.archive import AWAY, Archive
 from nufleet.orchestrator.conduct.desired_motion import TimedPath, read_motion
 from nufleet.orchestrator.conduct.leases import lease_robots
 from nufleet.orchestrator.conduct.preflight import check_band, check_names
@@ -124,7 +124,7 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
                 repository.leases,
                 fleet,
                 reach.lease_scope(name, folder.study_id),
-                (robot for robot in ready.descriptions if robot not in stored),
+                (name for name, one in ready.descriptions.items() if one.boot_id != AWAY),
             )
         )
         archive = Archive(repository, name, leases)

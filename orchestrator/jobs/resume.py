@@ -84,7 +84,7 @@ def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
         if command.connect is not None:
             reach = reach.model_copy(update={"connect": command.connect})
         trials = repository.studies.trials(study.study_id)
-        gone = {*recipe_of(study).stored, *_given_up(trials)}
+        gone = {*recipe_of(study).untestable, *_given_up(trials)}
         needed = tuple(robot for robot in recipe_of(study).specs if robot not in gone)
         console.print(f"going on with {path.name}")
         fleet, _, there = stack.enter_context(

@@ -7,8 +7,6 @@ from collections.abc import Iterable
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from nufleet.orchestrator.flights.pilot import PathFlight
 from nufleet.orchestrator.logs.flown_response import FlownResponse, responses_of_flight
 from nufleet.orchestrator.repository.records import (
@@ -50,7 +48,7 @@ def flight_record(
     """
     record = flown.record
     response = record.response
-    if record.band_rad_s is None or not response.quality.usable:
+    if record.band_rad_s is None or response.flight is None or not response.quality.usable:
         return None
     arrays: tuple[FloatArray | ComplexArray, ...] = (response.omega_rad_s, response.z)
     content = [f"{fleet}/{robot}/{flown.axis}".encode(), *(part.tobytes() for part in arrays)]
@@ -67,8 +65,7 @@ def flight_record(
         flown=FlightCircumstances(
             spec=spec,
             band_rad_s=record.band_rad_s,
-            speed=record.speed,
-            noise_std=record.noise_std if np.isfinite(record.noise_std) else 0.0,
+            flight=response.flight,
             duration_s=record.duration_s,
         ),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC
 
 from pydantic import TypeAdapter, ValidationError
@@ -103,7 +104,7 @@ def _record(row: RowMapping) -> ResponseRecord:
         study_id=row["came_from"],
         kind=flown.spec.kind,
         measured_at=row["measured_at"].replace(tzinfo=UTC),
-        response=frequency_response(row),
+        response=replace(frequency_response(row), flight=flown.flight),
         origin=origin,
         flown=flown,
     )

@@ -12,7 +12,7 @@ from pydantic import JsonValue
 
 from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
-from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.frequency_response import Flight, FrequencyResponse
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Outcome
 
@@ -143,10 +143,8 @@ class FlightCircumstances:
     """Spec of the robot at the time, or when its log was imported."""
     band_rad_s: tuple[float, float]
     """Lowest and highest frequency in rad/s at which the reference had power."""
-    speed: float
-    """Largest speed of the reference, in the axis's unit per second."""
-    noise_std: float
-    """Standard deviation of the noise of one sample of the output, in the axis's unit."""
+    flight: Flight
+    """Speed and noise of the flight."""
     duration_s: float
     """Duration of the record."""
 

@@ -7,9 +7,18 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.frequency_response import Flight, FrequencyResponse
 from nufleet.shared.frequency_test.quality import Quality
 from nufleet.shared.strict import NonNegative, Positive, Strict
+
+
+class FlightRecord(Strict):
+    """The motion of a response that no test measured, as JSON."""
+
+    speed: NonNegative
+    """Largest speed of the reference, in the axis's unit per second."""
+    noise_std: NonNegative
+    """Standard deviation of the noise of one sample, in the axis's unit."""
 
 
 class ResponseRecord(Strict):
@@ -34,6 +43,8 @@ class ResponseRecord(Strict):
     """Amplitude that was played, in the axis's unit; None if it is not known."""
     quality: Quality
     """Assessment of the test."""
+    flight: FlightRecord | None = None
+    """The flight that measured it; None for a test."""
 
     @staticmethod
     def of(response: FrequencyResponse) -> ResponseRecord:
@@ -51,6 +62,9 @@ class ResponseRecord(Strict):
             segments=response.segments,
             amplitude=response.amplitude,
             quality=response.quality,
+            flight=None
+            if response.flight is None
+            else FlightRecord(speed=response.flight.speed, noise_std=response.flight.noise_std),
         )
 
     def response(self) -> FrequencyResponse:
@@ -63,4 +77,7 @@ class ResponseRecord(Strict):
             quality=self.quality,
             degrees=np.array(self.degrees),
             amplitude=self.amplitude,
+            flight=None
+            if self.flight is None
+            else Flight(self.flight.speed, self.flight.noise_std),
         )

@@ -16,7 +16,7 @@ import numpy as np
 
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import geodesic_radius
-from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.frequency_response import Flight, FrequencyResponse
 from nufleet.shared.frequency_test.quality import UNCERTAINTY_MAX_RAD, Finding, Quality
 from nufleet.shared.frequency_test.smooth_loop import (
     Lines,
@@ -82,13 +82,8 @@ class RecordResponse:
     """Estimates of z, and the verdict on them."""
     band_rad_s: tuple[float, float] | None
     """Lowest and highest frequency at which something is claimed; None where nothing is."""
-    speed: float
-    """Largest speed of the reference over `SPEED_S`, in the axis's unit per second."""
     duration_s: float
     """Duration of what was used."""
-    noise_std: float
-    """Standard deviation of the noise of one sample of the output, in the axis's unit; NaN where
-    nothing could be fitted."""
 
 
 def estimate_record_response(
@@ -175,11 +170,13 @@ def estimate_record_response(
             ),
             degrees=np.full(len(omega), fit.degrees),
             amplitude=max(float(np.ptp(one.reference)) / 2 for one in used),
+            flight=Flight(
+                speed=max(_speed(one.reference, sample_time_s) for one in used),
+                noise_std=fit.noise_std,
+            ),
         ),
         band_rad_s=(float(omega[0]), float(omega[-1])) if known.any() else None,
-        speed=max(_speed(one.reference, sample_time_s) for one in used),
         duration_s=sum(len(one.reference) for one in used) * sample_time_s,
-        noise_std=fit.noise_std,
     )
 
 
@@ -303,7 +300,5 @@ def _nothing(code: str, text: str) -> RecordResponse:
             degrees=none,
         ),
         band_rad_s=None,
-        speed=0.0,
         duration_s=0.0,
-        noise_std=math.nan,
     )

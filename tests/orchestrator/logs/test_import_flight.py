@@ -126,9 +126,9 @@ def test_what_is_stored_says_where_it_came_from_and_what_it_is_valid_for(
     assert record.flown is not None
     assert record.flown.spec == SPEC
     assert record.flown.band_rad_s == result.band_rad_s
-    assert record.flown.noise_std == pytest.approx(0.002, rel=0.5)
+    assert record.flown.flight.noise_std == pytest.approx(0.002, rel=0.5)
     speed = np.max(np.abs(flight.reference[10:] - flight.reference[:-10])) / 0.2
-    assert record.flown.speed == pytest.approx(speed)
+    assert record.flown.flight.speed == pytest.approx(speed)
     assert record.response.amplitude == pytest.approx(np.ptp(flight.reference) / 2)
 
 

@@ -208,5 +208,7 @@ def test_speed_and_amplitude_of_the_reference_are_told() -> None:
     time_s = np.arange(1500) * STEP_S
     reference = 0.4 * np.sin(1.5 * time_s) + 0.01 * wandering(30.0, rng)
     found = estimated(Stretch(reference, Loop().play(reference, rng)))
-    assert found.speed == pytest.approx(0.6, rel=0.1)
+    assert found.response.flight is not None
+    assert found.response.flight.speed == pytest.approx(0.6, rel=0.1)
+    assert found.response.flight.noise_std == pytest.approx(NOISE_M, rel=0.5)
     assert found.response.amplitude == pytest.approx(0.4, rel=0.1)
