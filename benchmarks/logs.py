@@ -81,12 +81,12 @@ class Row:
 
 
 def path(drawing: str, speed_m_s: float, seconds: float) -> FloatArray:
-    """Return x of a drawing flown again and again, at least once and for about some seconds."""
+    """Return x of a drawing flown to and fro, for exactly so long: the log ends in mid-flight."""
     points = read_drawing(find_drawing(drawing))
-    once = travel(points, speed_m_s, ACCELERATION_M_S2, SAMPLE_TIME_S)
-    # Drawings need not be closed: every second time it is flown backwards.
-    times = max(1, round(seconds / (len(once) * SAMPLE_TIME_S)))
-    return np.concatenate([once[:: (-1) ** n, 0] for n in range(times)])
+    once = travel(points, speed_m_s, ACCELERATION_M_S2, SAMPLE_TIME_S)[:, 0]
+    samples = round(seconds / SAMPLE_TIME_S)
+    both = np.concatenate([once, once[::-1]])
+    return np.asarray(np.tile(both, -(-samples // len(both)))[:samples])
 
 
 def response_of(robot: TestedRobot, references: Sequence[FloatArray]) -> list[FrequencyResponse]:
@@ -188,10 +188,10 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="also write the numbers to this file")
     arguments = parser.parse_args()
     references = [path(arguments.drawing, speed, arguments.seconds) for speed in arguments.speeds]
-    lengths = ", ".join(f"{len(reference) * SAMPLE_TIME_S:.0f} s" for reference in references)
+    speeds = ", ".join(f"{speed:g}" for speed in arguments.speeds)
     print(
-        f"{arguments.drawing} at {arguments.speeds} m/s for {lengths}, {arguments.sources} sources, "
-        f"{arguments.noise} noise; load {os.getloadavg()[0]:.1f}\n"
+        f"{arguments.drawing} at {speeds} m/s for {arguments.seconds:g} s each, "
+        f"{arguments.sources} sources, {arguments.noise} noise; load {os.getloadavg()[0]:.1f}\n"
         "family               logs used  psi* within 2 std  P(right)  95 % claims right  robot-s"
     )
     rows = []
