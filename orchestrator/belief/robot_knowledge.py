@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from nufleet.orchestrator.belief.loop_features import ResponsePrior
+from nufleet.orchestrator.belief.loop_features import LOOP_PARAMETERS, ResponsePrior
 from nufleet.orchestrator.belief.loop_fit import Tones
 from nufleet.orchestrator.belief.noise_pooling import pooled_variance
 from nufleet.orchestrator.belief.response_belief import ResponseModel
@@ -105,11 +105,17 @@ class RobotKnowledge:
         """Add a variance to all flights or, where there are none, to all tests.
 
         It is not known which of several tests is right; but a flight that misses a test was another
-        motion than the one that robots are compared by.
+        motion than the one that robots are compared by. Its many estimates are wrong together, so
+        that their number must not average the doubt away: what is left for each of the loop's
+        parameters is the doubt itself.
         """
         flown = [response.flight is not None for response in self.responses]
         if variance and any(flown):
             self.flight_doubt += variance
+            estimates = sum(
+                len(t.z) for t, of_flight in zip(self._tones, flown, strict=True) if of_flight
+            )
+            variance *= max(1.0, estimates / LOOP_PARAMETERS)
         doubted = flown if any(flown) else [True] * len(flown)
         self._tones = [
             Tones(t.omega_rad_s, t.z, t.variance + variance * at_stake)

@@ -58,6 +58,9 @@ class AdaptiveSettings:
     """Share of the best gain per second that another robot's test needs to join the round."""
     simulated_cost: float = 0.01
     """Cost of a simulated robot's time, relative to that of a real one."""
+    flight_error_max: float = 0.05
+    """Error of flights, found by a test or between speeds, from which on no source is judged by
+    flights alone."""
     samples: int = 600
     """Number of samples drawn from the belief about each robot's response."""
     grid_points: int = 256
@@ -163,8 +166,13 @@ class AdaptiveStudy:
         leader, confidence = belief.leader(self._settings.epsilon, self._settings.delta)
         hopeless = belief.hopeless(leader, self._settings.delta)
         stopped = self._stop(belief, leader, confidence)
+        misled = self._misled_by_flights(sources)
         # What flights alone say is claimed only once a test has confirmed it.
-        if self._robots[leader].flown_only and confidence >= 1 - self._settings.delta:
+        if misled and self._asked < self._plan.iterations:
+            confidence = min(confidence, 1 - 2 * self._settings.delta)
+            stopped = None
+            self._next = {name: self._first[name] for name in misled}
+        elif self._robots[leader].flown_only and confidence >= 1 - self._settings.delta:
             confidence = 1 - 2 * self._settings.delta
             if leader in self._grounded or self._asked >= self._plan.iterations:
                 stopped = f"{leader} is known from flights alone, and no test could confirm them"
@@ -189,6 +197,14 @@ class AdaptiveStudy:
             findings=tuple(f for robot in self._robots.values() for f in robot.findings),
             stopped_because=stopped,
         )
+
+    def _misled_by_flights(self, sources: Sequence[str]) -> tuple[str, ...]:
+        """Return the sources to test because they rest on flights, which proved to be no tests."""
+        doubt = max(robot.flight_doubt for robot in self._robots.values())
+        if doubt <= self._settings.flight_error_max**2:
+            return ()
+        known = [name for name in sources if self._robots[name].flown_only]
+        return tuple(name for name in known if name not in self._grounded)
 
     def _share_doubt(self) -> None:
         """Make all flights as doubtful as those that missed a test, or flights at other speeds.
