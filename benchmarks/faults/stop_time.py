@@ -16,7 +16,7 @@ from benchmarks.faults.logbook import TOLD_TO_REST
 from benchmarks.faults.program import wait_until
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.fleet.goal_runner import GoalRunner
-from nufleet.orchestrator.fleet.stopping import stop_robots
+from nufleet.orchestrator.jobs.stop import stop_robots
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
 from nufleet.shared.wire.messages import GoalRequest
 
@@ -29,7 +29,7 @@ LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=600.0)
 
 
 def figures(robots: int, rounds: int) -> list[Figure]:
-    """In each round, stop each of so many robots by itself, and then all of them together."""
+    """In each round, stop each robot by itself, and then all of them together."""
     names = tuple(f"r{k}" for k in range(robots))
     with tempfile.TemporaryDirectory() as folder, opened_lab(Path(folder)) as lab:
         lab.describe_section_v(dict.fromkeys(names, 0.9))

@@ -1,4 +1,4 @@
-"""An orchestrator in a process of its own, which begins a study or goes on with it."""
+"""An orchestrator in a process of its own that begins or resumes a study."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import sys
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -24,12 +25,13 @@ from nufleet.orchestrator.repository.repository import Repository, open_reposito
 from nufleet.shared.errors import NufleetError
 from nufleet.shared.lifeline import when_stdin_closes
 from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.messages import Description
 from nufleet.shared.wire.transport import open_client
 
 FLEET = "lab"
 SEED = 3
 TERM_S = 2.0
-"""A successor waits so long for a killed owner; the product's own term would only take longer."""
+"""Term of a lease, which a successor waits for after a kill; shorter than the product's own."""
 
 RENEW_EVERY_S = 0.5
 
@@ -64,12 +66,13 @@ def main() -> None:
 def _run(
     fleet: Fleet, repository: Repository, study_id: str, robots: tuple[str, ...], iterations: int
 ) -> None:
-    with lease_robots(repository.leases, fleet, FLEET, robots, patient=True) as leases:
+    described = fleet.describe_all(robots)
+    with lease_robots(repository.leases, fleet, FLEET, described, patient=True) as leases:
         archive = Archive(repository, FLEET, leases)
-        study = _study(archive, fleet, study_id, robots, iterations)
+        study = _study(archive, study_id, described, iterations)
         if study.status is not StudyStatus.OPEN:
             return
-        print(f"goes on with {study_id}", flush=True)
+        print(f"works on {study_id}", flush=True)
         story = Story()
         log = archive.log(study_id)
         specs = recipe_of(study).specs
@@ -86,13 +89,13 @@ def _run(
 
 
 def _study(
-    archive: Archive, fleet: Fleet, study_id: str, robots: tuple[str, ...], iterations: int
+    archive: Archive, study_id: str, described: Mapping[str, Description], iterations: int
 ) -> StudyRecord:
     try:
         return archive.repository.studies.study(study_id)
     except UnknownRecordError:
-        plan = plan_of(robots, iterations=iterations)
-        return archive.begin(study_id, "paper", plan, SEED, fleet.describe_all(robots))
+        plan = plan_of(tuple(described), iterations=iterations)
+        return archive.begin(study_id, "paper", plan, SEED, described)
 
 
 if __name__ == "__main__":

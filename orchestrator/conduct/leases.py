@@ -74,7 +74,7 @@ class HeldLeases:
         try:
             self._store.release(self._leases)
         except RepositoryError as problem:
-            _log.warning("others have to wait until the leases have run out: %s", problem)
+            _log.warning("others have to wait until the leases expire: %s", problem)
 
     @contextmanager
     def guarding(self, interrupt: Callable[[], None]) -> Iterator[None]:
@@ -113,7 +113,7 @@ class HeldLeases:
                     first = self._leases[0]
                     reason = f"it could not be renewed for {TERM_S:g} s: {error}"
                     return self._lose(LeaseLostError(first.robot, first.owner, first.epoch, reason))
-                _log.warning("leases are not renewed yet: %s", error)
+                _log.warning("the leases could not be renewed yet: %s", error)
             else:
                 held_until_s = asked_s + TERM_S
         return None
@@ -186,7 +186,7 @@ def lease_robots(
     store: LeaseStore,
     fleet: Fleet,
     scope: str,
-    robots: Iterable[str],
+    descriptions: Mapping[str, Description],
     *,
     patient: bool = False,
     on_wait: Callable[[LeaseHeldError], None] = lambda held: None,
@@ -198,12 +198,17 @@ def lease_robots(
     another repository; and a lease may appear to have expired only because the clock was set. In
     both cases the network is asked whether the owner is alive, and a living owner keeps its robot.
 
+    A description that has become outdated cannot give a robot two owners: the robot refuses an
+    epoch below the one it knows, the same epoch of another living owner, and any owner while it
+    moves for another that is alive. Robots are described again only after a wait, which lasts long
+    enough for the descriptions to be wrong.
+
     Args:
         store: Lease store of the repository.
         fleet: Client of the fleet, already connected; its commands carry the epochs of these leases
             from now on.
         scope: Name under which the fleet's robots are leased.
-        robots: Names of the robots to be commanded.
+        descriptions: Descriptions of the robots to be commanded, by robot.
         patient: Whether to wait for an owner that may no longer renew its leases.
         on_wait: Callback that receives, once per lease, the lease that is being waited for.
 
@@ -217,7 +222,6 @@ def lease_robots(
             repository or its lease has expired.
         NoReplyError: A robot does not answer.
     """
-    descriptions = fleet.describe_all(tuple(robots))
     check_others(fleet, descriptions, store.last(scope))
     waited = False
 
@@ -268,13 +272,13 @@ def check_others(
             ours is None or (found.owner, found.epoch) != (ours.owner, ours.epoch)
         ):
             suspects[found.owner] = (
-                f"commanded by {found.owner} (epoch {found.epoch}), who keeps another repository; "
+                f"commanded by {found.owner} (epoch {found.epoch}), which uses another repository; "
                 "wait until it has ended, or share one repository with --repository"
             )
         if ours is not None and ours.silent:
             suspects[ours.owner] = (
-                f"owned by {ours.owner} (epoch {ours.epoch}), who is alive although its lease ran "
-                "out; wait until it has ended or renewed it, or end it"
+                f"owned by {ours.owner} (epoch {ours.epoch}), which is alive although its lease "
+                "has expired; wait until it has ended or renewed the lease, or end it"
             )
         for owner, why in suspects.items():
             if owner != fleet.orchestrator_id and is_alive(owner):

@@ -73,11 +73,11 @@ def find_stored(
         if fitting:
             known[source] = tuple(one.goal_id for one in fitting)
         elif young:
-            unusable[source] = "it is not what it was then, or was tested over another band"
+            unusable[source] = "it has changed since then, or was tested over another band"
         elif stored:
-            unusable[source] = f"the latest was measured {_day(stored[-1].measured_at)}"
+            unusable[source] = f"the latest one was measured {_day(stored[-1].measured_at)}"
         else:
-            unusable[source] = "nothing of it is stored"
+            unusable[source] = "none is stored"
     return Reuse(known, unusable)
 
 
@@ -95,8 +95,8 @@ def check_absent(absent: Sequence[str], reuse: Reuse, fleet: str) -> None:
     for robot in absent:
         if robot not in reuse.known:
             raise InvalidInputError(
-                f"robot {robot} of fleet {fleet} is not there, and no stored response can stand "
-                f"for it: {reuse.unusable[robot]}; start it, or leave it out with --sources"
+                f"robot {robot} of fleet {fleet} is not there, and no stored response can replace "
+                f"its tests: {reuse.unusable[robot]}; start it, or leave it out with --sources"
             )
 
 
@@ -133,7 +133,7 @@ def stored_responses(
 def said_of(robot: str, stored: StoredResponses, now: datetime) -> str:
     """Return a sentence that says which data replaced a robot's first test, and their age."""
     measured = (stored.measured_to, stored.measured_from)
-    ages = dict.fromkeys(_age(now - datetime.fromisoformat(when)) for when in measured)
+    ages = dict.fromkeys(age_text(now - datetime.fromisoformat(when)) for when in measured)
     return (
         f"{robot} needed no first test: {stored.counted} replaced it, measured "
         f"{' to '.join(ages)} ago ({', '.join(stored.studies)})"
@@ -175,7 +175,8 @@ def _day(when: datetime) -> str:
     return f"on {when.astimezone(UTC):%Y-%m-%d}"
 
 
-def _age(age: timedelta) -> str:
+def age_text(age: timedelta) -> str:
+    """Return an age in words, in minutes, hours or days, such as "3 days"."""
     minutes = max(0.0, age.total_seconds() / 60)
     if minutes < 120:
         return f"{minutes:.0f} min"

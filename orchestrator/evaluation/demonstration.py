@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
-from typing import Annotated, Literal
 
-from pydantic import Field
 from rich.table import Table
 
+from nufleet.orchestrator.evaluation.flight_documents import DEMONSTRATION, DemoResult
 from nufleet.orchestrator.evaluation.fly_target import FlightObserver, Psi, fly_target, summarise
 from nufleet.orchestrator.evaluation.results import EvaluationResult
+from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.train import train_robots
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.flights.legs import Leg
@@ -18,31 +17,7 @@ from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.orchestrator.runs.folder import RunFolder
 from nufleet.orchestrator.runs.rank_result import RankResult
 from nufleet.shared.experience.layout import Architecture
-from nufleet.shared.strict import Strict
 from nufleet.shared.wire.messages import Description
-
-DEMONSTRATION = "demo.json"
-
-
-class DemoResult(Strict):
-    """What `nufleet demo --json` prints: the ranking, and the flights with the best and worst."""
-
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    """Version of this document's layout."""
-    ranking: RankResult
-    """Ranking of all sources by frequency tests, as `nufleet rank --json` prints it."""
-    flights: EvaluationResult
-    """Tracking errors with the closest and the furthest source, as `nufleet evaluate --json`."""
-    run: str
-    """Path of the run's folder."""
-
-    def document(self) -> str:
-        """Return this result as JSON, made up of the documents of `rank` and `evaluate`."""
-        parts = {
-            "ranking": json.loads(self.ranking.document()),
-            "flights": json.loads(self.flights.document()),
-        }
-        return json.dumps({"schema": self.schema_version, **parts, "run": self.run})
 
 
 def demonstrate(
@@ -71,8 +46,8 @@ def demonstrate(
         folder: Folder of the run; experiences and the result are written there.
         seed: Seed of the learning flights and of the networks' first weights.
         flight_s: Duration in s of each flight that a robot learns from.
-        say: Called with one line of progress at a time.
-        observers: Called at the beginning and at the end of each flight along a path.
+        say: Callback that receives one line of progress at a time.
+        observers: Callbacks for the beginning and the end of each flight along a path.
 
     Returns:
         The ranking together with the errors of the flights, as written to the run's folder.
@@ -97,7 +72,15 @@ def demonstrate(
     )
     say(f"{target.robot} tracks a drawing with each of them as its prior")
     flights = fly_target(
-        fleet, pilot, target, chosen, legs, architecture, guarded=True, observers=observers
+        fleet,
+        pilot,
+        ExperienceLibrary(fleet),
+        target,
+        chosen,
+        legs,
+        architecture,
+        guarded=True,
+        observers=observers,
     )
     result = DemoResult(
         ranking=ranking,
@@ -118,7 +101,7 @@ def demonstrate(
 
 def demo_table(result: EvaluationResult) -> Table:
     """Return a table of the four errors, in the order that the tests predicted."""
-    table = Table(title="what the transfer did, in the order predicted", title_justify="left")
+    table = Table(title="effect of the transfer, in the predicted order", title_justify="left")
     table.add_column("prior")
     for heading in ("predicted ψ*", f"RMS error, m{result.unit}", "less error"):
         table.add_column(heading, justify="right")

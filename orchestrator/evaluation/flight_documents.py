@@ -1,35 +1,32 @@
-"""The documents that `nufleet train` and `nufleet track` print and leave in a run's folder."""
+"""The documents that `nufleet train`, `track` and `demo` print and leave in a run's folder."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from nufleet.orchestrator.evaluation.results import FlightRecord
+from nufleet.orchestrator.evaluation.results import EvaluationResult, FlightRecord
+from nufleet.orchestrator.runs.rank_result import RankResult
 from nufleet.shared.experience.manifest import ExperienceManifest
-from nufleet.shared.strict import Digest, NonNegative, Strict
+from nufleet.shared.strict import Digest, Document, NonNegative, Strict
 
 if TYPE_CHECKING:
     from nufleet.orchestrator.experience.train import Trained
 
 TRAINING = "train.json"
 TRACKING = "track.json"
+DEMONSTRATION = "demo.json"
 
 
-class Document(Strict):
+class RunDocument(Document):
     """The result of a run, as printed and as stored in its folder."""
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    """Version of this document's layout."""
     run: str
     """Path of the run's folder."""
-
-    def document(self) -> str:
-        """Return the JSON that other programs read."""
-        return self.model_dump_json(by_alias=True)
 
 
 class HorizonRecord(Strict):
@@ -56,8 +53,8 @@ class TrainedExperience(Strict):
     """Description of the experience, as stored in its file."""
 
 
-class TrainResult(Document):
-    """What `nufleet train --json` prints."""
+class TrainResult(RunDocument):
+    """What `nufleet train` prints and leaves in its run's folder."""
 
     experiences: tuple[TrainedExperience, ...]
     """Experiences that were trained, in the order of robots and architectures."""
@@ -68,11 +65,28 @@ class TrainResult(Document):
         return TrainResult(experiences=tuple(map(_trained, trained)), run=run)
 
 
-class TrackResult(Document):
-    """What `nufleet track --json` prints."""
+class TrackResult(RunDocument):
+    """What `nufleet track` prints and leaves in its run's folder."""
 
     flights: tuple[FlightRecord, ...]
     """Flights in the order in which they were flown."""
+
+
+class DemoResult(RunDocument):
+    """What `nufleet demo --json` prints: the ranking, and the flights with the best and worst."""
+
+    ranking: RankResult
+    """Ranking of all sources by frequency tests, as `nufleet rank --json` prints it."""
+    flights: EvaluationResult
+    """Tracking errors with the closest and the furthest source, as `nufleet evaluate --json`."""
+
+    def document(self) -> str:
+        """Return this result as JSON, made up of the documents of `rank` and `evaluate`."""
+        parts = {
+            "ranking": json.loads(self.ranking.document()),
+            "flights": json.loads(self.flights.document()),
+        }
+        return json.dumps({"schema": self.schema_version, **parts, "run": self.run})
 
 
 def _trained(one: Trained) -> TrainedExperience:

@@ -23,10 +23,11 @@ from nufleet.orchestrator.evaluation.results import (
 )
 from nufleet.orchestrator.evaluation.summaries import kendall_tau
 from nufleet.orchestrator.experience.learning import pick_up
+from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.prior_custody import prior_put_back
 from nufleet.orchestrator.experience.transfer import transfer
 from nufleet.orchestrator.fleet.client import Fleet
-from nufleet.orchestrator.flight_labels import BASELINE, NO_PRIOR
+from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR
 from nufleet.orchestrator.flights.legs import Leg
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
 from nufleet.orchestrator.study.predicted_errors import PredictedRms
@@ -59,6 +60,7 @@ class Psi:
 def fly_target(
     fleet: Fleet,
     pilot: Pilot,
+    library: ExperienceLibrary,
     target: Description,
     sources: Sequence[str],
     legs: Sequence[Leg],
@@ -74,13 +76,14 @@ def fly_target(
     Args:
         fleet: Client of the fleet, already connected.
         pilot: Pilot that has the target fly.
+        library: Experiences of the fleet's robots, those of the sources among them.
         target: Description of the robot that flies.
         sources: Names of the sources. The zero prior takes the layout of the first one, so the
             selected source comes first.
         legs: Paths to fly with every inverse.
         architecture: Architecture of the sources' experiences to transfer.
         guarded: Whether the guard may withdraw a prior in flight.
-        observers: Called at the beginning and at the end of each flight.
+        observers: Callbacks for the beginning and the end of each flight.
 
     Returns:
         One record per flight, in the order in which they were flown.
@@ -107,7 +110,7 @@ def fly_target(
     fly_legs(BASELINE, partial(pilot.baseline, robot))
     with prior_put_back(fleet, pilot, target):
         for place, source in enumerate(sources):
-            given = transfer(fleet, source, robot, architecture)
+            given = transfer(fleet, library, source, target, architecture)
             if place == 0:
                 layout = given.manifest.layout
                 fly_legs(NO_PRIOR, partial(pilot.zero_prior, robot, layout=layout, guarded=guarded))

@@ -31,6 +31,8 @@ class Trained:
     """Flights that it was learned from."""
     experience: Experience
     """The trained network with its manifest."""
+    payload: bytes
+    """Content of the experience's file."""
     sha256: str
     """Hash of the experience's file."""
     training_time_s: float
@@ -67,8 +69,9 @@ def train_robots(
         folder: Folder in which a copy of each experience is stored.
         seed: Seed of the flights and of the networks' first weights.
         duration_s: Duration of each rich flight.
-        say: Called with a robot's name and what it does now, from several threads.
-        on_trained: Called with each experience once its robot holds it, from several threads.
+        say: Callback that receives a robot's name and its present activity, from several threads.
+        on_trained: Callback that receives each experience once its robot holds it, from several
+            threads.
 
     Returns:
         All experiences, in the order of the robots and then of the architectures.
@@ -100,7 +103,7 @@ def train_robots(
         payload = encode_experience(experience)
         (folder / f"{lesson.robot}-{architecture}.safetensors").write_bytes(payload)
         offer = install(fleet, lesson.robot, "experience", payload)
-        done = Trained(lesson, experience, offer.sha256, time.monotonic() - began_s)
+        done = Trained(lesson, experience, payload, offer.sha256, time.monotonic() - began_s)
         on_trained(done)
         return done
 

@@ -180,7 +180,9 @@ class Pilot:
                 taken_back=None,
             )
         if not isinstance(details, TrackingDetails):
-            raise MalformedMessageError(f"robot {robot} returned a path without its details")
+            raise MalformedMessageError(
+                f"robot {robot} returned the flight of a path without its details"
+            )
         return PathFlight(
             robot=robot,
             label=label,

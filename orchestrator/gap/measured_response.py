@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import chordal_distance, chordal_variance
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.models.transfer_models import ModelError, StateSpace
+
+if TYPE_CHECKING:
+    from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 
 VARIANCE_MIN = 1e-150
 """Lower bound of a variance, which keeps its inverse, the weight, finite."""
@@ -129,7 +132,7 @@ def band_distance(
     if not low < high:
         raise BandError(
             f"nothing to compare: the responses are known from {described[0]} and from"
-            f" {described[1]}{asked}; these do not overlap: measure both over one band"
+            f" {described[1]}{asked}; these do not overlap: measure both over the same band"
         )
     measured = [r.omega_rad_s for r in (first, second) if isinstance(r, MeasuredResponse)]
     omega = np.unique(np.concatenate([*measured, [low, high]]))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,8 +11,9 @@ import click
 from rich.console import Console
 
 from nufleet.orchestrator.conduct.preflight import check_robots, chosen_axis
-from nufleet.orchestrator.fleet.reach import Reach
+from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.jobs.storage import Storage
+from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.logs.alignment import align
 from nufleet.orchestrator.logs.flown_response import response_of_log
 from nufleet.orchestrator.logs.formats import list_channels, read_signals
@@ -22,7 +22,6 @@ from nufleet.orchestrator.logs.report import ImportResult, ListResult, SignalRep
 from nufleet.orchestrator.logs.signals import LogError
 from nufleet.orchestrator.repository.records import Origin, RobotRecord
 from nufleet.orchestrator.repository.repository import Repository
-from nufleet.orchestrator.runs.console import stderr_console
 from nufleet.orchestrator.runs.folder import make_runs_root
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.robots.fleet_file import find_fleet_file, read_fleet_file
@@ -168,13 +167,10 @@ def _robot(
         for known in repository.robots.robots(name):
             if known.robot == command.robot:
                 return name, Description(robot=known.robot, boot_id=known.boot_id, spec=known.spec)
-    reach = Reach(
-        connect=command.connect,
-        fleet_name=None if file is not None else command.fleet_name,
-        fleet_file=None if file is None else str(file),
-    )
-    with ExitStack() as stack:
-        fleet, name, there = stack.enter_context(reach.connection(console))
+    choice = FleetChoice.running(command.connect, command.fleet_name)
+    if file is not None:
+        choice = FleetChoice.started(file)
+    with choice.connection(console) as (fleet, name, there):
         check_robots((command.robot,), there)
         return name, fleet.describe(command.robot)
 

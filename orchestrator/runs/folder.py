@@ -18,8 +18,6 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from nufleet.orchestrator.runs.rank_result import RunRecord
-from nufleet.orchestrator.study.outcomes import Measured
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.private_files import write_privately
 from nufleet.shared.redaction import without_secrets
@@ -28,6 +26,9 @@ from nufleet.shared.strict import Strict, describe_validation
 if TYPE_CHECKING:
     import pyarrow.parquet
 
+    from nufleet.orchestrator.runs.rank_result import RunRecord
+    from nufleet.orchestrator.study.outcomes import Measured
+
 RECORDING = "run.rrd"
 RESULTS = "results.json"
 CONFIGURATION = "config.json"
@@ -35,7 +36,16 @@ _PACKAGES = ("nufleet", "eclipse-zenoh", "numpy", "scipy", "numba", "pydantic", 
 
 
 class RunFolder:
-    """Writes one run's folder; close it (or leave its `with`) so that the samples are complete."""
+    """Writes one run's folder; close it (or leave its `with`) so that the samples are complete.
+
+    Examples:
+        >>> with tempfile.TemporaryDirectory() as root:
+        ...     with RunFolder(Path(root), "lab") as run:
+        ...         run.write_configuration({"kind": "rank", "target": "drone-7"})
+        ...     found = find_run(Path(root), "latest")
+        ...     found == run.path, sorted(path.name for path in found.iterdir())
+        (True, ['config.json'])
+    """
 
     def __init__(
         self, root: Path, name: str, *, now: datetime | None = None, goes_on: bool = False
@@ -84,9 +94,16 @@ class RunFolder:
         return study_id_of(self.path)
 
     def write_configuration(self, configuration: Mapping[str, Any]) -> None:
-        """Write the complete request, and the versions of the software that runs it."""
+        """Write the complete request, and the versions of the software that runs it.
+
+        Args:
+            configuration: All settings of the run; secrets in their addresses are not written.
+        """
         document = {
-            **configuration,
+            **{
+                key: without_secrets(value) if isinstance(value, str) else value
+                for key, value in configuration.items()
+            },
             "versions": {
                 "python": platform.python_version(),
                 **{package: version(package) for package in _PACKAGES},
@@ -140,6 +157,8 @@ def study_id_of(folder: Path) -> str:
 
 def read_record(folder: Path) -> RunRecord:
     """Return the results in a run's folder; raises InvalidInputError when there are none."""
+    from nufleet.orchestrator.runs.rank_result import RunRecord
+
     path = folder / RESULTS
     try:
         return RunRecord.model_validate_json(path.read_bytes())
@@ -165,8 +184,8 @@ def find_run(root: Path, run: str) -> Path:
         if (candidate / CONFIGURATION).is_file():
             return candidate
     raise InvalidInputError(
-        f"no run {run!r}: expected a run's folder, its name in {root}, or `latest`; "
-        "`nufleet runs list` shows what there is"
+        f"no run {run!r}: expected the folder of a run, its name in {root}, or `latest`; "
+        "`nufleet runs list` shows all runs"
     )
 
 
@@ -211,4 +230,4 @@ def _create(root: Path, name: str) -> Path:
             f"the run's folder cannot be created in {root}: {error.strerror}; "
             "choose another place with --runs"
         ) from error
-    raise InvalidInputError(f"{root} holds too many runs named {name}")
+    raise InvalidInputError(f"{root} contains too many runs named {name}")

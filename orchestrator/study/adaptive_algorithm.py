@@ -152,7 +152,7 @@ class AdaptiveStudy:
             if name in responses:
                 self._robots[name].learn(responses[name], self._rng)
             else:
-                self._lose(name, failed.get(name, "it gave no response"))
+                self._lose(name, failed.get(name, "it returned no response"))
         self._share_doubt()
         sources = self._remaining()
         draws = {
@@ -183,7 +183,7 @@ class AdaptiveStudy:
         else:
             self._next = {} if stopped else self._choose(belief, draws, leader, hopeless)
         if not self._next and stopped is None:
-            stopped = f"no test that is left tells more; P(correct selection) = {confidence:.3f}"
+            stopped = f"no further test would help; P(correct selection) = {confidence:.3f}"
         return Report(
             iteration=question.iteration,
             omega_rad_s=question.omega_rad_s,
@@ -229,7 +229,7 @@ class AdaptiveStudy:
             self._dropped[name] = reason
         if not self._remaining():
             lost = "; ".join(f"{source}: {why}" for source, why in self._dropped.items())
-            raise StudyError(f"every source is gone: {lost}")
+            raise StudyError(f"no source is left: {lost}")
 
     def _stop(self, belief: SelectionBelief, leader: str, confidence: float) -> str | None:
         if confidence >= 1 - self._settings.delta:
@@ -242,7 +242,9 @@ class AdaptiveStudy:
                 f"{confidence:.3f}"
             )
         if self._asked >= self._plan.iterations:
-            return f"all {self._asked} rounds are used up; P(correct selection) = {confidence:.3f}"
+            return (
+                f"all {self._asked} rounds have been used; P(correct selection) = {confidence:.3f}"
+            )
         return None
 
     def _choose(

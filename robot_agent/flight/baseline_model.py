@@ -105,7 +105,7 @@ def identify_baseline(
     if samples < _SAMPLES_PER_TAP * taps or not finite:
         raise InvalidInputError(
             f"{samples} samples are too few for a model with {taps} taps, "
-            "or hold a number that is not finite"
+            "or one of them is not finite"
         )
     # The normal equations AᵀA x = Aᵀe are accumulated block by block: A itself may not fit into
     # memory.
@@ -150,9 +150,9 @@ def check_explained(
     moved = float(reference.std())
     if model.residual_std > max(_UNEXPLAINED_MAX * moved, _NOISE_RATIO * noise_std):
         raise InvalidInputError(
-            f"axis {axis.name} did {model.residual_std:.3g} {axis.unit} RMS that is no answer to "
-            f"its reference of {moved:.3g} {axis.unit} RMS within the settling time: see to its "
-            "sensor, or give a longer settling time"
+            f"axis {axis.name} moved by {model.residual_std:.3g} {axis.unit} RMS that its "
+            f"reference of {moved:.3g} {axis.unit} RMS within the settling time does not explain: "
+            "check its sensor, or state a longer settling time"
         )
 
 
@@ -181,8 +181,8 @@ def _edges(sample_time_s: float, memory_s: float) -> np.ndarray:
     edges = np.unique(np.round(np.concatenate([fine, wide]) / sample_time_s).astype(int))
     if edges[-1] > _LAGS_MAX:
         raise InvalidInputError(
-            f"a response of {memory_s:g} s is {edges[-1]} samples of {sample_time_s:g} s; a model "
-            f"of the baseline holds at most {_LAGS_MAX}: give a shorter settling time"
+            f"a response of {memory_s:g} s has {edges[-1]} samples of {sample_time_s:g} s; a model "
+            f"of the baseline has at most {_LAGS_MAX}: state a shorter settling time"
         )
     # A robot whose sample lasts longer than its settling time answers to the sample before alone.
     return edges if len(edges) > 1 else np.array([0, 1])

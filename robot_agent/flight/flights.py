@@ -215,7 +215,7 @@ def learner_for(motion: Tracking, robot: Robot, memory: Memory) -> Learner | Non
     prior = memory.prior if motion.inverse == "prior" else None
     if prior is None:
         if motion.layout is None:
-            raise RobotError("the robot has no prior any more")
+            raise RobotError("the robot no longer has a prior")
         process = OnlineGp(motion.layout, (None,) * len(axes), window=window)
         return Learner(motion.layout, process)
     layout = prior.manifest.layout

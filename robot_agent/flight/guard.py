@@ -83,6 +83,8 @@ class Guard:
         square = (baseline_error**2).sum(axis=1)
         window = max(1, round(chosen.window_s / sample_time_s))
         smooth = np.convolve(square, np.ones(window) / window, mode="same")
+        # Σ_{j ≤ k} (|b_j|² + σ²): the sum of squares that the baseline's error b_j, measured with
+        # noise of variance σ², is expected to reach at sample k.
         self._allowed = np.cumsum(square + noise_variance)
         self._budget = chosen.budget * float(self._allowed[-1])
         # A mean over the few samples of a window may exceed the noise variance several times.
@@ -90,6 +92,8 @@ class Guard:
         self._recent = np.zeros(window)
         restless = max(3, round(chosen.restless_window_s / sample_time_s))
         self._accelerations = np.zeros(restless)
+        # |n_{k+1} − 2 n_k + n_{k−1}|² / T⁴, the squared acceleration of the needed correction n,
+        # averaged over the same window as that of the correction flown.
         pulls = (np.diff(needed, 2, axis=0) ** 2).sum(axis=1) / sample_time_s**4
         smooth = np.convolve(pulls, np.ones(restless) / restless, mode="same")
         needed_max = math.sqrt(smooth.max()) if len(smooth) else 0.0
@@ -155,30 +159,37 @@ class Guard:
     def _verdict(self, sample: int, square: float, correction: FloatArray) -> TakenBack | None:
         if not math.isfinite(square):
             return TakenBack(sample=sample, reason="the tracking error is not finite")
+        # A model that is far off shows within one window.
         if float(self._recent.mean()) > self._peak:
             return TakenBack(
                 sample=sample,
                 reason=f"an error of {math.sqrt(self._recent.mean()):.3g}, more than the "
-                "baseline's worst",
+                "largest error of the baseline",
             )
+        # An oscillation shows in the acceleration of the correction, which grows with ω², before it
+        # shows in the error.
         pull = math.sqrt(self._accelerations.mean())
         if pull > self._acceleration_max:
             return TakenBack(
                 sample=sample,
-                reason=f"its corrections oscillate: they accelerate by {pull:.3g}, which no path "
-                f"asks for; {self._acceleration_max:.3g} is enough",
+                reason=f"its corrections oscillate: their acceleration is {pull:.3g}, and no path "
+                f"requires more than {self._acceleration_max:.3g}",
             )
+        # Σ|e_j|² − Σ(|b_j|² + σ²): a model that is slightly worse all the way uses up the budget.
+        # What it gained over the baseline earlier on the path counts in its favour.
         excess = self._spent - float(self._allowed[sample])
         if excess > self._budget:
             ratio = math.sqrt(self._spent / float(self._allowed[sample]))
             return TakenBack(
-                sample=sample, reason=f"so far {ratio:.2f} times the error of the baseline"
+                sample=sample, reason=f"until now {ratio:.2f} times the error of the baseline"
             )
+        # The prior must be withdrawn while that is still affordable: a large mistaken correction
+        # keeps causing an error until it has been removed at its limited speed.
         if excess + self._return_cost(sample, correction) > self._return_budget:
             size, needed = np.linalg.norm(correction), np.linalg.norm(self._needed[sample])
             return TakenBack(
                 sample=sample,
-                reason=f"a correction of {size:.3g}, where the baseline needs {needed:.3g}: later "
-                "it could not be taken back in time",
+                reason=f"a correction of {size:.3g}, where the baseline needs {needed:.3g}: it "
+                "could not be withdrawn in time later",
             )
         return None

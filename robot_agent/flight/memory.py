@@ -82,7 +82,9 @@ class Memory:
                 make_private_folder(folder)
                 self._read(folder)
             except OSError as error:
-                raise MemoryFolderError(f"{folder}: {error.strerror}; see to the disk") from error
+                raise MemoryFolderError(
+                    f"{folder}: {error.strerror}; free or repair the disk"
+                ) from error
 
     @property
     def experiences(self) -> tuple[Kept, ...]:
@@ -179,23 +181,23 @@ class Memory:
     def _read(self, folder: Path) -> None:
         for name in (*_ARCHITECTURES, PRIOR):
             path = folder / f"{name}{_SUFFIX}"
-            payload = _stored(path, EXPERIENCE_BYTES_MAX, "then train or transfer anew")
+            payload = _stored(path, EXPERIENCE_BYTES_MAX, "then train or transfer again")
             if payload is not None:
                 try:
                     self._kept[name] = _checked(payload, digest(payload))
                 except MalformedMessageError as error:
                     raise MemoryFolderError(
-                        f"{path} cannot be read: {error}; remove it, then train or transfer anew"
+                        f"{path} cannot be read: {error}; remove it, then train or transfer again"
                     ) from error
         path = folder / f"{_BASELINE}{_SUFFIX}"
-        models = _stored(path, _BASELINE_BYTES_MAX, "the robot learns it anew from a rich flight")
+        models = _stored(path, _BASELINE_BYTES_MAX, "the robot relearns it from a rich flight")
         if models is not None:
             try:
                 self._baseline = _BASELINE_MODELS.validate_json(models)
             except ValidationError as error:
                 raise MemoryFolderError(
                     f"{path} cannot be read: {describe_validation(error)}; remove it, the robot "
-                    "learns it anew from a rich flight"
+                    "relearns it from a rich flight"
                 ) from error
 
 
@@ -209,7 +211,7 @@ def _stored(path: Path, bytes_max: int, remedy: str) -> bytes | None:
     sha256, data = stored[:_SHA256_BYTES], stored[_SHA256_BYTES:]
     if sha256 != bytes.fromhex(digest(data)):
         raise MemoryFolderError(
-            f"{path} is damaged: it is not what was stored there; remove it, {remedy}"
+            f"{path} is damaged: its content is not what was stored; remove it, {remedy}"
         )
     return data
 

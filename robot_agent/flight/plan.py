@@ -63,7 +63,7 @@ def plan_flight(
             _check_path(motion, spec, limits, robot)
             if motion.inverse != "baseline" and not (motion.guarded or allow_unguarded):
                 reason = (
-                    "it may not fly with a learned inverse and without a guard: ask for a guarded "
+                    "it may not fly with a learned inverse and without a guard: request a guarded "
                     "flight, or set allow_unguarded = true for it in its fleet file"
                 )
                 raise RefusedError("unguarded", reason, robot)
@@ -89,7 +89,7 @@ def _tracking_limits(spec: RobotSpec, robot: str) -> TrackingLimits:
 def _check_path(motion: Tracking, spec: RobotSpec, limits: TrackingLimits, robot: str) -> None:
     desired = motion.desired
     if desired.shape[1] != len(spec.axes):
-        reason = f"a path of {desired.shape[1]} columns for {len(spec.axes)} axes"
+        reason = f"the path has {desired.shape[1]} columns, the robot has {len(spec.axes)} axes"
         raise RefusedError("trajectory", reason, robot)
     try:
         check_trajectory(desired, spec.sample_time_s, limits)
@@ -107,22 +107,22 @@ def _check_inverse(
     else:
         prior = memory.prior
         if prior is None:
-            reason = "no experience was transferred to it; see `nufleet transfer`"
+            reason = "no experience has been transferred to it; use `nufleet transfer`"
             raise RefusedError("no-prior", reason, robot)
         if prior.sha256 != motion.prior_sha256:
-            reason = f"its prior is another one, of {prior.manifest.robot}; transfer it again"
+            reason = f"its prior is a different one, from {prior.manifest.robot}; transfer it again"
             raise RefusedError("other-prior", reason, robot)
         for axis in prior.manifest.axes:
             # The prior fitted when it was installed, but the robot's settings may have changed.
             changed = misfit(prior.manifest, spec, state_names, axis)
             if changed is not None:
-                reason = f"its prior does not fit it any more: {changed}; transfer another"
+                reason = f"its prior no longer fits it: {changed}; transfer a different one"
                 raise RefusedError("misfit", reason, robot)
     missing = [axis.name for axis in spec.axes if axis.name not in memory.baseline]
     if motion.guarded and missing:
         reason = (
-            f"what its baseline does on {', '.join(missing)} is not known yet, so nothing could "
-            "guard the flight; it learns that from a rich flight"
+            f"it has no model of its baseline on {', '.join(missing)} yet, so the flight could not "
+            "be guarded; it learns such a model from a rich flight"
         )
         raise RefusedError("no-baseline", reason, robot)
 
@@ -131,8 +131,14 @@ def _check_layout(
     layout: InverseLayout, spec: RobotSpec, state_names: tuple[str, ...], robot: str
 ) -> None:
     if abs(layout.sample_time_s - spec.sample_time_s) > 1e-9 * spec.sample_time_s:
-        reason = f"a layout of {layout.sample_time_s:g} s; its sample is {spec.sample_time_s:g} s"
+        reason = (
+            f"the layout has a sample time of {layout.sample_time_s:g} s, the robot one of "
+            f"{spec.sample_time_s:g} s"
+        )
         raise RefusedError("layout", reason, robot)
     if state_names[: len(layout.states)] != layout.states:
-        reason = f"a layout of {', '.join(layout.states)}; it measures {', '.join(state_names)}"
+        reason = (
+            f"the layout needs the states {', '.join(layout.states)}; the robot measures "
+            f"{', '.join(state_names)}"
+        )
         raise RefusedError("layout", reason, robot)

@@ -10,16 +10,16 @@ from fleet_lab import Lab, Orchestrator, assert_never_moved, double_integrator, 
 from puppet_robot import PuppetRobot
 from robots_that_learn import LaggedRobot
 
+from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.linear_inverse import linear_experience
 from nufleet.orchestrator.experience.prior_custody import install
 from nufleet.orchestrator.experience.training import Origin, TrainingData
 from nufleet.orchestrator.experience.transfer import transfer
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.flights.pilot import Pilot
-from nufleet.robot_agent.flight.inverse_model import NetworkInverse
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError, MalformedMessageError, RobotError
-from nufleet.shared.experience.file import decode_experience, digest, encode_experience
+from nufleet.shared.experience.file import digest, encode_experience
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.paths.trajectories import travel
 from nufleet.shared.wire.messages import GoalRequest
@@ -66,22 +66,12 @@ def test_a_robot_offers_what_was_installed_on_it_and_hands_it_out(fleet: Fleet) 
     assert fleet.fetch("source", offer.sha256) == payload
 
 
-def test_a_robot_predicts_what_its_model_computes(fleet: Fleet) -> None:
-    payload = experience()
-    offer = install(fleet, "source", "experience", payload)
-    inputs = np.random.default_rng(1).standard_normal((7, len(PREVIEW.input_names)))
-    expected = NetworkInverse(decode_experience(payload))(inputs)
-    np.testing.assert_array_equal(fleet.predict("source", offer.sha256, inputs), expected)
-    assert refusal(lambda: fleet.predict("source", offer.sha256, inputs[:, 1:])) == "inputs"
-    assert refusal(lambda: fleet.predict("source", "0" * 64, inputs)) == "unknown-experience"
-
-
 def test_a_transferred_prior_survives_the_agents_restart(lab: Lab, tmp_path: Path) -> None:
     agent = lab.agent("target", double_integrator(0.9, 2), state_folder=tmp_path / "target")
     lab.agent("source", double_integrator(0.85, 1), state_folder=tmp_path / "source")
     fleet = lab.orchestrator().fleet
     install(fleet, "source", "experience", experience())
-    given = transfer(fleet, "source", "target")
+    given = transfer(fleet, ExperienceLibrary(fleet), "source", fleet.describe("target"))
     Pilot(fleet, "run").rich("target", duration_s=60.0, seed=0)
     agent.close()
     lab.agent("target", double_integrator(0.9, 2), state_folder=tmp_path / "target")
@@ -132,7 +122,7 @@ def test_a_damaged_file_is_refused_and_the_prior_before_it_stays(fleet: Fleet, d
 
 def test_a_source_without_experience_cannot_pass_one_on(fleet: Fleet) -> None:
     with pytest.raises(InvalidInputError, match="it offers none; train one with `nufleet train"):
-        transfer(fleet, "source", "target")
+        transfer(fleet, ExperienceLibrary(fleet), "source", fleet.describe("target"))
 
 
 def flown(fleet: Fleet, path: FloatArray = PATH) -> dict[str, float]:
@@ -159,7 +149,7 @@ def test_the_targets_own_experience_makes_it_track_better_at_the_first_attempt(
     origin = Origin("source", "double-integrator", ("x",), "m", 1)
     learned = linear_experience(TrainingData(inputs, gamma), PREVIEW, origin)
     install(fleet, "source", "experience", encode_experience(learned))
-    transfer(fleet, "source", "target")
+    transfer(fleet, ExperienceLibrary(fleet), "source", fleet.describe("target"))
     errors = flown(fleet)
     assert errors["prior"] < 0.2 * errors["baseline"]
 
@@ -194,7 +184,7 @@ def test_a_guarded_flight_needs_a_baseline_that_is_known(fleet: Fleet) -> None:
         (3 * PATH, "outside the workspace"),
         (PATH[::4], "speed"),
         (PATH[:1], "two different points"),
-        (np.repeat(PATH, 2, axis=1), "2 columns for 1 axes"),
+        (np.repeat(PATH, 2, axis=1), "2 columns, the robot has 1 axes"),
     ],
 )
 def test_a_path_that_the_robot_may_not_fly_is_refused_before_it_moves(
@@ -247,7 +237,7 @@ def test_a_prior_is_not_changed_while_the_robot_flies(lab: Lab) -> None:
 
 
 def test_what_a_robot_returns_is_checked_against_what_was_asked(fleet: Fleet) -> None:
-    with pytest.raises(MalformedMessageError, match="no frequency test"):
+    with pytest.raises(MalformedMessageError, match="not a frequency test"):
         Pilot(fleet, "run").steps("target", "x").test_plan  # noqa: B018
 
 

@@ -14,7 +14,8 @@ from unittest.mock import patch
 
 from benchmarks.faults.simulation import orchestrator as simulated
 from benchmarks.faults.simulation import repository as kept
-from benchmarks.faults.simulation.orchestrator import SimulatedOrchestrator
+from benchmarks.faults.simulation.conducting import Conduct
+from benchmarks.faults.simulation.leasing import Leasing
 from nufleet.orchestrator.conduct import attempts
 from nufleet.orchestrator.conduct import leases as robot_leases
 from nufleet.orchestrator.fleet.goal_events import (
@@ -116,29 +117,30 @@ def _time_leases() -> Patches:
         if not 0.0 < left_s <= stored.term_s:
             raise LeaseLostError(lease.robot, lease.owner, lease.epoch, "it was not renewed")
 
-    def renewed(self: SimulatedOrchestrator) -> None:
-        clock[0] = self._clock
+    def renewed(self: Leasing) -> None:
+        clock[0] = self.clock
         renew(self)
 
     clock: list[Callable[[], float]] = []
     clock.append(lambda: 0.0)
     check_held = lease_rules.check_held
-    renew = SimulatedOrchestrator._renew  # noqa: SLF001 - as above
+    renew = Leasing._renew  # noqa: SLF001 - as above
     yield patch.object(kept, "check_held", check)
-    yield patch.object(SimulatedOrchestrator, "_renew", renewed)
+    yield patch.object(Leasing, "_renew", renewed)
 
 
 def _interrupt_in_turn() -> Patches:
     """Ctrl-C reaches each robot only when the one before it has answered (defect 16)."""
 
-    def interrupted(self: SimulatedOrchestrator) -> None:
+    def interrupted(self: Conduct) -> None:
+        process = self._process
         for place, run in enumerate(tuple(self._runs.values())):
-            self.world.after(
+            process.world.after(
                 simulated.REST_WITHIN_S * place,
-                partial(self.node.do, partial(self._take, run, InterruptAsked())),
+                partial(process.node.do, partial(self._take, run, InterruptAsked())),
             )
 
-    yield patch.object(SimulatedOrchestrator, "_interrupt_all", interrupted)
+    yield patch.object(Conduct, "interrupt", interrupted)
 
 
 def _forget_forgone() -> Patches:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from nufleet.orchestrator.flight_labels import BASELINE, NO_PRIOR
+from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR
 
 Colour = tuple[int, int, int]
 

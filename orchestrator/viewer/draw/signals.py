@@ -129,7 +129,7 @@ class Signals:
             if path not in self._styled:
                 self._styled.add(path)
                 style = rr.SeriesPoints(
-                    colors=[ALARM], markers=["cross"], marker_sizes=[5.0], names=["taken back"]
+                    colors=[ALARM], markers=["cross"], marker_sizes=[5.0], names=["withdrawn"]
                 )
                 self._stream.log(path, style, static=True)
             self._send(path, flight.time_s[k : k + 1], np.array([value]), np.array([0]))

@@ -95,5 +95,5 @@ def test_a_robot_of_one_sample_per_second_is_fitted_too(settling_time_s: float) 
 
 
 def test_a_response_longer_than_a_model_holds_is_refused_in_words() -> None:
-    with pytest.raises(InvalidInputError, match="a model of the baseline holds at most 100000"):
+    with pytest.raises(InvalidInputError, match="a model of the baseline has at most 100000"):
         samples_needed(0.001, 120.0)
