@@ -131,7 +131,7 @@ def test_of_flights_at_one_speed_the_latest_counts_and_those_at_others_are_kept(
 def test_a_flight_of_a_robot_that_has_changed_since_does_not_count(measured: Archive) -> None:
     altered = SPEC.model_copy(update={"settling_time_s": 2 * SPEC.settling_time_s})
     add_flight(measured, spec=altered)
-    assert "not what it was" in find(measured).unusable["far"]
+    assert "it has changed since then" in find(measured).unusable["far"]
 
 
 def test_a_study_is_built_again_from_flights_and_knows_who_is_absent(archive: Archive) -> None:
