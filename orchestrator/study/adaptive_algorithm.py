@@ -182,6 +182,12 @@ class AdaptiveStudy:
                 self._next = {leader: self._first[leader]}
         else:
             self._next = {} if stopped else self._choose(belief, draws, leader, hopeless)
+        if self._flights_mislead and stopped is not None:
+            confidence = min(confidence, 1 - 2 * self._settings.delta)
+            stopped = (
+                f"{leader} is selected without a claim: flights and tests differ, so that the "
+                "responses of this fleet depend on the amplitude"
+            )
         if not self._next and stopped is None:
             stopped = f"no further test would help; P(correct selection) = {confidence:.3f}"
         return Report(
@@ -198,10 +204,15 @@ class AdaptiveStudy:
             stopped_because=stopped,
         )
 
+    @property
+    def _flights_mislead(self) -> bool:
+        """Whether flights differ too much from tests, or each other, for anything to be claimed."""
+        doubt = max(robot.flight_doubt for robot in self._robots.values())
+        return doubt > self._settings.flight_error_max**2
+
     def _misled_by_flights(self, sources: Sequence[str]) -> tuple[str, ...]:
         """Return the sources to test because they rest on flights, which proved to be no tests."""
-        doubt = max(robot.flight_doubt for robot in self._robots.values())
-        if doubt <= self._settings.flight_error_max**2:
+        if not self._flights_mislead:
             return ()
         known = [name for name in sources if self._robots[name].flown_only]
         return tuple(name for name in known if name not in self._grounded)

@@ -105,6 +105,11 @@ def test_a_target_whose_test_misses_its_flight_makes_all_flights_doubtful() -> N
     questions, reports = to_the_end(study)
     assert any("its flights and its test" in finding for finding in reports[0].findings)
     assert set(questions[1].robots) == {"near", "far"}, "no source is judged by flights any more"
+    last = reports[-1]
+    assert last.confidence is not None
+    assert last.confidence < 0.95
+    assert last.stopped_because is not None
+    assert "without a claim" in last.stopped_because
     assert reports[-1].selected == "near"
 
 
