@@ -93,6 +93,14 @@ class TestedRobot:
             return estimate_frequency_response(reference, noisy, plan), plan.duration_s
         return drawn_response(self.loop, plan, self._noise_m, self._rng), plan.duration_s
 
+    def fly(self, reference: FloatArray) -> FloatArray:
+        """Return the output for any reference, shape (samples,), from rest at its first sample."""
+        if isinstance(self.loop, NonlinearLoop):
+            clean = play(self.loop, reference - reference[0], SAMPLE_TIME_S) + reference[0]
+        else:
+            clean = _played(self.loop, reference)
+        return np.asarray(clean + self._noise_m * self._rng.standard_normal(len(reference)))
+
 
 @dataclass(frozen=True)
 class Fleet:
@@ -258,6 +266,22 @@ def _to_one_tone(loop: NonlinearLoop, spec: RobotSpec, omega_rad_s: float) -> co
     cosine, sine, _ = np.linalg.lstsq(columns, both, rcond=None)[0]
     u, y = cosine - 1j * sine
     return complex(y / u)
+
+
+def _played(loop: LinearLoop, reference: FloatArray) -> FloatArray:
+    """Return a linear loop's output, through the spectrum of its reference's differences.
+
+    They are padded until all that follows has settled, so that the transform's periodicity does no
+    harm.
+    """
+    settled_s = -math.log(SETTLED**2) / loop.slowest_decay_1_s
+    samples = len(reference) + math.ceil(settled_s / SAMPLE_TIME_S)
+    steps = np.zeros(samples)
+    steps[1 : len(reference)] = np.diff(reference)
+    omega = 2 * np.pi * np.fft.rfftfreq(samples, SAMPLE_TIME_S)
+    moved = np.fft.irfft(np.fft.rfft(steps) * loop.response(omega), samples)
+    at_rest = float(loop.response(np.zeros(1))[0].real) * reference[0]
+    return np.asarray(at_rest + np.cumsum(moved)[: len(reference)])
 
 
 def _decay(mode: Mode) -> float:

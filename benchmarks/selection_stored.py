@@ -67,7 +67,7 @@ def outcome_of(family: str, sources: int, noise_m: float, seed: int, number: int
             stored[name] = [response]
     specs = {name: robot.spec for name, robot in fleet.robots.items()}
     plan = StudyPlan("target", tuple(stored), BAND_RAD_S, ADAPTIVE_ROUNDS, "x")
-    study = AdaptiveStudy(plan, specs, rng, stored=stored)
+    study = AdaptiveStudy(plan, specs, rng, stored=stored, absent=tuple(stored))
     trace = follow(study, fleet)
     flown = {
         name: len(tests) - len(stored.get(name, ())) for name, tests in study.responses.items()

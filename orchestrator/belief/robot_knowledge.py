@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from nufleet.orchestrator.belief.loop_features import ResponsePrior
+from nufleet.orchestrator.belief.loop_features import LOOP_PARAMETERS, ResponsePrior
 from nufleet.orchestrator.belief.loop_fit import Tones
 from nufleet.orchestrator.belief.noise_pooling import pooled_variance
 from nufleet.orchestrator.belief.response_belief import ResponseModel
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.frequency_response import Flight, FrequencyResponse
 from nufleet.shared.robots.spec import RobotSpec
 
 DECAYS_UNTIL_SETTLED = 3.0
@@ -19,6 +19,12 @@ DECAYS_UNTIL_SETTLED = 3.0
 
 NONLINEAR_DEVIATION = 0.02
 """Assumed relative change of a nonlinear robot's response at another amplitude."""
+
+FLIGHT_TEST_STD = 0.02
+"""Standard deviation that is expected of a test's estimates while the robot was never tested."""
+
+DEGREES_OF_A_VARIANCE = 2.0
+"""A t distribution with d degrees of freedom has the variance d / (d − 2)."""
 
 CHANGE_SIGNIFICANCE = 1e-3
 CHECK_SAMPLES = 400
@@ -38,6 +44,8 @@ class RobotKnowledge:
         )
         self.responses: list[FrequencyResponse] = []
         self.findings: tuple[str, ...] = ()
+        self.flight_doubt = 0.0
+        """Variance by which flights missed tests, or flights at other speeds, where they did."""
         self._tones: list[Tones] = []
         self._noise: list[FloatArray] = []
         self._model: ResponseModel | None = None
@@ -61,27 +69,68 @@ class RobotKnowledge:
                 f"{self.robot}: a test of it holds no finite estimate: leave that test out, or "
                 "repeat it"
             )
-        first = not self.responses
-        self.responses.append(response)
+        first, flight = not self.responses, response.flight
         omega, z = response.omega_rad_s[known], response.z[known]
         degrees = response.degrees_of_freedom[known]
-        variance = pooled_variance(omega, response.variance[known], degrees)
+        if flight is None:
+            variance = pooled_variance(omega, response.variance[known], degrees)
+            self._noise.append(np.stack([omega, np.maximum(variance, VARIANCE_MIN) / len(omega)]))
+        else:
+            # A reference of no tones has its own spectrum, so no line in ln ω fits its variances.
+            variance = response.variance[known] * degrees / (degrees - DEGREES_OF_A_VARIANCE)
         variance = np.maximum(variance, VARIANCE_MIN)
-        self._noise.append(np.stack([omega, variance / len(omega)]))
         for finding in response.quality.warnings:
             if finding.code == "nonlinear":
                 self._find(finding.text)
                 variance = variance + (NONLINEAR_DEVIATION * np.abs(z)) ** 2
         new = Tones(omega, z, variance)
-        doubt = self._contradiction(new, rng) if check and not first else 0.0
-        # It is not known which of the tests is right, so all of them become less certain.
-        self._tones = [Tones(t.omega_rad_s, t.z, t.variance + doubt) for t in (*self._tones, new)]
+        doubt = self._contradiction(new, flight, rng) if check and not first else 0.0
+        self.responses.append(response)
+        self._tones.append(new)
+        self._doubt(doubt)
         self._model = None
+
+    def doubt_flights(self, variance: float) -> None:
+        """Make all flights less certain, as flights of another robot missed its tests.
+
+        Args:
+            variance: Variance E|ẑ − z|² to add, less what was added already.
+        """
+        more = variance - self.flight_doubt
+        if more > 0 and any(response.flight is not None for response in self.responses):
+            self._doubt(more)
+            self._model = None
+
+    def _doubt(self, variance: float) -> None:
+        """Add a variance to all flights or, where there are none, to all tests.
+
+        It is not known which of several tests is right; but a flight that misses a test was another
+        motion than the one that robots are compared by. Its many estimates are wrong together, so
+        that their number must not average the doubt away: what is left for each of the loop's
+        parameters is the doubt itself.
+        """
+        flown = [response.flight is not None for response in self.responses]
+        if variance and any(flown):
+            self.flight_doubt += variance
+            estimates = sum(
+                len(t.z) for t, of_flight in zip(self._tones, flown, strict=True) if of_flight
+            )
+            variance *= max(1.0, estimates / LOOP_PARAMETERS)
+        doubted = flown if any(flown) else [True] * len(flown)
+        self._tones = [
+            Tones(t.omega_rad_s, t.z, t.variance + variance * at_stake)
+            for t, at_stake in zip(self._tones, doubted, strict=True)
+        ]
 
     @property
     def tests(self) -> int:
-        """Number of tests of the robot."""
+        """Number of tests and flights of the robot."""
         return len(self.responses)
+
+    @property
+    def flown_only(self) -> bool:
+        """Whether all that is known of the robot comes from flights."""
+        return bool(self.responses) and not self._noise
 
     @property
     def omega_rad_s(self) -> FloatArray:
@@ -115,11 +164,13 @@ class RobotKnowledge:
         Returns:
             Predicted variances E|ẑ − z|², shape (tones,).
         """
+        if not self._noise:
+            return np.full(len(omega_rad_s), FLIGHT_TEST_STD**2 / times_as_long)
         omega, density = np.concatenate(self._noise, axis=1)
         nearest = np.argmin(np.abs(omega - omega_rad_s[:, None]), axis=1)
         return np.asarray(density[nearest] * len(omega_rad_s) / times_as_long)
 
-    def _contradiction(self, new: Tones, rng: np.random.Generator) -> float:
+    def _contradiction(self, new: Tones, flight: Flight | None, rng: np.random.Generator) -> float:
         """Return the variance to add to all tests if a new one contradicts the earlier ones.
 
         The test statistic is the squared Mahalanobis distance of the new ẑ from its prediction; its
@@ -135,12 +186,28 @@ class RobotKnowledge:
         if distance <= limit:
             return 0.0
         excess = np.abs(new.z - expected.mean(axis=0)) ** 2
-        worst = int(np.argmax(excess / (new.variance + np.var(expected, axis=0))))
+        usual = new.variance + np.var(expected, axis=0)
+        worst = int(np.argmax(excess / usual))
         self._find(
-            f"its response changed between tests, by {np.sqrt(excess[worst]):.3g} at "
-            f"{new.omega_rad_s[worst]:.4g} rad/s: it depends on the amplitude or on time"
+            f"its response changed between {self._motions(flight)}, by "
+            f"{np.sqrt(excess[worst]):.3g} at {new.omega_rad_s[worst]:.4g} rad/s: it depends on "
+            "the amplitude or on time"
         )
-        return float(np.mean(excess))
+        if flight is None and all(response.flight is None for response in self.responses):
+            return float(np.mean(excess))
+        # A flight's estimates differ in certainty; the uncertain ones say nothing about the change.
+        return float(np.average(np.maximum(excess - usual, 0.0), weights=1 / usual))
+
+    def _motions(self, flight: Flight | None) -> str:
+        """Return in words what a new response and the earlier ones were measured in."""
+        earlier = [one.flight for one in self.responses if one.flight is not None]
+        if flight is None:
+            return "its flights and its test" if earlier else "tests"
+        if not earlier:
+            return "its tests and a flight"
+        unit = self.spec.axes[0].unit
+        speeds = sorted({f"{one.speed:.2g}" for one in (*earlier, flight)})
+        return f"flights at up to {' and '.join(speeds)} {unit}/s"
 
     def _find(self, text: str) -> None:
         finding = f"{self.robot}: {text}"

@@ -19,6 +19,9 @@ from nufleet.shared.wire.messages import Description
 if TYPE_CHECKING:
     from nufleet.orchestrator.repository.repository import Repository
 
+AWAY = "away"
+"""Boot id in the description of a robot that is not there: its last known spec stands for it."""
+
 
 @dataclass(frozen=True)
 class Archive:
@@ -51,8 +54,9 @@ class Archive:
             algorithm: `paper` or `adaptive`.
             plan: Checked plan of the study.
             seed: Seed of the study's random generator.
-            descriptions: Descriptions of the target and every source, by robot.
-            stored: Goal ids of earlier studies whose responses replace tests, by robot.
+            descriptions: Descriptions of the target and every source, by robot; that of a robot
+                that is not there has the boot id `AWAY`.
+            stored: Ids of earlier responses that replace tests, by robot.
 
         Returns:
             The record that was stored.
@@ -62,13 +66,14 @@ class Archive:
             RepositoryError: The study cannot be stored.
         """
         specs = {robot: description.spec for robot, description in descriptions.items()}
-        recipe = Recipe(specs=specs, stored=dict(stored or {}))
+        absent = tuple(robot for robot, one in descriptions.items() if one.boot_id == AWAY)
+        recipe = Recipe(specs=specs, stored=dict(stored or {}), absent=absent)
         record = StudyRecord(study_id, self.fleet, algorithm, plan, seed, recipe.parameters())
         self.repository.robots.describe(
             *(
                 RobotRecord(self.fleet, robot, description.spec, description.boot_id)
                 for robot, description in descriptions.items()
-                if robot not in recipe.stored
+                if robot not in absent
             )
         )
         self.repository.studies.begin(record)

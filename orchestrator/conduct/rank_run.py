@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from nufleet.orchestrator.conduct.archive import Archive
+from nufleet.orchestrator.conduct.archive import AWAY, Archive
 from nufleet.orchestrator.conduct.conductor import Conclusion, RankingObserver, conduct
 from nufleet.orchestrator.conduct.desired_motion import TimedPath, desired_motion
 from nufleet.orchestrator.conduct.dispatcher import Dispatcher
@@ -113,7 +113,7 @@ def prepare(
     )
     for robot, spec in away.items():
         if robot in sources:
-            descriptions[robot] = Description(robot=robot, boot_id="away", spec=spec)
+            descriptions[robot] = Description(robot=robot, boot_id=AWAY, spec=spec)
     axis = chosen_axis(request.axis, descriptions[request.target])
     at_target = descriptions[request.target].spec
     plan = StudyPlan(

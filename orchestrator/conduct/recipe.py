@@ -31,7 +31,15 @@ class Recipe(Strict):
     specs: dict[Name, RobotSpec]
     """Spec of each robot when the study began, by name."""
     stored: Annotated[dict[Name, tuple[Identifier, ...]], Field(default_factory=dict)]
-    """Goal ids of earlier studies whose responses replace tests, by robot."""
+    """Ids of the responses of earlier tests and flights that replace tests, by robot."""
+    absent: tuple[Name, ...] | None = None
+    """Names of the robots that are not there to be tested; None in studies that tested no robot
+    with stored responses."""
+
+    @property
+    def untestable(self) -> frozenset[str]:
+        """Names of the robots that the study does not test."""
+        return frozenset(self.stored if self.absent is None else self.absent)
 
     def parameters(self) -> Mapping[str, JsonValue]:
         """Return the parameters as the JSON object that is stored."""
@@ -73,7 +81,9 @@ def make_study(record: StudyRecord, studies: StudyStore) -> Study:
             robot: [studies.response(goal_id).response for goal_id in goal_ids]
             for robot, goal_ids in recipe.stored.items()
         }
-        return AdaptiveStudy(record.plan, recipe.specs, rng, stored=stored)
+        return AdaptiveStudy(
+            record.plan, recipe.specs, rng, stored=stored, absent=recipe.untestable
+        )
     raise ResumeError(
         f"study {record.study_id} uses the algorithm {record.algorithm!r}; resume it with the "
         "version of nufleet that began it"

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import TYPE_CHECKING
 
 from nufleet.orchestrator.conduct.recipe import recipe_of
-from nufleet.orchestrator.repository.records import ResponseRecord
+from nufleet.orchestrator.repository.records import Origin, ResponseRecord
 from nufleet.orchestrator.runs.rank_result import StoredResponses
 from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.shared.errors import InvalidInputError
@@ -17,6 +18,12 @@ from nufleet.shared.robots.spec import RobotSpec
 if TYPE_CHECKING:
     from nufleet.orchestrator.repository.repository import Repository
     from nufleet.orchestrator.repository.study_store import StudyStore
+
+
+FLIGHTS_MAX = 4
+SPEED_RATIO = 1.25
+"""Largest number of flights of one robot that are reused, and ratio of two speeds that count as
+different."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +47,9 @@ def find_stored(
     """Find the sources whose stored responses can replace tests.
 
     A response is reused if the robot's spec has not changed since, the axis is the same and the
-    band of its study contains the band of this one. The target is always tested, because the
-    ranking is made for its present state.
+    band of its study contains the band of this one; that of a flight or log, if it knows part of
+    the band, since what is missing is tested. The target is always tested, because the ranking is
+    made for its present state.
 
     Args:
         repository: Repository to search.
@@ -56,7 +64,10 @@ def find_stored(
     known: dict[str, tuple[str, ...]] = {}
     unusable: dict[str, str] = {}
     for source in plan.sources:
-        stored = repository.studies.responses(fleet, source, plan.axis)
+        stored = (
+            *repository.studies.responses(fleet, source, plan.axis),
+            *_different(repository.flights.responses(fleet, source, plan.axis)),
+        )
         young = [one for one in stored if one.measured_at >= newer_than]
         fitting = [one for one in young if _fits(one, repository.studies, plan, specs[source])]
         if fitting:
@@ -109,7 +120,8 @@ def stored_responses(
     found = {robot: [studies.response(goal) for goal in ids] for robot, ids in goals.items()}
     return {
         robot: StoredResponses(
-            tests=len(records),
+            tests=sum(one.origin is Origin.TEST for one in records),
+            flights=sum(one.origin is not Origin.TEST for one in records),
             measured_from=_iso(min(one.measured_at for one in records)),
             measured_to=_iso(max(one.measured_at for one in records)),
             studies=tuple(dict.fromkeys(one.study_id for one in records)),
@@ -119,17 +131,35 @@ def stored_responses(
 
 
 def said_of(robot: str, stored: StoredResponses, now: datetime) -> str:
-    """Return a sentence that says that a robot did not fly and how old its data are."""
+    """Return a sentence that says which data replaced a robot's first test, and their age."""
     measured = (stored.measured_to, stored.measured_from)
     ages = dict.fromkeys(age_text(now - datetime.fromisoformat(when)) for when in measured)
-    tests = "1 stored test was" if stored.tests == 1 else f"{stored.tests} stored tests were"
     return (
-        f"{robot} did not fly: {tests} used, measured {' to '.join(ages)} ago "
-        f"({', '.join(stored.studies)})"
+        f"{robot} needed no first test: {stored.counted} replaced it, measured "
+        f"{' to '.join(ages)} ago ({', '.join(stored.studies)})"
     )
 
 
+def _different(flights: Sequence[ResponseRecord]) -> tuple[ResponseRecord, ...]:
+    """Return the latest flights, of those at nearly one speed the latest alone, oldest first.
+
+    Flights at other speeds show whether a robot is linear; more of the same would weigh as much as
+    a test each, and tell little.
+    """
+    found: dict[int, ResponseRecord] = {}
+    for one in flights:
+        if one.flown is not None:
+            level = round(math.log(max(one.flown.flight.speed, 1e-9)) / math.log(SPEED_RATIO))
+            found.pop(level, None)
+            found[level] = one
+    return tuple(found.values())[-FLIGHTS_MAX:]
+
+
 def _fits(one: ResponseRecord, studies: StudyStore, plan: StudyPlan, spec: RobotSpec) -> bool:
+    if one.flown is not None:
+        low, high = one.flown.band_rad_s
+        overlap = low < plan.band_rad_s[1] and high > plan.band_rad_s[0]
+        return overlap and one.flown.spec == spec
     study = studies.study(one.study_id)
     (low, high), (wanted_low, wanted_high) = study.plan.band_rad_s, plan.band_rad_s
     if not low <= wanted_low < wanted_high <= high:

@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
+from nufleet.orchestrator.conduct.archive import AWAY
 from nufleet.orchestrator.conduct.desired_motion import TimedPath, read_motion
 from nufleet.orchestrator.conduct.preflight import check_band, check_names
 from nufleet.orchestrator.conduct.rank_run import (
@@ -113,7 +114,7 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
         ready, stored = _ready(command, request, run)
         folder = run.keep()
         archive = run.take(
-            {robot: found for robot, found in ready.descriptions.items() if robot not in stored}
+            {robot: one for robot, one in ready.descriptions.items() if one.boot_id != AWAY}
         )
         reached = choice.reach.model_copy(update={"fleet_name": run.connection.name})
         run.configure(

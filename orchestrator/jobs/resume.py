@@ -78,8 +78,8 @@ def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
         reach = reach_of(path)
         if command.connect is not None:
             reach = reach.model_copy(update={"connect": command.connect})
-        specs, stored = recipe_of(study).specs, recipe_of(study).stored
-        gone = {*stored, *_given_up(run.repository.studies.trials(study.study_id))}
+        specs, untestable = recipe_of(study).specs, recipe_of(study).untestable
+        gone = {*untestable, *_given_up(run.repository.studies.trials(study.study_id))}
         needed = tuple(robot for robot in specs if robot not in gone)
         console.print(f"going on with {path.name}")
         fleet, _, there = run.reach(FleetChoice.again(reach), needed, wait_s=command.wait_s)

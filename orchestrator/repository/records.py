@@ -13,7 +13,7 @@ from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.shared.experience.file import digest
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
-from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.frequency_response import Flight, FrequencyResponse
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Outcome
 
@@ -125,6 +125,31 @@ class TrialRecord:
     """Response of a complete test, even if it is not usable."""
 
 
+class Origin(StrEnum):
+    """What a response was measured in."""
+
+    TEST = "test"
+    """A frequency test of a study."""
+    FLIGHT = "flight"
+    """A flight along a path, with nufleet."""
+    LOG = "log"
+    """A flight with another program, whose log was imported."""
+
+
+@dataclass(frozen=True)
+class FlightCircumstances:
+    """What a response that no test measured is valid for."""
+
+    spec: RobotSpec
+    """Spec of the robot at the time, or when its log was imported."""
+    band_rad_s: tuple[float, float]
+    """Lowest and highest frequency in rad/s at which the reference had power."""
+    flight: Flight
+    """Speed and noise of the flight."""
+    duration_s: float
+    """Duration of the record."""
+
+
 @dataclass(frozen=True)
 class ResponseRecord:
     """A robot's measured response on one axis."""
@@ -136,15 +161,19 @@ class ResponseRecord:
     axis: str
     """Name of the axis."""
     goal_id: str
-    """Id of the goal that measured it."""
+    """Id of the goal that measured it, or of the response itself where no test did."""
     study_id: str
-    """Id of the study that the goal belonged to."""
+    """Id of the study that the goal belonged to, or name of the run or log."""
     kind: str
     """Kind that the robot reported at the time; empty if it was not stored."""
     measured_at: datetime
     """Time of the measurement, in UTC."""
     response: FrequencyResponse
     """The response."""
+    origin: Origin = Origin.TEST
+    """What it was measured in."""
+    flown: FlightCircumstances | None = None
+    """Circumstances of the flight; None for a test, whose study holds them."""
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from nufleet.orchestrator.repository.database import Database, parse_url
+from nufleet.orchestrator.repository.flight_store import FlightStore
 from nufleet.orchestrator.repository.lease_store import LeaseStore
 from nufleet.orchestrator.repository.robot_store import RobotStore
 from nufleet.orchestrator.repository.schema import MIGRATIONS, migrate
@@ -18,6 +19,7 @@ class Repository:
         self._database = database
         self.robots = RobotStore(database)
         self.studies = StudyStore(database)
+        self.flights = FlightStore(database)
         self.leases = LeaseStore(database)
 
     @property

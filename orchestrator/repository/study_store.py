@@ -11,6 +11,7 @@ from sqlalchemy import Connection, bindparam, select
 from nufleet.orchestrator.repository.array_blob import pack_array
 from nufleet.orchestrator.repository.database import Database
 from nufleet.orchestrator.repository.errors import RecordConflictError, UnknownRecordError
+from nufleet.orchestrator.repository.flight_store import flown_response
 from nufleet.orchestrator.repository.records import (
     ResponseRecord,
     StudyRecord,
@@ -240,13 +241,16 @@ class StudyStore:
             return tuple(response_record(row) for row in connection.execute(query).mappings())
 
     def response(self, goal_id: str) -> ResponseRecord:
-        """Return the response that a goal measured; raises UnknownRecordError."""
+        """Return the response of that id, of a goal or a flight; raises UnknownRecordError."""
         query = _RESPONSES.where(RESPONSES.c.goal_id == goal_id)
         with self._database.read() as connection:
             row = connection.execute(query).mappings().one_or_none()
-        if row is None:
-            raise UnknownRecordError(f"no response of goal {goal_id} is stored")
-        return response_record(row)
+            flown = flown_response(connection, goal_id) if row is None else None
+        if row is not None:
+            return response_record(row)
+        if flown is not None:
+            return flown
+        raise UnknownRecordError(f"no response of goal {goal_id} is stored")
 
 
 _RESPONSES = (

@@ -128,6 +128,30 @@ RESPONSES = Table(
     Index(None, "fleet", "robot", "axis"),
 )
 
+FLIGHT_RESPONSES = Table(
+    "flight_responses",
+    METADATA,
+    Column("goal_id", Text, primary_key=True),
+    Column("fleet", Text, nullable=False),
+    Column("robot", Text, nullable=False),
+    Column("axis", Text, nullable=False),
+    Column("origin", Text, nullable=False),
+    Column("came_from", Sentence, nullable=False),
+    Column("circumstances", Text, nullable=False),
+    Column("tones", Integer, nullable=False),
+    Column("omega_rad_s", LargeBinary, nullable=False),
+    Column("z", LargeBinary, nullable=False),
+    Column("variance", LargeBinary, nullable=False),
+    Column("segments", Integer, nullable=False),
+    Column("quality", Text, nullable=False),
+    Column("usable", Boolean, nullable=False),
+    Column("measured_at", DateTime, nullable=False),
+    Column("degrees", LargeBinary),
+    Column("amplitude", Double),
+    ForeignKeyConstraint(["fleet", "robot"], ["robots.fleet", "robots.robot"]),
+    Index(None, "fleet", "robot", "axis"),
+)
+
 SAMPLES = Table(
     "samples",
     METADATA,

@@ -15,16 +15,24 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class StoredResponses(Strict):
-    """The stored tests of earlier studies that replaced tests of a source."""
+    """The stored tests and flights that replaced the first test of a source."""
 
     tests: Count
     """Number of stored tests."""
+    flights: Count = 0
+    """Number of stored flights and imported logs."""
     measured_from: str
     """Time of the oldest measurement, in ISO 8601 and UTC."""
     measured_to: str
     """Time of the newest measurement, in ISO 8601 and UTC."""
     studies: tuple[str, ...]
-    """Ids of the studies that measured them."""
+    """Ids of the studies, runs and logs that they come from."""
+
+    @property
+    def counted(self) -> str:
+        """Their numbers in words."""
+        counts = ((self.tests, "test"), (self.flights, "flight"))
+        return " and ".join(f"{n} stored {what}{'s' * (n > 1)}" for n, what in counts if n)
 
 
 class RankResult(Document):
@@ -62,7 +70,7 @@ class RankResult(Document):
     findings: tuple[str, ...] = ()
     """Observations during the tests that weaken the statements of this document."""
     stored: dict[str, StoredResponses] | None = None
-    """Stored responses that replaced tests, by source; these sources did not fly."""
+    """Stored responses that replaced first tests, by source."""
 
     def document(self) -> str:
         """Return the JSON that other programs read, without fields the algorithm does not set."""

@@ -138,7 +138,7 @@ def write_report(folder: Path, record: RunRecord) -> None:
         )
     lines += [f"\n{robot} was left out: {reason}" for robot, reason in record.dropped.items()]
     lines += [
-        f"\n{robot} did not fly: {stored.tests} stored tests were used, measured from "
+        f"\n{robot} needed no first test: {stored.counted} replaced it, measured from "
         f"{stored.measured_from} to {stored.measured_to}."
         for robot, stored in (result.stored or {}).items()
     ]

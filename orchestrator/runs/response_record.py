@@ -14,6 +14,15 @@ if TYPE_CHECKING:
     from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 
 
+class FlightRecord(Strict):
+    """The motion of a response that no test measured, as JSON."""
+
+    speed: NonNegative
+    """Largest speed of the reference, in the axis's unit per second."""
+    noise_std: NonNegative
+    """Standard deviation of the noise of one sample, in the axis's unit."""
+
+
 class ResponseRecord(Strict):
     """A usable test of a robot, as JSON: what its `FrequencyResponse` says of each tone.
 
@@ -36,6 +45,8 @@ class ResponseRecord(Strict):
     """Amplitude that was played, in the axis's unit; None if it is not known."""
     quality: Quality
     """Assessment of the test."""
+    flight: FlightRecord | None = None
+    """The flight that measured it; None for a test."""
 
     @staticmethod
     def of(response: FrequencyResponse) -> ResponseRecord:
@@ -53,11 +64,14 @@ class ResponseRecord(Strict):
             segments=response.segments,
             amplitude=response.amplitude,
             quality=response.quality,
+            flight=None
+            if response.flight is None
+            else FlightRecord(speed=response.flight.speed, noise_std=response.flight.noise_std),
         )
 
     def response(self) -> FrequencyResponse:
         """Return the response that this record holds."""
-        from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+        from nufleet.shared.frequency_test.frequency_response import Flight, FrequencyResponse
 
         return FrequencyResponse(
             omega_rad_s=np.array(self.omega_rad_s),
@@ -67,4 +81,7 @@ class ResponseRecord(Strict):
             quality=self.quality,
             degrees=np.array(self.degrees),
             amplitude=self.amplitude,
+            flight=None
+            if self.flight is None
+            else Flight(self.flight.speed, self.flight.noise_std),
         )

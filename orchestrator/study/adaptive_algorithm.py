@@ -1,15 +1,17 @@
 """The default algorithm: multi-tone tests, one response model per robot, and a stopping rule.
 
-Every robot without stored responses is tested once, over the whole band. Further tests are chosen
-by how much they are expected to reduce the probability of a wrong selection per second of robot
-time, and sources that can no longer win are not tested again. The study is complete when the
-selected source is, with probability 1 − δ, within ε of the closest (the stopping rule of Garivier
-and Kaufmann, COLT 2016, with ε as the difference that does not matter).
+The target, and every source without stored responses, is tested once, over the whole band. Further
+tests, of all robots that are there, are chosen by how much they are expected to reduce the
+probability of a wrong selection per second of robot time, and sources that can no longer win are
+not tested again. The study is complete when the selected source is, with probability 1 − δ, within
+ε of the closest (the stopping rule of Garivier and Kaufmann, COLT 2016, with ε as the difference
+that does not matter). A source that is known from flights alone is tested before it is selected:
+the response to a drawing need not be that to tones.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,6 +60,9 @@ class AdaptiveSettings:
     """Share of the best gain per second that another robot's test needs to join the round."""
     simulated_cost: float = 0.01
     """Cost of a simulated robot's time, relative to that of a real one."""
+    flight_error_max: float = 0.05
+    """Error of flights, found by a test or between speeds, from which on no source is judged by
+    flights alone."""
     samples: int = 600
     """Number of samples drawn from the belief about each robot's response."""
     grid_points: int = 256
@@ -74,6 +79,7 @@ class AdaptiveStudy:
         rng: np.random.Generator,
         *,
         stored: Mapping[str, Sequence[FrequencyResponse]] | None = None,
+        absent: Collection[str] = (),
         settings: AdaptiveSettings | None = None,
     ) -> None:
         """Begin a study.
@@ -82,7 +88,9 @@ class AdaptiveStudy:
             plan: Robots, band, axis and motion; `iterations` is the largest number of rounds.
             specs: Specs of the target and of every source, by robot.
             rng: Generator that draws the samples of the belief.
-            stored: Responses of earlier tests, by robot; a source that has some is not tested.
+            stored: Responses of earlier tests and flights, by robot; a source that has some needs
+                no first test.
+            absent: Sources that cannot be tested, all of which have stored responses.
             settings: Stopping rule and choice of tests; None takes the defaults.
         """
         self._plan = plan
@@ -97,12 +105,12 @@ class AdaptiveStudy:
         self._robots = {
             name: RobotKnowledge(name, specs[name], high) for name in (plan.target, *plan.sources)
         }
-        self._stored = tuple(name for name, tests in (stored or {}).items() if tests)
-        for name in self._stored:
-            for response in (stored or {})[name]:
+        for name, known in (stored or {}).items():
+            for response in known:
                 self._robots[name].learn(response, rng)
         self._dropped: dict[str, str] = {}
-        self._grounded: dict[str, str] = {}
+        self._grounded = dict.fromkeys(absent, "it is not there")
+        self._share_doubt()
         self._first: dict[str, ToneChoice] = {
             name: first_look(
                 plan.band_rad_s,
@@ -115,7 +123,7 @@ class AdaptiveStudy:
         self._next: dict[str, ToneChoice] = {
             name: self._first[name]
             for name in (plan.target, *plan.sources)
-            if name == plan.target or name not in self._stored
+            if name == plan.target or not self._robots[name].tests
         }
         self._asked = 0
         self._open: Question | None = None
@@ -147,6 +155,7 @@ class AdaptiveStudy:
                 self._robots[name].learn(responses[name], self._rng)
             else:
                 self._lose(name, failed.get(name, "it returned no response"))
+        self._share_doubt()
         sources = self._remaining()
         # Distances are compared over the band that is tested; a motion reaches far below it.
         draw = ResponseModel.draw if self._spectrum is None else draw_resting
@@ -161,7 +170,28 @@ class AdaptiveStudy:
         leader, confidence = belief.leader(self._settings.epsilon, self._settings.delta)
         hopeless = belief.hopeless(leader, self._settings.delta)
         stopped = self._stop(belief, leader, confidence)
-        self._next = {} if stopped else self._choose(belief, draws, leader, hopeless)
+        misled = self._misled_by_flights(sources)
+        # What flights alone say is claimed only once a test has confirmed it.
+        if misled and self._asked < self._plan.iterations:
+            confidence = min(confidence, 1 - 2 * self._settings.delta)
+            stopped = None
+            self._next = {name: self._first[name] for name in misled}
+        elif self._robots[leader].flown_only and confidence >= 1 - self._settings.delta:
+            confidence = 1 - 2 * self._settings.delta
+            if leader in self._grounded or self._asked >= self._plan.iterations:
+                stopped = f"{leader} is known from flights alone, and no test could confirm them"
+                self._next = {}
+            else:
+                stopped = None
+                self._next = {leader: self._first[leader]}
+        else:
+            self._next = {} if stopped else self._choose(belief, draws, leader, hopeless)
+        if self._flights_mislead and stopped is not None:
+            confidence = min(confidence, 1 - 2 * self._settings.delta)
+            stopped = (
+                f"{leader} is selected without a claim: flights and tests differ, so that the "
+                "responses of this fleet depend on the amplitude"
+            )
         if not self._next and stopped is None:
             stopped = f"no further test would help; P(correct selection) = {confidence:.3f}"
         return Report(
@@ -177,6 +207,29 @@ class AdaptiveStudy:
             findings=tuple(f for robot in self._robots.values() for f in robot.findings),
             stopped_because=stopped,
         )
+
+    @property
+    def _flights_mislead(self) -> bool:
+        """Whether flights differ too much from tests, or each other, for anything to be claimed."""
+        doubt = max(robot.flight_doubt for robot in self._robots.values())
+        return doubt > self._settings.flight_error_max**2
+
+    def _misled_by_flights(self, sources: Sequence[str]) -> tuple[str, ...]:
+        """Return the sources to test because they rest on flights, which proved to be no tests."""
+        if not self._flights_mislead:
+            return ()
+        known = [name for name in sources if self._robots[name].flown_only]
+        return tuple(name for name in known if name not in self._grounded)
+
+    def _share_doubt(self) -> None:
+        """Make all flights as doubtful as those that missed a test, or flights at other speeds.
+
+        Robots of one fleet are alike: where the flights of one are no tests, those of the others
+        are not, either.
+        """
+        doubt = max(robot.flight_doubt for robot in self._robots.values())
+        for robot in self._robots.values():
+            robot.doubt_flights(doubt)
 
     def _remaining(self) -> tuple[str, ...]:
         return tuple(source for source in self._plan.sources if source not in self._dropped)
@@ -226,7 +279,7 @@ class AdaptiveStudy:
         rates: dict[str, float] = {}
         choices: dict[str, ToneChoice] = {}
         for name in (self._plan.target, leader, *rivals):
-            if name in self._grounded or name in self._stored:
+            if name in self._grounded:
                 continue
             rate, choice = self._best_test(name, draws[name], belief, leader, centres)
             if choice is not None:

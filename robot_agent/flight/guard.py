@@ -228,7 +228,7 @@ class Guard:
         excess = self._spent - float(self._allowed[sample])
         at, unit = self._at(sample), self._unit
         if excess > self._budget:
-            return f"{at} its error so far was {self._ratio(sample)}"
+            return f"{at} its error until then was {self._ratio(sample)}"
         if excess + self._return_cost(sample, correction) > self._return_budget:
             size, needed = np.linalg.norm(correction), np.linalg.norm(self._needed[sample])
             return (
@@ -249,7 +249,7 @@ class Guard:
         excess = flown - float(self._allowed[sample] - self._allowed[begun])
         reason = self._dangerous(sample, square)
         if reason is None and excess > self._budget:
-            reason = f"{self._at(sample)} the error so far was {self._ratio(sample)}"
+            reason = f"{self._at(sample)} the error until then was {self._ratio(sample)}"
         return reason
 
     def _dangerous(self, sample: int, square: float) -> str | None:

@@ -103,7 +103,7 @@ class Memory:
 
     @property
     def flown_s(self) -> Mapping[str, float]:
-        """Duration in s of the motions that tell of each axis, by its name; empty before any."""
+        """Duration in s of the motions that involve each axis, by its name; empty before any."""
         with self._lock:
             return {
                 axis: sum(e.flown_s for e in (record.settled, record.new) if e is not None)
@@ -176,7 +176,7 @@ class Memory:
             self._kept.pop(PRIOR, None)
 
     def learn(self, evidence: Mapping[str, Evidence]) -> None:
-        """Store what a motion tells of some axes, by their names.
+        """Store what a motion shows about some axes, by their names.
 
         Raises:
             MemoryFolderError: It cannot be stored.

@@ -1,4 +1,4 @@
-"""A robot's model of itself: what its motions tell of its loop, and what follows for a path.
+"""A robot's model of itself: what its motions show about its loop, and what follows for a path.
 
 Every completed motion adds to it: frequency tests, rich flights and tracked paths. It serves the
 guard, which must know what the baseline would do, and it can be inverted along a whole path.

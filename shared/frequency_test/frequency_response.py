@@ -52,6 +52,16 @@ REFERENCE_TONE_MIN = 1e-9
 
 
 @dataclass(frozen=True)
+class Flight:
+    """The motion that a response was measured in, where no test measured it."""
+
+    speed: float
+    """Largest speed of the reference, in the axis's unit per second."""
+    noise_std: float
+    """Standard deviation of the noise of one sample of the output, in the axis's unit."""
+
+
+@dataclass(frozen=True)
 class FrequencyResponse:
     """Estimates ẑ of z(ω) = Y/U at the tones of one test, in the order of its plan.
 
@@ -74,6 +84,8 @@ class FrequencyResponse:
     that each segment alone can separate."""
     amplitude: float | None = None
     """Peak of the reference in the axis's unit; None if unknown."""
+    flight: Flight | None = None
+    """The flight that measured it; None for a test."""
 
     @property
     def degrees_of_freedom(self) -> FloatArray:

@@ -1,10 +1,10 @@
 """What is believed of a loop's error response after flights: a Gaussian, with its uncertainty.
 
 The prior says that the impulse response of the error is smooth and decays, and that the loop rests
-where its reference is. Its scales are those of the largest marginal likelihood (regularised system
+where its reference is. Its scales maximise the marginal likelihood (regularised system
 identification: Pillonetto, Dinuzzo, Chen, De Nicolao and Ljung, Automatica 50, 2014). A single
-multi-tone test then tells the response over its whole band, and with which certainty; a flight of
-another kind simply adds its rows.
+multi-tone test then determines the response over its whole band; a flight of another kind simply
+adds its rows.
 """
 
 from __future__ import annotations

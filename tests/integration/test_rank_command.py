@@ -112,7 +112,7 @@ def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(tmp_path:
     again = nufleet(*arguments, "--reuse", cwd=tmp_path)
     reusing = json.loads(again.stdout)
     assert set(reusing["stored"]) == {"source-1", "source-2", "source-3"}
-    assert "source-2 did not fly" in again.stderr
+    assert "source-2 needed no first test" in again.stderr
     assert reusing["selected"] == "source-2"
     assert reusing["robot_time_s"] < document["robot_time_s"]
 

@@ -1,0 +1,116 @@
+"""`nufleet import`: make a flight that exists into a response of its robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from nufleet.orchestrator.cli.options import (
+    connect_options,
+    fleet_option,
+    json_option,
+    repository_option,
+    runs_option,
+)
+
+
+@click.command("import")
+@click.argument("log", metavar="FILE", type=click.Path(path_type=Path))
+@click.option("--robot", metavar="NAME", help="The robot that flew.")
+@click.option("--axis", metavar="NAME", help="Of which axis.  [default: the robot's first]")
+@click.option(
+    "--reference",
+    metavar="TOPIC.FIELD",
+    help="The position that the robot was sent.  [default: the format's usual setpoint]",
+)
+@click.option(
+    "--output",
+    metavar="TOPIC.FIELD",
+    help="The position that was measured.  [default: the format's usual position]",
+)
+@click.option(
+    "--time",
+    metavar="COLUMN[:UNIT]",
+    help="Of a table: the column of times, in s, ms, us or ns.  [default: t, time, time_ms, ...]",
+)
+@click.option(
+    "--from",
+    "begin_s",
+    type=click.FloatRange(min=0.0),
+    default=0.0,
+    metavar="S",
+    help="Leave out what lies before, in s from the beginning of the log.",
+)
+@click.option(
+    "--to",
+    "end_s",
+    type=click.FloatRange(min=0.0, min_open=True),
+    metavar="S",
+    help="Leave out what lies after, in s from the beginning of the log.",
+)
+@click.option("--list", "lists", is_flag=True, help="Only list the signals in FILE.")
+@fleet_option
+@connect_options
+@runs_option
+@repository_option
+@json_option
+def import_flight(
+    log: Path,
+    robot: str | None,
+    axis: str | None,
+    reference: str | None,
+    output: str | None,
+    time: str | None,
+    begin_s: float,
+    end_s: float | None,
+    lists: bool,
+    fleet_file: str | None,
+    connect: str,
+    fleet_name: str | None,
+    runs_root: Path,
+    repository: str | None,
+    as_json: bool,
+) -> None:
+    """Make a flight that exists into a response of its robot, as if it had been tested.
+
+    \b
+    FILE is
+      a rosbag2 folder, .mcap, .db3    ROS 2     --reference /cmd.pose.position.x
+      .ulg                             PX4       trajectory_setpoint.position[0]
+      .bin, .log                       ArduPilot PSCN.TPN
+      .tlog                            MAVLink   POSITION_TARGET_LOCAL_NED.x
+      .csv, .tsv, .txt                 a table   the name of a column
+    The response is known where the reference had power, and nothing is claimed elsewhere.
+    `nufleet rank --reuse` counts it as evidence. A robot that is not in the repository describes
+    itself: start its fleet, or name its --fleet.
+    """
+    from nufleet.orchestrator.jobs.import_flight import (
+        ImportCommand,
+        import_and_print,
+        list_and_print,
+    )
+
+    if lists:
+        list_and_print(log, as_json=as_json)
+        return
+    if robot is None:
+        raise click.UsageError("which robot flew? Name it with --robot")
+    import_and_print(
+        ImportCommand(
+            log=log,
+            robot=robot,
+            axis=axis,
+            reference=reference,
+            output=output,
+            time=time,
+            begin_s=begin_s,
+            end_s=end_s,
+            fleet_file=fleet_file,
+            connect=connect,
+            fleet_name=fleet_name,
+            runs_root=runs_root,
+            repository=repository,
+            as_json=as_json,
+        )
+    )
