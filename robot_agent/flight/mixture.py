@@ -28,41 +28,48 @@ by very much, could hardly return when it becomes right."""
 class Mixture:
     """Weights of several models, and what they predict together.
 
-    The order of the models has no influence. A model whose prediction is not finite takes no part
-    in that mean, and its evidence falls to the least.
+    The order of the models has no influence.
     """
 
-    def __init__(self, start: FloatArray, forgetting: float) -> None:
-        """Begin with the weights of the start.
+    def __init__(self, start: FloatArray, *, forgetting: float = 1.0, ease: float = 1.0) -> None:
+        """Begin with the probabilities of the start.
 
         Args:
             start: Prior probability of each model, shape (models,); positive, with sum one.
             forgetting: Factor a in (0, 1] by which the evidence so far shrinks at each `observe`.
+            ease: Share in (0, 1] of the way from its present value to the probability that a weight
+                goes at each `observe`.
 
         Raises:
-            ValueError: The start holds no probabilities, or the factor is outside (0, 1].
+            ValueError: The start holds no probabilities, or a factor is outside (0, 1].
         """
         probabilities = np.asarray(start, dtype=np.float64)
         if probabilities.ndim != 1 or not (probabilities > 0).all():
             raise ValueError(f"the weights at the start must be positive, got {start}")
         if abs(float(probabilities.sum()) - 1.0) > 1e-9:
             raise ValueError(f"the weights at the start must add up to 1, got {start}")
-        if not 0 < forgetting <= 1:
-            raise ValueError(f"the forgetting factor must be above 0 and at most 1: {forgetting}")
+        for name, factor in (("forgetting", forgetting), ("ease", ease)):
+            if not 0 < factor <= 1:
+                raise ValueError(f"{name} must be above 0 and at most 1, got {factor}")
         self._log_start = np.log(probabilities)
-        self._forgetting = forgetting
+        self._forgetting, self._ease = forgetting, ease
         self._evidence = np.zeros(len(probabilities))
+        self.weights = probabilities
+        """Weight with which each model takes part, shape (models,); the sum is one."""
 
     @property
-    def weights(self) -> FloatArray:
-        """Probability of each model, shape (models,); the sum is one."""
-        return softmax(self._log_start + self._evidence)
+    def probabilities(self) -> FloatArray:
+        """Posterior probability of each model, shape (models,), which the weights approach."""
+        scores = self._log_start + self._evidence
+        relative = np.exp(scores - scores.max())
+        return np.asarray(relative / relative.sum())
 
     def observe(self, predicted: FloatArray, variance: FloatArray, observed: FloatArray) -> None:
         """Take what turned out, after what each model predicted of it.
 
         Args:
-            predicted: Mean of each model's prediction, shape (models, m).
+            predicted: Mean of each model's prediction, shape (models, m). A model whose prediction
+                is not finite falls behind as far as a model can.
             variance: Variance of each prediction, measurement noise included, shape (models, m) or
                 one that broadcasts to it; positive.
             observed: What was measured, shape (m,). Numbers that are not finite count for nothing.
@@ -78,32 +85,8 @@ class Mixture:
         best = evidence.max()
         if np.isfinite(best):
             self._evidence = np.maximum(evidence - best, -EVIDENCE_MAX)
+        self.weights = self.weights + self._ease * (self.probabilities - self.weights)
 
     def mean(self, predicted: FloatArray) -> FloatArray:
-        """Return the weighted mean of the models' predictions, shape (m,).
-
-        Args:
-            predicted: Prediction of each model, shape (models, m). One that is not finite leaves
-                the mean to the others; if none is finite, the mean is NaN.
-        """
-        return weighted_mean(self.weights, predicted)
-
-
-def weighted_mean(weights: FloatArray, predicted: FloatArray) -> FloatArray:
-    """Return the mean of predictions, shape (m,), for weights (models,), predictions (models, m).
-
-    Each prediction that is not finite has no weight; where none has any, the mean is NaN.
-    """
-    finite = np.isfinite(predicted)
-    if finite.all():
-        return np.asarray(weights @ predicted)
-    shares = np.where(finite, weights[:, np.newaxis], 0.0)
-    total = shares.sum(axis=0)
-    with np.errstate(invalid="ignore"):
-        return np.asarray((shares * np.where(finite, predicted, 0.0)).sum(axis=0) / total)
-
-
-def softmax(log_weights: FloatArray) -> FloatArray:
-    """Return exp(log_weights), scaled to a sum of one, shape as given."""
-    weights = np.exp(log_weights - log_weights.max())
-    return np.asarray(weights / weights.sum())
+        """Return the weighted mean of predictions, shape (m,), for predictions (models, m)."""
+        return np.asarray(self.weights @ predicted)

@@ -14,7 +14,9 @@ from typing import Protocol
 
 import numpy as np
 
+from nufleet.robot_agent.flight.combined_layout import CombinedLayout
 from nufleet.robot_agent.flight.guard import Guard
+from nufleet.robot_agent.flight.mixture_process import MixtureProcess
 from nufleet.robot_agent.flight.online_gp import Correction, OnlineGp
 from nufleet.robot_agent.motion.paced_robot import Halted
 from nufleet.robot_agent.robot import Robot
@@ -62,6 +64,10 @@ class TrackingRecord:
 
     variance: FloatArray
     """Variance of `mean`, shape (samples, axes), in unit²/s²."""
+
+    weights: FloatArray
+    """Weights of the experts of a mixture and, last, of none, shape (samples, experts + 1); without
+    a mixture (samples, 0)."""
 
     share: FloatArray
     """Share of the correction that the guard let act, shape (samples,), from 0 to 1."""
@@ -123,11 +129,11 @@ class Watch(Protocol):
 class Learner:
     """An inverse model in front of the robot."""
 
-    layout: InverseLayout
+    layout: InverseLayout | CombinedLayout
     """Inputs and output of the inverse model."""
 
-    process: OnlineGp
-    """Online process on top of the prior, new for each flight."""
+    process: OnlineGp | MixtureProcess
+    """Online process on top of the prior or of a mixture of priors, new for each flight."""
 
     pair_spacing_s: float = PAIR_SPACING_S
     """Time between the pairs that the process learns from, in seconds."""
@@ -254,6 +260,8 @@ class _Flight:
         self._variance, self._actual = np.zeros((samples, axes)), np.zeros((samples, axes))
         self._share, self._step_time_s = np.ones(samples), np.zeros(samples)
         self._limited = np.zeros(samples, dtype=bool)
+        mixed = learner is not None and isinstance(learner.process, MixtureProcess)
+        self._weights = np.zeros((samples, len(learner.process.weights) if mixed else 0))
         self._fading: FloatArray | None = None
         self._done = 0
 
@@ -303,7 +311,7 @@ class _Flight:
         )
         correction = process.correct(query)
         self._prior[k], self._mean[k] = correction.prior, correction.mean
-        self._variance[k] = correction.variance
+        self._variance[k], self._weights[k] = correction.variance, correction.weights
         wished = layout.reference(correction.gamma, previous, path)
         return correction, self._bounded(k, wished, previous)
 
@@ -337,6 +345,7 @@ class _Flight:
             prior=self._prior[done],
             mean=self._mean[done],
             variance=self._variance[done],
+            weights=self._weights[done],
             share=self._share[done],
             limited=self._limited[done],
             step_time_s=self._step_time_s[done],

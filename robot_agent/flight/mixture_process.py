@@ -1,0 +1,175 @@
+"""The target's inverse model with several experiences as its prior, weighed while it flies.
+
+The prior mean is the average of the sources' inverse models and of none, γ = 0, weighted by how
+well each predicted the references that led where the robot went (see
+`nufleet.robot_agent.flight.mixture`); the online Gaussian process learns what that average leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nufleet.robot_agent.flight.combined_layout import CombinedLayout
+from nufleet.robot_agent.flight.inverse_model import InverseModel
+from nufleet.robot_agent.flight.inverse_stack import InverseStack
+from nufleet.robot_agent.flight.mixture import Mixture
+from nufleet.robot_agent.flight.online_gp import WINDOW_POINTS, Correction, OnlineGp
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.experience.layout import InverseLayout
+from nufleet.shared.gaussian_process.exact import Batch, posterior
+
+FORGETTING = 0.98
+"""Share of the evidence that remains from pair to pair. Its memory of 50 pairs is as long as the
+window of the online process."""
+
+EASE = 0.2
+"""Share of the way from its present to its new value that a weight goes at each pair.
+
+A prior mean that jumped would excite the robot. At a pair every 0.12 s the time constant is half a
+second, so a source that is found wrong has lost 99 % of its weight after 2.5 s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Expert:
+    """A model that takes part in the mixture, and how much it is trusted before the flight."""
+
+    name: str
+    """Name of the source, for people."""
+
+    layout: InverseLayout
+    """Inputs and output of its inverse model."""
+
+    inverse: InverseModel
+    """Its inverse model."""
+
+    weight: float
+    """Probability before the flight that it is the right one, above 0."""
+
+    axes: tuple[bool, ...]
+    """For each axis of the robot, whether the model applies there; where not, it says γ = 0."""
+
+
+class MixtureProcess:
+    """The online process over a mixture of experts; used in flight as an `OnlineGp` is.
+
+    What an expert predicts of a pair is its own inverse and, on top, what the online process would
+    say if this expert had been its prior from the beginning of the window, with the covariance that
+    was fitted to the mixture. An expert is thus judged by what remains after learning. The errors
+    of neighbouring pairs are alike, and this covariance says how much.
+    """
+
+    def __init__(
+        self, layout: CombinedLayout, experts: Sequence[Expert], *, window: int = WINDOW_POINTS
+    ) -> None:
+        """Prepare for one flight.
+
+        Args:
+            layout: Combined layout of the experts.
+            experts: Models to weigh, at least one, whose weights add up to less than 1; the rest is
+                the weight of none.
+            window: Number of latest pairs that the online process is fitted to; 0 learns nothing,
+                and the weights stay as they are at the start.
+        """
+        axes = len(experts[0].axes)
+        self._layout, self._experts, self._window = layout, tuple(experts), window
+        self._groups = [
+            (
+                used,
+                np.array([i for i, expert in enumerate(experts) if expert.layout == used]),
+                InverseStack([expert.inverse for expert in experts if expert.layout == used]),
+            )
+            for used in dict.fromkeys(expert.layout for expert in experts)
+        ]
+        self._applies = np.array([expert.axes for expert in experts] + [(False,) * axes])
+        start = np.array([expert.weight for expert in experts])
+        self._mixture = Mixture(
+            np.append(start, 1.0 - start.sum()), forgetting=FORGETTING, ease=EASE
+        )
+        # The process has no prior of its own: what the mixture leaves is handed to it.
+        self._process = OnlineGp(layout, (None,) * axes, window=window)
+        self._left = [np.empty((0, len(start) + 1)) for _ in range(axes)]
+        self._predicted: list[tuple[FloatArray, FloatArray]] = []
+
+    @property
+    def weights(self) -> FloatArray:
+        """Present weight of every expert and, last, of none, shape (experts + 1,); the sum is 1."""
+        return self._mixture.weights
+
+    @property
+    def dropped(self) -> int:
+        """Number of pairs dropped because they were not finite."""
+        return self._process.dropped
+
+    def learn(self, axis: int, inputs: FloatArray, gamma: float) -> None:
+        """Add a pair to an axis's window, and note what every expert had predicted of it.
+
+        Args:
+            axis: Index of the axis.
+            inputs: Inputs ξ of the combined layout, shape (inputs,).
+            gamma: Output γ of the leading layout that belongs to them, in unit/s.
+        """
+        if self._window and np.isfinite(inputs).all() and np.isfinite(gamma):
+            row = inputs[np.newaxis]
+            left = gamma - self._values(row, np.array([axis]))[:, 0]
+            self._predicted.append(self._predictions(axis, row, left))
+            self._left[axis] = np.vstack([self._left[axis], left])[-self._window :]
+        self._process.learn(axis, inputs, gamma)
+
+    def correct(self, inputs: FloatArray) -> Correction:
+        """Return γ at the inputs; to be called exactly once per sample, as `OnlineGp.correct` is.
+
+        Args:
+            inputs: Inputs ξ of every axis, shape (axes, inputs), of the combined layout.
+        """
+        if self._predicted:
+            errors = np.concatenate([error for error, _ in self._predicted], axis=1)
+            variances = np.concatenate([variance for _, variance in self._predicted], axis=1)
+            self._mixture.observe(errors, variances, np.zeros(errors.shape[1]))
+            self._predicted = []
+            for axis, left in enumerate(self._left):
+                self._process.relearn(axis, left @ self.weights)
+        found = self._process.correct(inputs)
+        prior = self._mixture.mean(self._values(inputs, np.arange(len(inputs))))
+        return replace(found, prior=prior, weights=self.weights)
+
+    def _values(self, inputs: FloatArray, axes: np.ndarray) -> FloatArray:
+        """Return γ of every expert and of none as the leading layout's, shape (experts + 1, m).
+
+        The inputs have the shape (m, inputs), and row i belongs to the axis axes[i]. An expert that
+        does not apply to an axis, or whose answer is not finite, says what none says.
+        """
+        values = np.zeros((len(self._experts) + 1, len(inputs)))
+        for used, members, stack in self._groups:
+            gamma = stack(self._layout.inputs_of(used, inputs))
+            values[members] = self._layout.as_leading(used, inputs, gamma)
+        values[~self._applies[:, axes] | ~np.isfinite(values)] = 0.0
+        return values
+
+    def _predictions(
+        self, axis: int, row: FloatArray, left: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the error of every expert's prediction of a pair, and its variance.
+
+        Args:
+            axis: Axis of the pair.
+            row: Inputs ξ of the pair, shape (1, inputs).
+            left: γ of the pair less what each expert says of it, shape (experts + 1,), in unit/s.
+
+        Returns:
+            Errors in unit/s and variances in its square, each of shape (experts + 1, 1).
+        """
+        fitted = self._process.hyperparameters[axis]
+        window = self._process.window(axis)
+        if len(window):
+            mean, variance = posterior(
+                Batch.stacked(window, self._left[axis].T),
+                fitted.repeated(len(left)),
+                self._layout.gp_inputs(row),
+                threads=1,
+            )
+        else:
+            mean, variance = np.zeros((len(left), 1)), fitted.signal_variance[np.newaxis]
+        return mean - left[:, np.newaxis], variance + fitted.noise_variance
