@@ -11,7 +11,7 @@ from concurrent.futures import Future
 import numpy as np
 
 from nufleet.robot_agent.decisions import Assignment, Decisions
-from nufleet.robot_agent.flight.flights import performance_of
+from nufleet.robot_agent.flight.flights import experts_of, performance_of
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.online_gp import Correction
 from nufleet.robot_agent.motion.excitation import reference_of
@@ -191,8 +191,9 @@ class MotionWorker:
                 if correction is None
                 else (correction.prior, correction.mean, correction.variance)
             )
+            weights = np.empty(0) if correction is None else correction.weights
             rows = (row[np.newaxis] for row in (desired, actual, *learned))
-            telemetry.add(sample, *rows, np.array([share]))
+            telemetry.add(sample, *rows, np.array([share]), weights[np.newaxis])
 
         plan, motion = assignment.plan, assignment.motion
         if isinstance(motion, Excitation):
@@ -230,6 +231,7 @@ class MotionWorker:
                 ),
                 clock=time.monotonic,
             )
+        experts = experts_of(assignment.motion, self._memory)
         return TelemetryBatcher(
             self._tracking,
             lambda first, signals: TrackingTelemetry(
@@ -242,6 +244,8 @@ class MotionWorker:
                 mean=signals[3],
                 variance=signals[4],
                 share=signals[5],
+                experts=experts,
+                weights=signals[6] if experts else None,
             ),
             clock=time.monotonic,
         )

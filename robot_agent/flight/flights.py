@@ -13,6 +13,7 @@ from nufleet.robot_agent.flight.baseline_model import (
 )
 from nufleet.robot_agent.flight.guard import Guard
 from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.flight.mixture_learner import experts_of, mixture_learner
 from nufleet.robot_agent.flight.online_gp import WINDOW_POINTS, OnlineGp
 from nufleet.robot_agent.flight.rich_flight import (
     FlightRecord,
@@ -144,7 +145,7 @@ class _Path:
         monitored: MonitoredRobot,
     ) -> None:
         self._robot, self._motion, self._monitored = robot, motion, monitored
-        self._watch, self._switch = watch, switch
+        self._watch, self._switch, self._memory = watch, switch, memory
         self._learner = learner_for(motion, robot, memory)
         self._guard = None
         if self._learner is not None and motion.guarded:
@@ -188,6 +189,8 @@ class _Path:
             step_time_s=record.step_time_s,
             dropped_pairs=record.dropped_pairs,
             taken_back=record.taken_back,
+            experts=experts_of(self._motion, self._memory),
+            weights=record.weights if self._motion.mixture else None,
         )
         return Samples(record.reference, record.actual, details)
 
@@ -212,7 +215,9 @@ def learner_for(motion: Tracking, robot: Robot, memory: Memory) -> Learner | Non
         return None
     window = WINDOW_POINTS if motion.learn else 0
     axes = robot.spec.axes
-    prior = memory.prior if motion.inverse == "prior" else None
+    if motion.mixture:
+        return mixture_learner(motion, tuple(axis.name for axis in axes), memory, window)
+    prior = next((p for p in memory.priors if p.sha256 == motion.prior_sha256), None)
     if prior is None:
         if motion.layout is None:
             raise RobotError("the robot has no prior any more")

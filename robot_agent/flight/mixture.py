@@ -1,28 +1,36 @@
-"""Weighs several models by how well each of them predicted what turned out.
+"""Weighs several models by how well their common prediction would have met what turned out.
 
-Bayesian model averaging (Hoeting, Madigan, Raftery and Volinsky, Statistical Science 14, 1999,
-eq. 1 and 2): every model gives a predictive density, its weight is its posterior probability, and
-the average predicts with the weighted mean. Since the best model may change during a flight, old
-evidence is forgotten exponentially, as in dynamic model averaging (Raftery, Kárný and Ettler,
-Technometrics 52, 2010, eq. 6 and 7); what is forgotten leads back to the weights at the start.
+The weights w ≥ 0 with sum one are the most probable ones under the predictions' own Gaussian
+uncertainty and a prior around the weights s at the start,
 
-    log w_i(k) = log s_i + Σ_j a^(k − j) log p_i(y_j | y_1 … y_(j−1)) + constant
+    w = argmin Σ_j a^(k − j) (Σ_i w_i e_ij)² / v_j + c Σ_i (w_i − s_i)² / s_i
 
-with the start s, the forgetting factor a and the predictive densities p_i, here Gaussian. With
-a = 1 these are the exact posterior probabilities.
+where e_ij is the error of model i at time j, v_j its variance, and a the forgetting factor, since
+the best weights may change during a flight. This is stacking (Breiman, Machine Learning 24, 1996;
+Yao, Vehtari, Simpson and Gelman, Bayesian Analysis 13, 2018) as a recursion with the forgetting of
+dynamic model averaging (Raftery, Kárný and Ettler, Technometrics 52, 2010). Bayesian model
+averaging (Hoeting, Madigan, Raftery and Volinsky, Statistical Science 14, 1999) weighs by the
+probability that a model is the true one and ends with the closest one alone; among robots none is
+the true one, and a mean of two that err in opposite directions is closer than either.
+
+The prior term is c (Σ_i w_i² / s_i − 1) for weights of sum one, so the whole is a quadratic form
+q(w). Its minimum over the simplex is that of |L w|² + (Σ_i w_i − 1)² over w ≥ 0 with LᵀL = q,
+scaled to a sum of one, as the latter is q / (1 + q) at the best scale: a least-squares problem with
+non-negative unknowns (Lawson and Hanson, Solving Least Squares Problems, 1974, ch. 23).
 """
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.optimize import nnls
 
 from nufleet.shared.arrays import FloatArray
 
-EVIDENCE_MAX = 30.0
-"""Most by which the log evidence of a model falls behind the best one's.
+ERROR_MAX = 30.0
+"""Largest error of a model that counts, in standard deviations of its prediction.
 
-Its weight is then about 1e-13 of the best. Without a bound a model that was wrong for long, or once
-by very much, could hardly return when it becomes right."""
+A model that was wrong once by very much could otherwise not return when it becomes right. What all
+models have in common, such as a gust of wind, does not change the weights."""
 
 
 class Mixture:
@@ -31,61 +39,68 @@ class Mixture:
     The order of the models has no influence.
     """
 
-    def __init__(self, start: FloatArray, *, forgetting: float = 1.0, ease: float = 1.0) -> None:
-        """Begin with the probabilities of the start.
+    def __init__(
+        self,
+        start: FloatArray,
+        *,
+        concentration: float = 1.0,
+        forgetting: float = 1.0,
+        ease: float = 1.0,
+    ) -> None:
+        """Begin with the weights of the start.
 
         Args:
-            start: Prior probability of each model, shape (models,); positive, with sum one.
-            forgetting: Factor a in (0, 1] by which the evidence so far shrinks at each `observe`.
-            ease: Share in (0, 1] of the way from its present value to the probability that a weight
-                goes at each `observe`.
+            start: Weight of each model before anything is observed, shape (models,); positive, with
+                sum one.
+            concentration: How firmly the start is believed, c above.
+            forgetting: Factor a in (0, 1] by which earlier observations shrink at each `observe`.
+            ease: Share in (0, 1] of the way from its present to its best value that a weight goes
+                at each `observe`.
 
         Raises:
-            ValueError: The start holds no probabilities, or a factor is outside (0, 1].
+            ValueError: The start is none, or a number is outside its range.
         """
-        probabilities = np.asarray(start, dtype=np.float64)
-        if probabilities.ndim != 1 or not (probabilities > 0).all():
+        weights = np.asarray(start, dtype=np.float64)
+        if weights.ndim != 1 or not (weights > 0).all():
             raise ValueError(f"the weights at the start must be positive, got {start}")
-        if abs(float(probabilities.sum()) - 1.0) > 1e-9:
+        if abs(float(weights.sum()) - 1.0) > 1e-9:
             raise ValueError(f"the weights at the start must add up to 1, got {start}")
         for name, factor in (("forgetting", forgetting), ("ease", ease)):
             if not 0 < factor <= 1:
                 raise ValueError(f"{name} must be above 0 and at most 1, got {factor}")
-        self._log_start = np.log(probabilities)
+        if not concentration > 0:
+            raise ValueError(f"concentration must be above 0, got {concentration}")
         self._forgetting, self._ease = forgetting, ease
-        self._evidence = np.zeros(len(probabilities))
-        self.weights = probabilities
+        self._prior = concentration / weights
+        self._squares = np.zeros((len(weights), len(weights)))
+        self.weights = weights
         """Weight with which each model takes part, shape (models,); the sum is one."""
 
     @property
-    def probabilities(self) -> FloatArray:
-        """Posterior probability of each model, shape (models,), which the weights approach."""
-        scores = self._log_start + self._evidence
-        relative = np.exp(scores - scores.max())
-        return np.asarray(relative / relative.sum())
+    def best(self) -> FloatArray:
+        """Weights that explain the observations best, shape (models,), which `weights` approach."""
+        form = self._squares + np.diag(self._prior)
+        # The scale of the form does not matter; one near 1 keeps the digits of both terms.
+        root = np.linalg.cholesky(form / form.trace()).T
+        models = len(form)
+        found, _ = nnls(np.vstack([root, np.ones(models)]), np.append(np.zeros(models), 1.0))
+        return np.asarray(found / found.sum())
 
     def observe(self, predicted: FloatArray, variance: FloatArray, observed: FloatArray) -> None:
         """Take what turned out, after what each model predicted of it.
 
         Args:
-            predicted: Mean of each model's prediction, shape (models, m). A model whose prediction
-                is not finite falls behind as far as a model can.
-            variance: Variance of each prediction, measurement noise included, shape (models, m) or
-                one that broadcasts to it; positive.
+            predicted: Mean of each model's prediction, shape (models, m). One that is not finite
+                counts as wrong by `ERROR_MAX`.
+            variance: Variance of the predictions, measurement noise included, shape (m,); positive.
             observed: What was measured, shape (m,). Numbers that are not finite count for nothing.
         """
         known = np.isfinite(observed)
         with np.errstate(invalid="ignore", over="ignore"):
-            error = predicted[:, known] - observed[known]
-            spread = np.broadcast_to(variance, predicted.shape)[:, known]
-            log_density = -0.5 * (error**2 / spread + np.log(spread)).sum(axis=1)
-        evidence = self._forgetting * self._evidence + np.nan_to_num(
-            log_density, nan=-np.inf, posinf=-np.inf
-        )
-        best = evidence.max()
-        if np.isfinite(best):
-            self._evidence = np.maximum(evidence - best, -EVIDENCE_MAX)
-        self.weights = self.weights + self._ease * (self.probabilities - self.weights)
+            errors = (predicted[:, known] - observed[known]) / np.sqrt(variance[known])
+        errors = np.clip(np.nan_to_num(errors, nan=ERROR_MAX), -ERROR_MAX, ERROR_MAX)
+        self._squares = self._forgetting * self._squares + errors @ errors.T
+        self.weights = self.weights + self._ease * (self.best - self.weights)
 
     def mean(self, predicted: FloatArray) -> FloatArray:
         """Return the weighted mean of predictions, shape (m,), for predictions (models, m)."""

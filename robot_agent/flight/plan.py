@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from nufleet.robot_agent.flight.combined_layout import CombinedLayout
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.rich_flight import rich_references, step_references
 from nufleet.robot_agent.flight.tracking import approach
@@ -105,19 +106,7 @@ def _check_inverse(
     if motion.layout is not None:
         _check_layout(motion.layout, spec, state_names, robot)
     else:
-        prior = memory.prior
-        if prior is None:
-            reason = "no experience was transferred to it; see `nufleet transfer`"
-            raise RefusedError("no-prior", reason, robot)
-        if prior.sha256 != motion.prior_sha256:
-            reason = f"its prior is another one, of {prior.manifest.robot}; transfer it again"
-            raise RefusedError("other-prior", reason, robot)
-        for axis in prior.manifest.axes:
-            # The prior fitted when it was installed, but the robot's settings may have changed.
-            changed = misfit(prior.manifest, spec, state_names, axis)
-            if changed is not None:
-                reason = f"its prior does not fit it any more: {changed}; transfer another"
-                raise RefusedError("misfit", reason, robot)
+        _check_priors(motion, spec, state_names, memory, robot)
     missing = [axis.name for axis in spec.axes if axis.name not in memory.baseline]
     if motion.guarded and missing:
         reason = (
@@ -125,6 +114,35 @@ def _check_inverse(
             "guard the flight; it learns that from a rich flight"
         )
         raise RefusedError("no-baseline", reason, robot)
+
+
+def _check_priors(
+    motion: Tracking, spec: RobotSpec, state_names: tuple[str, ...], memory: Memory, robot: str
+) -> None:
+    held = {prior.sha256: prior.manifest for prior in memory.priors}
+    if not held:
+        reason = "no experience was transferred to it; see `nufleet transfer`"
+        raise RefusedError("no-prior", reason, robot)
+    asked = [each.sha256 for each in motion.mixture] or [motion.prior_sha256]
+    if any(sha256 not in held for sha256 in asked):
+        sources = ", ".join(manifest.robot for manifest in held.values())
+        reason = (
+            f"its prior is another one, of {sources}; transfer it again"
+            if len(held) == 1
+            else f"its priors are others, of {sources}; transfer them again"
+        )
+        raise RefusedError("other-prior", reason, robot)
+    for sha256 in asked:
+        for axis in held[sha256].axes:
+            # The prior fitted when it was installed, but the robot's settings may have changed.
+            changed = misfit(held[sha256], spec, state_names, axis)
+            if changed is not None:
+                reason = f"its prior does not fit it any more: {changed}; transfer another"
+                raise RefusedError("misfit", reason, robot)
+    try:
+        CombinedLayout([held[sha256].layout for sha256 in asked])
+    except InvalidInputError as error:
+        raise RefusedError("misfit", f"its priors do not fit together: {error}", robot) from error
 
 
 def _check_layout(
