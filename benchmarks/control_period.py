@@ -27,13 +27,17 @@ from benchmarks.planar_robot import (
 )
 from nufleet.orchestrator.experience.lesson_record import LearningRecord, pooled_pairs
 from nufleet.orchestrator.experience.training import STEPS_MAX, Origin, TrainingData, train
-from nufleet.robot_agent.flight.baseline_model import identify_baseline, needed_correction
+from nufleet.robot_agent.flight.flights import guard_for
+from nufleet.robot_agent.flight.forecast import forecast_of
 from nufleet.robot_agent.flight.guard import Guard
 from nufleet.robot_agent.flight.inverse_model import NetworkInverse
+from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.online_gp import OnlineGp
+from nufleet.robot_agent.flight.own_model import evidence_in
 from nufleet.robot_agent.flight.rich_flight import fly_record, rich_references
 from nufleet.robot_agent.flight.tracking import Learner, track
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotError
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.gaussian_process.exact import warm_up
 from nufleet.shared.paths.files import read_drawing
@@ -118,28 +122,12 @@ def prepared(
         steps_max=training_steps_max,
     )
     prior = NetworkInverse(experience)
-    models = [
-        identify_baseline(
-            [(record.references[:, axis], record.states[:, axis, 0])],
-            spec.sample_time_s,
-            spec.settling_time_s,
-        )
-        for axis in (0, 1)
-    ]
-    errors = np.stack([model.error(desired[:, i]) for i, model in enumerate(models)], axis=1)
-    needed = np.stack(
-        [needed_correction(model, desired[:, i]) for i, model in enumerate(models)], axis=1
-    )
-    noise_variance = sum(model.residual_std**2 for model in models)
-    limits = tracking_limits(robot)
-    guard = Guard(
-        errors,
-        noise_variance,
-        spec.sample_time_s,
-        limits.acceleration_max,
-        needed,
-        correction_speed_max=limits.correction_speed_max,
-    )
+    memory = Memory(None)
+    memory.learn(evidence_in(spec, record.references, record.states[:, :, 0]))
+    forecast = forecast_of(memory.own_model(spec).model, desired)
+    if forecast is None:
+        raise RobotError("nothing was learned of the baseline")
+    guard = guard_for(forecast, robot, fallback=False)
     return Learner(layout, OnlineGp(layout, (prior, prior))), guard
 
 

@@ -259,7 +259,7 @@ class Agent:
             experiences=self._experiences.offers(),
             prior=next(iter(self._experiences.priors()), None),
             companions=self._experiences.priors()[1:],
-            baseline_known=bool(self._memory.baseline),
+            own_flight_s=dict(self._memory.flown_s),
             owner=None if commander is None else commander.owner,
             epoch=0 if commander is None else commander.epoch,
         )

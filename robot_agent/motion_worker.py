@@ -11,8 +11,9 @@ from concurrent.futures import Future
 import numpy as np
 
 from nufleet.robot_agent.decisions import Assignment, Decisions
-from nufleet.robot_agent.flight.flights import experts_of, performance_of
+from nufleet.robot_agent.flight.flights import learn, performance_of
 from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.flight.mixture_learner import experts_of
 from nufleet.robot_agent.flight.online_gp import Correction
 from nufleet.robot_agent.motion.excitation import reference_of
 from nufleet.robot_agent.motion.perform import AxisMotion, Performance, Played, Samples, perform
@@ -171,7 +172,16 @@ class MotionWorker:
             on_resting=self._decisions.resting,
         )
         telemetry.flush()
+        if isinstance(assignment.plan, ExcitationPlan) and played.outcome is Outcome.COMPLETED:
+            self._learn_from_test(assignment.plan, played.samples)
         return played
+
+    def _learn_from_test(self, plan: ExcitationPlan, samples: Samples) -> None:
+        """Add a frequency test to the robot's model of itself."""
+        spec = self._robot.spec
+        tested = np.array([axis.name == plan.axis for axis in spec.axes], dtype=np.float64)
+        references, outputs = (np.outer(s, tested) for s in (samples.reference, samples.response))
+        learn(self._memory, spec, references, outputs)
 
     def _performance(self, assignment: Assignment, telemetry: TelemetryBatcher) -> Performance:
         def on_samples(first: int, reference: FloatArray, response: FloatArray) -> None:

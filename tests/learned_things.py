@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from nufleet.robot_agent.flight.baseline_model import BaselineModel
+from nufleet.robot_agent.flight.own_model import evidence_in
 from nufleet.shared.experience.file import Experience, encode_experience
 from nufleet.shared.experience.layout import Architecture, InverseLayout
 from nufleet.shared.experience.manifest import ExperienceManifest
+from nufleet.shared.models.error_belief import Evidence
+from nufleet.shared.robots.spec import RobotSpec
 
-BASELINE = BaselineModel(error_response=(1.0, 0.5, 0.25), residual_std=1e-3)
+
+def flown_before(spec: RobotSpec, *axes: str) -> dict[str, Evidence]:
+    """The evidence of a motion of some axes, all by default, that lags by three samples."""
+    rng, moved = np.random.default_rng(0), axes or tuple(axis.name for axis in spec.axes)
+    walk = np.cumsum(rng.standard_normal((600, len(spec.axes))), axis=0)
+    walk = np.array([axis.name in moved for axis in spec.axes]) * (walk - walk[0])
+    late = np.concatenate([np.zeros((3, len(spec.axes))), walk[:-3]])
+    return evidence_in(spec, walk, late + 1e-3 * rng.standard_normal(late.shape))
 
 
 def layout(architecture: Architecture = "preview", **changes: object) -> InverseLayout:

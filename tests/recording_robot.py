@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from hypothesis import HealthCheck, reject, settings
 from hypothesis import strategies as st
-from learned_things import BASELINE
+from learned_things import flown_before
 
 from nufleet.robot_agent.flight.flights import performance_of
 from nufleet.robot_agent.flight.memory import Memory
@@ -137,7 +137,7 @@ def layout_of(spec: RobotSpec) -> InverseLayout:
 
 def baselines(spec: RobotSpec) -> Memory:
     memory = Memory(None)
-    memory.keep_baseline({axis.name: BASELINE for axis in spec.axes})
+    memory.learn(flown_before(spec))
     return memory
 
 

@@ -72,12 +72,18 @@ def fly_lessons(
         One lesson per architecture, in the given order.
 
     Raises:
-        InvalidInputError: The robot cannot track, or has axes of different units; nothing moved.
+        InvalidInputError: The robot cannot track, has axes of different units, or lacks the states
+            of an architecture; nothing moved.
         StudyError: The robot does not respond to steps, or no horizon can be flown.
         RobotError: A flight failed.
     """
     robot, spec = description.robot, description.spec
     path, unit = practice_path(spec, robot), _unit(description)
+    if "state" in architectures and not description.state_names:
+        raise InvalidInputError(
+            f"robot {robot} measures its output alone, and an inverse of its state needs its state "
+            "measured: let it learn a preview (--architecture preview)"
+        )
     say(robot, f"flies richly for {duration_s:.0f} s")
     result, details = pilot.rich(robot, duration_s=duration_s, seed=seed)
     record = LearningRecord(result.reference, details.states, details.state_names)

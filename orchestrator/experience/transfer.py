@@ -135,13 +135,12 @@ def check_would_fit(source: Description, target: Description, architecture: Arch
     It is checked up front, so that no robot spends minutes learning an experience that the target
     cannot use.
     """
-    states = source.state_names if architecture == "state" else source.state_names[:1]
     needs = Needs(
         robot_kind=source.spec.kind,
         axes=tuple(axis.name for axis in source.spec.axes),
         unit=source.spec.axes[0].unit,
         sample_time_s=source.spec.sample_time_s,
-        states=states,
+        states=source.state_names if architecture == "state" else (),
     )
     for axis in needs.axes:
         reason = unmet(needs, target.spec, target.state_names, axis)

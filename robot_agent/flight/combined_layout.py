@@ -53,6 +53,7 @@ class CombinedLayout:
             self._ahead = names.index("output-ahead")
             self._previous = names.index("previous-reference")
         self.states = self.leading.states
+        self.measured_states = self.leading.measured_states
         self.back_samples = max(layout.back_samples for layout in self._layouts)
         self.horizon_samples = max(layout.horizon_samples for layout in self._layouts)
         self._before = max(_before(layout) for layout in self._layouts)

@@ -2,42 +2,51 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 
 import numpy as np
 
-from nufleet.robot_agent.flight.baseline_model import (
-    check_explained,
-    identify_baseline,
-    needed_correction,
-)
+from nufleet.robot_agent.flight.forecast import Forecast, forecast_of
 from nufleet.robot_agent.flight.guard import Guard
-from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.flight.memory import Memory, MemoryFolderError
 from nufleet.robot_agent.flight.mixture_learner import experts_of, mixture_learner
 from nufleet.robot_agent.flight.online_gp import WINDOW_POINTS, OnlineGp
+from nufleet.robot_agent.flight.own_model import check_explained, evidence_in
 from nufleet.robot_agent.flight.rich_flight import (
     FlightRecord,
     fly_record,
     rich_references,
     step_references,
 )
-from nufleet.robot_agent.flight.tracking import STOPPED, Learner, TrackingRecord, Watch, track
+from nufleet.robot_agent.flight.tracking import (
+    STOPPED,
+    Ahead,
+    Learner,
+    TrackingRecord,
+    Watch,
+    track,
+)
 from nufleet.robot_agent.motion.monitored_robot import MonitoredRobot
 from nufleet.robot_agent.motion.pace import HaltSwitch, Pace
 from nufleet.robot_agent.motion.paced_robot import PacedRobot
 from nufleet.robot_agent.motion.perform import Performance, Samples
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.errors import NufleetError, RobotError
+from nufleet.shared.errors import InvalidInputError, NufleetError, RobotError
+from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Outcome
 from nufleet.shared.wire.motions import (
     Flight,
+    PredictedError,
     RichFlight,
     RichFlightDetails,
     StepTest,
     Tracking,
     TrackingDetails,
 )
+
+_log = logging.getLogger(__name__)
 
 
 def performance_of(
@@ -110,16 +119,10 @@ class _Rich:
         self._record = fly_record(self._robot, references)
         outputs = self._record.states[:, :, 0]
         try:
-            models = {
-                axis.name: identify_baseline(
-                    [(references[:, i], outputs[:, i])], spec.sample_time_s, spec.settling_time_s
-                )
-                for i, axis in enumerate(spec.axes)
-            }
-            for i, axis in enumerate(spec.axes):
-                noise_std = float(self._monitored.noise_std[i])
-                check_explained(models[axis.name], references[:, i], noise_std, axis)
-            self._memory.keep_baseline(models)
+            evidence = evidence_in(spec, references, outputs)
+            for axis, noise_std in zip(spec.axes, self._monitored.noise_std, strict=True):
+                check_explained(evidence[axis.name], spec, axis, float(noise_std))
+            self._memory.learn(evidence)
         except NufleetError as error:
             # The robot works and is at rest: the disk failed, or the record allows no model.
             return Outcome.FAILED, f"its baseline was not learned: {error}"
@@ -146,11 +149,17 @@ class _Path:
     ) -> None:
         self._robot, self._motion, self._monitored = robot, motion, monitored
         self._watch, self._switch, self._memory = watch, switch, memory
-        self._learner = learner_for(motion, robot, memory)
-        self._guard = None
+        self._forecast = forecast_of(memory.own_model(robot.spec).model, motion.desired)
+        self._learner = learner_for(motion, robot, memory, self._forecast)
+        self._guard, self._fallback = None, None
         if self._learner is not None and motion.guarded:
-            self._guard = guard_for(motion.desired, robot, memory)
+            if self._forecast is None:
+                raise RobotError("the robot does not know its baseline any more")
+            if self._forecast.own_helps and motion.inverse != "own":
+                self._fallback = Ahead(self._forecast.correction)
+            self._guard = guard_for(self._forecast, robot, fallback=self._fallback is not None)
         self._record: TrackingRecord | None = None
+        self._findings: tuple[str, ...] = ()
 
     def play(self) -> tuple[Outcome, str]:
         limits = self._robot.spec.tracking
@@ -165,14 +174,36 @@ class _Path:
             limits,
             self._learner,
             self._guard,
+            fallback=self._fallback,
             watch=self._watch,
             stopped=lambda: self._switch.order is not None,
         )
         if self._record.failure is None:
+            self._learn(self._record)
             return Outcome.COMPLETED, ""
         if self._record.failure == STOPPED and self._switch.order is not None:
             return self._switch.order
         return Outcome.FAILED, self._record.failure
+
+    def _learn(self, record: TrackingRecord) -> None:
+        """Add the flight to the robot's model of itself, and compare it with that."""
+        learn(self._memory, self._robot.spec, record.reference, record.actual)
+        try:
+            self._findings = self._memory.own_model(self._robot.spec).findings
+        except MemoryFolderError as error:
+            _log.warning("%s", error)
+
+    @property
+    def _predicted(self) -> PredictedError | None:
+        if self._forecast is None:
+            return None
+        match self._motion.inverse:
+            case "baseline":
+                return self._forecast.baseline
+            case "own":
+                return self._forecast.own
+            case _:
+                return None
 
     def measured(self) -> Samples:
         record = self._record
@@ -191,11 +222,32 @@ class _Path:
             taken_back=record.taken_back,
             experts=experts_of(self._motion, self._memory),
             weights=record.weights if self._motion.mixture else None,
+            predicted=self._predicted,
+            findings=self._findings,
         )
         return Samples(record.reference, record.actual, details)
 
 
-def learner_for(motion: Tracking, robot: Robot, memory: Memory) -> Learner | None:
+def learn(memory: Memory, spec: RobotSpec, references: FloatArray, outputs: FloatArray) -> None:
+    """Add a completed motion to a robot's model of itself; a failure is no fault of the motion.
+
+    Args:
+        memory: Memory of the robot.
+        spec: Description of the robot; one without tracking limits needs no such model.
+        references: References sent, shape (samples, axes), in the axes' units.
+        outputs: Outputs measured before each reference acted, in the same shape.
+    """
+    if spec.tracking is None:
+        return
+    try:
+        memory.learn(evidence_in(spec, references, outputs))
+    except (InvalidInputError, MemoryFolderError) as error:
+        _log.warning("a motion taught nothing: %s", error)
+
+
+def learner_for(
+    motion: Tracking, robot: Robot, memory: Memory, forecast: Forecast | None
+) -> Learner | Ahead | None:
     """Return the inverse model that a flight asks for, compiled and ready.
 
     Axes on which the prior was not learned begin with a zero prior.
@@ -204,15 +256,21 @@ def learner_for(motion: Tracking, robot: Robot, memory: Memory) -> Learner | Non
         motion: Flight requested.
         robot: The robot that flies it.
         memory: Memory of the robot, with its prior.
+        forecast: What the robot's model of itself says of the path; None without a model.
 
     Returns:
-        The learner; None for the baseline alone.
+        The learner, or corrections known ahead; None for the baseline alone.
 
     Raises:
-        RobotError: The flight asks for a prior that the robot no longer has.
+        RobotError: The flight asks for a prior that the robot no longer has, or for its model of
+            itself when it has none.
     """
     if motion.inverse == "baseline":
         return None
+    if motion.inverse == "own":
+        if forecast is None:
+            raise RobotError("the robot has no model of itself any more")
+        return Ahead(forecast.correction)
     window = WINDOW_POINTS if motion.learn else 0
     axes = robot.spec.axes
     if motion.mixture:
@@ -228,29 +286,27 @@ def learner_for(motion: Tracking, robot: Robot, memory: Memory) -> Learner | Non
     return Learner(layout, OnlineGp(layout, inverses, window=window))
 
 
-def guard_for(desired: FloatArray, robot: Robot, memory: Memory) -> Guard:
+def guard_for(forecast: Forecast, robot: Robot, *, fallback: bool) -> Guard:
     """Return the guard of one flight along a path.
 
     Args:
-        desired: Path, shape (samples, axes), in the axes' units.
+        forecast: What the robot's model of itself says of the path.
         robot: The robot that flies it.
-        memory: Memory of the robot, with a baseline model for every axis.
+        fallback: Whether corrections that are withdrawn give way to those of the robot's own model.
 
     Raises:
         RobotError: The robot has no tracking limits.
     """
-    models = [memory.baseline[axis.name] for axis in robot.spec.axes]
-    error = np.stack([m.error(desired[:, i]) for i, m in enumerate(models)], axis=1)
-    needed = np.stack([needed_correction(m, desired[:, i]) for i, m in enumerate(models)], axis=1)
-    noise_variance = sum(model.residual_std**2 for model in models)
     limits = robot.spec.tracking
     if limits is None:
         raise RobotError("the robot does not track")
     return Guard(
-        error,
-        noise_variance,
+        forecast.baseline_squares,
+        forecast.noise_variance,
         robot.spec.sample_time_s,
         limits.acceleration_max,
-        needed,
+        forecast.correction,
         correction_speed_max=limits.correction_speed_max,
+        fallback=fallback,
+        unit=robot.spec.axes[0].unit,
     )

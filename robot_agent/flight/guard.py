@@ -1,4 +1,4 @@
-"""Decides whether a transferred model still does better than the baseline, and when to withdraw it.
+"""Decides whether a learned correction does better than the baseline, and when to withdraw it.
 
 Pure decisions: given a tracking error, the guard returns the share of the learned correction that
 may act.
@@ -7,6 +7,7 @@ may act.
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from nufleet.shared.wire.motions import TakenBack
 
 
 class GuardSettings(Strict):
-    """Limits on how much worse than its baseline a robot may fly before the prior is withdrawn.
+    """Limits on how much worse than its baseline a robot may fly before a correction is withdrawn.
 
     An error 10 % above the baseline's (21 % in the square) is tolerated. The budgets below use up a
     part of that; the rest is left for the lag of the loop.
@@ -28,7 +29,7 @@ class GuardSettings(Strict):
 
     peak_ratio: Positive = 1.3
     """Largest error averaged over `window_s`, root mean square, as a multiple of the baseline's
-    worst; exceeding it withdraws the prior at once."""
+    worst; exceeding it withdraws the correction at once."""
 
     window_s: Positive = 0.2
     """Length of the window, in seconds, over which `peak_ratio` averages the squared error."""
@@ -41,23 +42,41 @@ class GuardSettings(Strict):
     """Largest acceleration of the correction, as a multiple of the acceleration of the correction
     that would cancel the baseline's error.
 
-    A correction that accelerates harder than this, and harder than a path may, withdraws the prior
-    at once: it is an oscillation, which overturns a robot long before it is far off its path."""
+    A correction that accelerates harder than this, and harder than a path may, is withdrawn at
+    once: it is an oscillation, which overturns a robot long before it is far off its path."""
+
+    earning_window_s: Positive = 1.0
+    """Length of the window, in seconds, over which a correction shows that it earns its keep."""
+
+    earning_ratio: Positive = 0.5
+    """Error, as a multiple of what the baseline's would be over the same window, below which a
+    correction does, so that withdrawing it would cost more than it could save."""
+
+    earning_restless_ratio: Positive = 2.0
+    """Multiple of the largest acceleration that is allowed to such a correction."""
 
     return_budget: Positive = 0.05
     """Largest excess of the summed squared error together with the cost of removing the present
     correction, should it be mistaken; a share of the baseline's sum over the whole path."""
 
     hand_over_s: Positive = 0.4
-    """Time in seconds over which the correction fades out once the prior is withdrawn."""
+    """Time in seconds over which a correction fades out once it is withdrawn."""
+
+    low: Positive = 0.05
+    """Quantile of what the baseline may do that counts as its error: the less is known of it, the
+    stricter the guard."""
 
 
 class Guard:
-    """Compares each tracking error with the one the baseline would have made at that sample."""
+    """Compares each tracking error with the one the baseline would have made at that sample.
+
+    A correction that is withdrawn gives way to the best that is known besides: the robot's model of
+    itself where there is one, which is then judged in the same way, and otherwise the baseline.
+    """
 
     def __init__(
         self,
-        baseline_error: FloatArray,
+        baseline_squares: FloatArray,
         noise_variance: float,
         sample_time_s: float,
         acceleration_max: float,
@@ -65,12 +84,15 @@ class Guard:
         settings: GuardSettings | None = None,
         *,
         correction_speed_max: float,
+        fallback: bool = False,
+        unit: str = "m",
     ) -> None:
         """Prepare for one trajectory.
 
         Args:
-            baseline_error: Tracking error predicted for the baseline on the whole path, without
-                noise, shape (samples, axes), in the axes' units.
+            baseline_squares: Squared distance to the path that the baseline may leave, without
+                noise, in unit², shape (draws, samples): one row for each draw from the belief about
+                the baseline, and a single one when that is known exactly.
             noise_variance: Variance of the measured error, summed over the axes, in unit².
             sample_time_s: Sample time in seconds.
             acceleration_max: Largest acceleration of a path, in unit/s².
@@ -78,29 +100,43 @@ class Guard:
                 (samples, axes), in the axes' units.
             settings: Limits of the guard; the defaults when None.
             correction_speed_max: Largest speed at which a correction may change, in unit/s.
+            fallback: Whether a withdrawn correction gives way to the robot's model of itself.
+            unit: Unit of the axes, "m" or "rad", for the reasons.
         """
         chosen = settings or GuardSettings()
-        square = (baseline_error**2).sum(axis=1)
-        window = max(1, round(chosen.window_s / sample_time_s))
-        smooth = np.convolve(square, np.ones(window) / window, mode="same")
-        self._allowed = np.cumsum(square + noise_variance)
-        self._budget = chosen.budget * float(self._allowed[-1])
+        self._settings, self._unit, self._sample_time_s = chosen, unit, sample_time_s
+        samples = baseline_squares.shape[1]
+        noisy = noise_variance * np.arange(1, samples + 1)
+        sums = np.cumsum(baseline_squares, axis=1) + noisy
+        self._allowed = np.quantile(sums, chosen.low, axis=0)
+        whole = float(self._allowed[-1])
+        self._budget, self._return_budget = chosen.budget * whole, chosen.return_budget * whole
+
+        def samples_in(duration_s: float, least: int) -> int:
+            return max(least, round(duration_s / sample_time_s))
+
+        window = samples_in(chosen.window_s, 1)
+        worst = np.array([_smooth(row, window).max() for row in baseline_squares])
         # A mean over the few samples of a window may exceed the noise variance several times.
-        self._peak = chosen.peak_ratio**2 * float(smooth.max()) + 4 * noise_variance
+        worst_square = float(np.quantile(worst, chosen.low))
+        self._peak = chosen.peak_ratio**2 * worst_square + 4 * noise_variance
+        self._earning = samples_in(chosen.earning_window_s, 1)
+        usual = np.quantile(baseline_squares, chosen.low, axis=0) + noise_variance
+        self._usual = np.cumsum(usual)
+        self._spent_at = np.zeros(samples + 1)
         self._recent = np.zeros(window)
-        restless = max(3, round(chosen.restless_window_s / sample_time_s))
+        restless = samples_in(chosen.restless_window_s, 3)
         self._accelerations = np.zeros(restless)
         pulls = (np.diff(needed, 2, axis=0) ** 2).sum(axis=1) / sample_time_s**4
-        smooth = np.convolve(pulls, np.ones(restless) / restless, mode="same")
-        needed_max = math.sqrt(smooth.max()) if len(smooth) else 0.0
+        needed_max = math.sqrt(_smooth(pulls, restless).max()) if len(pulls) else 0.0
         self._acceleration_max = max(acceleration_max, chosen.restless_ratio * needed_max)
-        self._sample_time_s = sample_time_s
-        self._corrections = np.zeros((3, baseline_error.shape[1]))
-        self._hand_over = max(1, round(chosen.hand_over_s / sample_time_s))
+        self._corrections = np.zeros((3, needed.shape[1]))
+        self._hand_over = samples_in(chosen.hand_over_s, 1)
         self._needed = needed
         self._step_max = correction_speed_max * sample_time_s
-        self._return_budget = chosen.return_budget * float(self._allowed[-1])
         self._spent = 0.0
+        self._fallback = fallback
+        self._given_up: int | None = None
         self.event: TakenBack | None = None
 
     def judge(self, sample: int, error: FloatArray, correction: FloatArray) -> float:
@@ -111,7 +147,7 @@ class Guard:
         Args:
             sample: Index of the sample, from 0.
             error: Tracking error at that sample, shape (axes,), in the axes' units. An error that
-                is not finite withdraws the prior.
+                is not finite withdraws the correction.
             correction: Last reference sent minus the path at that sample, shape (axes,), in the
                 axes' units.
 
@@ -119,26 +155,54 @@ class Guard:
             The share, from 0 to 1.
         """
         square = float(error @ error)
-        if self.event is None:
+        watching = self.event is None or (self._fallback and self._given_up is None)
+        if watching:
             self._spent += square
+            self._spent_at[sample + 1] = self._spent
             self._recent[sample % len(self._recent)] = square
             self._accelerations[sample % len(self._accelerations)] = self._pull(correction)
-            self.event = self._verdict(sample, square, correction)
         if self.event is None:
-            return 1.0
-        # A raised cosine from 1 to 0 over the hand-over, so that the reference does not jump.
-        progress = (sample - self.event.sample + 1) / self._hand_over
+            reason = self._verdict(sample, square, correction)
+            if reason is not None:
+                given_to: Literal["own", "baseline"] = "own" if self._fallback else "baseline"
+                self.event = TakenBack(sample=sample, reason=reason, given_to=given_to)
+        elif watching:
+            reason = self._second_verdict(sample, square, self.event)
+            if reason is not None:
+                self._given_up = sample
+                self.event = TakenBack(
+                    sample=self.event.sample,
+                    reason=f"{self.event.reason}; then its model of itself was taken back, too: "
+                    f"{reason}",
+                )
+        return 1.0 if self.event is None else self._faded(sample, self.event.sample)
+
+    def fallback_share(self, sample: int) -> float:
+        """Return the share of the robot's own correction that acts at a sample already judged."""
+        if not self._fallback or self.event is None:
+            return 0.0
+        kept = 1.0 if self._given_up is None else self._faded(sample, self._given_up)
+        return kept * (1.0 - self._faded(sample, self.event.sample))
+
+    def _faded(self, sample: int, since: int) -> float:
+        """Return a raised cosine from 1 to 0 over the hand-over, so that no reference jumps."""
+        progress = (sample - since + 1) / self._hand_over
         return 0.5 + 0.5 * math.cos(math.pi * min(1.0, progress))
 
     def _pull(self, correction: FloatArray) -> float:
-        """Return the squared acceleration of the correction, in unit²/s⁴.
-
-        The acceleration, a second difference quotient, is clipped at twice its bound: a single kink
-        such as a corner of the path causes is no oscillation.
-        """
+        """Return the squared acceleration of the correction, in unit²/s⁴."""
         self._corrections = np.concatenate([self._corrections[1:], correction[np.newaxis]])
         second = np.diff(self._corrections, 2, axis=0)[0] / self._sample_time_s**2
-        return min(float(second @ second), (2 * self._acceleration_max) ** 2)
+        return float(second @ second)
+
+    def _earns(self, sample: int) -> bool:
+        """Return whether the robot has been much closer to its path than its baseline would be."""
+        first = sample + 1 - self._earning
+        if first < 0:
+            return False
+        flown = self._spent_at[sample + 1] - self._spent_at[first]
+        usual = self._usual[sample] - (self._usual[first - 1] if first else 0.0)
+        return bool(flown < self._settings.earning_ratio**2 * usual)
 
     def _return_cost(self, sample: int, correction: FloatArray) -> float:
         """Return how much squared error, beyond the baseline's, removing a correction would add.
@@ -152,33 +216,76 @@ class Guard:
         along = float(correction @ self._needed[sample])
         return max(0.0, size**3 / 3 - size * along) / self._step_max
 
-    def _verdict(self, sample: int, square: float, correction: FloatArray) -> TakenBack | None:
-        if not math.isfinite(square):
-            return TakenBack(sample=sample, reason="the tracking error is not finite")
-        if float(self._recent.mean()) > self._peak:
-            return TakenBack(
-                sample=sample,
-                reason=f"an error of {math.sqrt(self._recent.mean()):.3g}, more than the "
-                "baseline's worst",
-            )
-        pull = math.sqrt(self._accelerations.mean())
-        if pull > self._acceleration_max:
-            return TakenBack(
-                sample=sample,
-                reason=f"its corrections oscillate: they accelerate by {pull:.3g}, which no path "
-                f"asks for; {self._acceleration_max:.3g} is enough",
-            )
+    def _verdict(self, sample: int, square: float, correction: FloatArray) -> str | None:
+        """Return why the learned correction is withdrawn; None when it may stay."""
+        reason = self._dangerous(sample, square) or self._restless(sample)
+        if reason is not None:
+            return reason
         excess = self._spent - float(self._allowed[sample])
+        at, unit = self._at(sample), self._unit
         if excess > self._budget:
-            ratio = math.sqrt(self._spent / float(self._allowed[sample]))
-            return TakenBack(
-                sample=sample, reason=f"so far {ratio:.2f} times the error of the baseline"
-            )
+            return f"{at} its error so far was {self._ratio(sample)}"
         if excess + self._return_cost(sample, correction) > self._return_budget:
             size, needed = np.linalg.norm(correction), np.linalg.norm(self._needed[sample])
-            return TakenBack(
-                sample=sample,
-                reason=f"a correction of {size:.3g}, where the baseline needs {needed:.3g}: later "
-                "it could not be taken back in time",
+            return (
+                f"{at} its correction was {size:.3g} {unit}, where the baseline needs "
+                f"{needed:.3g} {unit}: later it could not be taken back in time"
             )
         return None
+
+    def _second_verdict(self, sample: int, square: float, event: TakenBack) -> str | None:
+        """Return why the robot's own correction is withdrawn; None when it may stay.
+
+        It answers for what comes after the hand-over alone.
+        """
+        begun = event.sample + self._hand_over + len(self._recent)
+        if sample <= begun:
+            return None
+        flown = self._spent - self._spent_at[begun + 1]
+        excess = flown - float(self._allowed[sample] - self._allowed[begun])
+        reason = self._dangerous(sample, square)
+        if reason is None and excess > self._budget:
+            reason = f"{self._at(sample)} the error so far was {self._ratio(sample)}"
+        return reason
+
+    def _dangerous(self, sample: int, square: float) -> str | None:
+        if not math.isfinite(square):
+            return "the tracking error is not finite"
+        recent = float(self._recent.mean())
+        if recent <= self._peak:
+            return None
+        return (
+            f"{self._at(sample)} the error was {math.sqrt(recent):.3g} {self._unit} RMS over "
+            f"{self._settings.window_s:g} s, more than the baseline's worst allows, "
+            f"{math.sqrt(self._peak):.3g} {self._unit}"
+        )
+
+    def _restless(self, sample: int) -> str | None:
+        ratio = self._settings.earning_restless_ratio if self._earns(sample) else 1.0
+        allowed = ratio * self._acceleration_max
+        # Each acceleration is clipped at twice its bound: a single kink, such as a corner of the
+        # path causes, is no oscillation.
+        pull = math.sqrt(np.minimum(self._accelerations, (2 * allowed) ** 2).mean())
+        if pull <= allowed:
+            return None
+        return (
+            f"{self._at(sample)} its corrections oscillate: they accelerate by {pull:.3g} "
+            f"{self._unit}/s², which no path asks for; {allowed:.3g} {self._unit}/s² is enough"
+        )
+
+    def _ratio(self, sample: int) -> str:
+        flown, allowed = (
+            math.sqrt(total / (sample + 1)) for total in (self._spent, float(self._allowed[sample]))
+        )
+        return (
+            f"{flown / allowed:.2f} times the error of the baseline: {flown:.3g} {self._unit} "
+            f"RMS instead of {allowed:.3g} {self._unit}"
+        )
+
+    def _at(self, sample: int) -> str:
+        return f"after {(sample + 1) * self._sample_time_s:.2f} s"
+
+
+def _smooth(values: FloatArray, window: int) -> FloatArray:
+    """Return the means of values over windows centred at each of them."""
+    return np.convolve(values, np.ones(window) / window, mode="same")

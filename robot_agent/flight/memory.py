@@ -1,4 +1,4 @@
-"""A robot's learned models on disk: its own experiences, its prior and its baseline models.
+"""A robot's learned models on disk: its own experiences, its prior and its model of itself.
 
 They lie in a folder of the robot's own, so that they survive a restart of its agent. Every file is
 replaced as a whole and begins with the sha256 of its content, so that no damage goes unnoticed.
@@ -13,8 +13,8 @@ from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
-from nufleet.robot_agent.flight.baseline_model import BaselineModel
 from nufleet.robot_agent.flight.inverse_model import NetworkInverse
+from nufleet.robot_agent.flight.own_model import AxisRecord, Settled, settle
 from nufleet.shared.errors import MalformedMessageError, NufleetError
 from nufleet.shared.experience.file import (
     EXPERIENCE_BYTES_MAX,
@@ -24,18 +24,20 @@ from nufleet.shared.experience.file import (
 )
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.experience.manifest import ExperienceManifest
+from nufleet.shared.models.error_belief import Evidence
 from nufleet.shared.private_files import make_private_folder, synchronise_folder, write_privately
+from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.strict import Name, describe_validation
 from nufleet.shared.wire.motions import MIXTURE_MAX
 
 PRIOR = "prior"
 _PRIORS = (PRIOR, *(f"{PRIOR}-{place}" for place in range(1, MIXTURE_MAX)))
-_BASELINE = "baseline"
+_OWN = "own"
 _SUFFIX = ".learned"
 _SHA256_BYTES = 32
-_BASELINE_BYTES_MAX = 64 * 2**20
+_OWN_BYTES_MAX = 64 * 2**20
 _ARCHITECTURES: tuple[Architecture, ...] = ("state", "preview")
-_BASELINE_MODELS: TypeAdapter[dict[Name, BaselineModel]] = TypeAdapter(dict[Name, BaselineModel])
+_RECORDS: TypeAdapter[dict[Name, AxisRecord]] = TypeAdapter(dict[Name, AxisRecord])
 
 
 class MemoryFolderError(NufleetError):
@@ -79,7 +81,8 @@ class Memory:
         self._folder = folder
         self._lock = threading.Lock()
         self._kept: dict[str, Kept] = {}
-        self._baseline: Mapping[str, BaselineModel] = {}
+        self._records: Mapping[str, AxisRecord] = {}
+        self._settled: Settled | None = None
         if folder is not None:
             try:
                 make_private_folder(folder)
@@ -105,10 +108,30 @@ class Memory:
             return tuple(self._kept[name] for name in _PRIORS if name in self._kept)
 
     @property
-    def baseline(self) -> Mapping[str, BaselineModel]:
-        """Baseline model of each axis, by the axis's name; empty before a rich flight."""
+    def flown_s(self) -> Mapping[str, float]:
+        """Duration in s of the motions that tell of each axis, by its name; empty before any."""
         with self._lock:
-            return self._baseline
+            return {
+                axis: sum(e.flown_s for e in (record.settled, record.new) if e is not None)
+                for axis, record in self._records.items()
+            }
+
+    def own_model(self, spec: RobotSpec) -> Settled:
+        """Return the robot's model of itself; the first call after a motion takes a while.
+
+        Args:
+            spec: Description of the robot.
+
+        Raises:
+            MemoryFolderError: What was found cannot be stored.
+        """
+        with self._lock:
+            if self._settled is None:
+                settled = settle(self._records, spec)
+                if dict(settled.records) != self._records:
+                    self._keep_records(settled.records)
+                self._settled = settled
+            return self._settled
 
     def find(self, sha256: str) -> Kept | None:
         """Return the experience or prior with that digest; None when there is none."""
@@ -184,15 +207,22 @@ class Memory:
                         ) from error
                 del self._kept[name]
 
-    def keep_baseline(self, models: Mapping[str, BaselineModel]) -> None:
-        """Store the baseline model of each axis, by the axis's name.
+    def learn(self, evidence: Mapping[str, Evidence]) -> None:
+        """Store what a motion tells of some axes, by their names.
 
         Raises:
-            MemoryFolderError: The models cannot be stored.
+            MemoryFolderError: It cannot be stored.
         """
         with self._lock:
-            self._write(_BASELINE, _BASELINE_MODELS.dump_json(dict(models)))
-            self._baseline = dict(models)
+            records = dict(self._records)
+            for axis, new in evidence.items():
+                records[axis] = records.get(axis, AxisRecord()).with_new(new)
+            self._keep_records(records)
+            self._settled = None
+
+    def _keep_records(self, records: Mapping[str, AxisRecord]) -> None:
+        self._write(_OWN, _RECORDS.dump_json(dict(records)))
+        self._records = dict(records)
 
     def _keep(self, name: str, kept: Kept) -> Kept:
         with self._lock:
@@ -221,15 +251,15 @@ class Memory:
                     raise MemoryFolderError(
                         f"{path} cannot be read: {error}; remove it, then train or transfer anew"
                     ) from error
-        path = folder / f"{_BASELINE}{_SUFFIX}"
-        models = _stored(path, _BASELINE_BYTES_MAX, "the robot learns it anew from a rich flight")
-        if models is not None:
+        path = folder / f"{_OWN}{_SUFFIX}"
+        records = _stored(path, _OWN_BYTES_MAX, "the robot learns it again from its next motions")
+        if records is not None:
             try:
-                self._baseline = _BASELINE_MODELS.validate_json(models)
+                self._records = _RECORDS.validate_json(records)
             except ValidationError as error:
                 raise MemoryFolderError(
                     f"{path} cannot be read: {describe_validation(error)}; remove it, the robot "
-                    "learns it anew from a rich flight"
+                    "learns it again from its next motions"
                 ) from error
 
 

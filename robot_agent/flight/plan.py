@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from nufleet.robot_agent.flight.combined_layout import CombinedLayout
+from nufleet.robot_agent.flight.forecast import forecast_of
 from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.flight.own_model import basis_of
 from nufleet.robot_agent.flight.rich_flight import rich_references, step_references
 from nufleet.robot_agent.flight.tracking import approach
 from nufleet.shared.errors import InvalidInputError, RefusedError
@@ -42,7 +44,7 @@ def plan_flight(
     Raises:
         RefusedError: The robot cannot or may not fly it; the code is `unknown-axis`, `no-tracking`,
             `trajectory`, `duration`, `layout`, `baseline`, `no-prior`, `other-prior`, `misfit`,
-            `unguarded` or `no-baseline`.
+            `unguarded`, `no-own-model`, `vague-own-model` or `no-baseline`.
     """
     match motion:
         case StepTest(axis=axis):
@@ -57,6 +59,7 @@ def plan_flight(
             nobody = np.random.default_rng(motion.seed)
             try:
                 samples = before = len(rich_references(spec, motion.duration_s, nobody))
+                basis_of(spec).nodes  # noqa: B018 - raises for a robot that none can describe
             except InvalidInputError as error:
                 raise RefusedError("baseline", str(error), robot) from error
         case Tracking():
@@ -105,13 +108,14 @@ def _check_inverse(
         return
     if motion.layout is not None:
         _check_layout(motion.layout, spec, state_names, robot)
+    elif motion.inverse == "own":
+        _check_own_model(motion, spec, memory, robot)
     else:
         _check_priors(motion, spec, state_names, memory, robot)
-    missing = [axis.name for axis in spec.axes if axis.name not in memory.baseline]
-    if motion.guarded and missing:
+    if motion.guarded and memory.own_model(spec).model is None:
         reason = (
-            f"what its baseline does on {', '.join(missing)} is not known yet, so nothing could "
-            "guard the flight; it learns that from a rich flight"
+            "what its baseline does is not known yet, so nothing could guard the flight; it learns "
+            "that from any completed motion: a frequency test, a path, or a rich flight"
         )
         raise RefusedError("no-baseline", reason, robot)
 
@@ -123,7 +127,9 @@ def _check_priors(
     if not held:
         reason = "no experience was transferred to it; see `nufleet transfer`"
         raise RefusedError("no-prior", reason, robot)
-    asked = [each.sha256 for each in motion.mixture] or [motion.prior_sha256]
+    asked = [each.sha256 for each in motion.mixture]
+    if motion.prior_sha256 is not None:
+        asked = [motion.prior_sha256]
     if any(sha256 not in held for sha256 in asked):
         sources = ", ".join(manifest.robot for manifest in held.values())
         reason = (
@@ -145,12 +151,30 @@ def _check_priors(
         raise RefusedError("misfit", f"its priors do not fit together: {error}", robot) from error
 
 
+def _check_own_model(motion: Tracking, spec: RobotSpec, memory: Memory, robot: str) -> None:
+    forecast = forecast_of(memory.own_model(spec).model, motion.desired)
+    more = "let it fly a path, or a rich flight (`nufleet track --rich-flight 30`), first"
+    if forecast is None:
+        reason = f"it knows nothing of itself yet: {more}"
+        raise RefusedError("no-own-model", reason, robot)
+    if not forecast.own_helps:
+        unit, own, baseline = spec.axes[0].unit, forecast.own, forecast.baseline
+        reason = (
+            f"its model of itself is too vague for this path: with it an error of {own.rms:.3g} "
+            f"{unit} RMS is expected, {own.low:.3g} to {own.high:.3g} {unit}, and its baseline is "
+            f"expected to leave {baseline.rms:.3g} {unit}; {more}"
+        )
+        raise RefusedError("vague-own-model", reason, robot)
+
+
 def _check_layout(
     layout: InverseLayout, spec: RobotSpec, state_names: tuple[str, ...], robot: str
 ) -> None:
     if abs(layout.sample_time_s - spec.sample_time_s) > 1e-9 * spec.sample_time_s:
         reason = f"a layout of {layout.sample_time_s:g} s; its sample is {spec.sample_time_s:g} s"
         raise RefusedError("layout", reason, robot)
-    if state_names[: len(layout.states)] != layout.states:
-        reason = f"a layout of {', '.join(layout.states)}; it measures {', '.join(state_names)}"
+    needed = layout.measured_states
+    if state_names[: len(needed)] != needed:
+        measured = ", ".join(state_names) or "its output alone"
+        reason = f"a layout of {', '.join(needed)}; it measures {measured}"
         raise RefusedError("layout", reason, robot)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nufleet.robot_agent.flight.baseline_model import samples_needed
 from nufleet.robot_agent.motion.excitation import HEADROOM
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
@@ -18,7 +17,7 @@ from nufleet.shared.robots.spec import RobotSpec, TrackingLimits
 _PIECE_RAD = 15.0  # length in radians of the slowest piece's highest tone: 15 s at 1 rad/s
 _FADE_RAD = 2.0  # length of the fade at either end of a piece, likewise
 _PIECE_SAMPLES_MIN = 16
-_PIECES_MIN = 4  # one piece for each part of the band
+_PARTS = 4  # pieces that take turns: each reaches up to another part of the band
 _OMEGA_MAX_RAD_S = 6.0  # drawings contain nothing faster
 _TONES = 8
 STEPS_UP_MIN, _STEPS_UP_MAX = 10, 20
@@ -45,7 +44,7 @@ def rich_references(spec: RobotSpec, duration_s: float, rng: np.random.Generator
 
     Args:
         spec: Description of the robot, whose band and tracking limits the references keep to.
-        duration_s: Shortest duration in seconds; the fit of the baseline may need longer.
+        duration_s: Shortest duration in seconds; a robot flies whole pieces.
         rng: Generator of the frequencies, phases and weights.
 
     Returns:
@@ -53,7 +52,6 @@ def rich_references(spec: RobotSpec, duration_s: float, rng: np.random.Generator
 
     Raises:
         RobotError: The robot has no tracking limits.
-        InvalidInputError: The baseline of such a robot cannot be fitted.
     """
     limits = spec.tracking
     if limits is None:
@@ -64,12 +62,13 @@ def rich_references(spec: RobotSpec, duration_s: float, rng: np.random.Generator
     slow = min(1.0, top / 2)
     piece_s = _PIECE_RAD / slow
     samples = max(_PIECE_SAMPLES_MIN, round(piece_s / spec.sample_time_s))
-    needed = samples_needed(spec.sample_time_s, spec.settling_time_s)
-    pieces = max(_PIECES_MIN, math.ceil(duration_s / piece_s), math.ceil(needed / samples))
-    highest = np.geomspace(min(max(slow, 3 * spec.omega_min_rad_s), top), top, _PIECES_MIN)
+    pieces = math.ceil(duration_s / piece_s)
+    highest = np.geomspace(min(max(slow, 3 * spec.omega_min_rad_s), top), top, _PARTS)
+    # The fade of the highest piece reaches beyond the band; among few pieces that would show.
+    first = max(0, _PARTS - 1 - pieces)
     return np.concatenate(
         [
-            _piece(spec, limits, slow, float(highest[i % _PIECES_MIN]), samples, rng)
+            _piece(spec, limits, slow, float(highest[(first + i) % _PARTS]), samples, rng)
             for i in range(pieces)
         ]
     )

@@ -57,7 +57,7 @@ class TrackingRecord:
 
     prior: FloatArray
     """The prior's part of γ (see `InverseLayout`), shape (samples, axes), in unit/s; zero for the
-    baseline alone, like `mean` and `variance`."""
+    baseline alone, like `mean` and `variance`. For corrections known ahead, their speed."""
 
     mean: FloatArray
     """The online process's part of γ, shape (samples, axes), in unit/s."""
@@ -139,13 +139,22 @@ class Learner:
     """Time between the pairs that the process learns from, in seconds."""
 
 
+@dataclass(frozen=True, eq=False)
+class Ahead:
+    """Corrections of the path that are all known before the flight."""
+
+    correction: FloatArray
+    """Correction of the reference, shape (samples, axes), in the axes' units."""
+
+
 def track(
     robot: Robot,
     desired: FloatArray,
     limits: TrackingLimits,
-    learner: Learner | None = None,
+    learner: Learner | Ahead | None = None,
     guard: Guard | None = None,
     *,
+    fallback: Ahead | None = None,
     watch: Watch | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> TrackingRecord:
@@ -159,8 +168,11 @@ def track(
         robot: The robot, connected and at rest.
         desired: Path, shape (samples, axes), in the axes' units.
         limits: Tracking limits of the robot; the path is checked against them before it moves.
-        learner: Inverse model in front of the robot; None for the baseline alone.
+        learner: Inverse model in front of the robot, or corrections known ahead; None for the
+            baseline alone.
         guard: Guard that limits the learner's share; None lets the whole correction act.
+        fallback: Corrections that act in place of the learner's once the guard withdraws those;
+            None for the baseline alone.
         watch: Callback that receives every sample.
         stopped: Function called before every sample; the flight ends when it returns True.
 
@@ -179,17 +191,17 @@ def track(
             f"got shape {desired.shape}"
         )
     check_trajectory(desired, spec.sample_time_s, limits)
-    if learner is not None:
-        needed = learner.layout.states
+    if isinstance(learner, Learner):
+        needed = learner.layout.measured_states
         if robot.state_names[: len(needed)] != needed:
             raise InvalidInputError(
                 f"the inverse needs the states {', '.join(needed)}; the robot measures "
                 f"{', '.join(robot.state_names) or 'none'}"
             )
-    elif guard is not None:
+    elif learner is None and guard is not None:
         raise InvalidInputError("a guard watches over a learner; the baseline needs none")
     robot.run(approach(robot.spec, desired[0], limits))
-    flight = _Flight(robot, desired, limits, learner, guard, watch)
+    flight = _Flight(robot, desired, limits, learner, guard, fallback, watch)
     failure: str | None = None
     try:
         failure = flight.fly(stopped)
@@ -230,17 +242,25 @@ class _Flight:
         robot: Robot,
         desired: FloatArray,
         limits: TrackingLimits,
-        learner: Learner | None,
+        learner: Learner | Ahead | None,
         guard: Guard | None,
+        fallback: Ahead | None,
         watch: Watch | None,
     ) -> None:
         self._robot, self._desired, self._limits = robot, desired, limits
         self._learner, self._guard, self._watch = learner, guard, watch
         samples, axes = desired.shape
-        self._back = self._ahead = self._span = 0
+        most = limits.correction_max
+        self._fallback = np.zeros_like(desired)
+        if fallback is not None:
+            self._fallback = np.clip(fallback.correction, -most, most)
+        self._back = self._ahead = 0
+        self._span = 1
         self._learn_every = 1
-        states = max(1, len(robot.state_names))
-        if learner is not None:
+        # The output of a robot without states is known only once it has been sent a reference.
+        self._late = 0 if robot.state_names else 1
+        states = 1
+        if isinstance(learner, Learner):
             layout = learner.layout
             self._back, self._ahead = layout.back_samples, layout.horizon_samples
             self._span = layout.span_samples
@@ -260,8 +280,9 @@ class _Flight:
         self._variance, self._actual = np.zeros((samples, axes)), np.zeros((samples, axes))
         self._share, self._step_time_s = np.ones(samples), np.zeros(samples)
         self._limited = np.zeros(samples, dtype=bool)
-        mixed = learner is not None and isinstance(learner.process, MixtureProcess)
-        self._weights = np.zeros((samples, len(learner.process.weights) if mixed else 0))
+        process = learner.process if isinstance(learner, Learner) else None
+        experts = len(process.weights) if isinstance(process, MixtureProcess) else 0
+        self._weights = np.zeros((samples, experts))
         self._fading: FloatArray | None = None
         self._done = 0
 
@@ -269,7 +290,7 @@ class _Flight:
         for k, wanted in enumerate(self._desired):
             if stopped():
                 return STOPPED
-            observed = self._robot.observe() if self._learner is not None else None
+            observed = self._observed(k) if self._learner is not None else None
             begin_s = time.perf_counter()
             correction, reference = None, wanted
             if observed is not None and not np.isfinite(observed).all():
@@ -277,8 +298,13 @@ class _Flight:
             if self._learner is not None and observed is not None:
                 if self._guard is not None:
                     sent = self._reference[self._span + k - 1] - self._desired[max(0, k - 1)]
-                    self._share[k] = self._guard.judge(k, observed[:, 0] - wanted, sent)
-                correction, reference = self._choose(self._learner, k, observed)
+                    error = observed[:, 0] - self._desired[max(0, k - self._late)]
+                    self._share[k] = self._guard.judge(k, error, sent)
+                correction, reference = (
+                    self._choose(self._learner, k, observed)
+                    if isinstance(self._learner, Learner)
+                    else self._played(self._learner, k)
+                )
             self._reference[self._span + k] = reference
             self._step_time_s[k] = time.perf_counter() - begin_s
             try:
@@ -292,12 +318,22 @@ class _Flight:
                 self._watch(k, wanted, self._actual[k], correction, float(self._share[k]))
         return None
 
+    def _observed(self, k: int) -> FloatArray:
+        """Return the latest states, shape (axes, states): those of sample k, or the output before.
+
+        The robot rested at the path's start before its first sample.
+        """
+        if not self._late:
+            return self._robot.observe()
+        return np.asarray((self._actual[k - 1] if k else self._desired[0])[:, np.newaxis])
+
     def _choose(
         self, learner: Learner, k: int, observed: FloatArray
     ) -> tuple[Correction, FloatArray]:
         layout, process, row = learner.layout, learner.process, self._span + k
-        self._states[row] = observed[:, : self._states.shape[2]]
-        window = slice(row + 1 - self._span, row + 1)
+        known = row - self._late
+        self._states[known] = observed[:, : self._states.shape[2]]
+        window = slice(known + 1 - self._span, known + 1)
         if k > 0 and k % self._learn_every == 0:
             for axis in range(observed.shape[0]):
                 inputs, gamma = layout.pairs(
@@ -307,13 +343,22 @@ class _Flight:
         path = self._path[k : k + self._back + self._ahead + 1]
         previous = self._reference[row - 1]
         query = layout.query(
-            self._states[row], previous, path, self._velocity[k + self._back + self._ahead]
+            self._states[known], previous, path, self._velocity[k + self._back + self._ahead]
         )
         correction = process.correct(query)
         self._prior[k], self._mean[k] = correction.prior, correction.mean
         self._variance[k], self._weights[k] = correction.variance, correction.weights
         wished = layout.reference(correction.gamma, previous, path)
         return correction, self._bounded(k, wished, previous)
+
+    def _played(self, ahead: Ahead, k: int) -> tuple[Correction, FloatArray]:
+        """Return the correction known ahead for a sample, and the reference with it."""
+        now, before = ahead.correction[k], ahead.correction[max(0, k - 1)]
+        nothing = np.zeros_like(now)
+        speed = (now - before) / self._robot.spec.sample_time_s
+        self._prior[k] = speed
+        reference = self._bounded(k, self._desired[k] + now, self._reference[self._span + k - 1])
+        return Correction(speed, nothing, nothing, ()), reference
 
     def _bounded(self, k: int, wished: FloatArray, previous: FloatArray) -> FloatArray:
         """Return the reference that may be sent, shape (axes,).
@@ -330,6 +375,8 @@ class _Flight:
         # Once the prior is withdrawn, the last applied correction fades out; the model's later
         # output is ignored.
         shared = self._share[k] * (near if self._fading is None else self._fading)
+        if self._guard is not None:
+            shared = shared + self._guard.fallback_share(k) * self._fallback[k]
         held = np.clip(shared, before - step, before + step)
         self._limited[k] = bool((near != wished - wanted).any() or (held != shared).any())
         return np.asarray(wanted + held)
@@ -349,7 +396,7 @@ class _Flight:
             share=self._share[done],
             limited=self._limited[done],
             step_time_s=self._step_time_s[done],
-            dropped_pairs=learner.process.dropped if learner is not None else 0,
+            dropped_pairs=learner.process.dropped if isinstance(learner, Learner) else 0,
             taken_back=guard.event if guard is not None else None,
             failure=failure,
         )

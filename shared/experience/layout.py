@@ -44,7 +44,8 @@ class InverseLayout(Strict):
     architecture: Architecture
     """Kind of inputs, see the module's description."""
     states: Annotated[tuple[Name, ...], Field(min_length=1, max_length=8)]
-    """Names of the states that `Robot.observe` measures, the axis's output first."""
+    """Names of the states that `Robot.observe` measures, the axis's output first. A preview has the
+    output alone, which every robot measures."""
     sample_time_s: Positive
     """Time T between samples."""
     horizon_samples: Annotated[int, Field(ge=1, le=HORIZON_SAMPLES_MAX)]
@@ -55,6 +56,11 @@ class InverseLayout(Strict):
         if self.architecture == "preview" and self.horizon_samples < 4:
             raise ValueError("a preview needs a horizon of at least 4 samples")
         return self
+
+    @property
+    def measured_states(self) -> tuple[str, ...]:
+        """Names of the states that a robot must measure to use the model; none for a preview."""
+        return self.states if self.architecture == "state" else ()
 
     @property
     def horizon_s(self) -> float:

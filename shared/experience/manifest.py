@@ -104,7 +104,7 @@ class Needs:
     sample_time_s: float
     """Sample time of the robot."""
     states: tuple[str, ...]
-    """States that the robot must measure, in this order before any others."""
+    """States that the robot must measure, in this order before any others; a preview needs none."""
 
 
 def needs_of(manifest: ExperienceManifest) -> Needs:
@@ -119,7 +119,7 @@ def needs_of(manifest: ExperienceManifest) -> Needs:
         axes=manifest.axes,
         unit=manifest.unit,
         sample_time_s=layout.sample_time_s,
-        states=layout.states if layout.architecture == "state" else layout.states[:1],
+        states=layout.measured_states,
     )
 
 

@@ -1,1 +1,1 @@
-"""Linear models of robots: transfer functions, state space and their graphs."""
+"""Linear models of robots: transfer functions, state space, graphs, and what is believed of one."""

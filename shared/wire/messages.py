@@ -102,13 +102,18 @@ class Description(Message):
     """Experience that was transferred to the robot."""
     companions: Annotated[tuple[ExperienceOffer, ...], Field(max_length=MIXTURE_MAX - 1)] = ()
     """Further experiences that were transferred to it, for a mixture with the prior."""
-    baseline_known: bool = False
-    """True if the robot has learned how its baseline behaves, so that a flight with the prior can
-    be guarded."""
+    own_flight_s: dict[Name, NonNegative] = Field(default_factory=dict)
+    """Duration of the motions that tell the robot of each of its axes. A robot that knows nothing
+    of itself cannot guard a flight."""
     owner: Identifier | None = None
     """Orchestrator that last commanded the robot under a lease."""
     epoch: Epoch = 0
     """Epoch of that lease; requests with a lower epoch are refused."""
+
+    @property
+    def baseline_known(self) -> bool:
+        """Whether the robot knows how its baseline behaves, so that a flight can be guarded."""
+        return bool(self.own_flight_s)
 
 
 class GoalRequest(Message):

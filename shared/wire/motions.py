@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
-from nufleet.shared.strict import Digest, Name, Positive, Reason, Strict
+from nufleet.shared.strict import Digest, Name, NonNegative, Positive, Reason, Strict
 from nufleet.shared.wire.codec import Float64Array
 
 Count = Annotated[int, Field(ge=0)]
@@ -63,10 +63,11 @@ class Tracking(Strict):
     """Discriminator among the motions a robot can be asked for."""
     desired: Float64Array
     """Path to follow, shape (samples, axes), one row per sample of the robot, in the axes' unit."""
-    inverse: Literal["baseline", "zero-prior", "prior", "mixture"]
+    inverse: Literal["baseline", "zero-prior", "prior", "mixture", "own"]
     """Module in front of the baseline controller: none; a process that starts without experience; a
-    process whose prior mean is one experience that was transferred to the robot; or one whose prior
-    mean is a mixture of several, weighed in flight."""
+    process whose prior mean is one experience that was transferred to the robot; one whose prior
+    mean is a mixture of several, weighed in flight; or the robot's model of itself, inverted along
+    the whole path."""
     layout: InverseLayout | None = None
     """Inputs and output of a process with a zero prior; None for the other inverses."""
     prior_sha256: Digest | None = None
@@ -128,6 +129,20 @@ class RichFlightDetails(Strict):
     """States, shape (samples, axes, states), measured before the reference of each sample acted."""
 
 
+class PredictedError(Strict):
+    """The root mean square error that a robot expects of a flight from its model of itself.
+
+    It contains the measurement noise, like the error that is measured.
+    """
+
+    rms: NonNegative
+    """Median, in the unit of the axes."""
+    low: NonNegative
+    """Value that the error is above with a probability of 95 %."""
+    high: NonNegative
+    """Value that the error is below with a probability of 95 %."""
+
+
 class TakenBack(Strict):
     """Event: the guard withdrew the prior during a flight."""
 
@@ -135,6 +150,8 @@ class TakenBack(Strict):
     """Sample at which it was withdrawn."""
     reason: Reason
     """Why it was withdrawn."""
+    given_to: Literal["baseline", "own"] = "baseline"
+    """What flew on: the baseline alone, or the robot's model of itself."""
 
 
 class TrackingDetails(Strict):
@@ -163,6 +180,11 @@ class TrackingDetails(Strict):
     """Number of training pairs dropped because they were not finite."""
     taken_back: TakenBack | None
     """Withdrawal of the prior by the guard; None if there was none."""
+    predicted: PredictedError | None = None
+    """Error that the robot expected; None for an inverse whose references were not known ahead, and
+    for a robot that knows nothing of itself."""
+    findings: tuple[Reason, ...] = ()
+    """What the flight showed of the robot's model of itself: that the robot has changed, say."""
     experts: tuple[Name, ...] = ()
     """Sources of the experiences in a mixture; empty without one."""
     weights: Float64Array | None = None

@@ -10,6 +10,7 @@ from fleet_lab import Lab, Orchestrator, assert_never_moved, double_integrator, 
 from puppet_robot import PuppetRobot
 from robots_that_learn import LaggedRobot
 
+from nufleet.orchestrator.experience.learning import Lesson, fly_lessons
 from nufleet.orchestrator.experience.linear_inverse import linear_experience
 from nufleet.orchestrator.experience.prior_custody import install
 from nufleet.orchestrator.experience.training import Origin, TrainingData
@@ -17,13 +18,15 @@ from nufleet.orchestrator.experience.transfer import transfer
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.robot_agent.flight.inverse_model import NetworkInverse
+from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError, MalformedMessageError, RobotError
 from nufleet.shared.experience.file import decode_experience, digest, encode_experience
-from nufleet.shared.experience.layout import InverseLayout
+from nufleet.shared.experience.layout import Architecture, InverseLayout
 from nufleet.shared.paths.trajectories import travel
 from nufleet.shared.wire.messages import GoalRequest
 from nufleet.shared.wire.motions import Tracking
+from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 PATH = travel(np.array([[0.0], [0.9], [-0.5], [0.6], [0.0]]), 0.8, 1.5, 0.015)
 PREVIEW = InverseLayout(
@@ -133,6 +136,59 @@ def test_a_damaged_file_is_refused_and_the_prior_before_it_stays(fleet: Fleet, d
 def test_a_source_without_experience_cannot_pass_one_on(fleet: Fleet) -> None:
     with pytest.raises(InvalidInputError, match="it offers none; train one with `nufleet train"):
         transfer(fleet, "source", "target")
+
+
+class BlindRobot(DoubleIntegrator):
+    """A robot that measures its output alone."""
+
+    def __init__(self, alpha: float) -> None:
+        settings = DoubleIntegratorSettings(alpha=alpha, beta=0.003)
+        super().__init__(settings, np.random.default_rng(0))
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        return ()
+
+    def observe(self) -> FloatArray:
+        return Robot.observe(self)
+
+
+@pytest.fixture
+def blind(lab: Lab) -> Fleet:
+    for name, alpha in (("source", 0.95), ("target", 0.85)):
+        lab.agent(name, BlindRobot(alpha))
+    return lab.orchestrator().fleet
+
+
+def lessons(fleet: Fleet, architecture: Architecture) -> Lesson:
+    (lesson,) = fly_lessons(
+        Pilot(fleet, "lessons"),
+        fleet,
+        fleet.describe("source"),
+        (architecture,),
+        seed=0,
+        duration_s=60.0,
+        say=lambda robot, what: None,
+    )
+    return lesson
+
+
+def test_a_robot_that_measures_its_output_alone_learns_and_flies_a_preview(blind: Fleet) -> None:
+    lesson = lessons(blind, "preview")
+    payload = encode_experience(linear_experience(lesson.data, lesson.choice.layout, lesson.origin))
+    install(blind, "source", "experience", payload)
+    transfer(blind, "source", "target")
+    Pilot(blind, "rich").rich("target", duration_s=60.0, seed=1)
+    errors = flown(blind)
+    assert errors["prior"] < 0.5 * errors["baseline"]
+
+
+def test_a_robot_that_measures_its_output_alone_learns_no_inverse_of_its_state(
+    lab: Lab, blind: Fleet
+) -> None:
+    with pytest.raises(InvalidInputError, match=r"measures its output alone.*architecture preview"):
+        lessons(blind, "state")
+    assert_never_moved(lab.orchestrator("orchestrator-2"), "source")
 
 
 def flown(fleet: Fleet, path: FloatArray = PATH) -> dict[str, float]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from learned_things import BASELINE, experience, layout
+from learned_things import experience, layout
 from robots_that_learn import LIMITS, LaggedRobot, double_integrator
 
-from nufleet.robot_agent.flight.flights import guard_for, learner_for, performance_of
+from nufleet.robot_agent.flight.flights import learner_for, performance_of
 from nufleet.robot_agent.flight.memory import Memory, MemoryFolderError
-from nufleet.robot_agent.flight.tracking import Watch, approach
+from nufleet.robot_agent.flight.tracking import Learner, Watch, approach
 from nufleet.robot_agent.motion.pace import HaltSwitch
 from nufleet.robot_agent.motion.perform import Played, perform
 from nufleet.robot_agent.robot import Robot
@@ -99,10 +99,12 @@ def test_a_rich_flight_teaches_the_robot_its_baseline() -> None:
     played = flown(robot, RichFlight(duration_s=60.0, seed=1), memory)
     assert played.outcome is Outcome.COMPLETED
     assert isinstance(played.samples.details, RichFlightDetails)
-    assert set(memory.baseline) == {"x", "y"}
+    assert set(memory.flown_s) == {"x", "y"}
     # Three samples late: the error of a ramp is its slope times 60 ms.
+    model = memory.own_model(robot.spec).model
+    assert model is not None
     ramp = np.linspace(0.0, 1.0, 51)
-    error = memory.baseline["x"].error(ramp)
+    error = model.axes[0].error(ramp, 0.0)
     assert error[-1] == pytest.approx(3 * (ramp[1] - ramp[0]), rel=0.1)
 
 
@@ -112,9 +114,9 @@ def test_a_baseline_that_cannot_be_stored_fails_the_flight_and_not_the_robot(
     memory = Memory(None)
 
     def full(*_: object) -> None:
-        raise MemoryFolderError("/disk/baseline cannot be written: No space left on device")
+        raise MemoryFolderError("/disk/own cannot be written: No space left on device")
 
-    monkeypatch.setattr(memory, "keep_baseline", full)
+    monkeypatch.setattr(memory, "learn", full)
     played = flown(LaggedRobot(), RichFlight(duration_s=60.0, seed=1), memory)
     assert (played.outcome, played.fault) == (Outcome.FAILED, None)
     assert "No space left on device" in played.reason
@@ -134,9 +136,9 @@ def test_each_flight_begins_with_a_process_of_its_own() -> None:
     prior = experience()
     memory.keep_prior(prior, digest(prior))
     motion = Tracking(desired=PATH[:, :1], inverse="prior", prior_sha256=digest(prior))
-    first, second = (learner_for(motion, robot, memory) for _ in range(2))
-    assert first is not None
-    assert second is not None
+    first, second = (learner_for(motion, robot, memory, None) for _ in range(2))
+    assert isinstance(first, Learner)
+    assert isinstance(second, Learner)
     assert first.process is not second.process
     assert first.layout == layout()
 
@@ -144,11 +146,72 @@ def test_each_flight_begins_with_a_process_of_its_own() -> None:
 def test_a_prior_that_is_gone_is_an_error_of_the_robot() -> None:
     motion = Tracking(desired=PATH[:, :1], inverse="prior", prior_sha256="0" * 64)
     with pytest.raises(RobotError, match="no prior any more"):
-        learner_for(motion, double_integrator(), Memory(None))
+        learner_for(motion, double_integrator(), Memory(None), None)
 
 
-def test_a_guard_needs_what_the_baseline_does_on_every_axis() -> None:
-    memory = Memory(None)
-    memory.keep_baseline({"x": BASELINE, "y": BASELINE})
-    guard = guard_for(PATH, LaggedRobot(), memory)
-    assert guard.judge(0, np.zeros(2), np.zeros(2)) == 1.0
+def known_robot() -> tuple[LaggedRobot, Memory]:
+    """A robot that has flown one path, so that it knows itself."""
+    robot, memory = LaggedRobot(noise_std_m=1e-3), Memory(None)
+    assert flown(robot, baseline_flight(), memory).outcome is Outcome.COMPLETED
+    return robot, memory
+
+
+def details(played: Played) -> TrackingDetails:
+    assert played.outcome is Outcome.COMPLETED, played.reason
+    assert isinstance(played.samples.details, TrackingDetails)
+    return played.samples.details
+
+
+def rms(played: Played) -> float:
+    away = played.samples.response - details(played).desired
+    return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
+
+
+OWN = Tracking(desired=PATH, inverse="own")
+
+
+def test_one_flight_is_enough_to_invert_ones_own_loop_and_to_say_what_is_left() -> None:
+    robot, memory = known_robot()
+    baseline = flown(robot, baseline_flight(), memory)
+    own = flown(robot, OWN, memory)
+    assert rms(own) < 0.2 * rms(baseline)
+    for played in (baseline, own):
+        predicted = details(played).predicted
+        assert predicted is not None
+        assert 0.9 * predicted.low < rms(played) < 1.1 * predicted.high
+    assert details(own).taken_back is None
+
+
+def test_every_flight_adds_to_what_a_robot_knows_of_itself() -> None:
+    robot, memory = known_robot()
+    before_s = memory.flown_s["x"]
+    flown(robot, OWN, memory)
+    assert memory.flown_s["x"] == pytest.approx(before_s + len(PATH) * robot.spec.sample_time_s)
+
+
+def test_a_robot_that_has_changed_notices_it_by_its_own_prediction() -> None:
+    _, memory = known_robot()
+    changed = LaggedRobot(delays=(7, 3), noise_std_m=1e-3)
+    played = flown(changed, OWN, memory)
+    (finding,) = details(played).findings
+    assert finding.startswith("axis x:")
+    assert "carries something else" in finding
+    again = flown(changed, OWN, memory)
+    assert rms(again) < 0.5 * rms(played)
+    assert details(again).findings == ()
+
+
+def test_a_wrong_prior_gives_way_to_the_robots_model_of_itself() -> None:
+    robot, memory = known_robot()
+    wrong = experience(layout=layout(sample_time_s=0.02), robot_kind="lagged", axes=("x", "y"))
+    kept = memory.keep_prior(wrong, digest(wrong))
+    kept.inverse._layers[0][0][:] = -40.0  # asks for far too much of every point ahead
+    motion = Tracking(desired=PATH, inverse="prior", prior_sha256=digest(wrong), learn=False)
+    played = flown(robot, motion, memory)
+    event = details(played).taken_back
+    assert event is not None
+    assert event.given_to == "own"
+    fallen = slice(event.sample + 60, None)
+    away = (played.samples.response - details(played).desired)[fallen]
+    own = (flown(robot, OWN, memory).samples.response - PATH)[fallen]
+    assert np.sqrt(np.mean(away**2)) < 1.3 * np.sqrt(np.mean(own**2))

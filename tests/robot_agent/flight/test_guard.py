@@ -25,9 +25,19 @@ def baseline() -> FloatArray:
     return 0.1 * np.stack([np.sin(2 * time_s), np.cos(3 * time_s)], axis=1)
 
 
+def squares(errors: FloatArray) -> FloatArray:
+    """The squared errors of a baseline that is known exactly."""
+    return np.asarray((errors**2).sum(axis=1)[np.newaxis])
+
+
 def judged(errors: FloatArray, noise_variance: float = 0.0) -> tuple[list[float], Guard]:
     guard = Guard(
-        baseline(), noise_variance, STEP_S, PULL_MAX, NEEDED, correction_speed_max=SPEED_MAX
+        squares(baseline()),
+        noise_variance,
+        STEP_S,
+        PULL_MAX,
+        NEEDED,
+        correction_speed_max=SPEED_MAX,
     )
     return [guard.judge(k, error, STILL) for k, error in enumerate(errors)], guard
 
@@ -67,7 +77,9 @@ def test_the_hand_over_is_smooth_and_takes_its_time() -> None:
 
 def oscillating(amplitude: float, omega_rad_s: float) -> Guard:
     """Corrections that swing while the robot stays on its path."""
-    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX, NEEDED, correction_speed_max=SPEED_MAX)
+    guard = Guard(
+        squares(baseline()), 0.0, STEP_S, PULL_MAX, NEEDED, correction_speed_max=SPEED_MAX
+    )
     for k in range(SAMPLES):
         swing = amplitude * (1 - np.cos(omega_rad_s * k * STEP_S))
         guard.judge(k, np.zeros(2), np.array([0.0, swing]))
@@ -89,14 +101,16 @@ def test_slow_corrections_as_large_are_left_alone() -> None:
 def test_corrections_that_are_as_fast_as_the_baseline_needs_are_left_alone() -> None:
     time_s = np.arange(SAMPLES) * STEP_S
     needed = 0.04 * np.stack([np.cos(10.0 * time_s), np.zeros(SAMPLES)], axis=1)
-    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX, needed, correction_speed_max=SPEED_MAX)
+    guard = Guard(
+        squares(baseline()), 0.0, STEP_S, PULL_MAX, needed, correction_speed_max=SPEED_MAX
+    )
     for k in range(SAMPLES):
         guard.judge(k, np.zeros(2), needed[k])
     assert guard.event is None
 
 
 def test_a_single_kink_is_no_oscillation() -> None:
-    guard = Guard(baseline(), 0.0, STEP_S, PULL_MAX, NEEDED, correction_speed_max=math.inf)
+    guard = Guard(squares(baseline()), 0.0, STEP_S, PULL_MAX, NEEDED, correction_speed_max=math.inf)
     for k in range(SAMPLES):
         kinked = max(0.0, 0.6 * (k - 200) * STEP_S)
         guard.judge(k, np.zeros(2), np.array([kinked, 0.0]))
@@ -113,7 +127,7 @@ def test_once_taken_back_it_stays_so() -> None:
 def test_measurement_noise_is_not_held_against_the_model() -> None:
     noise = 0.01 * np.random.default_rng(0).standard_normal((SAMPLES, 2))
     guard = Guard(
-        np.zeros((SAMPLES, 2)),
+        np.zeros((1, SAMPLES)),
         2 * 0.01**2,
         STEP_S,
         PULL_MAX,
@@ -144,7 +158,7 @@ def test_a_model_that_obeys_its_share_never_costs_a_tenth_more_than_the_baseline
     harm = scale * 0.05 * np.cumsum(rng.standard_normal((SAMPLES, 2)), axis=0) / math.sqrt(SAMPLES)
     own, guard = (
         baseline(),
-        Guard(baseline(), 0.0, STEP_S, PULL_MAX, NEEDED, correction_speed_max=SPEED_MAX),
+        Guard(squares(baseline()), 0.0, STEP_S, PULL_MAX, NEEDED, correction_speed_max=SPEED_MAX),
     )
     share, spent = 1.0, 0.0
     for k in range(SAMPLES):
@@ -157,7 +171,7 @@ def test_a_model_that_obeys_its_share_never_costs_a_tenth_more_than_the_baseline
 def taken_back_at(correction: FloatArray, needed: FloatArray) -> int | None:
     """When a correction that grows as fast as it may is taken back, before any error shows."""
     guard = Guard(
-        baseline(),
+        squares(baseline()),
         0.0,
         STEP_S,
         PULL_MAX,

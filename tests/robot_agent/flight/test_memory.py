@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from learned_things import BASELINE, experience
+from learned_things import experience, flown_before
+from robots_that_learn import double_integrator
 
 from nufleet.robot_agent.flight.inverse_model import NetworkInverse
 from nufleet.robot_agent.flight.memory import PRIOR, Memory, MemoryFolderError
@@ -19,6 +20,8 @@ from nufleet.shared.experience.file import decode_experience, digest
 
 OWN = experience("target", "preview")
 GIVEN = experience("source", "state", seed=1)
+SPEC = double_integrator().spec
+MOTION = flown_before(SPEC)
 
 
 def filled(folder: Path) -> Memory:
@@ -26,7 +29,7 @@ def filled(folder: Path) -> Memory:
     memory = Memory(folder)
     memory.keep_experience(OWN, digest(OWN))
     memory.keep_prior(GIVEN, digest(GIVEN))
-    memory.keep_baseline({"x": BASELINE})
+    memory.learn(MOTION)
     return memory
 
 
@@ -34,7 +37,7 @@ def test_a_new_memory_is_empty(tmp_path: Path) -> None:
     for memory in (Memory(tmp_path / "new" / "learned"), Memory(None)):
         assert memory.experiences == ()
         assert memory.prior is None
-        assert dict(memory.baseline) == {}
+        assert dict(memory.flown_s) == {}
         assert memory.find(digest(OWN)) is None
 
 
@@ -44,7 +47,7 @@ def test_all_that_was_learned_survives_a_restart(tmp_path: Path) -> None:
     assert [kept.payload for kept in again.experiences] == [OWN]
     assert again.prior is not None
     assert (again.prior.payload, again.prior.sha256) == (GIVEN, digest(GIVEN))
-    assert dict(again.baseline) == {"x": BASELINE}
+    assert dict(again.flown_s) == {"x": pytest.approx(9.0)}
 
 
 def test_what_was_kept_computes_what_its_file_says(tmp_path: Path) -> None:
@@ -59,7 +62,7 @@ def test_what_was_kept_computes_what_its_file_says(tmp_path: Path) -> None:
 def test_without_a_folder_nothing_survives_and_all_else_works(tmp_path: Path) -> None:
     memory = Memory(None)
     memory.keep_prior(GIVEN, digest(GIVEN))
-    memory.keep_baseline({"x": BASELINE})
+    memory.learn(MOTION)
     assert memory.prior is not None
     memory.forget_prior()
     assert memory.prior is None
@@ -107,7 +110,7 @@ def test_what_is_no_experience_is_not_kept_and_the_prior_before_it_stays(
 # What may happen to the files.
 
 
-@pytest.mark.parametrize("name", ["preview", PRIOR, "baseline"])
+@pytest.mark.parametrize("name", ["preview", PRIOR, "own"])
 @pytest.mark.parametrize("damage", ["truncated", "altered", "empty", "another file"])
 def test_a_damaged_file_is_refused_with_its_name_and_what_to_do(
     tmp_path: Path, name: str, damage: str
@@ -147,10 +150,10 @@ def test_no_changed_byte_of_a_model_goes_unnoticed(
 
 def test_a_file_of_another_version_is_refused_although_it_is_whole(tmp_path: Path) -> None:
     filled(tmp_path)
-    (path,) = tmp_path.glob("baseline.*")
-    other = b'{"x": {"error_response": [1.0], "residual_std": "small"}}'
+    (path,) = tmp_path.glob("own.*")
+    other = b'{"x": {"settled": null, "new": {"squares": "small"}}}'
     path.write_bytes(bytes.fromhex(digest(other)) + other)
-    with pytest.raises(MemoryFolderError, match=r"residual_std.*remove it"):
+    with pytest.raises(MemoryFolderError, match=r"squares.*remove it"):
         Memory(tmp_path)
     other = OWN.replace(b'"schema_version', b'"schema_vorsion')
     path.unlink()
@@ -204,12 +207,12 @@ def test_a_disk_that_cannot_be_written_leaves_what_was_known(
         patched.setattr(os, "fsync", full)
         with pytest.raises(MemoryFolderError, match=r"prior.*No space left on device"):
             memory.keep_prior(newer, digest(newer))
-        with pytest.raises(MemoryFolderError, match=r"baseline.*No space left on device"):
-            memory.keep_baseline({})
+        with pytest.raises(MemoryFolderError, match=r"own.*No space left on device"):
+            memory.learn({})
     for known in (memory, Memory(tmp_path)):
         assert known.prior is not None
         assert known.prior.payload == GIVEN
-        assert dict(known.baseline) == {"x": BASELINE}
+        assert dict(known.flown_s) == {"x": pytest.approx(9.0)}
 
 
 def test_a_folder_that_cannot_be_made_is_an_error_that_names_it(tmp_path: Path) -> None:

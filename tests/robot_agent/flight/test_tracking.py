@@ -12,10 +12,13 @@ from robots_that_learn import LIMITS, LaggedRobot, double_integrator
 from nufleet.orchestrator.experience.lesson_record import LearningRecord, pooled_pairs
 from nufleet.orchestrator.experience.linear_inverse import linear_experience
 from nufleet.orchestrator.experience.training import Origin, TrainingData
-from nufleet.robot_agent.flight.baseline_model import identify_baseline, needed_correction
+from nufleet.robot_agent.flight.flights import guard_for
+from nufleet.robot_agent.flight.forecast import forecast_of
 from nufleet.robot_agent.flight.guard import Guard
 from nufleet.robot_agent.flight.inverse_model import InverseModel, NetworkInverse
+from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.online_gp import OnlineGp
+from nufleet.robot_agent.flight.own_model import evidence_in
 from nufleet.robot_agent.flight.rich_flight import FlightRecord, fly_record, rich_references
 from nufleet.robot_agent.flight.tracking import Learner, TrackingRecord, track
 from nufleet.shared.arrays import FloatArray
@@ -127,17 +130,12 @@ def test_under_the_guard_a_harmful_prior_costs_at_most_a_tenth(gain: float, wind
 
     robot = double_integrator(noise_std_m=0.001)
     record = flown(noise_std_m=0.001)
-    model = identify_baseline([(record.references[:, 0], record.states[:, 0, 0])], 0.015, 6.0)
+    known = Memory(None)
+    known.learn(evidence_in(robot.spec, record.references, record.states[:, :, 0]))
+    forecast = forecast_of(known.own_model(robot.spec).model, PATH)
+    assert forecast is not None
     layout = PREVIEW.model_copy(update={"sample_time_s": 0.015, "horizon_samples": 13})
-    path = PATH[:, 0]
-    guard = Guard(
-        model.error(path)[:, np.newaxis],
-        model.residual_std**2,
-        0.015,
-        LIMITS.acceleration_max,
-        needed_correction(model, path)[:, np.newaxis],
-        correction_speed_max=LIMITS.correction_speed_max,
-    )
+    guard = guard_for(forecast, robot, fallback=False)
     unguarded = track(robot, PATH, LIMITS, learner(layout, harmful, window=0))
     guarded = track(robot, PATH, LIMITS, learner(layout, harmful, window), guard)
     own = track(robot, PATH, LIMITS)
@@ -232,7 +230,7 @@ def test_what_breaks_a_limit_is_refused_before_anything_moves() -> None:
         (
             0.5 * flat,
             None,
-            Guard(flat, 0.0, 0.02, 2.0, flat, correction_speed_max=1.0),
+            Guard(flat.T[:1] ** 2, 0.0, 0.02, 2.0, flat, correction_speed_max=1.0),
             "baseline needs none",
         ),
     ]

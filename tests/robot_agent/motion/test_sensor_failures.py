@@ -73,7 +73,7 @@ def test_a_sensor_that_fails_ends_every_motion_soon_and_teaches_nothing(
     kind: str, fault: str, realtime: float | None, onset: int, noise: float
 ) -> None:
     robot, memory = RecordingRobot(SPEC, noise=noise), baselines(SPEC)
-    known = dict(memory.baseline)
+    known = dict(memory.flown_s)
     sensor, words = FAULTS[fault]
     robot.sensor = sensor(onset)
     played = performed(robot, MOTIONS[kind](SPEC), memory, realtime=realtime)
@@ -81,7 +81,7 @@ def test_a_sensor_that_fails_ends_every_motion_soon_and_teaches_nothing(
     assert re.search(words, played.reason)
     assert played.fault is None
     assert robot.rests > 0
-    assert dict(memory.baseline) == known
+    assert dict(memory.flown_s) == known
     # Until the reference has moved by a tenth of its range and the robot should have settled.
     late = {"NaN": 1, "frozen": 400, "displaced": 5}[fault]
     batch = 1 if realtime else CHUNK_SAMPLES
@@ -91,13 +91,13 @@ def test_a_sensor_that_fails_ends_every_motion_soon_and_teaches_nothing(
 @pytest.mark.parametrize("kind", ["rich flight", "path", "path, guarded"])
 def test_a_sensor_that_lags_by_much_more_than_the_robot_settles_in_ends_a_flight(kind: str) -> None:
     robot, memory = RecordingRobot(SPEC, noise=0.001), baselines(SPEC)
-    known = dict(memory.baseline)
+    known = dict(memory.flown_s)
     robot.sensor = late(150)
     played = performed(robot, MOTIONS[kind](SPEC), memory)
     assert played.outcome is Outcome.FAILED
     assert "does not follow" in played.reason or "no answer to its reference" in played.reason
     assert played.fault is None
-    assert dict(memory.baseline) == known
+    assert dict(memory.flown_s) == known
 
 
 def test_what_a_sensor_lagged_by_in_a_rich_flight_is_no_baseline() -> None:
@@ -107,7 +107,7 @@ def test_what_a_sensor_lagged_by_in_a_rich_flight_is_no_baseline() -> None:
     played = performed(robot, MOTIONS["rich flight"](SPEC), memory)
     assert played.outcome is Outcome.FAILED
     assert "no answer to its reference" in played.reason
-    assert not memory.baseline
+    assert not memory.flown_s
 
 
 @pytest.mark.parametrize("kind", MOTIONS)

@@ -1,0 +1,54 @@
+"""What a robot's model of itself says of a path before it is flown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nufleet.robot_agent.flight.own_model import OwnModel
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.wire.motions import PredictedError
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """The flights along one path with the baseline alone, and with the model's own correction."""
+
+    correction: FloatArray
+    """Correction of the reference, shape (samples, axes), in the axes' units, that puts the robot
+    on its path as well as is known."""
+    baseline_squares: FloatArray
+    """Squared distance to the path that the baseline may leave, without noise, in unit², shape
+    (draws, samples)."""
+    baseline: PredictedError
+    """Error of the baseline that is to be measured."""
+    own: PredictedError
+    """Error with the correction that is to be measured."""
+    noise_variance: float
+    """Variance of the measured error, summed over the axes, in unit²."""
+
+    @property
+    def own_helps(self) -> bool:
+        """Whether the correction leaves less error than the baseline, with hardly a doubt."""
+        return self.own.high < self.baseline.low
+
+
+def forecast_of(model: OwnModel | None, desired: FloatArray) -> Forecast | None:
+    """Return the forecast of a path; None without a model.
+
+    Args:
+        model: The robot's model of itself.
+        desired: Path, shape (samples, axes), in the axes' units.
+    """
+    if model is None:
+        return None
+    correction = model.correction(desired)
+    squares = model.squares(desired, np.zeros_like(desired))
+    return Forecast(
+        correction=correction,
+        baseline_squares=squares,
+        baseline=model.predicted(squares),
+        own=model.predicted(model.squares(desired, correction)),
+        noise_variance=model.noise_variance,
+    )

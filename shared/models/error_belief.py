@@ -1,0 +1,291 @@
+"""What is believed of a loop's error response after flights: a Gaussian, with its uncertainty.
+
+The prior says that the impulse response of the error is smooth and decays, and that the loop rests
+where its reference is. Its scales are those of the largest marginal likelihood (regularised system
+identification: Pillonetto, Dinuzzo, Chen, De Nicolao and Ljung, Automatica 50, 2014). A single
+multi-tone test then tells the response over its whole band, and with which certainty; a flight of
+another kind simply adds its rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from nufleet.shared.arrays import ComplexArray, FloatArray
+from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.models.error_response import ErrorBasis
+from nufleet.shared.strict import NonNegative, Strict
+
+MODEL_ERROR = 0.03
+"""Share of its error by which a loop is never better known than a linear response: friction,
+saturation, and motions of another size."""
+
+ALIKE_STD = 0.1
+"""Standard deviation of the relative differences, in size and in time scale, between the error
+responses of two axes of one robot."""
+
+_DECAYS = (1.5, 3.0, 6.0, 12.0, 24.0)  # rates at which a response may decay, per settling time
+_SMOOTH_S = (0.05, 0.1, 0.2, 0.4, 0.8)  # correlation times of its slope in s
+_SIZES = (0.03, 0.3, 3.0)  # scales of the prior's variance
+_REST = ((1e-3, 0.9), (3e-2, 0.1))  # standard deviations of g∞, and how probable each is
+_GRID = 300  # most points on which the prior is integrated
+_NOISES = np.geomspace(1.0, 1e-12, 241)  # noise variances, as shares of the mean squared error
+_JITTER = 1e-10
+_TINY = float(np.finfo(np.float64).tiny)
+_LARGEST = 1e9  # no robot goes farther, in m or rad, and no square of it overflows
+
+
+class Evidence(Strict):
+    """What flights tell about one axis: the normal equations of e = A x + offset + noise.
+
+    The offset of each flight is eliminated, so that a sensor's bias is no error response. Evidence
+    on the same basis adds up.
+    """
+
+    normal: Annotated[tuple[float, ...], Field(min_length=1)]
+    """AᵀA, row by row, size × size numbers in unit²."""
+    right: Annotated[tuple[float, ...], Field(min_length=1)]
+    """Aᵀe, size numbers in unit²."""
+    squares: NonNegative
+    """eᵀe in unit²."""
+    rows: Annotated[int, Field(ge=1)]
+    """Number of samples, less one for each flight's offset."""
+    moved: NonNegative
+    """Sum of the squares of the reference's deviations from its mean, in unit²."""
+    flown_s: NonNegative
+    """Duration of the flights in s."""
+
+    @model_validator(mode="after")
+    def _square(self) -> Evidence:
+        if len(self.normal) != len(self.right) ** 2:
+            raise ValueError(f"{len(self.right)} parameters with {len(self.normal)} products")
+        return self
+
+    @staticmethod
+    def of(basis: ErrorBasis, reference: FloatArray, output: FloatArray, before: float) -> Evidence:
+        """Return the evidence in one flight's record.
+
+        Args:
+            basis: Parameters of the error response.
+            reference: References sent, shape (samples,), in the axis's unit.
+            output: Outputs measured before each reference acted, shape (samples,).
+            before: Reference at which the robot rested before the record.
+
+        Raises:
+            InvalidInputError: The record has fewer than two samples, numbers that are not finite,
+                or absurd ones.
+        """
+        if len(reference) < 2 or not (np.isfinite(reference).all() and np.isfinite(output).all()):
+            raise InvalidInputError(
+                f"a record of {len(reference)} samples, or one with numbers that are not finite, "
+                "tells nothing of a robot"
+            )
+        largest = max(float(np.abs(reference).max()), float(np.abs(output).max()))
+        if largest > _LARGEST:
+            raise InvalidInputError(f"a record that reaches {largest:.3g} tells nothing of a robot")
+        samples = len(reference)
+        error = reference - output
+        error = error - error.mean()
+        normal = np.zeros((basis.size, basis.size))
+        right, sums = np.zeros(basis.size), np.zeros(basis.size)
+        done = 0
+        for columns in basis.blocks(reference, before):
+            normal += columns.T @ columns
+            right += columns.T @ error[done : done + len(columns)]
+            sums += columns.sum(axis=0)
+            done += len(columns)
+        normal -= np.outer(sums, sums) / samples  # the offset takes every column's mean
+        return Evidence(
+            normal=tuple(normal.ravel().tolist()),
+            right=tuple(right.tolist()),
+            squares=float(error @ error),
+            rows=samples - 1,
+            moved=float(np.sum((reference - reference.mean()) ** 2)),
+            flown_s=samples * basis.sample_time_s,
+        )
+
+    def __add__(self, other: Evidence) -> Evidence:
+        """Return the evidence of both; they must be on the same basis."""
+        return Evidence(
+            normal=tuple(a + b for a, b in zip(self.normal, other.normal, strict=True)),
+            right=tuple(a + b for a, b in zip(self.right, other.right, strict=True)),
+            squares=self.squares + other.squares,
+            rows=self.rows + other.rows,
+            moved=self.moved + other.moved,
+            flown_s=self.flown_s + other.flown_s,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorBelief:
+    """The belief about the error response of one axis: x ~ N(mean, factor factorᵀ)."""
+
+    basis: ErrorBasis
+    """Parameters x of the error response."""
+    mean: FloatArray
+    """Mean of x, shape (size,)."""
+    factor: FloatArray
+    """Factor of the covariance of x, shape (size, columns)."""
+    noise_std: float
+    """Standard deviation of the output that no linear response explains, in the axis's unit:
+    measurement noise, and what is not linear."""
+    flown_s: float
+    """Duration in s of the flights of this axis that the belief rests on; 0 for one that is only
+    believed to be like the robot's other axes."""
+
+    def error(self, reference: FloatArray, before: float) -> FloatArray:
+        """Predict the error u − y along a reference, shape (samples,), without noise.
+
+        Args:
+            reference: Reference u, shape (samples,), in the axis's unit.
+            before: Reference at which the robot rests before it.
+        """
+        return np.asarray(self.basis.columns(reference, before) @ self.mean)
+
+    def draws(self, count: int, rng: np.random.Generator) -> FloatArray:
+        """Draw parameters x from the belief, shape (size, count)."""
+        normal = rng.standard_normal((self.factor.shape[1], count))
+        return np.asarray(self.mean[:, None] + self.factor @ normal)
+
+    def response(self, omega_rad_s: FloatArray) -> tuple[ComplexArray, FloatArray]:
+        """Return the mean of the loop's response z(ω), and E|z − mean|².
+
+        Args:
+            omega_rad_s: Frequencies in rad/s, shape (frequencies,).
+        """
+        features = self.basis.response(omega_rad_s)
+        variance = np.sum(np.abs(features @ self.factor) ** 2, axis=1)
+        return np.asarray(1 - features @ self.mean), np.asarray(variance)
+
+    def surprise(self, evidence: Evidence) -> float:
+        """Return the root mean square error of new flights, as a multiple of the one expected.
+
+        It is near 1 for the robot that the belief was learned from, and larger for one that has
+        changed, or whose response depends on the size of its motion.
+        """
+        normal, right = _arrays(evidence)
+        left = float(evidence.squares - 2 * self.mean @ right + self.mean @ normal @ self.mean)
+        spread = float(np.sum(self.factor * (normal @ self.factor)))
+        expected = evidence.rows * self.noise_std**2 + spread + MODEL_ERROR**2 * evidence.squares
+        return float(np.sqrt(max(0.0, left) / max(expected, _TINY)))
+
+
+def believe(basis: ErrorBasis, evidence: Evidence) -> ErrorBelief:
+    """Return the belief about an axis after its flights.
+
+    Args:
+        basis: Parameters of the error response.
+        evidence: Evidence of all flights, on that basis.
+    """
+    normal, right = _arrays(evidence)
+    best: tuple[float, ErrorBelief] | None = None
+    scale = max(evidence.squares / evidence.rows, _TINY)
+    noise = scale * _NOISES
+    for (mean, covariance), size, (rest_std, probability) in product(_priors(basis), _SIZES, _REST):
+        prior = size * covariance
+        prior[-1, -1] = rest_std**2
+        prior += _JITTER * np.eye(len(mean))
+        factor = np.linalg.cholesky(prior)
+        # In the coordinates w of x = mean + L Q w, with Q diagonal for LᵀAᵀA L, every direction
+        # is a problem of its own, whose evidence is known in closed form for any noise.
+        power, turn = np.linalg.eigh(factor.T @ normal @ factor)
+        power = np.maximum(power, 0.0)
+        toward = turn.T @ (factor.T @ (right - normal @ mean))
+        squares = evidence.squares - 2 * mean @ right + mean @ normal @ mean
+        explained = np.sum(toward**2 / (noise[:, None] + power), axis=1)
+        cost = (
+            evidence.rows * np.log(noise)
+            + np.sum(np.log1p(power / noise[:, None]), axis=1)
+            + (squares - explained) / noise
+            - 2 * np.log(probability)
+        )
+        at = int(np.argmin(cost))
+        if best is None or cost[at] < best[0]:
+            spread = factor @ turn
+            belief = ErrorBelief(
+                basis,
+                mean + spread @ (toward / (noise[at] + power)),
+                spread / np.sqrt(1 + power / noise[at]),
+                float(np.sqrt(noise[at])),
+                evidence.flown_s,
+            )
+            best = float(cost[at]), belief
+    if best is None:
+        raise InvalidInputError("an axis without evidence")
+    return best[1]
+
+
+def like(beliefs: list[ErrorBelief]) -> ErrorBelief:
+    """Return what is believed of an axis that was never flown, given other axes of its robot.
+
+    It is like their mean, apart from a difference in size and one in time scale, each with a
+    standard deviation of `ALIKE_STD`.
+
+    Args:
+        beliefs: Beliefs about the other axes, at least one, on the same basis.
+    """
+    basis, count = beliefs[0].basis, len(beliefs)
+    mean = np.mean([belief.mean for belief in beliefs], axis=0)
+    values, lags = mean[:-1], basis.nodes.astype(np.float64)
+    # g(τ / (1 + s)) ≈ g(τ) − s τ g′(τ): a slower axis stretches the response.
+    stretched = np.append(-lags * np.gradient(values, lags), 0.0)
+    larger = np.append(values, mean[-1])
+    larger[0] = 0.0  # an output measured before its reference acts never answers it
+    differences = [belief.mean - mean for belief in beliefs] if count > 1 else []
+    return ErrorBelief(
+        basis,
+        mean,
+        np.concatenate(
+            [
+                *(belief.factor / count for belief in beliefs),
+                *(difference[:, None] for difference in differences),
+                ALIKE_STD * np.stack([larger, stretched], axis=1),
+            ],
+            axis=1,
+        ),
+        max(belief.noise_std for belief in beliefs),
+        0.0,
+    )
+
+
+def _arrays(evidence: Evidence) -> tuple[FloatArray, FloatArray]:
+    right = np.array(evidence.right)
+    return np.array(evidence.normal).reshape(len(right), len(right)), right
+
+
+@lru_cache(maxsize=16)
+def _priors(basis: ErrorBasis) -> tuple[tuple[FloatArray, FloatArray], ...]:
+    """Return prior means and covariances, shapes (size,) and (size, size), for all scales.
+
+    The impulse response h of the error has the covariance e^{−λ(τ + τ′)} M(τ − τ′), with a Matérn
+    3/2 kernel M, and g(τ) = ∫_τ^∞ h. Conditioned on g(0) = 1, since an output that is measured
+    before its reference acts has not answered it yet.
+    """
+    step_s, nodes = basis.sample_time_s, basis.nodes
+    last_s = float(nodes[-1]) * step_s
+    grid = np.linspace(0.0, last_s, min(_GRID, 4 * len(nodes) + int(nodes[-1])))
+    apart = np.abs(grid[:, None] - grid)
+    # From the far end, so that row i sums the impulse response from grid point i on.
+    summed = np.triu(np.ones((len(grid), len(grid)))) * (grid[1] - grid[0])
+    place = np.interp(nodes * step_s, grid, np.arange(len(grid)))
+    below = np.minimum(place.astype(int), len(grid) - 2)
+    interpolate = np.zeros((len(nodes), len(grid)))
+    interpolate[np.arange(len(nodes)), below] = 1 - (place - below)
+    interpolate[np.arange(len(nodes)), below + 1] += place - below
+    priors = []
+    for decay, smooth_s in product(_DECAYS, _SMOOTH_S):
+        near = np.sqrt(3) * apart / smooth_s
+        kernel = np.exp(-decay / last_s * (grid[:, None] + grid)) * (1 + near) * np.exp(-near)
+        covariance = interpolate @ (summed @ kernel @ summed.T) @ interpolate.T
+        mean = covariance[:, 0] / covariance[0, 0]
+        rest = covariance / covariance[0, 0] - np.outer(mean, mean)
+        whole = np.zeros((len(nodes) + 1,) * 2)
+        whole[:-1, :-1] = rest
+        priors.append((np.append(mean, 0.0), whole))
+    return tuple(priors)
