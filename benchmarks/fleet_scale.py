@@ -29,6 +29,7 @@ from nufleet.orchestrator.fleet.connection import started_fleet
 from nufleet.orchestrator.repository.repository import open_repository
 from nufleet.orchestrator.study.interface import Question, Report
 from nufleet.orchestrator.study.outcomes import Measured, TestOutcome
+from nufleet.shared.robots.fleet_file import read_fleet_file
 
 PROCESSES = 4
 
@@ -83,7 +84,11 @@ def measure(
         path = Path(directory) / "fleet.toml"
         write_fleet(path, robots, np.random.default_rng(robots))
         began_s = time.perf_counter()
-        with started_fleet(path, processes=PROCESSES, realtime=realtime) as (fleet, _, there):
+        with started_fleet(read_fleet_file(path), path, processes=PROCESSES, realtime=realtime) as (
+            fleet,
+            _,
+            there,
+        ):
             started_s = time.perf_counter() - began_s
             request = RankRequest("target", None, band, iterations, 0, None)
             ready = prepare(fleet, request, there)
@@ -91,7 +96,7 @@ def measure(
             timer = Timer()
             with (
                 open_repository(str(Path(directory) / "nufleet.sqlite")) as repository,
-                lease_robots(repository.leases, fleet, "scale", there) as leases,
+                lease_robots(repository.leases, fleet, "scale", ready.descriptions) as leases,
             ):
                 archive = Archive(repository, "scale", leases)
                 begun = archive.begin("scale", "paper", ready.plan, 0, ready.descriptions)

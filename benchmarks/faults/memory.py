@@ -49,10 +49,11 @@ def _measure(lab: Lab, repository: Repository, tests: int) -> list[Figure]:
     counted: list[int] = []
     ours: list[int] = []
     theirs: list[int] = []
-    with lease_robots(repository.leases, fleet, "lab", ("a", "b")) as leases:
+    descriptions = fleet.describe_all(("a", "b"))
+    with lease_robots(repository.leases, fleet, "lab", descriptions) as leases:
         archive = Archive(repository, "lab", leases)
         plan = StudyPlan("a", ("b",), (5.0, 40.0), 1, "x")
-        begun = archive.begin(STUDY, "paper", plan, 0, fleet.describe_all(("a", "b")))
+        begun = archive.begin(STUDY, "paper", plan, 0, descriptions)
         specs = recipe_of(begun).specs
         dispatcher = Dispatcher(fleet, archive.log(STUDY), specs, on_attempt_failed=_fail)
         resources = _resources(agent.pid)

@@ -53,14 +53,14 @@ def run_study(
     fleet: Fleet, plan: StudyPlan, run_id: str, story: Story, seed: int = 1
 ) -> Conclusion:
     """Run a study from the beginning to its end; what is stored of it is gone afterwards."""
-    robots = (plan.target, *plan.sources)
+    descriptions = fleet.describe_all((plan.target, *plan.sources))
     with (
         tempfile.TemporaryDirectory(prefix="nufleet-faults-") as folder,
         open_repository(f"{folder}/nufleet.sqlite") as repository,
-        lease_robots(repository.leases, fleet, "faults", robots) as leases,
+        lease_robots(repository.leases, fleet, "faults", descriptions) as leases,
     ):
         archive = Archive(repository, "faults", leases)
-        begun = archive.begin(run_id, "paper", plan, seed, fleet.describe_all(robots))
+        begun = archive.begin(run_id, "paper", plan, seed, descriptions)
         log = archive.log(run_id)
         dispatcher = Dispatcher(
             fleet, log, recipe_of(begun).specs, on_attempt_failed=story.attempt_failed

@@ -7,6 +7,7 @@ import json
 import logging
 import os
 import sys
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from nufleet.orchestrator.repository.repository import Repository, open_reposito
 from nufleet.shared.errors import NufleetError
 from nufleet.shared.lifeline import when_stdin_closes
 from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.messages import Description
 from nufleet.shared.wire.transport import open_client
 
 FLEET = "lab"
@@ -64,9 +66,10 @@ def main() -> None:
 def _run(
     fleet: Fleet, repository: Repository, study_id: str, robots: tuple[str, ...], iterations: int
 ) -> None:
-    with lease_robots(repository.leases, fleet, FLEET, robots, patient=True) as leases:
+    described = fleet.describe_all(robots)
+    with lease_robots(repository.leases, fleet, FLEET, described, patient=True) as leases:
         archive = Archive(repository, FLEET, leases)
-        study = _study(archive, fleet, study_id, robots, iterations)
+        study = _study(archive, study_id, described, iterations)
         if study.status is not StudyStatus.OPEN:
             return
         print(f"goes on with {study_id}", flush=True)
@@ -86,13 +89,13 @@ def _run(
 
 
 def _study(
-    archive: Archive, fleet: Fleet, study_id: str, robots: tuple[str, ...], iterations: int
+    archive: Archive, study_id: str, described: Mapping[str, Description], iterations: int
 ) -> StudyRecord:
     try:
         return archive.repository.studies.study(study_id)
     except UnknownRecordError:
-        plan = plan_of(robots, iterations=iterations)
-        return archive.begin(study_id, "paper", plan, SEED, fleet.describe_all(robots))
+        plan = plan_of(tuple(described), iterations=iterations)
+        return archive.begin(study_id, "paper", plan, SEED, described)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import Any
 
 import click
 
@@ -25,14 +25,7 @@ from nufleet.orchestrator.cli.options import (
 @runs_option
 @repository_option
 @json_option
-def demo(
-    quadrotors: bool,
-    seed: int,
-    live: bool,
-    runs_root: Path,
-    repository: str | None,
-    as_json: bool,
-) -> None:
+def demo(**options: Any) -> None:
     """Rank the paper's linear fleet, transfer the best experience, and track a drawing with it.
 
     A router and four robots run as processes of their own. A target (α, β) = (0.85, 0.003) and
@@ -41,13 +34,6 @@ def demo(
     the furthest source learn inverse models of themselves, and the target tracks a drawing with
     each as its prior, with none, and with its baseline controller alone.
     """
-    from nufleet.orchestrator.jobs.demo import demo_and_print
+    from nufleet.orchestrator.jobs.demo import DemoCommand, demo_and_print
 
-    demo_and_print(
-        "paper_quadrotors" if quadrotors else "paper_linear",
-        seed=seed,
-        live=live,
-        runs_root=runs_root,
-        repository=repository,
-        as_json=as_json,
-    )
+    demo_and_print(DemoCommand(**options))

@@ -186,7 +186,7 @@ def lease_robots(
     store: LeaseStore,
     fleet: Fleet,
     scope: str,
-    robots: Iterable[str],
+    descriptions: Mapping[str, Description],
     *,
     patient: bool = False,
     on_wait: Callable[[LeaseHeldError], None] = lambda held: None,
@@ -198,12 +198,17 @@ def lease_robots(
     another repository; and a lease may appear to have expired only because the clock was set. In
     both cases the network is asked whether the owner is alive, and a living owner keeps its robot.
 
+    A description that has become outdated cannot give a robot two owners: the robot refuses an
+    epoch below the one it knows, the same epoch of another living owner, and any owner while it
+    moves for another that is alive. Robots are described again only after a wait, which lasts long
+    enough for the descriptions to be wrong.
+
     Args:
         store: Lease store of the repository.
         fleet: Client of the fleet, already connected; its commands carry the epochs of these leases
             from now on.
         scope: Name under which the fleet's robots are leased.
-        robots: Names of the robots to be commanded.
+        descriptions: Descriptions of the robots to be commanded, by robot.
         patient: Whether to wait for an owner that may no longer renew its leases.
         on_wait: Callback that receives, once per lease, the lease that is being waited for.
 
@@ -217,7 +222,6 @@ def lease_robots(
             repository or its lease has expired.
         NoReplyError: A robot does not answer.
     """
-    descriptions = fleet.describe_all(tuple(robots))
     check_others(fleet, descriptions, store.last(scope))
     waited = False
 

@@ -15,7 +15,6 @@ from nufleet.orchestrator.conduct.conductor import Conclusion, RankingObserver, 
 from nufleet.orchestrator.conduct.desired_motion import TimedPath, desired_motion
 from nufleet.orchestrator.conduct.dispatcher import Dispatcher
 from nufleet.orchestrator.conduct.preflight import (
-    check_band,
     check_names,
     check_plan,
     check_robots,
@@ -64,6 +63,12 @@ class RankRequest:
     drawing: TimedPath | None = None
     """Trajectory to rank for; None ranks by distance over the whole band."""
 
+    def sources_among(self, there: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the sources that were requested, or all these robots but the target."""
+        if self.sources is not None:
+            return self.sources
+        return tuple(robot for robot in there if robot != self.target)
+
 
 @dataclass(frozen=True)
 class ReadyStudy:
@@ -99,11 +104,7 @@ def prepare(
         InvalidInputError: These robots cannot do what is requested.
         NoReplyError: A robot does not answer.
     """
-    if request.band_rad_s is not None:
-        check_band(request.band_rad_s)
-    sources = request.sources
-    if sources is None:
-        sources = tuple(robot for robot in there if robot != request.target)
+    sources = request.sources_among(there)
     away = {robot: spec for robot, spec in (known or {}).items() if robot not in there}
     check_names(request.target, sources, (*there, *away))
     check_robots((request.target,), there)

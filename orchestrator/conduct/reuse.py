@@ -121,7 +121,7 @@ def stored_responses(
 def said_of(robot: str, stored: StoredResponses, now: datetime) -> str:
     """Return a sentence that says that a robot did not fly and how old its data are."""
     measured = (stored.measured_to, stored.measured_from)
-    ages = dict.fromkeys(_age(now - datetime.fromisoformat(when)) for when in measured)
+    ages = dict.fromkeys(age_text(now - datetime.fromisoformat(when)) for when in measured)
     tests = "1 stored test stands" if stored.tests == 1 else f"{stored.tests} stored tests stand"
     return (
         f"{robot} did not fly: {tests} for it, measured {' to '.join(ages)} ago "
@@ -145,7 +145,8 @@ def _day(when: datetime) -> str:
     return f"on {when.astimezone(UTC):%Y-%m-%d}"
 
 
-def _age(age: timedelta) -> str:
+def age_text(age: timedelta) -> str:
+    """Return an age in words, in minutes, hours or days, such as "3 days"."""
     minutes = max(0.0, age.total_seconds() / 60)
     if minutes < 120:
         return f"{minutes:.0f} min"

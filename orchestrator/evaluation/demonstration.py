@@ -11,6 +11,7 @@ from rich.table import Table
 
 from nufleet.orchestrator.evaluation.fly_target import FlightObserver, Psi, fly_target, summarise
 from nufleet.orchestrator.evaluation.results import EvaluationResult
+from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.train import train_robots
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.flights.legs import Leg
@@ -97,7 +98,15 @@ def demonstrate(
     )
     say(f"{target.robot} tracks a drawing with each of them as its prior")
     flights = fly_target(
-        fleet, pilot, target, chosen, legs, architecture, guarded=True, observers=observers
+        fleet,
+        pilot,
+        ExperienceLibrary(fleet),
+        target,
+        chosen,
+        legs,
+        architecture,
+        guarded=True,
+        observers=observers,
     )
     result = DemoResult(
         ranking=ranking,

@@ -23,6 +23,7 @@ from nufleet.orchestrator.evaluation.results import (
 )
 from nufleet.orchestrator.evaluation.summaries import kendall_tau
 from nufleet.orchestrator.experience.learning import pick_up
+from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.prior_custody import prior_put_back
 from nufleet.orchestrator.experience.transfer import transfer
 from nufleet.orchestrator.fleet.client import Fleet
@@ -59,6 +60,7 @@ class Psi:
 def fly_target(
     fleet: Fleet,
     pilot: Pilot,
+    library: ExperienceLibrary,
     target: Description,
     sources: Sequence[str],
     legs: Sequence[Leg],
@@ -74,6 +76,7 @@ def fly_target(
     Args:
         fleet: Client of the fleet, already connected.
         pilot: Pilot that has the target fly.
+        library: Experiences of the fleet's robots, those of the sources among them.
         target: Description of the robot that flies.
         sources: Names of the sources. The zero prior takes the layout of the first one, so the
             selected source comes first.
@@ -107,7 +110,7 @@ def fly_target(
     fly_legs(BASELINE, partial(pilot.baseline, robot))
     with prior_put_back(fleet, pilot, target):
         for place, source in enumerate(sources):
-            given = transfer(fleet, source, robot, architecture)
+            given = transfer(fleet, library, source, target, architecture)
             if place == 0:
                 layout = given.manifest.layout
                 fly_legs(NO_PRIOR, partial(pilot.zero_prior, robot, layout=layout, guarded=guarded))

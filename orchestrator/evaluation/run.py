@@ -15,7 +15,8 @@ from nufleet.orchestrator.evaluation.fly_target import FlightObserver, fly_targe
 from nufleet.orchestrator.evaluation.repeated_studies import psi_of, repeat_study
 from nufleet.orchestrator.evaluation.results import EvaluationRecord
 from nufleet.orchestrator.experience.learning import FLIGHT_S
-from nufleet.orchestrator.experience.train import train_robots
+from nufleet.orchestrator.experience.library import ExperienceLibrary
+from nufleet.orchestrator.experience.train import Trained, train_robots
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.flights.legs import Leg
 from nufleet.orchestrator.flights.pilot import Pilot
@@ -52,6 +53,7 @@ class EvaluationPlan:
 def run_evaluation(
     fleet: Fleet,
     pilot: Pilot,
+    library: ExperienceLibrary,
     plan: EvaluationPlan,
     folder: RunFolder,
     archive: Archive,
@@ -64,6 +66,7 @@ def run_evaluation(
     Args:
         fleet: Client of the fleet, already connected.
         pilot: Pilot that has the robots fly.
+        library: Experiences of the fleet's robots; those that are trained are stored in it.
         plan: Target, sources, paths and seeds.
         folder: Folder of the run; experiences and the result are written there.
         archive: Repository that stores the studies, with the leases on the robots.
@@ -78,7 +81,7 @@ def run_evaluation(
     """
     began_s = time.monotonic()
     study = plan.ready.plan
-    prepare_robots(fleet, pilot, plan, folder, say=say)
+    prepare_robots(fleet, pilot, library, plan, folder, say=say)
     run_id = folder.path.name.lower()
     studies = repeat_study(
         fleet,
@@ -103,6 +106,7 @@ def run_evaluation(
     flights = fly_target(
         fleet,
         pilot,
+        library,
         target,
         order,
         plan.legs,
@@ -132,7 +136,13 @@ def run_evaluation(
 
 
 def prepare_robots(
-    fleet: Fleet, pilot: Pilot, plan: EvaluationPlan, folder: RunFolder, *, say: Say
+    fleet: Fleet,
+    pilot: Pilot,
+    library: ExperienceLibrary,
+    plan: EvaluationPlan,
+    folder: RunFolder,
+    *,
+    say: Say,
 ) -> None:
     """Train the experiences that sources lack, and have the target learn its own baseline.
 
@@ -156,6 +166,16 @@ def prepare_robots(
         if lacking:
             names = ", ".join(source.robot for source in lacking)
             say(f"{names}: experiences are flown and trained")
+            keep = library.keeping(lacking, folder.path.name)
+
+            def on_trained(trained: Trained) -> None:
+                keep(trained)
+                horizon_s = trained.lesson.choice.layout.horizon_s
+                say(
+                    f"  {trained.lesson.robot}: horizon {horizon_s:.2f} s, "
+                    f"trained in {trained.training_time_s:.1f} s"
+                )
+
             train_robots(
                 fleet,
                 pilot,
@@ -165,11 +185,7 @@ def prepare_robots(
                 seed=plan.seed,
                 duration_s=plan.flight_s,
                 say=lambda robot, what: None,
-                on_trained=lambda trained: say(
-                    f"  {trained.lesson.robot}: horizon "
-                    f"{trained.lesson.choice.layout.horizon_s:.2f} s, "
-                    f"trained in {trained.training_time_s:.1f} s"
-                ),
+                on_trained=on_trained,
             )
         baseline.result()
 

@@ -31,6 +31,8 @@ class Trained:
     """Flights that it was learned from."""
     experience: Experience
     """The trained network with its manifest."""
+    payload: bytes
+    """Content of the experience's file."""
     sha256: str
     """Hash of the experience's file."""
     training_time_s: float
@@ -100,7 +102,7 @@ def train_robots(
         payload = encode_experience(experience)
         (folder / f"{lesson.robot}-{architecture}.safetensors").write_bytes(payload)
         offer = install(fleet, lesson.robot, "experience", payload)
-        done = Trained(lesson, experience, offer.sha256, time.monotonic() - began_s)
+        done = Trained(lesson, experience, payload, offer.sha256, time.monotonic() - began_s)
         on_trained(done)
         return done
 

@@ -1,10 +1,12 @@
-"""Transfers an experience from a source or a file to a target: check, install, read back."""
+"""Transfers an experience of a source or of a file to a target: check, install, read back."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
+from nufleet.orchestrator.experience.library import ExperienceLibrary, Place
 from nufleet.orchestrator.experience.prior_custody import install
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.shared.errors import InvalidInputError, MalformedMessageError
@@ -26,48 +28,42 @@ class Transferred:
     """Hash of the experience's file."""
     manifest: ExperienceManifest
     """Description of the experience, as stored in its file."""
+    place: Place
+    """Place that it was taken from."""
+    reason: str
+    """Phrase that says why it was taken from there."""
+    learned_at: datetime | None
+    """Time at which its robot had learned it, in UTC; None if it is not known."""
 
 
 def transfer(
-    fleet: Fleet, source: str, target: str, architecture: Architecture | None = None
+    fleet: Fleet,
+    library: ExperienceLibrary,
+    source: str,
+    target: Description,
+    architecture: Architecture | None = None,
 ) -> Transferred:
-    """Transfer an experience over the network.
+    """Transfer an experience of a source, which need not be there if the experience is stored.
 
     Args:
-        fleet: Client of the fleet that both robots belong to.
+        fleet: Client of the fleet that the target belongs to.
+        library: Experiences of the fleet's robots.
         source: Name of the robot whose experience is transferred.
-        target: Name of the robot that flies with it from now on.
-        architecture: Architecture of the experience to take; None takes the only one on offer.
+        target: Description of the robot that flies with it from now on.
+        architecture: Architecture of the experience to take; None takes the only one there is.
 
     Returns:
         The experience that the target now holds.
 
     Raises:
-        InvalidInputError: The source offers none or several, or the experience does not fit the
+        InvalidInputError: There is none or there are several, or the experience does not fit the
             target.
+        DamagedRecordError: The stored experience was altered.
         MalformedMessageError: The experience was altered on its way.
         RefusedError: The target refuses the experience.
     """
-    offers = {o.manifest.layout.architecture: o for o in fleet.describe(source).experiences}
-    if architecture is None and len(offers) == 1:
-        architecture = next(iter(offers))
-    if architecture is None or architecture not in offers:
-        there = f"it offers {' and '.join(offers)}" if offers else "it offers none"
-        raise InvalidInputError(
-            f"which experience of {source}? {there}; train one with "
-            f"`nufleet train --robot {source}`, or name one with --architecture"
-        )
-    offer = offers[architecture]
-    into = fleet.describe(target)
-    check_fit(offer.manifest, into)  # before anything large is sent
-    payload = fleet.fetch(source, offer.sha256)
-    try:
-        manifest = decode_experience(payload, offer.sha256).manifest
-    except MalformedMessageError as error:
-        raise MalformedMessageError(
-            f"robot {source} did not send the experience that it offers: {error}; transfer again"
-        ) from error
-    return _installed(fleet, manifest, payload, into)
+    known, reason = library.find(source, architecture)
+    return _installed(fleet, target, known.read(), known.place, reason, known.learned_at)
 
 
 def read_experience(path: Path) -> bytes:
@@ -90,13 +86,13 @@ def read_experience(path: Path) -> bytes:
     return payload
 
 
-def transfer_file(fleet: Fleet, payload: bytes, target: str) -> Transferred:
+def transfer_file(fleet: Fleet, payload: bytes, target: Description) -> Transferred:
     """Transfer an experience that was read from a file.
 
     Args:
         fleet: Client of the target's fleet.
         payload: Content of the file, from `read_experience`.
-        target: Name of the robot that flies with it from now on.
+        target: Description of the robot that flies with it from now on.
 
     Returns:
         The experience that the target now holds.
@@ -106,16 +102,23 @@ def transfer_file(fleet: Fleet, payload: bytes, target: str) -> Transferred:
         MalformedMessageError: The experience was altered on its way.
         RefusedError: The target refuses the experience.
     """
-    manifest = decode_experience(payload).manifest
-    return _installed(fleet, manifest, payload, fleet.describe(target))
+    return _installed(fleet, target, payload, "file", "it was given as a file", None)
 
 
 def _installed(
-    fleet: Fleet, manifest: ExperienceManifest, payload: bytes, target: Description
+    fleet: Fleet,
+    target: Description,
+    payload: bytes,
+    place: Place,
+    reason: str,
+    learned_at: datetime | None,
 ) -> Transferred:
+    manifest = decode_experience(payload).manifest
     check_fit(manifest, target)
     installed = install(fleet, target.robot, "prior", payload)
-    return Transferred(manifest.robot, target.robot, installed.sha256, manifest)
+    return Transferred(
+        manifest.robot, target.robot, installed.sha256, manifest, place, reason, learned_at
+    )
 
 
 def check_fit(manifest: ExperienceManifest, target: Description) -> None:

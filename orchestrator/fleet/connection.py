@@ -15,7 +15,7 @@ from nufleet.orchestrator.fleet.processes import FleetProcesses, grouped, privat
 from nufleet.shared.errors import InvalidInputError, NufleetError, RobotLostError
 from nufleet.shared.redaction import without_secrets
 from nufleet.shared.robots.drivers import check_settings
-from nufleet.shared.robots.fleet_file import FleetFile, read_fleet_file
+from nufleet.shared.robots.fleet_file import FleetFile
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.transport import open_client
 
@@ -81,14 +81,15 @@ def running_fleet(
 
 @contextmanager
 def started_fleet(
-    path: Path, *, processes: int | None = None, realtime: float | None = None
+    file: FleetFile, path: Path, *, processes: int | None = None, realtime: float | None = None
 ) -> Iterator[Connection]:
     """Start the fleet of a file with a router of its own, and end both afterwards.
 
     The fleet starts with empty state: it knows nothing of what it learned in earlier runs.
 
     Args:
-        path: Path of the fleet file.
+        file: Content of the fleet file.
+        path: Path of the fleet file, which the robots' processes read.
         processes: Number of processes that share the robots; None gives each robot its own.
         realtime: Multiple of real time at which simulated robots play; None plays as fast as
             possible.
@@ -96,7 +97,6 @@ def started_fleet(
     Yields:
         The connected fleet, with all robots of the file alive.
     """
-    file = read_fleet_file(path)
     check_settings(file, path)
     groups = grouped(file, processes=processes or len(file.robots))
     with private_folder() as folder, FleetProcesses() as started:

@@ -1,8 +1,9 @@
-"""How a command reaches its fleet, stored with its run so that a resumed run can reach it again."""
+"""The fleet that a command is for, and how a run stores it to reach it again when it is resumed."""
 
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -40,34 +41,6 @@ class Reach(Strict):
     def _without_secrets(self, connect: str) -> str:
         return without_secrets(connect)
 
-    @property
-    def file(self) -> FleetFile | None:
-        """The content of the fleet file; None for a running fleet."""
-        return None if self.fleet_file is None else read_fleet_file(Path(self.fleet_file))
-
-    def connection(
-        self, console: Console, robots: tuple[str, ...] = (), *, wait_s: float = 0.0
-    ) -> AbstractContextManager[Connection]:
-        """Return a context manager that starts the fleet, or joins the running one.
-
-        Args:
-            console: Console for progress messages.
-            robots: Names of the robots that have to be alive in a running fleet.
-            wait_s: Longest time to wait for them, in s.
-        """
-        file = self.file
-        if self.fleet_file is None or file is None:
-            if self.connect.endswith(f"#{HIDDEN}"):
-                raise InvalidInputError(
-                    f"the run reached its fleet at {self.connect}, and what may be secret there "
-                    "was not stored; name the whole endpoint with --connect"
-                )
-            return running_fleet(self.connect, self.fleet_name, robots=robots, wait_s=wait_s)
-        console.print(f"starting a router and {len(file.robots)} robots of {self.fleet_file}")
-        return started_fleet(
-            Path(self.fleet_file), processes=self.processes, realtime=self.realtime
-        )
-
     def lease_scope(self, fleet: str, run_id: str) -> str:
         """Return the name under which the robots are leased.
 
@@ -79,3 +52,101 @@ class Reach(Strict):
             run_id: Id of the run.
         """
         return fleet if self.fleet_file is None else f"{fleet}/{run_id}"
+
+
+@dataclass(frozen=True)
+class FleetChoice:
+    """The fleet that a command is for: a running one, or that of a file, which is read once."""
+
+    reach: Reach
+    """How to reach the fleet, as it is stored with a run."""
+    file: FleetFile | None = None
+    """Content of the fleet file; None for a running fleet."""
+
+    @classmethod
+    def running(cls, endpoint: str, name: str | None) -> FleetChoice:
+        """Choose the fleet of that name at a router; None takes the only one that runs there."""
+        return cls(Reach(connect=endpoint, fleet_name=name))
+
+    @classmethod
+    def started(
+        cls, path: Path, *, realtime: float | None = None, processes: int | None = 2
+    ) -> FleetChoice:
+        """Choose the fleet of a file, to be started for this command alone.
+
+        Args:
+            path: Path of the fleet file.
+            realtime: Multiple of real time at which simulated robots play; None plays as fast as
+                possible.
+            processes: Number of processes that share the robots; None gives each its own.
+
+        Raises:
+            FleetFileError: The file cannot be read, or is wrong.
+        """
+        file = str(path.resolve())
+        return cls.again(Reach(connect="", fleet_file=file, realtime=realtime, processes=processes))
+
+    @classmethod
+    def again(cls, reach: Reach) -> FleetChoice:
+        """Choose the fleet that an earlier run reached.
+
+        Args:
+            reach: How that run reached it.
+
+        Raises:
+            FleetFileError: See `started`.
+            InvalidInputError: The file is that of another fleet now.
+        """
+        if reach.fleet_file is None:
+            return cls(reach)
+        file = read_fleet_file(Path(reach.fleet_file))
+        if reach.fleet_name not in (None, file.name):
+            raise InvalidInputError(
+                f"the run is of fleet {reach.fleet_name}, and {reach.fleet_file} is the file of "
+                f"fleet {file.name} now; restore its name to go on"
+            )
+        return cls(reach, file)
+
+    def target(self, named: str | None) -> str:
+        """Return the target: the robot that was named, or the one that the fleet file names.
+
+        Raises:
+            InvalidInputError: Neither of them names one.
+        """
+        if named is not None:
+            return named
+        if self.file is None or self.file.study is None:
+            raise InvalidInputError("which robot needs experience? Name it with --target")
+        return self.file.study.target
+
+    def band_rad_s(self, given: tuple[float, float] | None) -> tuple[float, float] | None:
+        """Return the frequency band that was given, or that of the fleet file; None without one."""
+        if given is not None or self.file is None or self.file.study is None:
+            return given
+        return self.file.study.band_rad_s
+
+    def connection(
+        self, console: Console, robots: tuple[str, ...] = (), *, wait_s: float = 0.0
+    ) -> AbstractContextManager[Connection]:
+        """Return a context manager that starts the fleet, or joins the running one.
+
+        Args:
+            console: Console for progress messages.
+            robots: Names of the robots that have to be alive in a running fleet.
+            wait_s: Longest time to wait for them, in s.
+
+        Raises:
+            InvalidInputError: The endpoint was stored without its secrets.
+        """
+        reach = self.reach
+        if reach.fleet_file is None or self.file is None:
+            if reach.connect.endswith(f"#{HIDDEN}"):
+                raise InvalidInputError(
+                    f"the run reached its fleet at {reach.connect}, and what may be secret there "
+                    "was not stored; name the whole endpoint with --connect"
+                )
+            return running_fleet(reach.connect, reach.fleet_name, robots=robots, wait_s=wait_s)
+        console.print(f"starting a router and {len(self.file.robots)} robots of {reach.fleet_file}")
+        return started_fleet(
+            self.file, Path(reach.fleet_file), processes=reach.processes, realtime=reach.realtime
+        )

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
+from rich.console import Console
 
-from nufleet.orchestrator.conduct.rank_run import RankRequest, configuration, prepare, run_study
+from nufleet.orchestrator.conduct.rank_run import RankRequest, configuration, prepare
 from nufleet.orchestrator.evaluation.demonstration import DemoResult, demo_table, demonstrate
 from nufleet.orchestrator.experience.train import check_torch
-from nufleet.orchestrator.fleet.reach import Reach
+from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.flights.legs import legs_of, read_drawings
-from nufleet.orchestrator.jobs.flying import KeptFlights, OpenRun, flying
+from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
 from nufleet.orchestrator.jobs.storage import Storage
-from nufleet.orchestrator.runs.console import ConsoleObserver, ranking_table, stderr_console
-from nufleet.orchestrator.runs.rank_result import RunRecord
-from nufleet.orchestrator.viewer.study_feed import LiveView
-from nufleet.shared.errors import InvalidInputError
+from nufleet.orchestrator.jobs.study import follow_study
+from nufleet.orchestrator.runs.console import ranking_table, stderr_console
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.robots.fleet_file import find_fleet_file
 
@@ -31,91 +31,74 @@ fleet uses the filter whose effect the tests predict: there an inverse fed with 
 feedback loop, which orders the sources differently."""
 
 
-def demo_and_print(
-    fleet_name: str,
-    *,
-    seed: int,
-    live: bool,
-    runs_root: Path,
-    repository: str | None,
-    as_json: bool,
-) -> None:
-    """Run the demonstration, with progress on stderr and, if wanted, the document on stdout.
+@dataclass(frozen=True)
+class DemoCommand:
+    """The options of one `nufleet demo`."""
 
-    Args:
-        fleet_name: Name of an installed fleet, a key of `ARCHITECTURES`.
-        seed: Seed of the study, the learning flights and the networks.
-        live: Whether to serve the recording to live viewers.
-        runs_root: Folder that holds the folders of all runs.
-        repository: Address of the repository; None for the one in `runs_root`.
-        as_json: Whether to print the result as JSON on stdout.
-    """
-    check_torch()
-    console = stderr_console()
-    began_s = time.monotonic()
-    reach = Reach(connect="", fleet_file=str(find_fleet_file(fleet_name)))
-    storage = Storage(runs_root, repository)
-    with flying(reach, "demo", storage, console, live=live, robots=lambda there: there) as session:
-        record = _ranked(session, reach, storage, seed)
-        console.print(ranking_table(record.result.ranking, record.closed_form))
-        result = _demonstrated(session, record, ARCHITECTURES[fleet_name], seed)
-    console.print(demo_table(result.flights))
-    console.print(f"{time.monotonic() - began_s:.0f} s")
-    if as_json:
+    runs_root: Path
+    """Folder that holds the folders of all runs."""
+    quadrotors: bool = False
+    """Whether the fleet is that of simulated quadrotors instead of the linear one."""
+    seed: int = 0
+    """Seed of the study, the learning flights and the networks."""
+    live: bool = False
+    """Whether to serve the recording to live viewers."""
+    repository: str | None = None
+    """Address of the repository; None for the one in `runs_root`."""
+    as_json: bool = False
+    """Whether to print the result as JSON on stdout."""
+
+
+def demo_and_print(command: DemoCommand) -> None:
+    """Run the demonstration, with progress on stderr and, if wanted, the document on stdout."""
+    result = demo(command, stderr_console())
+    if command.as_json:
         click.echo(result.document())
 
 
-def _ranked(session: OpenRun, reach: Reach, storage: Storage, seed: int) -> RunRecord:
-    study = None if reach.file is None else reach.file.study
-    if study is None:
-        raise InvalidInputError(f"{reach.fleet_file} names no target")
-    fleet, _, there = session.connection
+def demo(command: DemoCommand, console: Console) -> DemoResult:
+    """Run the demonstration and return its result, as stored in the folder of the run.
+
+    Raises:
+        InvalidInputError: Torch is not installed.
+        StudyError: The study cannot continue, because the target or every source is gone.
+    """
+    check_torch()
+    began_s = time.monotonic()
+    fleet_name = "paper_quadrotors" if command.quadrotors else "paper_linear"
+    choice = FleetChoice.started(find_fleet_file(fleet_name))
     request = RankRequest(
-        target=study.target,
+        target=choice.target(None),
         sources=None,
-        band_rad_s=study.band_rad_s,
+        band_rad_s=choice.band_rad_s(None),
         iterations=ITERATIONS,
-        seed=seed,
+        seed=command.seed,
         axis=None,
     )
-    ready = prepare(fleet, request, there)
-    session.folder.write_configuration(
-        configuration(ready, seed)
-        | {"kind": "demo", "fleet": session.connection.name, **storage.document()}
-    )
-    unit = ready.descriptions[ready.plan.target].spec.axis(ready.plan.axis).unit
-    live = LiveView(ready.plan, unit, session.clock, session.writer.emit)
-    live.watch(fleet)
-    try:
-        return run_study(
-            fleet,
-            ready,
-            session.archive.begin(
-                session.folder.study_id, "paper", ready.plan, seed, ready.descriptions
-            ),
-            session.archive,
-            folder=session.folder,
-            observers=[ConsoleObserver(session.console, ITERATIONS), live],
+    with FlyingRun(Storage(command.runs_root, command.repository), console) as run:
+        fleet, _, there = run.reach(choice)
+        ready = prepare(fleet, request, there)
+        run.fly("demo", ready.descriptions, live=command.live)
+        run.configure({**configuration(ready, command.seed), "kind": "demo"})
+        study = run.archive.begin(
+            run.folder.study_id, "paper", ready.plan, command.seed, ready.descriptions
         )
-    finally:
-        live.stop_watching()
-
-
-def _demonstrated(
-    session: OpenRun, record: RunRecord, architecture: Architecture, seed: int
-) -> DemoResult:
-    fleet = session.connection.fleet
-    target = fleet.describe(record.result.target)
-    return demonstrate(
-        fleet,
-        session.pilot,
-        target,
-        record.result,
-        legs_of(read_drawings((DRAWING,)), (SPEED,), target),
-        architecture,
-        session.folder,
-        seed=seed,
-        flight_s=FLIGHT_S,
-        say=session.console.print,
-        observers=[KeptFlights(session)],
-    )
+        record = follow_study(run, ready, study)
+        console.print(ranking_table(record.result.ranking, record.closed_form))
+        target = ready.descriptions[request.target]
+        result = demonstrate(
+            fleet,
+            run.pilot,
+            target,
+            record.result,
+            legs_of(read_drawings((DRAWING,)), (SPEED,), target),
+            ARCHITECTURES[fleet_name],
+            run.folder,
+            seed=command.seed,
+            flight_s=FLIGHT_S,
+            say=console.print,
+            observers=[KeptFlights(run)],
+        )
+    console.print(demo_table(result.flights))
+    console.print(f"{time.monotonic() - began_s:.0f} s")
+    return result

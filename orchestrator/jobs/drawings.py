@@ -16,7 +16,7 @@ from nufleet.orchestrator.drawings.report import (
     report_of,
     shape_text,
 )
-from nufleet.orchestrator.fleet.reach import Reach
+from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.robots.fleet_file import find_fleet_file
@@ -40,12 +40,14 @@ class WhoFlies:
         """Return the robots' descriptions, which hold their limits; nothing moves."""
         if self.fleet_file is None and not self.robots:
             return ()
-        file = None if self.fleet_file is None else str(find_fleet_file(self.fleet_file))
-        reach = Reach(connect=self.connect, fleet_name=self.fleet_name, fleet_file=file)
-        with reach.connection(console) as (fleet, _, there):
+        if self.fleet_file is None:
+            choice = FleetChoice.running(self.connect, self.fleet_name)
+        else:
+            choice = FleetChoice.started(find_fleet_file(self.fleet_file))
+        with choice.connection(console) as (fleet, _, there):
             robots = self.robots or there
             check_robots(robots, there)
-            return tuple(fleet.describe(robot) for robot in robots)
+            return tuple(fleet.describe_all(robots).values())
 
 
 def output_file(wanted: Path | None, default: str, *, force: bool) -> Path:

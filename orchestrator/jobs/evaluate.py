@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import click
+from rich.console import Console
 
+from nufleet.orchestrator.conduct.preflight import check_robots
 from nufleet.orchestrator.conduct.rank_run import RankRequest, prepare
 from nufleet.orchestrator.evaluation.pairs import PAIRS, PairsResult, compare_pairs
 from nufleet.orchestrator.evaluation.report import (
@@ -18,20 +20,22 @@ from nufleet.orchestrator.evaluation.report import (
     write_figures,
     write_scatter,
 )
-from nufleet.orchestrator.evaluation.results import EvaluationRecord
+from nufleet.orchestrator.evaluation.results import EvaluationRecord, EvaluationResult
 from nufleet.orchestrator.evaluation.run import EvaluationPlan, run_evaluation
 from nufleet.orchestrator.experience.learning import FLIGHT_S
-from nufleet.orchestrator.experience.train import check_torch, train_robots
+from nufleet.orchestrator.experience.library import ExperienceLibrary
+from nufleet.orchestrator.experience.train import Trained, check_torch, train_robots
 from nufleet.orchestrator.experience.transfer import check_would_fit
-from nufleet.orchestrator.fleet.reach import Reach
+from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.flights.legs import legs_of, read_drawings
-from nufleet.orchestrator.jobs.flying import KeptFlights, OpenRun, flying
+from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.runs.console import stderr_console
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.paths.installed import drawing_names
+from nufleet.shared.wire.messages import Description
 
 Drawings = dict[str, FloatArray]
 """Points of each drawing in m, shape (n, 2), by the drawing's name."""
@@ -41,6 +45,9 @@ SPEEDS = (0.3, 0.6, 0.9)
 
 STUDIES = 10
 """Number of repeated studies of one target, unless the command says otherwise."""
+
+PAPERS_FLEET = "paper-quadrotors"
+"""Name of the fleet that models the paper's own, so that its Table I can be compared."""
 
 # The settings of --quick.
 QUICK_DRAWINGS = 2
@@ -93,11 +100,11 @@ class EvaluateCommand:
     as_json: bool
     """Whether to print the result as JSON on stdout."""
 
-    @property
-    def reach(self) -> Reach:
-        """Way to connect to the fleet."""
-        file = None if self.fleet_file is None else str(self.fleet_file)
-        return Reach(connect=self.connect, fleet_name=self.fleet_name, fleet_file=file)
+    def fleet(self) -> FleetChoice:
+        """Return the chosen fleet, with the content of its file; raises FleetFileError."""
+        if self.fleet_file is None:
+            return FleetChoice.running(self.connect, self.fleet_name)
+        return FleetChoice.started(self.fleet_file)
 
     @property
     def chosen_drawings(self) -> tuple[str, ...]:
@@ -128,91 +135,101 @@ class EvaluateCommand:
 
 
 def evaluate_and_print(command: EvaluateCommand) -> None:
-    """Evaluate one target or all, with progress on stderr and, if wanted, the document on stdout.
+    """Evaluate, with progress on stderr and, if wanted, the document on stdout."""
+    result = evaluate(command, stderr_console())
+    if command.as_json:
+        click.echo(result.document())
+
+
+def evaluate(command: EvaluateCommand, console: Console) -> EvaluationResult | PairsResult:
+    """Evaluate one target, or every robot as the target of all others, and return the result.
 
     Raises:
         InvalidInputError: The options contradict each other or do not fit the fleet, or torch is
             not installed.
+        LeaseHeldError: A robot belongs to another orchestrator.
     """
     check_torch()
     if command.all_pairs and (command.target is not None or command.sources is not None):
         raise InvalidInputError(
             "--all-pairs takes every robot as target and source: leave --target and --sources out"
         )
-    console = stderr_console()
     began_s = time.monotonic()
+    choice = command.fleet()
+    one = () if command.all_pairs else (choice.target(command.target),)
     kind = "pairs" if command.all_pairs else "evaluate"
     drawings = read_drawings(command.chosen_drawings)
-    storage = Storage(command.runs_root, command.repository)
-
-    def robots(there: tuple[str, ...]) -> tuple[str, ...]:
-        if command.all_pairs or command.sources is None:
-            return there
-        return (_target(command), *command.sources)
-
-    with flying(command.reach, kind, storage, console, live=command.live, robots=robots) as session:
-        targets = session.connection.robots if command.all_pairs else (_target(command),)
+    result: EvaluationResult | PairsResult
+    with FlyingRun(Storage(command.runs_root, command.repository), console) as run:
+        _, name, there = run.reach(choice)
+        targets = one or there
+        check_robots(targets, there)
         # Check all targets first, so that no robot learns for minutes before a plan is refused.
-        plans = [_plan(command, session, drawings, target) for target in targets]
-        configuration = {
-            **asdict(command),
-            "fleet_file": str(command.fleet_file),
-            **storage.document(),
+        plans = [_plan(command, run, drawings, target) for target in targets]
+        descriptions = {
+            robot: description
+            for plan in plans
+            for robot, description in plan.ready.descriptions.items()
         }
-        session.folder.write_configuration(
-            {"kind": kind, "fleet": session.connection.name, **configuration}
-        )
+        run.fly(kind, descriptions, live=command.live)
+        run.configure({"kind": kind, **asdict(command)})
         if command.all_pairs:
-            pairs = _all_pairs(command, session, plans)
-            document = pairs.document()
+            result = _all_pairs(command, run, plans, descriptions)
         else:
-            record = _evaluated(session, plans[0])
-            session.table.close()
-            write_figures(session.folder.path, record, session.table.path)
-            console.print(evaluation_table(record.result))
-            if _is_papers(session):
-                console.print(paper_table(record.result))
-            document = record.result.document()
-    if command.all_pairs:
-        console.print(pairs_table(pairs))
+            record = _evaluated(run, _library(command, run), plans[0])
+            run.table.close()
+            write_figures(run.folder.path, record, run.table.path)
+            result = record.result
+            console.print(evaluation_table(result))
+            if name == PAPERS_FLEET:
+                console.print(paper_table(result))
+    if isinstance(result, PairsResult):
+        console.print(pairs_table(result))
     console.print(f"{time.monotonic() - began_s:.0f} s")
-    if command.as_json:
-        click.echo(document)
+    return result
 
 
 def _all_pairs(
-    command: EvaluateCommand, session: OpenRun, plans: Sequence[EvaluationPlan]
+    command: EvaluateCommand,
+    run: FlyingRun,
+    plans: Sequence[EvaluationPlan],
+    descriptions: Mapping[str, Description],
 ) -> PairsResult:
-    fleet, _, there = session.connection
-    session.console.print(f"{len(there)} robots learn what they would pass on")
+    run.console.print(f"{len(descriptions)} robots learn what they would pass on")
+    library = _library(command, run)
+    keep = library.keeping(descriptions.values(), run.folder.path.name)
+
+    def on_trained(trained: Trained) -> None:
+        keep(trained)
+        run.console.print(f"  {trained.lesson.robot} has learned")
+
     train_robots(
-        fleet,
-        session.pilot,
-        [fleet.describe(robot) for robot in there],
+        run.connection.fleet,
+        run.pilot,
+        list(descriptions.values()),
         (command.architecture,),
-        session.folder.path / "experiences",
+        run.folder.path / "experiences",
         seed=command.seed,
         duration_s=command.flight_s,
         say=lambda robot, what: None,
-        on_trained=lambda done: session.console.print(f"  {done.lesson.robot} has learned"),
+        on_trained=on_trained,
     )
-    results = [_evaluated(session, plan).result for plan in plans]
-    pairs = compare_pairs(results, str(session.folder.path))
-    session.folder.write_document(PAIRS, pairs)
-    write_scatter(session.folder.path, pairs)
+    results = [_evaluated(run, library, plan).result for plan in plans]
+    pairs = compare_pairs(results, str(run.folder.path))
+    run.folder.write_document(PAIRS, pairs)
+    write_scatter(run.folder.path, pairs)
     return pairs
 
 
 def _plan(
-    command: EvaluateCommand, session: OpenRun, drawings: Drawings, target: str
+    command: EvaluateCommand, run: FlyingRun, drawings: Drawings, target: str
 ) -> EvaluationPlan:
     """Return the checked plan for one target; raises InvalidInputError when it cannot be flown."""
-    fleet, _, there = session.connection
-    file = command.reach.file
+    fleet, _, there = run.connection
     request = RankRequest(
         target=target,
         sources=command.sources,
-        band_rad_s=None if file is None or file.study is None else file.study.band_rad_s,
+        band_rad_s=run.choice.band_rad_s(None),
         iterations=command.iterations,
         seed=command.seed,
         axis=None,
@@ -235,32 +252,27 @@ def _plan(
     )
 
 
-def _evaluated(session: OpenRun, plan: EvaluationPlan) -> EvaluationRecord:
+def _library(command: EvaluateCommand, run: FlyingRun) -> ExperienceLibrary:
+    """Return the experiences of the fleet, without stored ones if it is started for this run."""
+    store = run.repository.robots if command.fleet_file is None else None
+    return ExperienceLibrary(run.connection.fleet, store, run.connection.name)
+
+
+def _evaluated(
+    run: FlyingRun, library: ExperienceLibrary, plan: EvaluationPlan
+) -> EvaluationRecord:
     study = plan.ready.plan
-    session.console.print(
+    run.console.print(
         f"[bold]target {study.target}[/]: {len(plan.legs)} paths with "
         f"{len(study.sources) + 2} inverses"
     )
     return run_evaluation(
-        session.connection.fleet,
-        session.pilot,
+        run.connection.fleet,
+        run.pilot,
+        library,
         plan,
-        session.folder,
-        session.archive,
-        say=session.console.print,
-        observers=[KeptFlights(session)],
+        run.folder,
+        run.archive,
+        say=run.console.print,
+        observers=[KeptFlights(run)],
     )
-
-
-def _target(command: EvaluateCommand) -> str:
-    file = command.reach.file
-    if command.target is not None:
-        return command.target
-    if file is not None and file.study is not None:
-        return file.study.target
-    raise InvalidInputError("which robot is to be evaluated? Name it with --target")
-
-
-def _is_papers(session: OpenRun) -> bool:
-    """Return whether the fleet models the paper's own, so that its Table I can be compared."""
-    return session.connection.name == "paper-quadrotors"

@@ -1,128 +1,69 @@
-"""Opens all that a flying command needs: fleet, leases, run folder, recording and pilot."""
+"""Opens what a flying command needs in addition: pilot, table of flights and their drawing."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 
-from rich.console import Console
-
-from nufleet.orchestrator.conduct.archive import Archive
-from nufleet.orchestrator.conduct.leases import lease_robots
-from nufleet.orchestrator.conduct.preflight import check_robots
-from nufleet.orchestrator.fleet.connection import Connection
-from nufleet.orchestrator.fleet.reach import Reach
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
 from nufleet.orchestrator.flights.table import FlightTable
-from nufleet.orchestrator.jobs.storage import Storage
-from nufleet.orchestrator.runs.folder import RunFolder, make_runs_root
-from nufleet.orchestrator.viewer.clock import ViewerClock
+from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.viewer.flight_feed import PathView
-from nufleet.orchestrator.viewer.server.ports import GRPC_PORT, WEB_PORT
-from nufleet.orchestrator.viewer.writer import RerunWriter, ServeOptions
-from nufleet.shared.command_line import invocation
 from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.wire.messages import Description
 
 
-@dataclass(frozen=True)
-class OpenRun:
-    """A connected fleet with leased robots, and the places that store and show its flights."""
+class FlyingRun(Opening):
+    """An `Opening` whose last step, `fly`, opens everything that flights need."""
 
-    connection: Connection
-    """Connection to the fleet."""
-    folder: RunFolder
-    """Folder of the run."""
-    writer: RerunWriter
-    """Writer of the recording and of the live view."""
     pilot: Pilot
-    """Pilot that has the robots fly."""
-    archive: Archive
-    """Repository that stores studies, with the leases on the robots."""
+    """Pilot that has the robots fly; exists after `fly`."""
     view: PathView
-    """Observer that draws flights along paths."""
+    """Observer that draws flights along paths; exists after `fly`."""
     table: FlightTable
-    """Table of all samples of these flights."""
-    clock: ViewerClock
-    """Time axis of the recording."""
-    console: Console
-    """Console for progress, on stderr."""
+    """Table of all samples of these flights; exists after `fly`."""
+
+    def fly(self, kind: str, descriptions: Mapping[str, Description], *, live: bool) -> None:
+        """Create the run's folder, lease robots, and open the recording and the table of flights.
+
+        When the command fails or is interrupted afterwards, all flying robots are brought to rest
+        first.
+
+        Args:
+            kind: Kind of the run, the last part of its folder's name.
+            descriptions: Descriptions of the robots that will fly, by robot.
+            live: Whether to serve the recording to live viewers.
+
+        Raises:
+            LeaseHeldError, RobotOwnedError: See `take`.
+        """
+        fleet = self.connection.fleet
+        self.keep(kind)
+        self.take(descriptions)
+        self.record(live=live)
+        self.view = PathView(self.clock, self.writer.emit)
+        self.view.watch(fleet)
+        self.table = self._stack.enter_context(FlightTable(self.folder.path))
+        self.pilot = Pilot(fleet, self.folder.study_id)
+        self.guard(self.pilot.interrupt)
+        self._stack.enter_context(_brought_to_rest(self.pilot))
 
 
 @contextmanager
-def flying(
-    reach: Reach,
-    kind: str,
-    storage: Storage,
-    console: Console,
-    *,
-    live: bool,
-    robots: Callable[[tuple[str, ...]], tuple[str, ...]],
-) -> Iterator[OpenRun]:
-    """Connect to a fleet, lease robots, and open a run's folder, recording and table of flights.
-
-    When the body fails or is interrupted, all flying robots are brought to rest first.
-
-    Args:
-        reach: Way to connect to the fleet.
-        kind: Kind of the run, the last part of its folder's name.
-        storage: Places where the run is stored.
-        console: Console for progress.
-        live: Whether to serve the recording to live viewers.
-        robots: Function that selects the robots that will fly from the names of those present.
-
-    Yields:
-        Everything that was opened; leaving the context closes it.
-
-    Raises:
-        LeaseHeldError: A robot belongs to another orchestrator.
-        LeaseLostError: Another orchestrator has taken a robot over.
-    """
-    make_runs_root(storage.runs_root)
-    with ExitStack() as stack:
-        repository = stack.enter_context(storage.open())
-        connection = stack.enter_context(reach.connection(console))
-        chosen = robots(connection.robots)
-        check_robots(chosen, connection.robots)
-        folder = stack.enter_context(RunFolder(storage.runs_root, f"{connection.name}-{kind}"))
-        leases = stack.enter_context(
-            lease_robots(
-                repository.leases,
-                connection.fleet,
-                reach.lease_scope(connection.name, folder.study_id),
-                chosen,
-            )
-        )
-        archive = Archive(repository, connection.name, leases)
-        serve = ServeOptions(grpc_port=GRPC_PORT, web_port=WEB_PORT) if live else None
-        writer = stack.enter_context(
-            RerunWriter(folder.path.name, recording=folder.recording, serve=serve)
-        )
-        if live:
-            console.print(f"live: `nufleet view --live`, or {writer.web_url} in a browser")
-        clock = ViewerClock(time.monotonic)
-        view = PathView(clock, writer.emit)
-        view.watch(connection.fleet)
-        table = stack.enter_context(FlightTable(folder.path))
-        pilot = Pilot(connection.fleet, folder.study_id)
-        stack.enter_context(leases.guarding(pilot.interrupt))
-        try:
-            yield OpenRun(connection, folder, writer, pilot, archive, view, table, clock, console)
-        except BaseException:
-            pilot.interrupt()
-            raise
-        pilot.acknowledge_all()
-    if writer.dropped:
-        console.print(f"[yellow]the recording and its viewers missed {writer.dropped} events[/]")
-    console.print(f"open the recording with:  {invocation()} view {folder.path}")
+def _brought_to_rest(pilot: Pilot) -> Iterator[None]:
+    try:
+        yield
+    except BaseException:
+        pilot.interrupt()
+        raise
+    pilot.acknowledge_all()
 
 
 class KeptFlights:
     """An observer that draws each flight, stores it, and prints its error in one line."""
 
-    def __init__(self, session: OpenRun) -> None:
-        self._session = session
+    def __init__(self, run: FlyingRun) -> None:
+        self._run = run
         self._axes: tuple[str, ...] = ()
         self._unit = "m"
 
@@ -130,14 +71,13 @@ class KeptFlights:
         """Begin to draw a flight."""
         self._axes = tuple(axis.name for axis in spec.axes)
         self._unit = spec.axes[0].unit
-        self._session.view.begins(robot, label, spec)
+        self._run.view.begins(robot, label, spec)
 
     def ended(self, flight: PathFlight) -> None:
         """Store the flight and print its error."""
-        session = self._session
-        session.view.ended(flight)
-        session.table.write(flight, self._axes)
-        session.console.print(f"  {flight.label:<34} {error_text(flight, self._unit)}")
+        self._run.view.ended(flight)
+        self._run.table.write(flight, self._axes)
+        self._run.console.print(f"  {flight.label:<34} {error_text(flight, self._unit)}")
 
 
 def error_text(flight: PathFlight, unit: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,9 +10,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from nufleet.orchestrator.conduct.archive import Archive
 from nufleet.orchestrator.conduct.desired_motion import TimedPath, read_motion
-from nufleet.orchestrator.conduct.leases import lease_robots
 from nufleet.orchestrator.conduct.preflight import check_band, check_names
 from nufleet.orchestrator.conduct.rank_run import (
     Algorithm,
@@ -23,16 +20,13 @@ from nufleet.orchestrator.conduct.rank_run import (
     prepare,
 )
 from nufleet.orchestrator.conduct.reuse import check_absent, find_stored, oldest_reused
-from nufleet.orchestrator.fleet.client import Fleet
-from nufleet.orchestrator.fleet.reach import REACH, Reach
+from nufleet.orchestrator.fleet.reach import REACH, FleetChoice
+from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.study import show_study
-from nufleet.orchestrator.repository.repository import Repository
 from nufleet.orchestrator.runs.console import stderr_console
-from nufleet.orchestrator.runs.folder import RunFolder, make_runs_root
 from nufleet.orchestrator.runs.rank_result import RunRecord
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.robots.fleet_file import FleetFile, read_fleet_file
 from nufleet.shared.wire.transport import DEFAULT_ENDPOINT
 
 
@@ -82,6 +76,14 @@ class RankCommand:
     reuse_days: float | None = None
     """Largest age of stored responses that replace tests, in days; None to test all sources."""
 
+    def fleet(self) -> FleetChoice:
+        """Return the chosen fleet, with the content of its file; raises FleetFileError."""
+        if self.fleet_file is None:
+            return FleetChoice.running(self.connect, self.fleet_name)
+        return FleetChoice.started(
+            self.fleet_file, realtime=self.realtime, processes=self.processes
+        )
+
 
 def rank_and_print(command: RankCommand) -> None:
     """Rank, with progress on stderr and, if wanted, the document on stdout."""
@@ -102,118 +104,58 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
         LeaseHeldError: A robot belongs to another orchestrator.
         StudyError: The study cannot continue, because the target or every source is gone.
     """
-    if command.band_rad_s is not None:
-        check_band(command.band_rad_s)
-    drawing = _drawing(command)
-    if command.reuse_days is not None and command.algorithm != "adaptive":
-        raise InvalidInputError("--reuse is that of --algorithm adaptive, not of paper")
-    make_runs_root(command.runs_root)
-    storage = Storage(command.runs_root, command.repository)
-    with ExitStack() as stack:
-        repository = stack.enter_context(storage.open())
-        reach = _reach(command)
-        sources = command.sources if command.reuse_days is None else None
-        wanted = (_target(command), *(sources or ()))
-        fleet, name, robots = stack.enter_context(
-            reach.connection(console, wanted, wait_s=command.wait_s)
+    choice = command.fleet()
+    request = _request(command, choice)
+    # A source whose stored responses are reused need not be there.
+    sources = (command.sources or ()) if command.reuse_days is None else ()
+    with Opening(Storage(command.runs_root, command.repository), console) as run:
+        run.reach(choice, (request.target, *sources), wait_s=command.wait_s)
+        ready, stored = _ready(command, request, run)
+        folder = run.keep()
+        archive = run.take(
+            {robot: found for robot, found in ready.descriptions.items() if robot not in stored}
         )
-        ready, stored = _ready(command, drawing, fleet, name, robots, repository, console)
-        folder = stack.enter_context(RunFolder(command.runs_root, name))
-        leases = stack.enter_context(
-            lease_robots(
-                repository.leases,
-                fleet,
-                reach.lease_scope(name, folder.study_id),
-                (robot for robot in ready.descriptions if robot not in stored),
-            )
-        )
-        archive = Archive(repository, name, leases)
-        reached = reach.model_copy(update={"fleet_name": name})
-        folder.write_configuration(
+        reached = choice.reach.model_copy(update={"fleet_name": run.connection.name})
+        run.configure(
             {
                 **configuration(ready, command.seed),
-                "fleet": name,
                 "algorithm": command.algorithm,
-                **storage.document(),
                 REACH: reached.model_dump(mode="json"),
             }
         )
-        stack.enter_context(storage.saying_how_to_resume(console, folder.path.name))
-        return show_study(
-            fleet,
-            ready,
-            lambda: archive.begin(
-                folder.study_id,
-                command.algorithm,
-                ready.plan,
-                command.seed,
-                ready.descriptions,
-                stored,
-            ),
-            archive,
-            folder=folder,
-            live=command.live,
-            console=console,
+        run.record(live=command.live)
+        run.say_how_to_resume()
+        study = archive.begin(
+            folder.study_id,
+            command.algorithm,
+            ready.plan,
+            command.seed,
+            ready.descriptions,
+            stored,
         )
+        return show_study(run, ready, study)
 
 
-def _ready(
-    command: RankCommand,
-    drawing: TimedPath | None,
-    fleet: Fleet,
-    name: str,
-    there: tuple[str, ...],
-    repository: Repository,
-    console: Console,
-) -> tuple[ReadyStudy, Mapping[str, tuple[str, ...]]]:
-    """Return the checked study, and by source the ids of stored goals that replace its tests."""
-    request = _request(command, drawing)
-    if command.reuse_days is None:
-        return prepare(fleet, request, there), {}
-    known = {record.robot: record.spec for record in repository.robots.robots(name)}
-    ready = prepare(fleet, request, there, known)
-    reuse = find_stored(
-        repository,
-        name,
-        ready.plan,
-        {robot: description.spec for robot, description in ready.descriptions.items()},
-        newer_than=oldest_reused(command.reuse_days, datetime.now(UTC)),
+def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:
+    """Return what is requested, checked as far as it can be before a fleet is reached."""
+    if command.band_rad_s is not None:
+        check_band(command.band_rad_s)
+    if command.reuse_days is not None and command.algorithm != "adaptive":
+        raise InvalidInputError("--reuse is that of --algorithm adaptive, not of paper")
+    request = RankRequest(
+        target=choice.target(command.target),
+        sources=command.sources,
+        band_rad_s=choice.band_rad_s(command.band_rad_s),
+        iterations=command.iterations,
+        seed=command.seed,
+        axis=command.axis,
+        drawing=_drawing(command),
     )
-    check_absent([robot for robot in ready.plan.sources if robot not in there], reuse, name)
-    for robot, reason in reuse.unusable.items():
-        console.print(f"{robot} flies: {reason}")
-    return ready, reuse.known
-
-
-def _reach(command: RankCommand) -> Reach:
-    if command.fleet_file is None:
-        return Reach(connect=command.connect, fleet_name=command.fleet_name)
-    file = read_fleet_file(command.fleet_file)
-    _check_against_file(command, file)
-    return Reach(
-        connect=command.connect,
-        fleet_file=str(command.fleet_file.resolve()),
-        realtime=command.realtime,
-        processes=command.processes,
-    )
-
-
-def _check_against_file(command: RankCommand, file: FleetFile) -> None:
-    """Raise InvalidInputError for names that are not in the file, before any process starts."""
-    there = tuple(file.robots)
-    target = _target(command)
-    sources = command.sources or tuple(robot for robot in there if robot != target)
-    check_names(target, sources, there)
-
-
-def _target(command: RankCommand) -> str:
-    if command.target is not None:
-        return command.target
-    if command.fleet_file is not None:
-        study = read_fleet_file(command.fleet_file).study
-        if study is not None:
-            return study.target
-    raise InvalidInputError("which robot needs experience? Name it with --target")
+    if choice.file is not None:
+        # No process has to be started to refuse names that are not in the file.
+        there = tuple(choice.file.robots)
+        check_names(request.target, request.sources_among(there), there)
+    return request
 
 
 def _drawing(command: RankCommand) -> TimedPath | None:
@@ -224,17 +166,23 @@ def _drawing(command: RankCommand) -> TimedPath | None:
     return None
 
 
-def _request(command: RankCommand, drawing: TimedPath | None) -> RankRequest:
-    band = command.band_rad_s
-    if band is None and command.fleet_file is not None:
-        study = read_fleet_file(command.fleet_file).study
-        band = None if study is None else study.band_rad_s
-    return RankRequest(
-        target=_target(command),
-        sources=command.sources,
-        band_rad_s=band,
-        iterations=command.iterations,
-        seed=command.seed,
-        axis=command.axis,
-        drawing=drawing,
+def _ready(
+    command: RankCommand, request: RankRequest, run: Opening
+) -> tuple[ReadyStudy, Mapping[str, tuple[str, ...]]]:
+    """Return the checked study, and by source the ids of stored goals that replace its tests."""
+    fleet, name, there = run.connection
+    if command.reuse_days is None:
+        return prepare(fleet, request, there), {}
+    known = {record.robot: record.spec for record in run.repository.robots.robots(name)}
+    ready = prepare(fleet, request, there, known)
+    reuse = find_stored(
+        run.repository,
+        name,
+        ready.plan,
+        {robot: description.spec for robot, description in ready.descriptions.items()},
+        newer_than=oldest_reused(command.reuse_days, datetime.now(UTC)),
     )
+    check_absent([robot for robot in ready.plan.sources if robot not in there], reuse, name)
+    for robot, reason in reuse.unusable.items():
+        run.console.print(f"{robot} flies: {reason}")
+    return ready, reuse.known

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,14 +10,13 @@ import click
 from pydantic import ValidationError
 from rich.console import Console
 
-from nufleet.orchestrator.conduct.archive import Archive
-from nufleet.orchestrator.conduct.leases import lease_robots
 from nufleet.orchestrator.conduct.rank_run import prepare_again
 from nufleet.orchestrator.conduct.recipe import recipe_of
-from nufleet.orchestrator.fleet.reach import REACH, Reach
+from nufleet.orchestrator.fleet.reach import REACH, FleetChoice, Reach
+from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.study import show_study
-from nufleet.orchestrator.repository.errors import LeaseHeldError, UnknownRecordError
+from nufleet.orchestrator.repository.errors import UnknownRecordError
 from nufleet.orchestrator.repository.records import (
     StudyRecord,
     StudyStatus,
@@ -29,7 +27,6 @@ from nufleet.orchestrator.repository.repository import Repository
 from nufleet.orchestrator.runs.console import stderr_console
 from nufleet.orchestrator.runs.folder import (
     CONFIGURATION,
-    RunFolder,
     find_run,
     list_runs,
     study_id_of,
@@ -75,45 +72,24 @@ def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
         InvalidInputError: The run cannot be resumed, or a robot that it needs is missing.
         StudyError: The study cannot continue, because the target or every source is gone.
     """
-    storage = Storage(command.runs_root, command.repository)
-    with ExitStack() as stack:
-        repository = stack.enter_context(storage.open())
-        path = _interrupted_run(command, repository)
-        study = _open_study(path, repository)
+    with Opening(Storage(command.runs_root, command.repository), console) as run:
+        path = _interrupted_run(command, run.repository)
+        study = _open_study(path, run.repository)
         reach = reach_of(path)
         if command.connect is not None:
             reach = reach.model_copy(update={"connect": command.connect})
-        trials = repository.studies.trials(study.study_id)
-        gone = {*recipe_of(study).stored, *_given_up(trials)}
-        needed = tuple(robot for robot in recipe_of(study).specs if robot not in gone)
+        specs, stored = recipe_of(study).specs, recipe_of(study).stored
+        gone = {*stored, *_given_up(run.repository.studies.trials(study.study_id))}
+        needed = tuple(robot for robot in specs if robot not in gone)
         console.print(f"going on with {path.name}")
-        fleet, _, there = stack.enter_context(
-            reach.connection(console, needed, wait_s=command.wait_s)
-        )
+        fleet, _, there = run.reach(FleetChoice.again(reach), needed, wait_s=command.wait_s)
         _check_there(needed, there, study)
         ready = prepare_again(fleet, study, gone)
-        leases = stack.enter_context(
-            lease_robots(
-                repository.leases,
-                fleet,
-                reach.lease_scope(study.fleet, study.study_id),
-                needed,
-                patient=True,
-                on_wait=lambda held: console.print(_waiting(held)),
-            )
-        )
-        folder = stack.enter_context(RunFolder(path.parent, path.name, goes_on=True))
-        stack.enter_context(storage.saying_how_to_resume(console, path.name))
-        return show_study(
-            fleet,
-            ready,
-            # Read again: the orchestrator that held the robots until now may have ended the study.
-            lambda: _open_study(path, repository),
-            Archive(repository, study.fleet, leases),
-            folder=folder,
-            live=command.live,
-            console=console,
-        )
+        run.go_on(path, {robot: ready.descriptions[robot] for robot in needed})
+        run.say_how_to_resume()
+        run.record(live=command.live)
+        # Read again: the orchestrator that held the robots until now may have ended the study.
+        return show_study(run, ready, _open_study(path, run.repository))
 
 
 def can_reach_again(folder: Path) -> bool:
@@ -187,10 +163,3 @@ def _check_there(needed: tuple[str, ...], there: tuple[str, ...], study: StudyRe
             f"{', '.join(missing)} of fleet {study.fleet} must be there to go on; start what is "
             "missing, or wait for it with --wait"
         )
-
-
-def _waiting(held: LeaseHeldError) -> str:
-    return (
-        f"{held.owner} held {held.robot} when it was last heard of; "
-        f"its lease runs out in {held.remaining_s:.1f} s"
-    )

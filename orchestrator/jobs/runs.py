@@ -92,7 +92,24 @@ def export_and_print(
     *,
     as_json: bool,
 ) -> None:
-    """Write the responses of a run to files, and print their paths.
+    """Export the responses of a run, and print the paths of the files; see `export`.
+
+    Args:
+        as_json: Whether to print the paths as JSON on stdout.
+    """
+    written = export(runs_root, name, to, suffix, repository)
+    if as_json:
+        paths = {robot: str(path) for robot, path in written.items()}
+        click.echo(json.dumps({"schema": 1, "responses": paths}))
+        return
+    for robot, path in written.items():
+        stderr_console().print(f"{robot}: {path}")
+
+
+def export(
+    runs_root: Path, name: str, to: Path | None, suffix: str, repository: str | None
+) -> dict[str, Path]:
+    """Write the responses of a run to files, and return the path of each robot's file, by robot.
 
     Args:
         runs_root: Folder that holds the folders of all runs.
@@ -100,17 +117,10 @@ def export_and_print(
         to: Folder to write to; None for `responses` in the run's folder.
         suffix: Suffix of the files, `json` or `csv`, which selects their format.
         repository: Address of the repository; None for the one in `runs_root`.
-        as_json: Whether to print the paths as JSON on stdout.
     """
     folder = find_run(runs_root, name)
     responses = run_responses(folder, Storage(runs_root, repository).open)
-    written = export_responses(responses, to or folder / "responses", suffix)
-    if as_json:
-        paths = {robot: str(path) for robot, path in written.items()}
-        click.echo(json.dumps({"schema": 1, "responses": paths}))
-        return
-    for robot, path in written.items():
-        stderr_console().print(f"{robot}: {path}")
+    return export_responses(responses, to or folder / "responses", suffix)
 
 
 def _unfinished(runs_root: Path, runs: list[Run]) -> dict[Path, str]:

@@ -8,22 +8,27 @@ from pathlib import Path
 from typing import Literal
 
 import click
+from rich.console import Console
 
+from nufleet.orchestrator.conduct.preflight import check_robots
 from nufleet.orchestrator.evaluation.flight_documents import TRACKING, TrackResult
 from nufleet.orchestrator.evaluation.fly_target import flight_record
 from nufleet.orchestrator.evaluation.results import FlightRecord
 from nufleet.orchestrator.experience.learning import FLIGHT_S
-from nufleet.orchestrator.fleet.reach import Reach
+from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.flight_labels import BASELINE, NO_PRIOR
 from nufleet.orchestrator.flights.legs import Leg, legs_of, read_drawings
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
-from nufleet.orchestrator.jobs.flying import KeptFlights, OpenRun, flying
+from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.runs.console import stderr_console
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError, RobotError
 from nufleet.shared.experience.layout import HORIZON_SAMPLES_MAX, InverseLayout
 from nufleet.shared.wire.messages import Description
+
+InverseChoice = Literal["auto", "prior", "zero-prior", "baseline"]
+"""Inverse models to fly with."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +47,7 @@ class TrackCommand:
     """Largest speed on the paths, in the unit of the robot's axes per second."""
     scale: float
     """Factor on the points of the drawings."""
-    inverse: Literal["auto", "prior", "zero-prior", "baseline"]
+    inverse: InverseChoice
     """Inverse to fly with; `auto` takes the robot's prior if it has one, else its baseline."""
     horizon_s: float
     """Horizon of the inverse model that is learned from a zero prior."""
@@ -66,34 +71,38 @@ def track_and_print(command: TrackCommand) -> None:
     Raises:
         RobotError: The robot did not finish a path.
     """
-    console = stderr_console()
-    drawings = read_drawings(command.drawings)
-    reach = Reach(connect=command.connect, fleet_name=command.fleet_name)
-    storage = Storage(command.runs_root, command.repository)
-    with flying(
-        reach,
-        "track",
-        storage,
-        console,
-        live=command.live,
-        robots=lambda there: (command.target,),
-    ) as session:
-        target = session.connection.fleet.describe(command.target)
-        legs = legs_of(drawings, (command.speed,), target, scale=command.scale)
-        inverse = _inverse(command, target)
-        configuration = asdict(command) | storage.document()
-        session.folder.write_configuration(
-            {"kind": "track", "fleet": session.connection.name, **configuration}
-        )
-        _learn_baseline(inverse, command, session, target)
-        records = [_flown(session, target, inverse, leg) for leg in legs]
-        result = TrackResult(flights=tuple(records), run=str(session.folder.path))
-        session.folder.write_document(TRACKING, result)
+    result = track(command, stderr_console())
     if command.as_json:
         click.echo(result.document())
-    failed = next((record for record in records if record.failure is not None), None)
+    failed = next((flight for flight in result.flights if flight.failure is not None), None)
     if failed is not None:
         raise RobotError(f"{command.target} did not finish {failed.drawing}: {failed.failure}")
+
+
+def track(command: TrackCommand, console: Console) -> TrackResult:
+    """Track the drawings and return the flights, as stored in the run's folder.
+
+    A path that the robot did not finish is in the result, with the reason.
+
+    Raises:
+        InvalidInputError: A drawing cannot be flown, or the robot does not have that inverse.
+        LeaseHeldError: The robot belongs to another orchestrator.
+    """
+    drawings = read_drawings(command.drawings)
+    with FlyingRun(Storage(command.runs_root, command.repository), console) as run:
+        choice = FleetChoice.running(command.connect, command.fleet_name)
+        fleet, _, there = run.reach(choice)
+        check_robots((command.target,), there)
+        target = fleet.describe(command.target)
+        legs = legs_of(drawings, (command.speed,), target, scale=command.scale)
+        inverse = _inverse(command, target)
+        run.fly("track", {target.robot: target}, live=command.live)
+        run.configure({"kind": "track", **asdict(command)})
+        _learn_baseline(inverse, command, run, target)
+        records = [_flown(run, target, inverse, leg) for leg in legs]
+        result = TrackResult(flights=tuple(records), run=str(run.folder.path))
+        run.folder.write_document(TRACKING, result)
+    return result
 
 
 @dataclass(frozen=True)
@@ -108,24 +117,24 @@ class _Inverse:
     """Flies a path, shape (samples, axes), under a label."""
 
 
-def _flown(session: OpenRun, target: Description, inverse: _Inverse, leg: Leg) -> FlightRecord:
-    kept, label = KeptFlights(session), leg.label(inverse.name)
+def _flown(run: FlyingRun, target: Description, inverse: _Inverse, leg: Leg) -> FlightRecord:
+    kept, label = KeptFlights(run), leg.label(inverse.name)
     kept.begins(target.robot, label, target.spec)
-    flight = inverse.fly(session.pilot, leg.desired, label)
+    flight = inverse.fly(run.pilot, leg.desired, label)
     kept.ended(flight)
     return flight_record(flight, inverse.name, leg)
 
 
 def _learn_baseline(
-    inverse: _Inverse, command: TrackCommand, session: OpenRun, target: Description
+    inverse: _Inverse, command: TrackCommand, run: FlyingRun, target: Description
 ) -> None:
     """Have a robot learn its own baseline for the guard, unless it is known or not needed."""
     if not inverse.corrects or not command.guarded or target.baseline_known:
         return
-    session.console.print(
+    run.console.print(
         f"{target.robot} flies for {FLIGHT_S:.0f} s first, so that its guard knows its baseline"
     )
-    session.pilot.rich(target.robot, duration_s=FLIGHT_S, seed=0)
+    run.pilot.rich(target.robot, duration_s=FLIGHT_S, seed=0)
 
 
 def _inverse(command: TrackCommand, target: Description) -> _Inverse:

@@ -1,27 +1,31 @@
-"""The work of `nufleet transfer`: find the source, transfer its experience, print the result."""
+"""The work of `nufleet transfer`: find an experience, and give it to the target as its prior."""
 
 from __future__ import annotations
 
-import json
-from contextlib import ExitStack
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Annotated, Literal
 
 import click
+from pydantic import Field
 from rich.console import Console
 
-from nufleet.orchestrator.conduct.leases import lease_robots
 from nufleet.orchestrator.conduct.preflight import check_names, check_robots
+from nufleet.orchestrator.conduct.reuse import age_text
+from nufleet.orchestrator.experience.library import ExperienceLibrary, Place
 from nufleet.orchestrator.experience.transfer import Transferred, read_experience, transfer_file
 from nufleet.orchestrator.experience.transfer import transfer as transfer_experience
-from nufleet.orchestrator.fleet.connection import running_fleet
-from nufleet.orchestrator.history.catalogue import latest_ranking
+from nufleet.orchestrator.fleet.reach import FleetChoice
+from nufleet.orchestrator.history.rankings import latest_ranking
+from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.runs.console import stderr_console
-from nufleet.orchestrator.runs.folder import make_runs_root
 from nufleet.orchestrator.study.verdict import Verdict
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.layout import Architecture
+from nufleet.shared.experience.manifest import ExperienceManifest
+from nufleet.shared.strict import Digest, Strict
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,7 @@ class TransferCommand:
     file: Path | None
     """File of an experience; None to take one from a source."""
     architecture: Architecture | None
-    """Architecture of the experience to take; None for the only one on offer."""
+    """Architecture of the experience to take; None for the only one there is."""
     runs_root: Path
     """Folder that holds the folders of all runs."""
     repository: str | None
@@ -48,55 +52,97 @@ class TransferCommand:
     as_json: bool
     """Whether to print the result as JSON on stdout."""
 
+    def fleet(self) -> FleetChoice:
+        """Return the fleet that both robots belong to."""
+        return FleetChoice.running(self.connect, self.fleet_name)
+
+
+class TransferResult(Strict):
+    """What `nufleet transfer --json` prints; only the target is set if its prior was removed."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    """Version of this document's layout."""
+    target: str
+    """Name of the robot that flies with the experience from now on."""
+    source: str | None = None
+    """Name of the robot that learned it."""
+    sha256: Digest | None = None
+    """Hash of the experience's file."""
+    manifest: ExperienceManifest | None = None
+    """Description of the experience, as stored in its file."""
+    taken_from: Place | None = None
+    """Place that it was taken from."""
+    reason: str | None = None
+    """Phrase that says why it was taken from there."""
+    learned_at: str | None = None
+    """Time at which its robot had learned it, in ISO 8601 and UTC; None if it is not known."""
+
+    def document(self) -> str:
+        """Return the JSON that other programs read."""
+        return self.model_dump_json(by_alias=True)
+
 
 def transfer_and_print(command: TransferCommand) -> None:
-    """Transfer an experience, and print which one the target flies with from now on."""
-    console = stderr_console()
+    """Transfer an experience, with the result as JSON on stdout if wanted."""
+    result = transfer(command, stderr_console())
+    if command.as_json:
+        click.echo(result.document())
+
+
+def transfer(command: TransferCommand, console: Console) -> TransferResult:
+    """Transfer an experience, and say which one the target flies with from now on.
+
+    The source need not be there: its experience is then taken from the repository.
+
+    Raises:
+        InvalidInputError: There is no such experience, or it does not fit the target.
+        DamagedRecordError: The stored experience was altered.
+        LeaseHeldError: The target belongs to another orchestrator.
+        RefusedError: The target refuses the experience.
+    """
     payload = None if command.file is None else read_experience(command.file)
-    make_runs_root(command.runs_root)
-    with (
-        Storage(command.runs_root, command.repository).open() as repository,
-        running_fleet(command.connect, command.fleet_name) as (fleet, name, there),
-        ExitStack() as stack,
-    ):
+    with Opening(Storage(command.runs_root, command.repository), console) as run:
+        fleet, name, there = run.reach(command.fleet())
         check_robots((command.target,), there)
-        stack.enter_context(lease_robots(repository.leases, fleet, name, (command.target,)))
-        if command.source == "none":
+        target = fleet.describe(command.target)
+        source = None if command.source == "none" else _source(command, run)
+        run.take({command.target: target})
+        if payload is not None:
+            given = transfer_file(fleet, payload, target)
+        elif source is not None:
+            library = ExperienceLibrary(fleet, run.repository.robots, name)
+            given = transfer_experience(fleet, library, source, target, command.architecture)
+        else:
             fleet.remove_prior(command.target)
             console.print(f"{command.target} flies without a prior from now on")
-            document: dict[str, object] = {"schema": 1, "target": command.target, "source": None}
-        else:
-            if payload is not None:
-                given = transfer_file(fleet, payload, command.target)
-            else:
-                source = _source(command, name, console)
-                check_names(command.target, (source,), there)
-                given = transfer_experience(fleet, source, command.target, command.architecture)
-            _print(console, given)
-            document = _document(given)
-    if command.as_json:
-        click.echo(json.dumps(document))
+            return TransferResult(target=command.target)
+    _print(console, given)
+    return _result(given)
 
 
-def _source(command: TransferCommand, fleet: str, console: Console) -> str:
-    if command.source is not None and command.source != "best":
+def _source(command: TransferCommand, run: Opening) -> str | None:
+    """Return the name of the source, which may be away; None without one."""
+    if command.source != "best":
+        if command.source is not None:
+            check_names(command.target, (command.source,), (command.target, command.source))
         return command.source
-    found = latest_ranking(command.runs_root, fleet, command.target)
+    fleet = run.connection.name
+    found = latest_ranking(command.runs_root, run.repository.studies, fleet, command.target)
     if found is None:
         raise InvalidInputError(
-            f"no ranking of {command.target} of fleet {fleet} in {command.runs_root}: rank its "
-            f"sources first with `nufleet rank --target {command.target}`, or name a source"
+            f"no ranking of {command.target} of fleet {fleet} in {command.runs_root} or in "
+            f"{run.repository.name}: rank its sources first with `nufleet rank --target "
+            f"{command.target}`, or name a source"
         )
-    folder, record = found
-    leader = record.result.ranking[0]
-    console.print(
+    leader = found.result.ranking[0]
+    run.console.print(
         f"best source of {command.target}: [bold]{leader.robot}[/], "
-        f"ψ* = {leader.psi:.4f} ± {leader.psi_std:.4f}, from {folder.name}"
+        f"ψ* = {leader.psi:.4f} ± {leader.psi_std:.4f}, from {found.run}"
     )
-    verdict = record.result.verdicts.get(leader.robot)
+    verdict = found.result.verdicts.get(leader.robot)
     if verdict is not None and verdict.verdict is not Verdict.TRANSFER:
-        console.print(f"[yellow]the tests say: {verdict.verdict}: {verdict.reason}[/]")
-    return record.result.selected
+        run.console.print(f"[yellow]the tests say: {verdict.verdict}: {verdict.reason}[/]")
+    return found.result.selected
 
 
 def _print(console: Console, given: Transferred) -> None:
@@ -105,13 +151,26 @@ def _print(console: Console, given: Transferred) -> None:
         f"[green]{given.target} flies with the experience of {given.source} from now on[/]: "
         f"{layout.architecture}, horizon {layout.horizon_s:.2f} s, sha256 {given.sha256[:12]}…"
     )
+    if given.place != "file":
+        place = given.source if given.place == "robot" else "the repository"
+        console.print(f"taken from {place}, {_learned(given.learned_at)}: {given.reason}")
 
 
-def _document(given: Transferred) -> dict[str, object]:
-    return {
-        "schema": 1,
-        "target": given.target,
-        "source": given.source,
-        "sha256": given.sha256,
-        "manifest": given.manifest.model_dump(mode="json"),
-    }
+def _learned(learned_at: datetime | None) -> str:
+    if learned_at is None:
+        return "learned at a time that is not known here"
+    return f"learned {age_text(datetime.now(UTC) - learned_at)} ago"
+
+
+def _result(given: Transferred) -> TransferResult:
+    return TransferResult(
+        target=given.target,
+        source=given.source,
+        sha256=given.sha256,
+        manifest=given.manifest,
+        taken_from=given.place,
+        reason=given.reason,
+        learned_at=None
+        if given.learned_at is None
+        else given.learned_at.isoformat(timespec="seconds"),
+    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -11,6 +10,8 @@ from enum import StrEnum
 from pydantic import JsonValue
 
 from nufleet.orchestrator.study.interface import StudyPlan
+from nufleet.shared.experience.file import digest
+from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.robots.spec import RobotSpec
@@ -148,28 +149,39 @@ class ResponseRecord:
 
 @dataclass(frozen=True)
 class ExperienceRecord:
-    """A trained model as the bytes of its file, with its manifest."""
+    """An experience that a robot learned, as the bytes of its file."""
 
     fleet: str
-    robot: str
-    manifest: Mapping[str, JsonValue]
-    data: bytes
+    """Name of the fleet."""
+    run: str
+    """Name of the run in which it was learned."""
+    payload: bytes
+    """Content of the experience's file, which holds its manifest."""
 
     @property
     def sha256(self) -> str:
-        """Id of the experience: the SHA-256 digest of the bytes, in hexadecimal."""
-        return hashlib.sha256(self.data).hexdigest()
+        """Hash of the file, in hexadecimal."""
+        return digest(self.payload)
 
 
 @dataclass(frozen=True)
-class ExperienceSummary:
-    """An experience without its bytes."""
+class StoredExperience:
+    """A stored experience without its file."""
 
     sha256: str
+    """Hash of the file, in hexadecimal."""
     fleet: str
+    """Name of the fleet."""
     robot: str
-    manifest: Mapping[str, JsonValue]
+    """Name of the robot that learned it."""
+    architecture: Architecture
+    """Architecture of the inverse model."""
+    run: str
+    """Name of the run in which it was learned."""
+    learned_at: datetime
+    """Time at which its robot had learned it, in UTC."""
     size_bytes: int
+    """Size of the file."""
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,12 @@ from sqlalchemy import Connection, select
 
 from nufleet.orchestrator.repository.database import Database
 from nufleet.orchestrator.repository.errors import UnknownRecordError
-from nufleet.orchestrator.repository.records import ExperienceRecord, ExperienceSummary, RobotRecord
+from nufleet.orchestrator.repository.records import ExperienceRecord, RobotRecord, StoredExperience
 from nufleet.orchestrator.repository.rows import (
-    experience_record,
-    experience_summary,
-    json_object,
+    experience_payload,
+    experience_row,
     robot_record,
+    stored_experience,
 )
 from nufleet.orchestrator.repository.tables import EXPERIENCES, ROBOTS, utc_now
 from nufleet.orchestrator.repository.upsert import insert_new
@@ -36,49 +36,50 @@ class RobotStore:
             return tuple(robot_record(row) for row in connection.execute(query).mappings())
 
     def add_experience(self, record: ExperienceRecord) -> str:
-        """Store an experience and return its sha256; the same bytes again change nothing.
+        """Store an experience that its robot has learned now, and return its sha256.
+
+        An experience is stored once. One that was learned again, to the same bytes, has the run and
+        the time of the last learning.
 
         Raises:
+            MalformedMessageError: The bytes are not an experience.
             UnknownRecordError: Its robot was never described.
         """
-        sha256 = record.sha256
-        values = {
-            "sha256": sha256,
-            "fleet": record.fleet,
-            "robot": record.robot,
-            "manifest": json_object(record.manifest),
-            "size_bytes": len(record.data),
-            "data": record.data,
-            "stored_at": utc_now(),
-        }
+        values = {**experience_row(record), "learned_at": utc_now()}
         with self._database.write() as connection:
             connection.execute(insert_new(connection, EXPERIENCES, values))
-        return sha256
+            connection.execute(
+                EXPERIENCES.update()
+                .where(EXPERIENCES.c.fleet == record.fleet, EXPERIENCES.c.sha256 == record.sha256)
+                .values(values)
+            )
+        return record.sha256
 
-    def experience(self, sha256: str) -> ExperienceRecord:
-        """Return an experience with its bytes.
+    def experience(self, fleet: str, sha256: str) -> bytes:
+        """Return the file of an experience, checked like one that a robot sent.
 
         Raises:
-            UnknownRecordError: There is no experience with that digest.
-            DamagedRecordError: Its bytes have changed.
+            UnknownRecordError: The fleet has no experience with that hash.
+            DamagedRecordError: It is not what was stored.
         """
-        query = select(EXPERIENCES).where(EXPERIENCES.c.sha256 == sha256)
+        query = select(EXPERIENCES).where(
+            EXPERIENCES.c.fleet == fleet, EXPERIENCES.c.sha256 == sha256
+        )
         with self._database.read() as connection:
             row = connection.execute(query).mappings().one_or_none()
         if row is None:
-            raise UnknownRecordError(f"there is no experience {sha256}")
-        return experience_record(row)
+            raise UnknownRecordError(f"fleet {fleet} has no experience {sha256}")
+        return experience_payload(row)
 
-    def experiences(self, fleet: str) -> tuple[ExperienceSummary, ...]:
-        """Return the experiences of a fleet without their bytes, by robot, oldest first."""
-        columns = [column for column in EXPERIENCES.c if column is not EXPERIENCES.c.data]
-        query = (
-            select(*columns)
-            .where(EXPERIENCES.c.fleet == fleet)
-            .order_by(EXPERIENCES.c.robot, EXPERIENCES.c.stored_at, EXPERIENCES.c.sha256)
-        )
+    def experiences(self, fleet: str, robot: str | None = None) -> tuple[StoredExperience, ...]:
+        """Return the experiences of a fleet or of one of its robots, those learned last first."""
+        columns = [column for column in EXPERIENCES.c if column is not EXPERIENCES.c.payload]
+        query = select(*columns).where(EXPERIENCES.c.fleet == fleet)
+        if robot is not None:
+            query = query.where(EXPERIENCES.c.robot == robot)
+        query = query.order_by(EXPERIENCES.c.learned_at.desc(), EXPERIENCES.c.sha256)
         with self._database.read() as connection:
-            return tuple(experience_summary(row) for row in connection.execute(query).mappings())
+            return tuple(stored_experience(row) for row in connection.execute(query).mappings())
 
 
 def _describe(connection: Connection, record: RobotRecord) -> None:

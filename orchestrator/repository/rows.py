@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC
@@ -15,9 +14,9 @@ from nufleet.orchestrator.repository.array_blob import pack_array, unpack_comple
 from nufleet.orchestrator.repository.errors import DamagedRecordError
 from nufleet.orchestrator.repository.records import (
     ExperienceRecord,
-    ExperienceSummary,
     ResponseRecord,
     RobotRecord,
+    StoredExperience,
     StudyRecord,
     StudyStatus,
     TrialIntent,
@@ -25,6 +24,9 @@ from nufleet.orchestrator.repository.records import (
     TrialStatus,
 )
 from nufleet.orchestrator.study.interface import StudyPlan
+from nufleet.shared.errors import MalformedMessageError
+from nufleet.shared.experience.file import decode_experience
+from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.frequency_test.quality import Quality
@@ -34,6 +36,7 @@ from nufleet.shared.wire.messages import GoalResult, Outcome
 
 _PLAN = TypeAdapter(StudyPlan)
 _OBJECT = TypeAdapter(dict[str, JsonValue])
+_ARCHITECTURE: TypeAdapter[Architecture] = TypeAdapter(Architecture)
 
 
 def json_object(value: Mapping[str, JsonValue]) -> str:
@@ -182,22 +185,55 @@ def response_record(row: RowMapping) -> ResponseRecord:
     )
 
 
-def experience_summary(row: RowMapping) -> ExperienceSummary:
-    """Return the experience in a row without its bytes."""
-    with _checked(f"experience {row['sha256']}"):
-        manifest = _OBJECT.validate_json(row["manifest"])
-    return ExperienceSummary(row["sha256"], row["fleet"], row["robot"], manifest, row["size_bytes"])
+def experience_row(record: ExperienceRecord) -> dict[str, Any]:
+    """Return the row of an experience, but for its time; raises MalformedMessageError."""
+    manifest = decode_experience(record.payload).manifest
+    return {
+        "fleet": record.fleet,
+        "sha256": record.sha256,
+        "robot": manifest.robot,
+        "architecture": manifest.layout.architecture,
+        "manifest": manifest.model_dump_json(),
+        "run": record.run,
+        "size_bytes": len(record.payload),
+        "payload": record.payload,
+    }
 
 
-def experience_record(row: RowMapping) -> ExperienceRecord:
-    """Return the experience in a row; raises DamagedRecordError when its bytes have changed."""
-    summary, data = experience_summary(row), bytes(row["data"])
-    if hashlib.sha256(data).hexdigest() != summary.sha256:
-        raise DamagedRecordError(
-            f"experience {summary.sha256} of {summary.robot}: its {len(data)} bytes have another "
-            "hash; store the file again"
+def stored_experience(row: RowMapping) -> StoredExperience:
+    """Return the experience in a row without its file."""
+    with _checked(f"experience {row['sha256']} of {row['robot']}"):
+        return StoredExperience(
+            sha256=row["sha256"],
+            fleet=row["fleet"],
+            robot=row["robot"],
+            architecture=_ARCHITECTURE.validate_python(row["architecture"]),
+            run=row["run"],
+            learned_at=row["learned_at"].replace(tzinfo=UTC),
+            size_bytes=row["size_bytes"],
         )
-    return ExperienceRecord(summary.fleet, summary.robot, summary.manifest, data)
+
+
+def experience_payload(row: RowMapping) -> bytes:
+    """Return the file of the experience in a row, checked like one that a robot sent.
+
+    Raises:
+        DamagedRecordError: The file is not the one that was stored, or the other columns do not
+            describe it.
+    """
+    try:
+        known = ExperienceRecord(row["fleet"], row["run"], bytes(row["payload"]))
+        wrong = [name for name, value in experience_row(known).items() if row[name] != value]
+        reason = f"{' and '.join(wrong)} do not match its file" if wrong else None
+    except (MalformedMessageError, TypeError) as error:
+        reason = str(error)
+    if reason is not None:
+        raise DamagedRecordError(
+            f"experience {row['sha256']} of robot {row['robot']} was altered in the repository: "
+            f"{reason}; have the robot learn again with `nufleet train --robot {row['robot']}`, or "
+            "restore the repository from a copy"
+        )
+    return known.payload
 
 
 @contextmanager

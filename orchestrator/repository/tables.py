@@ -140,13 +140,15 @@ SAMPLES = Table(
 EXPERIENCES = Table(
     "experiences",
     METADATA,
+    Column("fleet", Text, primary_key=True),
     Column("sha256", Text, primary_key=True),
-    Column("fleet", Text, nullable=False),
     Column("robot", Text, nullable=False),
+    Column("architecture", Text, nullable=False),
     Column("manifest", Text, nullable=False),
+    Column("run", Text, nullable=False),
     Column("size_bytes", BigInteger, nullable=False),
-    Column("data", LargeBinary, nullable=False),
-    Column("stored_at", DateTime, nullable=False),
+    Column("payload", LargeBinary, nullable=False),
+    Column("learned_at", DateTime, nullable=False),
     ForeignKeyConstraint(["fleet", "robot"], ["robots.fleet", "robots.robot"]),
     Index(None, "fleet", "robot"),
 )

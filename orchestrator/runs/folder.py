@@ -84,9 +84,16 @@ class RunFolder:
         return study_id_of(self.path)
 
     def write_configuration(self, configuration: Mapping[str, Any]) -> None:
-        """Write the complete request, and the versions of the software that runs it."""
+        """Write the complete request, and the versions of the software that runs it.
+
+        Args:
+            configuration: All settings of the run; secrets in their addresses are not written.
+        """
         document = {
-            **configuration,
+            **{
+                key: without_secrets(value) if isinstance(value, str) else value
+                for key, value in configuration.items()
+            },
             "versions": {
                 "python": platform.python_version(),
                 **{package: version(package) for package in _PACKAGES},

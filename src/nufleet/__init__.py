@@ -1,1 +1,62 @@
-"""Find out which robot's experience will help, before you transfer it."""
+"""Find out which robot's experience will help, before you transfer it.
+
+These names are for programs outside of this project; everything else may change without notice.
+
+>>> import nufleet
+>>> x = nufleet.AxisSpec(
+...     name="x", unit="m", amplitude_max=0.3, velocity_max=1.0, acceleration_max=2.0
+... )
+>>> cart = nufleet.RobotSpec(
+...     kind="cart",
+...     axes=(x,),
+...     sample_time_s=0.01,
+...     omega_min_rad_s=0.5,
+...     omega_max_rad_s=20.0,
+...     duration_max_s=120.0,
+...     settling_time_s=2.0,
+...     simulated=True,
+... )
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nufleet.orchestrator.scripting import load_run, rank, track, transfer
+    from nufleet.robot_agent.robot import Robot
+    from nufleet.shared.errors import NufleetError
+    from nufleet.shared.robots.drivers import RobotDriver
+    from nufleet.shared.robots.spec import AxisSpec, RobotSpec
+
+__all__ = [
+    "AxisSpec",
+    "NufleetError",
+    "Robot",
+    "RobotDriver",
+    "RobotSpec",
+    "load_run",
+    "rank",
+    "track",
+    "transfer",
+]
+
+_PLACES = {
+    "AxisSpec": "nufleet.shared.robots.spec",
+    "NufleetError": "nufleet.shared.errors",
+    "Robot": "nufleet.robot_agent.robot",
+    "RobotDriver": "nufleet.shared.robots.drivers",
+    "RobotSpec": "nufleet.shared.robots.spec",
+    "load_run": "nufleet.orchestrator.scripting",
+    "rank": "nufleet.orchestrator.scripting",
+    "track": "nufleet.orchestrator.scripting",
+    "transfer": "nufleet.orchestrator.scripting",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used, so that the command line starts quickly."""
+    if name not in _PLACES:
+        raise AttributeError(f"module 'nufleet' has no attribute {name!r}")
+    return getattr(import_module(_PLACES[name]), name)

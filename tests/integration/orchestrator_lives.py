@@ -134,7 +134,8 @@ def live(life: Life) -> None:
     ):
         fleet = Fleet(session, FleetKeys("lab"), life.owner)
         fleet.wait_for(ROBOTS, timeout_s=PATIENCE_S)
-        with lease_robots(repository.leases, fleet, "lab", ROBOTS, patient=True) as leases:
+        described = fleet.describe_all(ROBOTS)
+        with lease_robots(repository.leases, fleet, "lab", described, patient=True) as leases:
             archive = Archive(repository, "lab", leases)
             study = _study(archive, fleet, life)
             if study.status is not StudyStatus.OPEN:

@@ -171,17 +171,18 @@ def test_a_robot_that_was_told_a_nonsensical_epoch_serves_again_once_it_forgot_i
         assert done.returncode == 1
         assert "another agent serves this robot" in done.stderr
     agent = lab.agent("a", PuppetRobot(), state_folder=state / "lab" / "a")
-    orchestrator = lab.orchestrator()
+    client = lab.orchestrator().fleet
     with open_repository(f"{tmp_path}/nufleet.sqlite") as repository:
         with pytest.raises(EpochOutOfRangeError, match="--robot a --forget-owner"):
-            lease_robots(repository.leases, orchestrator.fleet, "lab", ("a",))
+            lease_robots(repository.leases, client, "lab", client.describe_all(("a",)))
         agent.close()
         done = typed(*forget, cwd=tmp_path)
         assert done.returncode == 0
         assert done.stdout == f"a forgot fuzzer and its epoch {2**63 - 1}\n"
         lab.agent("a", PuppetRobot(), state_folder=state / "lab" / "a")
         orchestrator = lab.orchestrator("orchestrator-2")
-        with lease_robots(repository.leases, orchestrator.fleet, "lab", ("a",)) as leases:
+        client = orchestrator.fleet
+        with lease_robots(repository.leases, client, "lab", client.describe_all(("a",))) as leases:
             assert leases.epochs == {"a": 1}
             assert orchestrator.run("a", "g").outcome is Outcome.COMPLETED
 

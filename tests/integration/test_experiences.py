@@ -11,6 +11,7 @@ from puppet_robot import PuppetRobot
 from robots_that_learn import LaggedRobot
 
 from nufleet.orchestrator.experience.learning import Lesson, fly_lessons
+from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.linear_inverse import linear_experience
 from nufleet.orchestrator.experience.prior_custody import install
 from nufleet.orchestrator.experience.training import Origin, TrainingData
@@ -84,7 +85,7 @@ def test_a_transferred_prior_survives_the_agents_restart(lab: Lab, tmp_path: Pat
     lab.agent("source", double_integrator(0.85, 1), state_folder=tmp_path / "source")
     fleet = lab.orchestrator().fleet
     install(fleet, "source", "experience", experience())
-    given = transfer(fleet, "source", "target")
+    given = transfer(fleet, ExperienceLibrary(fleet), "source", fleet.describe("target"))
     Pilot(fleet, "run").rich("target", duration_s=60.0, seed=0)
     agent.close()
     lab.agent("target", double_integrator(0.9, 2), state_folder=tmp_path / "target")
@@ -135,7 +136,7 @@ def test_a_damaged_file_is_refused_and_the_prior_before_it_stays(fleet: Fleet, d
 
 def test_a_source_without_experience_cannot_pass_one_on(fleet: Fleet) -> None:
     with pytest.raises(InvalidInputError, match="it offers none; train one with `nufleet train"):
-        transfer(fleet, "source", "target")
+        transfer(fleet, ExperienceLibrary(fleet), "source", fleet.describe("target"))
 
 
 class BlindRobot(DoubleIntegrator):
@@ -177,7 +178,7 @@ def test_a_robot_that_measures_its_output_alone_learns_and_flies_a_preview(blind
     lesson = lessons(blind, "preview")
     payload = encode_experience(linear_experience(lesson.data, lesson.choice.layout, lesson.origin))
     install(blind, "source", "experience", payload)
-    transfer(blind, "source", "target")
+    transfer(blind, ExperienceLibrary(blind), "source", blind.describe("target"))
     Pilot(blind, "rich").rich("target", duration_s=60.0, seed=1)
     errors = flown(blind)
     assert errors["prior"] < 0.5 * errors["baseline"]
@@ -215,7 +216,7 @@ def test_the_targets_own_experience_makes_it_track_better_at_the_first_attempt(
     origin = Origin("source", "double-integrator", ("x",), "m", 1)
     learned = linear_experience(TrainingData(inputs, gamma), PREVIEW, origin)
     install(fleet, "source", "experience", encode_experience(learned))
-    transfer(fleet, "source", "target")
+    transfer(fleet, ExperienceLibrary(fleet), "source", fleet.describe("target"))
     errors = flown(fleet)
     assert errors["prior"] < 0.2 * errors["baseline"]
 

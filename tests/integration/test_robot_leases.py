@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from fleet_lab import SLOW, Lab, Orchestrator
+from fleet_lab import SLOW, Lab, Orchestrator, refusal
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
@@ -19,13 +20,21 @@ from nufleet.orchestrator.repository.errors import LeaseHeldError
 from nufleet.orchestrator.repository.repository import Repository, open_repository
 from nufleet.shared.errors import RobotOwnedError
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
-from nufleet.shared.wire.messages import Outcome
+from nufleet.shared.wire.messages import Description, Outcome
 
 TEST = Excitation(axis="x", tones=(Tone(omega_rad_s=20.0),), settle_s=0.5)
 
 
-def lease(repository: Repository, orchestrator: Orchestrator, **options: bool) -> HeldLeases:
-    return lease_robots(repository.leases, orchestrator.fleet, "lab", ("a",), **options)
+def lease(
+    repository: Repository,
+    orchestrator: Orchestrator,
+    described: Mapping[str, Description] | None = None,
+    **options: bool,
+) -> HeldLeases:
+    """Lease the robot, by an earlier description of it or by its present one."""
+    fleet = orchestrator.fleet
+    described = described or fleet.describe_all(("a",))
+    return lease_robots(repository.leases, fleet, "lab", described, **options)
 
 
 def test_of_two_that_want_a_robot_at_once_one_has_it_and_the_other_is_told_who(
@@ -100,6 +109,32 @@ def test_a_living_owner_is_left_its_robot_however_far_the_epochs_of_another_repo
                 lease(other, second)
             GoalRunner(first.fleet).run("a", "h", TEST)
         assert second.fleet.describe("a").owner == "first"
+
+
+@pytest.mark.parametrize("ahead", [0, 1])
+def test_a_description_from_before_another_took_the_robot_gives_it_no_second_owner(
+    lab: Lab, tmp_path: Path, ahead: int
+) -> None:
+    """One of the two is obeyed and the other refused, whichever has the higher epoch."""
+    lab.agent("a", PuppetRobot())
+    first, second = lab.orchestrator("first"), lab.orchestrator("second")
+    with (
+        open_repository(f"{tmp_path}/one.sqlite") as one,
+        open_repository(f"{tmp_path}/other.sqlite") as other,
+    ):
+        for _ in range(ahead):
+            with lease(other, second):
+                pass
+        before = second.fleet.describe_all(("a",))
+        with lease(one, first):
+            GoalRunner(first.fleet).run("a", "g", TEST)
+            with lease(other, second, before):
+                owner, other_one = (second, first) if ahead else (first, second)
+                assert GoalRunner(owner.fleet).run("a", "h", TEST).outcome is Outcome.COMPLETED
+                epoch = other_one.fleet.epoch("a")
+                late = other_one.request("i").model_copy(update={"epoch": epoch})
+                assert refusal(lambda: other_one.fleet.submit("a", late)) == "stale-epoch"
+        assert first.fleet.describe("a").owner == owner.fleet.orchestrator_id
 
 
 def test_who_released_a_robot_may_live_on_when_another_of_its_repository_takes_it(

@@ -6,12 +6,14 @@ import json
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
-from nufleet.orchestrator.fleet.reach import REACH, Reach
-from nufleet.orchestrator.runs.console import stderr_console
+from nufleet.orchestrator.fleet.reach import REACH, FleetChoice, Reach
 from nufleet.orchestrator.runs.folder import CONFIGURATION, RunFolder
 from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.robots.fleet_file import find_fleet_file
 
+FLEET = find_fleet_file("paper_linear")
 ENDPOINT = "tls/127.0.0.1:7447#connect_private_key_base64=MIIEvsecret"
 
 
@@ -32,4 +34,29 @@ def test_the_secrets_of_an_endpoint_and_of_a_repository_are_in_no_configuration(
 def test_an_endpoint_whose_secrets_were_not_stored_has_to_be_named_again() -> None:
     stored = Reach.model_validate_json(Reach(connect=ENDPOINT).model_dump_json())
     with pytest.raises(InvalidInputError, match="name the whole endpoint with --connect"):
-        stored.connection(stderr_console())
+        FleetChoice.again(stored).connection(Console(quiet=True))
+
+
+def test_the_target_and_the_band_that_were_named_come_before_those_of_the_fleet_file() -> None:
+    own, running = FleetChoice.started(FLEET), FleetChoice.running(ENDPOINT, None)
+    assert own.target("source-1") == running.target("source-1") == "source-1"
+    assert own.band_rad_s((1.0, 2.0)) == running.band_rad_s((1.0, 2.0)) == (1.0, 2.0)
+    assert own.file is not None
+    assert own.file.study is not None
+    assert own.target(None) == own.file.study.target
+    assert own.band_rad_s(None) == own.file.study.band_rad_s
+    assert running.band_rad_s(None) is None
+    with pytest.raises(InvalidInputError, match="Name it with --target"):
+        running.target(None)
+
+
+def test_a_fleet_file_that_names_another_fleet_than_when_the_run_began_is_refused(
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / "fleet.toml"
+    file.write_text(FLEET.read_text())
+    reach = FleetChoice.started(file).reach.model_copy(update={"fleet_name": "paper-linear"})
+    assert FleetChoice.again(reach).file == FleetChoice.started(file).file
+    file.write_text(FLEET.read_text().replace("paper-linear", "paper-linear-2"))
+    with pytest.raises(InvalidInputError, match=r"is of fleet paper-linear, .* paper-linear-2 now"):
+        FleetChoice.again(reach)

@@ -1,4 +1,4 @@
-"""Robots, studies, trials, responses and experiences: the same contract on both databases."""
+"""Robots, studies, trials and responses: the same contract on both databases."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from learned_things import experience
 from polling import PATIENCE_S
 from repository_records import (
     FLEET,
@@ -35,7 +36,6 @@ from nufleet.orchestrator.repository.errors import (
 )
 from nufleet.orchestrator.repository.records import (
     ExperienceRecord,
-    ExperienceSummary,
     RobotRecord,
     StudyStatus,
     TrialRecord,
@@ -105,10 +105,10 @@ def test_what_was_never_stored_is_refused_by_name(repository: Repository) -> Non
         studies.result("run-1.1.target.1")
     with pytest.raises(UnknownRecordError, match=r"run-1\.1\.target\.1"):
         studies.response("run-1.1.target.1")
+    with pytest.raises(UnknownRecordError, match="000"):
+        robots.experience(FLEET, "0" * 64)
     with pytest.raises(UnknownRecordError):
-        robots.experience("0" * 64)
-    with pytest.raises(UnknownRecordError):
-        robots.add_experience(ExperienceRecord(FLEET, "nobody", {}, b"model"))
+        robots.add_experience(ExperienceRecord(FLEET, "run-1", experience("nobody")))
 
 
 def test_the_intents_of_a_round_are_stored_together_or_not_at_all(begun: Repository) -> None:
@@ -272,15 +272,6 @@ def test_threads_store_the_trials_of_a_round_at_the_same_time(begun: Repository)
     stored = begun.studies.trials("run-1")
     assert {trial.intent for trial in stored} == set(trials)
     assert {trial.status for trial in stored} == {TrialStatus.ACCEPTED}
-
-
-def test_an_experience_is_kept_by_its_hash(begun: Repository) -> None:
-    record = ExperienceRecord(FLEET, "source", {"layers": [64, 64], "rmse": 0.1 + 0.2}, b"\0\xff")
-    sha256 = begun.robots.add_experience(record)
-    assert begun.robots.add_experience(record) == sha256
-    assert begun.robots.experience(sha256) == record
-    summary = ExperienceSummary(sha256, FLEET, "source", record.manifest, 2)
-    assert begun.robots.experiences(FLEET) == (summary,)
 
 
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -28,6 +28,15 @@ def test_a_record_reads_back_as_it_was_written(tmp_path: Path) -> None:
     assert read_record(folder.path) == a_record(folder.path)
 
 
+def test_the_secrets_of_a_fleets_address_are_not_written(tmp_path: Path) -> None:
+    address = "tls/127.0.0.1:7447#connect_private_key_base64=MIIEvsecret"
+    with RunFolder(tmp_path, "fleet") as folder:
+        folder.write_configuration({"kind": "train", "connect": address, "seed": 3})
+    text = (folder.path / CONFIG).read_text()
+    assert "secret" not in text
+    assert json.loads(text)["connect"] == "tls/127.0.0.1:7447#***"
+
+
 def test_two_runs_in_one_second_get_two_folders(tmp_path: Path) -> None:
     first, second = RunFolder(tmp_path, "f", now=NOON), RunFolder(tmp_path, "f", now=NOON)
     assert first.path != second.path

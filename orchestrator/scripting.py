@@ -1,0 +1,245 @@
+"""The commands for scripts and notebooks: the same jobs with typed results, and nothing printed.
+
+Every function takes the options of the command of the same name. What they mean is documented
+there (`nufleet rank --help`); the fields of the results are documented where they are declared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+
+from nufleet.orchestrator.history.catalogue import Run, read_run
+from nufleet.orchestrator.runs.folder import find_run
+from nufleet.shared.robots.fleet_file import find_fleet_file
+from nufleet.shared.wire.transport import DEFAULT_ENDPOINT
+
+if TYPE_CHECKING:
+    from nufleet.orchestrator.conduct.rank_run import Algorithm
+    from nufleet.orchestrator.evaluation.flight_documents import TrackResult
+    from nufleet.orchestrator.jobs.track import InverseChoice
+    from nufleet.orchestrator.jobs.transfer import TransferResult
+    from nufleet.orchestrator.runs.rank_result import RankResult
+    from nufleet.shared.experience.layout import Architecture
+
+
+def rank(
+    fleet: str | Path | None = None,
+    *,
+    connect: str = DEFAULT_ENDPOINT,
+    fleet_name: str | None = None,
+    target: str | None = None,
+    sources: Sequence[str] | None = None,
+    band_rad_s: tuple[float, float] | None = None,
+    axis: str | None = None,
+    iterations: int = 7,
+    seed: int = 0,
+    algorithm: Algorithm = "adaptive",
+    trajectory: str | None = None,
+    speed_m_s: float | None = None,
+    reuse_days: float | None = None,
+    realtime: float | None = None,
+    wait_s: float = 0.0,
+    live: bool = False,
+    runs_root: str | Path = "runs",
+    repository: str | None = None,
+    console: Console | None = None,
+) -> RankResult:
+    """Rank sources by how close their dynamics are to a target's; see `nufleet rank`.
+
+    Robots move. When the function returns or raises, KeyboardInterrupt included, they are at rest.
+
+    Args:
+        fleet: Path of a fleet file, or name of an installed one, whose robots are started for the
+            ranking and ended after it; None for the fleet that runs at `connect`.
+        connect: Endpoint of the running fleet.
+        fleet_name: Name of the running fleet; None when only one is running there.
+        target: Name of the robot that needs experience; None for the target of the fleet file.
+        sources: Names of the robots that have experience; None for all but the target.
+        band_rad_s: Lower and upper end of the operating band; None for that of the fleet file, or
+            the band that all robots accept.
+        axis: Name of the axis to test; None for the target's first.
+        iterations: Limit on the number of rounds of tests.
+        seed: Seed of the random choices.
+        algorithm: `adaptive`, or `paper` for the paper's Algorithm 1.
+        trajectory: Path or name of the drawing to rank for; None for no particular one.
+        speed_m_s: Largest speed on that drawing; None for the default.
+        reuse_days: Largest age of stored responses that replace tests, in days; None to test all.
+        realtime: Speed of simulated robots relative to real time; None for as fast as possible.
+        wait_s: Longest time to wait for the running fleet and its robots, in s.
+        live: Whether to serve the recording to viewers while the study runs.
+        runs_root: Folder in which the run leaves its own folder.
+        repository: Address of the repository; None for the one in `runs_root`.
+        console: Console for progress; None to print nothing.
+
+    Returns:
+        The ranking, with a verdict on the transfer from each source.
+
+    Raises:
+        NufleetError: The request was refused, or the study could not be completed; the message
+            says why, and what to do.
+    """
+    from nufleet.orchestrator.jobs.rank import RankCommand
+    from nufleet.orchestrator.jobs.rank import rank as work
+
+    command = RankCommand(
+        fleet_file=None if fleet is None else find_fleet_file(str(fleet)),
+        connect=connect,
+        fleet_name=fleet_name,
+        target=target,
+        sources=None if sources is None else tuple(sources),
+        band_rad_s=band_rad_s,
+        axis=axis,
+        iterations=iterations,
+        seed=seed,
+        algorithm=algorithm,
+        trajectory=trajectory,
+        speed_m_s=speed_m_s,
+        reuse_days=reuse_days,
+        realtime=realtime,
+        wait_s=wait_s,
+        live=live,
+        runs_root=Path(runs_root),
+        repository=repository,
+        as_json=False,
+    )
+    return work(command, console or _quiet()).result
+
+
+def transfer(
+    target: str,
+    source: str | None = None,
+    *,
+    file: str | Path | None = None,
+    architecture: Architecture | None = None,
+    connect: str = DEFAULT_ENDPOINT,
+    fleet_name: str | None = None,
+    runs_root: str | Path = "runs",
+    repository: str | None = None,
+    console: Console | None = None,
+) -> TransferResult:
+    """Give an experience to a target as the prior of its online learning; see `nufleet transfer`.
+
+    Args:
+        target: Name of the robot that receives the experience.
+        source: Name of the source, `best` for the best of the latest ranking, or `none` to remove
+            the target's prior; None when `file` is given.
+        file: File of an experience; None to take one from a source.
+        architecture: Architecture of the experience; None for the only one there is.
+        connect: Endpoint of the running fleet.
+        fleet_name: Name of the running fleet; None when only one is running there.
+        runs_root: Folder that holds the folders of all runs, rankings among them.
+        repository: Address of the repository; None for the one in `runs_root`.
+        console: Console for progress; None to print nothing.
+
+    Returns:
+        The experience that the target flies with from now on.
+
+    Raises:
+        NufleetError: The transfer was refused; the message says why, and what to do.
+    """
+    from nufleet.orchestrator.jobs.transfer import TransferCommand
+    from nufleet.orchestrator.jobs.transfer import transfer as work
+
+    command = TransferCommand(
+        connect=connect,
+        fleet_name=fleet_name,
+        target=target,
+        source=source,
+        file=None if file is None else Path(file),
+        architecture=architecture,
+        runs_root=Path(runs_root),
+        repository=repository,
+        as_json=False,
+    )
+    return work(command, console or _quiet())
+
+
+def track(
+    target: str,
+    drawings: str | Sequence[str],
+    *,
+    speed: float = 0.6,
+    scale: float = 1.0,
+    inverse: InverseChoice = "auto",
+    horizon_s: float = 0.4,
+    learn: bool = True,
+    guarded: bool = True,
+    live: bool = False,
+    connect: str = DEFAULT_ENDPOINT,
+    fleet_name: str | None = None,
+    runs_root: str | Path = "runs",
+    repository: str | None = None,
+    console: Console | None = None,
+) -> TrackResult:
+    """Have a robot track drawings; see `nufleet track`.
+
+    The robot moves. When the function returns or raises, KeyboardInterrupt included, it is at rest.
+
+    Args:
+        target: Name of the robot that flies.
+        drawings: Path or name of a drawing, or several.
+        speed: Largest speed on the paths, in the unit of the robot's axes per second.
+        scale: Factor on the points of the drawings.
+        inverse: Inverse model in front of the robot's own controller; `auto` takes the robot's
+            prior if it has one, otherwise none.
+        horizon_s: Horizon of a model that is learned from a zero prior, in s.
+        learn: Whether the online Gaussian process learns in flight.
+        guarded: Whether the guard may withdraw the inverse in flight.
+        live: Whether to serve the recording to viewers during the flights.
+        connect: Endpoint of the running fleet.
+        fleet_name: Name of the running fleet; None when only one is running there.
+        runs_root: Folder in which the run leaves its own folder.
+        repository: Address of the repository; None for the one in `runs_root`.
+        console: Console for progress; None to print nothing.
+
+    Returns:
+        The error on every drawing.
+
+    Raises:
+        NufleetError: A drawing was refused, or the robot did not finish it; the message says why.
+    """
+    from nufleet.orchestrator.jobs.track import TrackCommand
+    from nufleet.orchestrator.jobs.track import track as work
+
+    command = TrackCommand(
+        connect=connect,
+        fleet_name=fleet_name,
+        target=target,
+        drawings=(drawings,) if isinstance(drawings, str) else tuple(drawings),
+        speed=speed,
+        scale=scale,
+        inverse=inverse,
+        horizon_s=horizon_s,
+        learn=learn,
+        guarded=guarded,
+        live=live,
+        runs_root=Path(runs_root),
+        repository=repository,
+        as_json=False,
+    )
+    return work(command, console or _quiet())
+
+
+def load_run(run: str | Path = "latest", *, runs_root: str | Path = "runs") -> Run:
+    """Read what a run left in its folder.
+
+    Args:
+        run: Path of the run's folder, its name in `runs_root`, or `latest`.
+        runs_root: Folder that holds the folders of all runs.
+
+    Returns:
+        The run, with the same typed result that the function returned which made it; the result of
+        a run that was interrupted is None.
+
+    Raises:
+        InvalidInputError: There is no such run, or its files are damaged.
+    """
+    return read_run(find_run(Path(runs_root), str(run)))
+
+
+def _quiet() -> Console:
+    return Console(quiet=True)
