@@ -21,6 +21,7 @@ from nufleet.shared.wire.motions import (
     StepTest,
     Tracking,
     TrackingDetails,
+    Weighted,
 )
 
 _log = logging.getLogger(__name__)
@@ -160,6 +161,31 @@ class Pilot:
         """
         motion = Tracking(
             desired=desired, inverse="prior", prior_sha256=sha256, guarded=guarded, learn=learn
+        )
+        return self._path(robot, motion, label)
+
+    def with_mixture(
+        self,
+        robot: str,
+        desired: FloatArray,
+        label: str,
+        mixture: tuple[Weighted, ...],
+        *,
+        guarded: bool = True,
+        learn: bool = True,
+    ) -> PathFlight:
+        """Fly a path with a mixture of the priors that were installed on the robot.
+
+        Args:
+            robot: Name of the robot that flies.
+            desired: Desired positions in the unit of the robot's axes, shape (samples, axes).
+            label: Name of the flight; see `flight_label`.
+            mixture: Priors that the robot is expected to hold, and their weights at the start.
+            guarded: Whether the guard may withdraw the mixture in flight.
+            learn: Whether the weights adapt and the online Gaussian process learns in flight.
+        """
+        motion = Tracking(
+            desired=desired, inverse="mixture", mixture=mixture, guarded=guarded, learn=learn
         )
         return self._path(robot, motion, label)
 

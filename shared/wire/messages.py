@@ -111,6 +111,11 @@ class Description(Message):
     """Epoch of that lease; requests with a lower epoch are refused."""
 
     @property
+    def priors(self) -> tuple[ExperienceOffer, ...]:
+        """All experiences that were transferred to the robot, in their order."""
+        return () if self.prior is None else (self.prior, *self.companions)
+
+    @property
     def baseline_known(self) -> bool:
         """Whether the robot knows how its baseline behaves, so that a flight can be guarded."""
         return bool(self.own_flight_s)

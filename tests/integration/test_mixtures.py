@@ -1,0 +1,95 @@
+"""Several experiences over the network: handed over, weighed in flight, shown, and put back."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+from fleet_lab import Lab, double_integrator, refusal
+from learned_things import experience, layout
+
+from nufleet.orchestrator.experience.prior_custody import install, prior_put_back
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.flights.pilot import Pilot
+from nufleet.shared.experience.file import digest
+from nufleet.shared.paths.trajectories import travel
+from nufleet.shared.wire.messages import TrackingTelemetry
+from nufleet.shared.wire.motions import Weighted
+
+PATH = travel(np.array([[0.0], [0.9], [-0.5], [0.0]]), 0.4, 1.5, 0.015)
+SOURCES = [
+    experience("source-1", seed=1),
+    experience("source-2", seed=2, layout=layout(horizon_samples=30)),
+    experience("source-3", seed=3),
+]
+
+
+@pytest.fixture
+def fleet(lab: Lab) -> Fleet:
+    lab.agent("target", double_integrator(0.85, 1))
+    return lab.orchestrator().fleet
+
+
+def held(fleet: Fleet) -> list[str]:
+    return [prior.manifest.robot for prior in fleet.describe("target").priors]
+
+
+def give(fleet: Fleet) -> tuple[Weighted, ...]:
+    for place, payload in enumerate(SOURCES):
+        install(fleet, "target", "prior", payload, beside=place > 0)
+    return tuple(Weighted(sha256=digest(payload), weight=0.25) for payload in SOURCES)
+
+
+def test_a_robot_holds_several_priors_until_one_takes_their_place(fleet: Fleet) -> None:
+    give(fleet)
+    assert held(fleet) == ["source-1", "source-2", "source-3"]
+    install(fleet, "target", "prior", SOURCES[1])
+    assert held(fleet) == ["source-2"]
+    give(fleet)
+    fleet.remove_prior("target")
+    assert held(fleet) == []
+
+
+def test_priors_that_cannot_be_mixed_are_refused_when_they_come(fleet: Fleet) -> None:
+    install(fleet, "target", "prior", SOURCES[0])
+    other = experience("source-4", "state")
+    install_beside = lambda: install(fleet, "target", "prior", other, beside=True)  # noqa: E731
+    assert refusal(install_beside) == "misfit"
+    assert held(fleet) == ["source-1"]
+
+
+def test_the_weights_of_a_mixture_are_streamed_and_kept(fleet: Fleet) -> None:
+    mixture, pilot = give(fleet), Pilot(fleet, "run")
+    batches: list[TrackingTelemetry] = []
+    ended = threading.Event()
+
+    def on_telemetry(robot: str, telemetry: TrackingTelemetry) -> None:
+        batches.append(telemetry)
+        if telemetry.first_sample + len(telemetry.desired) == len(PATH):
+            ended.set()
+
+    fleet.observe_tracking(on_telemetry)
+    pilot.baseline("target", PATH, "baseline")  # from which its guard knows the baseline
+    ended.clear()
+    batches.clear()
+    flight = pilot.with_mixture("target", PATH, "mixture", mixture)
+    assert flight.failure is None
+    assert flight.details.experts == ("source-1", "source-2", "source-3")
+    assert flight.details.weights is not None
+    assert flight.details.weights.shape == (len(PATH), 4)
+    np.testing.assert_allclose(flight.details.weights[0], 0.25)
+    np.testing.assert_allclose(flight.details.weights.sum(axis=1), 1.0)
+    assert ended.wait(20)
+    for batch in batches:
+        assert batch.experts == flight.details.experts
+        assert batch.weights is not None
+        kept = flight.details.weights[batch.first_sample :][: len(batch.weights)]
+        np.testing.assert_array_equal(batch.weights, kept)
+
+
+def test_all_priors_are_put_back_in_their_order(fleet: Fleet) -> None:
+    give(fleet)
+    with prior_put_back(fleet, Pilot(fleet, "run"), fleet.describe("target")):
+        install(fleet, "target", "prior", SOURCES[2])
+    assert held(fleet) == ["source-1", "source-2", "source-3"]
