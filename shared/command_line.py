@@ -28,8 +28,8 @@ ENTRY_POINT_GROUP = "nufleet.commands"
 _DISK_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 _GROUP_HELP = {
     "drawing": "Import, draw and look at the drawings that robots track.",
-    "fleet": "Launch a fleet of simulated robots, or see who is there.",
-    "runs": "Look at what earlier runs left behind, or go on with one that was interrupted.",
+    "fleet": "Start a fleet of simulated robots, or show the robots of a running one.",
+    "runs": "Look at earlier runs, or resume one that was interrupted.",
 }
 
 

@@ -29,7 +29,7 @@ from benchmarks.faults.lab import Lab, double_integrator, opened_lab
 from benchmarks.faults.program import Program
 from benchmarks.faults.study_process import TERM_S
 from nufleet.orchestrator.experience.prior_custody import install
-from nufleet.orchestrator.fleet.stopping import stop_robots
+from nufleet.orchestrator.jobs.stop import stop_robots
 from nufleet.orchestrator.repository.records import StudyStatus
 from nufleet.orchestrator.repository.repository import open_repository
 from nufleet.shared.errors import NufleetError

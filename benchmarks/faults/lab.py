@@ -54,21 +54,25 @@ class Lab:
         """Where agents keep what has to survive them."""
         return self.folder / "state"
 
-    def describe(self, robots: Mapping[str, Mapping[str, Any]], *, rest_s: float = 0.0) -> None:
-        """Write the fleet file: for each robot the driver and settings that it is to have."""
+    def describe(self, robots: Mapping[str, Mapping[str, Any]], **beside: float | str) -> None:
+        """Write the fleet file.
+
+        Args:
+            robots: Driver and settings of each robot, by name.
+            beside: Settings of `LoggedRobot` for all of them, such as `rest_s`.
+        """
         lines = ["schema = 1", f'name = "{FLEET}"']
         for name, robot in robots.items():
-            logged = {**robot, "logbook": str(self.folder / f"{name}.logbook"), "rest_s": rest_s}
+            logged = {**robot, "logbook": str(self.folder / f"{name}.logbook"), **beside}
             lines += [f"[robots.{name}]", 'driver = "logged"', f"settings = {_toml(logged)}"]
         self.fleet_file.write_text("\n".join(lines) + "\n")
         self._robots = {name: dict(robot) for name, robot in robots.items()}
 
-    def describe_section_v(self, alphas: Mapping[str, float] = SECTION_V, **settings: Any) -> None:
-        """Write a fleet of Section V robots, each told by its α."""
-        rest_s = settings.pop("rest_s", 0.0)
-        self.describe(
-            {name: double_integrator(a, **settings) for name, a in alphas.items()}, rest_s=rest_s
-        )
+    def describe_section_v(
+        self, alphas: Mapping[str, float] = SECTION_V, **beside: float | str
+    ) -> None:
+        """Write a fleet of Section V robots, each given by its α; for `beside` see `describe`."""
+        self.describe({name: double_integrator(a) for name, a in alphas.items()}, **beside)
 
     @property
     def robots(self) -> tuple[str, ...]:

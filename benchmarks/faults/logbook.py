@@ -28,14 +28,27 @@ CONNECTED, MOVES, TOLD_TO_REST, RESTS = "connected", "moves", "told to rest", "r
 HALF_WAY = "is half way"
 """Written in no logbook: a moment to die at, a second of the robot's time into a motion."""
 
+_LOOK_S = 0.01
+"""Interval between two looks for the file that a robot awaits."""
+
 
 class LoggedRobotSettings(Strict):
-    """A driver and its settings, as in a fleet file, the logbook, and how long it takes to rest."""
+    """A driver and its settings, as in a fleet file, and what the robot does beside them."""
 
     driver: str
+    """Name of the driver."""
+
     settings: dict[str, Any]
+    """Settings of the driver."""
+
     logbook: str
+    """Path of the logbook."""
+
     rest_s: NonNegative = 0.0
+    """Time that the robot takes to come to rest."""
+
+    rest_awaits: str | None = None
+    """Path of a file that must exist before the robot comes to rest; None to wait for none."""
 
 
 @dataclass(frozen=True)
@@ -95,8 +108,11 @@ class LoggedRobot(Robot):
     Without noise a test then gives the same samples whatever went before it.
     """
 
-    def __init__(self, name: str, robot: Robot, logbook: Path, rest_s: float) -> None:
-        self._name, self._robot, self._rest_s = name, robot, rest_s
+    def __init__(self, name: str, robot: Robot, settings: LoggedRobotSettings) -> None:
+        self._name, self._robot = name, robot
+        self._rest_s = settings.rest_s
+        self._awaited = None if settings.rest_awaits is None else Path(settings.rest_awaits)
+        logbook = Path(settings.logbook)
         self._file = os.open(logbook, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
         self._fate = _fate(logbook)
         self._moving = False
@@ -144,6 +160,8 @@ class LoggedRobot(Robot):
         self._write(TOLD_TO_REST)
         if self._rest_s:
             time.sleep(self._rest_s)
+        while self._awaited is not None and not self._awaited.exists():
+            time.sleep(_LOOK_S)
         self._robot.rest()
         self._robot.connect()
         self._moving = False
@@ -183,7 +201,7 @@ def _built(name: str, settings: LoggedRobotSettings, rng: np.random.Generator) -
     driver = load_driver(settings.driver)
     inner = driver.settings.model_validate_json(json.dumps(settings.settings, default=str))
     robot = driver.build({name: inner}, rng)[name]
-    return LoggedRobot(name, robot, Path(settings.logbook), settings.rest_s)
+    return LoggedRobot(name, robot, settings)
 
 
 LOGGED = LoggedRobotDriver()

@@ -16,7 +16,7 @@ from benchmarks.faults.logbook import TOLD_TO_REST
 from benchmarks.faults.program import wait_until
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.fleet.goal_runner import GoalRunner
-from nufleet.orchestrator.fleet.stopping import stop_robots
+from nufleet.orchestrator.jobs.stop import stop_robots
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
 from nufleet.shared.wire.messages import GoalRequest
 

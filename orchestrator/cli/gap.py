@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
+
+from nufleet.orchestrator.cli.options import json_option
 
 
 @click.command()
@@ -12,6 +15,7 @@ import click
 @click.argument("second", metavar="MODEL", type=click.Path(path_type=Path))
 @click.option(
     "--band",
+    "band_rad_s",
     type=(float, float),
     metavar="LO HI",
     help="Also the largest chordal distance between these frequencies, in rad/s.",
@@ -20,17 +24,11 @@ import click
     "--controller",
     type=click.Path(path_type=Path),
     metavar="MODEL",
-    help="A controller C of the first model, u = -C y: does it stabilise the second, too?",
+    help="Controller C of the first model, u = -C y: does it stabilise the second model, too?",
 )
-@click.option("--json", "as_json", is_flag=True, help="Print one document on stdout.")
-def gap(
-    first: Path,
-    second: Path,
-    band: tuple[float, float] | None,
-    controller: Path | None,
-    as_json: bool,
-) -> None:
-    """Tell how far apart two models are: Vinnicombe's ν-gap, 0 (the same) to 1.
+@json_option
+def gap(**options: Any) -> None:
+    """Print how far apart two models are: Vinnicombe's ν-gap, from 0 (equal) to 1.
 
     \b
     MODEL is a file:
@@ -38,15 +36,10 @@ def gap(
       .json  {"A": [[..]], "B": .., "C": .., "D": .., "dt": 0.02}
       .json  {"omega_rad_s": [..], "real": [..], "imag": [..]}   measured
       .csv   omega_rad_s,real,imag[,variance]                     measured
-    For several inputs and outputs num and den are lists of rows of polynomials.
-    Between a measured response and anything else there is only the largest chordal
-    distance over the common band, which is a lower bound of the ν-gap.
+    With several inputs and outputs, num and den are lists of rows of polynomials.
+    A measured response has no ν-gap; the largest chordal distance over the common
+    band, a lower bound of the ν-gap, is printed instead.
     """
-    from nufleet.orchestrator.gap.report import gap_report, gap_table
-    from nufleet.orchestrator.runs.console import stderr_console
+    from nufleet.orchestrator.jobs.gap import gap_and_print
 
-    report = gap_report(first, second, band, controller)
-    if as_json:
-        click.echo(report.model_dump_json(by_alias=True, indent=2))
-    else:
-        stderr_console().print(gap_table(report))
+    gap_and_print(**options)

@@ -2,39 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
-from nufleet.orchestrator.environment import REPOSITORY_VARIABLE, ROUTER_VARIABLE, RUNS_VARIABLE
-
-
-class PositiveNumber(click.ParamType[float]):
-    """A finite number above zero, within optional bounds; other values are refused in words."""
-
-    name = "number"
-
-    def __init__(self, low: float | None = None, high: float | None = None) -> None:
-        self._low, self._high = low, high
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        """Return the number; reports an invalid one as click does, by raising its usage error."""
-        try:
-            number = float(str(value))
-        except ValueError:
-            self.fail(f"{value!r} is not a number", param, ctx)
-        if not 0 < number < math.inf:
-            self.fail(f"{value} must be a number above 0, and finite", param, ctx)
-        low, high = self._low or 0.0, self._high or math.inf
-        if not low <= number <= high:
-            self.fail(f"{value} must be between {low:g} and {high:g}", param, ctx)
-        return number
-
+from nufleet.orchestrator.cli.types import FleetFileOption
+from nufleet.orchestrator.jobs.environment import (
+    REPOSITORY_VARIABLE,
+    ROUTER_VARIABLE,
+    RUNS_VARIABLE,
+)
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -44,7 +23,7 @@ def connect_options(command: F) -> F:
     name = click.option(
         "--fleet-name",
         metavar="NAME",
-        help="Which fleet at that router.  [default: the only one there is]",
+        help="Name of the fleet at that router.  [default: the only one there]",
     )
     connect = click.option(
         "--connect",
@@ -52,9 +31,21 @@ def connect_options(command: F) -> F:
         show_default=True,
         envvar=ROUTER_VARIABLE,
         metavar="ENDPOINT",
-        help="The router of a running fleet.  [env: NUFLEET_ROUTER]",
+        help="Router of a running fleet.  [env: NUFLEET_ROUTER]",
     )
     return connect(name(command))
+
+
+def wait_option(help_text: str) -> Callable[[F], F]:
+    """Return an option that adds --wait with a help text."""
+    return click.option(
+        "--wait",
+        "wait_s",
+        type=click.FloatRange(min=0),
+        default=0.0,
+        metavar="SECONDS",
+        help=help_text,
+    )
 
 
 def runs_option(command: F) -> F:
@@ -66,7 +57,7 @@ def runs_option(command: F) -> F:
         default=Path("runs"),
         show_default=True,
         envvar=RUNS_VARIABLE,
-        help="Where runs leave their folders.  [env: NUFLEET_RUNS]",
+        help="Folder that holds the folders of all runs.  [env: NUFLEET_RUNS]",
     )(command)
 
 
@@ -77,10 +68,10 @@ def repository_option(command: F) -> F:
         metavar="URL",
         envvar=REPOSITORY_VARIABLE,
         help=(
-            "The database that keeps robots, studies and responses: a file, or "
-            "postgresql://USER@HOST/DATABASE, with its password in the file that PGPASSFILE names, "
-            "where no other user sees it.  [default: nufleet.sqlite in the folder of --runs; "
-            "env: NUFLEET_REPOSITORY]"
+            "Database that stores robots, studies and responses: a file, or "
+            "postgresql://USER@HOST/DATABASE. Put the password into the file that PGPASSFILE "
+            "names, where no other user can see it.  [default: nufleet.sqlite in the folder of "
+            "--runs; env: NUFLEET_REPOSITORY]"
         ),
     )(command)
 
@@ -88,7 +79,7 @@ def repository_option(command: F) -> F:
 def json_option(command: F) -> F:
     """Add --json."""
     return click.option(
-        "--json", "as_json", is_flag=True, help="Print one JSON document on stdout, alone."
+        "--json", "as_json", is_flag=True, help="Print one JSON document on stdout, nothing else."
     )(command)
 
 
@@ -97,7 +88,18 @@ def live_option(command: F) -> F:
     return click.option(
         "--live",
         is_flag=True,
-        help="Serve the recording meanwhile: `nufleet view --live`.",
+        help="Serve the recording during the run; `nufleet view --live` shows it.",
+    )(command)
+
+
+def unguarded_option(command: F) -> F:
+    """Add --no-guard."""
+    return click.option(
+        "--no-guard",
+        "guarded",
+        flag_value=False,
+        default=True,
+        help="Never fall back to the baseline; the robot's fleet file must allow this.",
     )(command)
 
 
@@ -106,9 +108,17 @@ def fleet_option(command: F) -> F:
     return click.option(
         "--fleet",
         "fleet_file",
+        type=FleetFileOption(),
         metavar="FILE",
-        help="Start the simulated fleet of this file (or installed name) for this command alone.",
+        help="Start the simulated fleet of this file (or installed name) for this command only.",
     )(command)
+
+
+def seed_option(help_text: str | None = None) -> Callable[[F], F]:
+    """Return an option that adds --seed with a help text."""
+    return click.option(
+        "--seed", type=click.IntRange(min=0), default=0, show_default=True, help=help_text
+    )
 
 
 def drawing_robots_options(command: F) -> F:
@@ -119,8 +129,8 @@ def drawing_robots_options(command: F) -> F:
         multiple=True,
         metavar="NAME",
         help=(
-            "By whose limits; may be given several times.  [default: with --fleet all robots of "
-            "it, else those of the simulated quadrotors]"
+            "Robot whose limits count; may be repeated.  [default: with --fleet all its robots, "
+            "otherwise the limits of the simulated quadrotors]"
         ),
     )
     return fleet_option(connect_options(robots(command)))
@@ -128,4 +138,4 @@ def drawing_robots_options(command: F) -> F:
 
 def overwriting_option(command: F) -> F:
     """Add --force."""
-    return click.option("--force", is_flag=True, help="Replace a file that is there.")(command)
+    return click.option("--force", is_flag=True, help="Replace an existing file.")(command)

@@ -2,69 +2,62 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import click
 from click.core import ParameterSource
 
 from nufleet.orchestrator.cli.options import (
-    PositiveNumber,
     connect_options,
+    fleet_option,
     json_option,
+    live_option,
     repository_option,
     runs_option,
+    seed_option,
+    wait_option,
 )
+from nufleet.orchestrator.cli.types import Names, PositiveNumber
 
 
 @click.command()
-@click.option(
-    "--fleet",
-    "fleet_file",
-    metavar="FILE",
-    help="Start the simulated fleet of this file (or of this installed name) for this study alone.",
-)
+@fleet_option
 @connect_options
+@wait_option("With --connect: how long to wait for the router and the robots named.")
 @click.option(
-    "--wait",
-    "wait_s",
-    type=click.FloatRange(min=0),
-    default=0.0,
-    metavar="SECONDS",
-    help="With --connect: how long to wait for the router and the robots named.",
+    "--target", help="Robot that needs experience.  [default: the target named in the fleet file]"
 )
-@click.option("--target", help="The robot that needs experience.  [default: the fleet file's]")
 @click.option(
     "--sources",
+    type=Names(),
     metavar="NAME,NAME",
-    help="The robots that have some.  [default: all but the target]",
+    help="Robots that have experience.  [default: all but the target]",
 )
 @click.option(
     "--band",
+    "band_rad_s",
     type=float,
     nargs=2,
     metavar="LOW HIGH",
-    help="Operating band, rad/s.  [default: the fleet file's, or what all robots accept]",
+    help="Operating band, rad/s.  [default: from the fleet file, or what all robots accept]",
 )
-@click.option("--axis", help="The axis to test.  [default: the target's first]")
+@click.option("--axis", help="Axis to test.  [default: the target's first]")
 @click.option(
     "--iterations",
     type=click.IntRange(min=1),
     default=7,
     show_default=True,
-    help="Tests per robot; with the adaptive algorithm the most rounds there may be.",
+    help="Tests per robot; with the adaptive algorithm, the largest number of rounds.",
 )
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Draws the first test."
-)
+@seed_option("Seed of the random choices, such as the first test.")
 @click.option(
     "--algorithm",
     type=click.Choice(["adaptive", "paper"]),
     default="adaptive",
     show_default=True,
     help=(
-        "Tests of many tones that end when the choice is sure, or the paper's Algorithm 1: one "
-        "tone per test, as many tests as --iterations says."
+        "`adaptive` plays many tones per test and stops when the choice is sure; `paper` is the "
+        "paper's Algorithm 1, with one tone per test and --iterations tests."
     ),
 )
 @click.option(
@@ -75,8 +68,8 @@ from nufleet.orchestrator.cli.options import (
     flag_value=30.0,
     metavar="[DAYS]",
     help=(
-        "Sources with stored responses that are no older than this "
-        "(30 days without a number) do not fly, and need not be there; the result names them."
+        "Do not test sources with stored responses at most this old (30 days without a number). "
+        "They need not be present; the result names them."
     ),
 )
 @click.option(
@@ -89,57 +82,33 @@ from nufleet.orchestrator.cli.options import (
     "speed_m_s",
     type=PositiveNumber(),
     metavar="M/S",
-    help="With --trajectory: the largest speed on it.  [default: what the target's axis allows]",
+    help="With --trajectory: largest speed on it.  [default: what the target's axis allows]",
 )
 @click.option(
     "--realtime",
     type=PositiveNumber(),
     metavar="FACTOR",
-    help="With --fleet: play at this multiple of real time.  [default: as fast as possible]",
+    help="With --fleet: run at this multiple of real time.  [default: as fast as possible]",
 )
-@click.option(
-    "--live",
-    is_flag=True,
-    help="Serve the recording while the study runs; `nufleet view --live` shows it.",
-)
+@live_option
 @click.option(
     "--resume",
     metavar="RUN",
-    help="Go on with this interrupted run, or the `latest`; target, band and all else are its.",
+    help="Resume this interrupted run (or `latest`) with its own target, band and other settings.",
 )
 @runs_option
 @repository_option
 @json_option
-def rank(
-    fleet_file: str | None,
-    connect: str,
-    fleet_name: str | None,
-    wait_s: float,
-    target: str | None,
-    sources: str | None,
-    band: tuple[float, float] | None,
-    axis: str | None,
-    iterations: int,
-    seed: int,
-    algorithm: Literal["paper", "adaptive"],
-    reuse_days: float | None,
-    trajectory: str | None,
-    speed_m_s: float | None,
-    realtime: float | None,
-    live: bool,
-    resume: str | None,
-    runs_root: Path,
-    repository: str | None,
-    as_json: bool,
-) -> None:
+def rank(resume: str | None, **options: Any) -> None:
     """Rank source robots by their worst-case chordal distance to a target.
 
-    All robots play many tones at once, and only those that may still win play again, until the
-    choice is right with probability 0.95; with --algorithm paper all play one tone at a time,
-    chosen by Bayesian optimisation (Algorithm 1 of Sorocky, Zhou, Schoellig, ICRA 2020). The
-    closest source's experience is expected to help the target most, and for each source the result
-    says whether it will help at all. With --trajectory the best source is the one whose inverse
-    leaves the smallest error on that. Ctrl-C brings all robots to rest.
+    All robots play many tones at once. Sources that can no longer win are dropped, and the others
+    are tested again until the choice is right with probability 0.95. With --algorithm paper, all
+    robots play one tone at a time, chosen by Bayesian optimisation (Algorithm 1 of Sorocky, Zhou,
+    Schoellig, ICRA 2020). The closest source's experience is expected to help the target most, and
+    the result says for each source whether it will help at all. With --trajectory, the best source
+    is the one whose inverse leaves the smallest error on that drawing. Ctrl-C brings all robots to
+    rest.
 
     \b
     nufleet rank --fleet paper_linear
@@ -147,63 +116,29 @@ def rank(
     nufleet rank --connect tcp/192.168.1.10:7447 --target drone-7 --band 0.1 5.4
     """
     if resume is not None:
-        _go_on(resume)
+        _resume(resume, options)
         return
     from nufleet.orchestrator.jobs.rank import RankCommand, rank_and_print
-    from nufleet.shared.robots.fleet_file import find_fleet_file
 
-    rank_and_print(
-        RankCommand(
-            fleet_file=None if fleet_file is None else find_fleet_file(fleet_file),
-            connect=connect,
-            fleet_name=fleet_name,
-            wait_s=wait_s,
-            target=target,
-            sources=None if sources is None else tuple(sources.split(",")),
-            band_rad_s=band,
-            axis=axis,
-            iterations=iterations,
-            seed=seed,
-            algorithm=algorithm,
-            reuse_days=reuse_days,
-            trajectory=trajectory,
-            speed_m_s=speed_m_s,
-            realtime=realtime,
-            live=live,
-            runs_root=runs_root,
-            repository=repository,
-            as_json=as_json,
-        )
-    )
+    rank_and_print(RankCommand(**options))
 
 
-_OF_A_RESUMPTION = {
-    *("resume", "connect", "wait_s", "live", "runs_root", "repository", "as_json"),
-}
+def _resume(run: str, options: dict[str, Any]) -> None:
+    from dataclasses import fields
 
-
-def _go_on(run: str) -> None:
     from nufleet.orchestrator.jobs.resume import ResumeCommand, resume_and_print
 
     context = click.get_current_context()
-    given = [
-        option
-        for option in context.command.params
-        if context.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE
-    ]
-    for option in given:
-        if option.name not in _OF_A_RESUMPTION:
-            raise click.UsageError(f"{option.opts[0]} is that of the run; leave it out to resume")
-    connect = next((o for o in given if o.name == "connect"), None)
-    options = context.params
-    resume_and_print(
-        ResumeCommand(
-            run=run,
-            connect=None if connect is None else options["connect"],
-            wait_s=options["wait_s"],
-            live=options["live"],
-            runs_root=options["runs_root"],
-            repository=options["repository"],
-            as_json=options["as_json"],
-        )
-    )
+    typed = {
+        parameter.name: parameter.opts[0]
+        for parameter in context.command.params
+        if context.get_parameter_source(parameter.name or "") is ParameterSource.COMMANDLINE
+    }
+    resumable = {field.name for field in fields(ResumeCommand)}
+    for name, option in typed.items():
+        if name not in {"resume", *resumable}:
+            raise click.UsageError(f"{option} is already set by the run; omit it with --resume")
+    if "connect" not in typed:
+        options["connect"] = None  # the default would replace the router that the run used
+    taken = {name: value for name, value in options.items() if name in resumable}
+    resume_and_print(ResumeCommand(run=run, **taken))

@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from nufleet.orchestrator.cli.options import json_option, repository_option, runs_option
+from nufleet.orchestrator.cli.options import (
+    json_option,
+    live_option,
+    repository_option,
+    runs_option,
+    wait_option,
+)
 
 
 @click.command("list")
@@ -14,7 +21,7 @@ from nufleet.orchestrator.cli.options import json_option, repository_option, run
 @json_option
 def list_runs(runs_root: Path, as_json: bool) -> None:
     """List earlier runs, the newest last."""
-    from nufleet.orchestrator.jobs.runs import list_and_print
+    from nufleet.orchestrator.jobs.run_list import list_and_print
 
     list_and_print(runs_root, as_json=as_json)
 
@@ -24,52 +31,23 @@ def list_runs(runs_root: Path, as_json: bool) -> None:
 @click.option(
     "--connect",
     metavar="ENDPOINT",
-    help="The router of the fleet.  [default: as the run did; a fleet of its own starts again]",
+    help="Router of the fleet.  [default: the one that the run used, or its own fleet restarted]",
 )
-@click.option(
-    "--wait",
-    "wait_s",
-    type=click.FloatRange(min=0),
-    default=0.0,
-    metavar="SECONDS",
-    help="How long to wait for the router and the robots.",
-)
-@click.option(
-    "--live",
-    is_flag=True,
-    help="Serve the recording while the study runs; `nufleet view --live` shows it.",
-)
+@wait_option("How long to wait for the router and the robots.")
+@live_option
 @runs_option
 @repository_option
 @json_option
-def resume(
-    run: str,
-    connect: str | None,
-    wait_s: float,
-    live: bool,
-    runs_root: Path,
-    repository: str | None,
-    as_json: bool,
-) -> None:
-    """Go on with RUN, which was interrupted: a folder, its name, or `latest`.
+def resume(**options: Any) -> None:
+    """Resume the interrupted run RUN: a folder, its name, or `latest`.
 
-    What was measured is not flown again. A motion that was in progress is asked for by its id: it
-    counts if it was completed, and is repeated if it ended with the process that commanded it. The
-    result is that of the undisturbed run, for robots that answer the same question alike.
+    Tests that were completed are not repeated. If a motion was in progress, the robot is asked how
+    it ended: it counts if it was completed, and is repeated otherwise. For robots that respond
+    reproducibly, the result is the same as without the interruption.
     """
     from nufleet.orchestrator.jobs.resume import ResumeCommand, resume_and_print
 
-    resume_and_print(
-        ResumeCommand(
-            run=run,
-            connect=connect,
-            wait_s=wait_s,
-            live=live,
-            runs_root=runs_root,
-            repository=repository,
-            as_json=as_json,
-        )
-    )
+    resume_and_print(ResumeCommand(**options))
 
 
 @click.command()
@@ -77,7 +55,7 @@ def resume(
 @runs_option
 @json_option
 def show(run: str, runs_root: Path, as_json: bool) -> None:
-    """Show what RUN came to: a folder, its name, or `latest`."""
+    """Show the results of RUN: a folder, its name, or `latest`."""
     from nufleet.orchestrator.jobs.runs import show_and_print
 
     show_and_print(runs_root, run, as_json=as_json)
@@ -89,7 +67,7 @@ def show(run: str, runs_root: Path, as_json: bool) -> None:
     "--to",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="FOLDER",
-    help="Where the files go, one for each robot.  [default: `responses` in the run's folder]",
+    help="Folder for the files, one per robot.  [default: `responses` in the run's folder]",
 )
 @click.option(
     "--format",
@@ -111,9 +89,9 @@ def export(
 ) -> None:
     """Write the responses that RUN measured to files: a folder, its name, or `latest`.
 
-    Each holds one robot's z(ω) with its variance, all its usable tests together. `nufleet gap`
-    compares two of them; python-control takes real + 1j imag and omega_rad_s for a
-    FrequencyResponseData. Of an interrupted run it is what is stored so far.
+    Each file holds the response z(ω) of one robot with its variance, from all its usable tests.
+    `nufleet gap` compares two such files; for python-control, real + 1j imag and omega_rad_s make a
+    FrequencyResponseData. An interrupted run exports what it has stored so far.
 
     \b
     nufleet runs export latest --to responses

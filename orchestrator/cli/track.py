@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import click
 
 from nufleet.orchestrator.cli.options import (
-    PositiveNumber,
     connect_options,
     json_option,
     live_option,
     repository_option,
     runs_option,
+    unguarded_option,
 )
+from nufleet.orchestrator.cli.types import PositiveNumber
 
 
 @click.command()
 @connect_options
-@click.option("--target", required=True, metavar="NAME", help="Who flies.")
+@click.option("--target", required=True, metavar="NAME", help="Robot that flies.")
 @click.option(
     "--trajectory",
     "drawings",
@@ -27,8 +27,8 @@ from nufleet.orchestrator.cli.options import (
     multiple=True,
     metavar="FILE|NAME",
     help=(
-        "A drawing: a CSV file of x and y, an SVG file, or one of clover, pear, ribbon, scrawl "
-        "and shell. May be given several times."
+        "Drawing: a CSV file of x and y, an SVG file, or one of clover, pear, ribbon, scrawl and "
+        "shell. May be repeated."
     ),
 )
 @click.option(
@@ -37,14 +37,14 @@ from nufleet.orchestrator.cli.options import (
     default=0.6,
     show_default=True,
     metavar="M_S",
-    help="Along the path, in unit/s of the robot's axes.",
+    help="Largest speed on the path, in the unit of the robot's axes per second.",
 )
 @click.option(
     "--scale",
     type=PositiveNumber(),
     default=1.0,
     show_default=True,
-    help="Makes the drawing larger or smaller.",
+    help="Factor on the size of the drawing.",
 )
 @click.option(
     "--inverse",
@@ -52,9 +52,9 @@ from nufleet.orchestrator.cli.options import (
     default="auto",
     show_default=True,
     help=(
-        "What stands in front of the robot's own controller: the prior that was transferred to it, "
-        "an online process that begins with nothing, or nothing. `auto` takes the prior if there "
-        "is one, else the baseline."
+        "Inverse model in front of the robot's own controller: the prior that was transferred to "
+        "it, a model learned online from nothing, or none (`baseline`). `auto` takes the prior if "
+        "there is one, otherwise the baseline."
     ),
 )
 @click.option(
@@ -67,58 +67,26 @@ from nufleet.orchestrator.cli.options import (
     help="With --inverse zero-prior: how far ahead its feedback aims.",
 )
 @click.option(
-    "--no-learning", is_flag=True, help="Use the prior as it is, without the online process."
+    "--no-learning",
+    "learn",
+    flag_value=False,
+    default=True,
+    help="Use the prior unchanged, without learning in flight.",
 )
-@click.option(
-    "--no-guard",
-    is_flag=True,
-    help="Never fall back to the baseline; only a robot whose fleet file allows it flies so.",
-)
+@unguarded_option
 @live_option
 @runs_option
 @repository_option
 @json_option
-def track(
-    connect: str,
-    fleet_name: str | None,
-    target: str,
-    drawings: tuple[str, ...],
-    speed: float,
-    scale: float,
-    inverse: Literal["auto", "prior", "zero-prior", "baseline"],
-    horizon_s: float,
-    no_learning: bool,
-    no_guard: bool,
-    live: bool,
-    runs_root: Path,
-    repository: str | None,
-    as_json: bool,
-) -> None:
+def track(**options: Any) -> None:
     """Have a robot track a hand drawing, with or without a transferred prior.
 
-    A drawing that leaves the workspace or is faster than the robot's limits is refused before
-    anything moves. Ctrl-C brings the robot to rest.
+    A drawing that leaves the workspace or exceeds the robot's limits is refused before anything
+    moves. Ctrl-C brings the robot to rest.
 
     \b
     nufleet track --target drone-7 --trajectory clover --speed 0.6
     """
     from nufleet.orchestrator.jobs.track import TrackCommand, track_and_print
 
-    track_and_print(
-        TrackCommand(
-            connect=connect,
-            fleet_name=fleet_name,
-            target=target,
-            drawings=drawings,
-            speed=speed,
-            scale=scale,
-            inverse=inverse,
-            horizon_s=horizon_s,
-            learn=not no_learning,
-            guarded=not no_guard,
-            live=live,
-            runs_root=runs_root,
-            repository=repository,
-            as_json=as_json,
-        )
-    )
+    track_and_print(TrackCommand(**options))

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import click
 
 from nufleet.orchestrator.cli.options import (
-    PositiveNumber,
     connect_options,
     json_option,
     repository_option,
     runs_option,
+    seed_option,
 )
+from nufleet.orchestrator.cli.types import PositiveNumber
+
+
+def _architectures(_context: click.Context, _option: click.Parameter, chosen: str) -> Any:
+    return ("state", "preview") if chosen == "both" else (chosen,)
 
 
 @click.command()
@@ -23,16 +27,18 @@ from nufleet.orchestrator.cli.options import (
     "robots",
     multiple=True,
     metavar="NAME",
-    help="Who learns; may be given several times.  [default: all robots that are there]",
+    help="Robot that learns; may be repeated.  [default: all robots of the fleet]",
 )
 @click.option(
     "--architecture",
+    "architectures",
     type=click.Choice(["state", "preview", "both"]),
     default="state",
     show_default=True,
+    callback=_architectures,
     help=(
-        "What the inverse model is fed with: the robot's own state, as in the paper, or the path "
-        "ahead, a filter whose error the frequency tests predict."
+        "Input of the inverse model: `state` is the robot's own state, as in the paper; `preview` "
+        "is the path ahead, which makes the model a filter whose error the frequency tests predict."
     ),
 )
 @click.option(
@@ -42,50 +48,22 @@ from nufleet.orchestrator.cli.options import (
     default=120.0,
     show_default=True,
     metavar="SECONDS",
-    help="Of the flight that the experience is learned from.",
+    help="Duration of the flight that the robot learns from.",
 )
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=0,
-    show_default=True,
-    help="Draws the flight and the network's first weights.",
-)
+@seed_option("Seed of the flight and of the network's first weights.")
 @runs_option
 @repository_option
 @json_option
-def train(
-    connect: str,
-    fleet_name: str | None,
-    robots: tuple[str, ...],
-    architecture: Literal["state", "preview", "both"],
-    duration_s: float,
-    seed: int,
-    runs_root: Path,
-    repository: str | None,
-    as_json: bool,
-) -> None:
+def train(**options: Any) -> None:
     """Have robots learn an inverse model of themselves, which they then offer to others.
 
-    Each robot flies for two minutes under its limits, some small steps, and a practice path with
-    candidate horizons; a network (4 x 128 ReLU, 2100 points) is trained here and installed on the
-    robot, which keeps it across restarts. Ctrl-C brings all robots to rest.
+    Each robot flies for two minutes within its limits, then some small steps, then a practice path
+    with each candidate horizon. A network (4 x 128 ReLU, 2100 points) is trained on this machine
+    and installed on the robot, which keeps it across restarts. Ctrl-C brings all robots to rest.
 
     \b
     nufleet train --robot drone-3
     """
     from nufleet.orchestrator.jobs.train import TrainCommand, train_and_print
 
-    train_and_print(
-        TrainCommand(
-            connect=connect,
-            fleet_name=fleet_name,
-            robots=robots,
-            architectures=("state", "preview") if architecture == "both" else (architecture,),
-            duration_s=duration_s,
-            seed=seed,
-            runs_root=runs_root,
-            repository=repository,
-            as_json=as_json,
-        )
-    )
+    train_and_print(TrainCommand(**options))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import click
 
@@ -17,64 +17,43 @@ from nufleet.orchestrator.cli.options import (
 
 @click.command()
 @connect_options
-@click.option("--target", required=True, metavar="NAME", help="Who flies with it from now on.")
+@click.option("--target", required=True, metavar="NAME", help="Robot that gets the experience.")
 @click.option(
     "--source",
     metavar="NAME|best|none",
     help=(
-        "Whose experience; `best` is what the latest ranking of this target selected; `none` "
-        "takes the target's prior away."
+        "Robot whose experience is transferred; `best` is the one that the latest ranking for this "
+        "target selected; `none` removes the target's prior."
     ),
 )
 @click.option(
     "--file",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Instead of a source: a file that `nufleet train` left in its run.",
+    help="Experience file that `nufleet train` left in its run, instead of a source.",
 )
 @click.option(
     "--architecture",
     type=click.Choice(["state", "preview"]),
-    help="Which of the source's experiences.  [default: the only one it offers]",
+    help="Architecture of the source's experience.  [default: the only one it offers]",
 )
 @runs_option
 @repository_option
 @json_option
-def transfer(
-    connect: str,
-    fleet_name: str | None,
-    target: str,
-    source: str | None,
-    file: Path | None,
-    architecture: Literal["state", "preview"] | None,
-    runs_root: Path,
-    repository: str | None,
-    as_json: bool,
-) -> None:
+def transfer(**options: Any) -> None:
     """Give a target the experience of a source, as the prior mean of its online process.
 
-    The experience is fetched from the source, or read from a file, checked to fit the target,
-    installed there (size and sha256 verified, kept across restarts) and read back.
+    The experience is fetched from the source, or read from a file, and checked to fit the target.
+    The target installs it, verified by size and sha256, and keeps it across restarts; then it is
+    read back.
 
     \b
     nufleet transfer --target drone-7 --source best
     nufleet transfer --target drone-7 --file runs/.../experiences/drone-3-state.safetensors
     """
-    if (source is None) == (file is None):
-        raise click.UsageError("Whose experience? Give either --source or --file.")
-    if file is not None and architecture is not None:
-        raise click.UsageError("A file holds one experience: leave --architecture out.")
+    if (options["source"] is None) == (options["file"] is None):
+        raise click.UsageError("give either --source or --file")
+    if options["file"] is not None and options["architecture"] is not None:
+        raise click.UsageError("a file holds only one experience: omit --architecture")
     from nufleet.orchestrator.jobs.transfer import TransferCommand, transfer_and_print
 
-    transfer_and_print(
-        TransferCommand(
-            connect=connect,
-            fleet_name=fleet_name,
-            target=target,
-            source=source,
-            file=file,
-            architecture=architecture,
-            runs_root=runs_root,
-            repository=repository,
-            as_json=as_json,
-        )
-    )
+    transfer_and_print(TransferCommand(**options))

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
-from typing import Annotated, Literal
 
-from pydantic import Field
 from rich.table import Table
 
+from nufleet.orchestrator.evaluation.flight_documents import DEMONSTRATION, DemoResult
 from nufleet.orchestrator.evaluation.fly_target import FlightObserver, Psi, fly_target, summarise
 from nufleet.orchestrator.evaluation.results import EvaluationResult
 from nufleet.orchestrator.experience.library import ExperienceLibrary
@@ -19,31 +17,7 @@ from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.orchestrator.runs.folder import RunFolder
 from nufleet.orchestrator.runs.rank_result import RankResult
 from nufleet.shared.experience.layout import Architecture
-from nufleet.shared.strict import Strict
 from nufleet.shared.wire.messages import Description
-
-DEMONSTRATION = "demo.json"
-
-
-class DemoResult(Strict):
-    """What `nufleet demo --json` prints: the ranking, and the flights with the best and worst."""
-
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    """Version of this document's layout."""
-    ranking: RankResult
-    """Ranking of all sources by frequency tests, as `nufleet rank --json` prints it."""
-    flights: EvaluationResult
-    """Tracking errors with the closest and the furthest source, as `nufleet evaluate --json`."""
-    run: str
-    """Path of the run's folder."""
-
-    def document(self) -> str:
-        """Return this result as JSON, made up of the documents of `rank` and `evaluate`."""
-        parts = {
-            "ranking": json.loads(self.ranking.document()),
-            "flights": json.loads(self.flights.document()),
-        }
-        return json.dumps({"schema": self.schema_version, **parts, "run": self.run})
 
 
 def demonstrate(

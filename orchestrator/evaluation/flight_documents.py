@@ -1,14 +1,16 @@
-"""The documents that `nufleet train` and `nufleet track` print and leave in a run's folder."""
+"""The documents that `nufleet train`, `track` and `demo` print and leave in a run's folder."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
-from nufleet.orchestrator.evaluation.results import FlightRecord
+from nufleet.orchestrator.evaluation.results import EvaluationResult, FlightRecord
+from nufleet.orchestrator.runs.rank_result import RankResult
 from nufleet.shared.experience.manifest import ExperienceManifest
 from nufleet.shared.strict import Digest, NonNegative, Strict
 
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
 
 TRAINING = "train.json"
 TRACKING = "track.json"
+DEMONSTRATION = "demo.json"
 
 
 class Document(Strict):
@@ -73,6 +76,23 @@ class TrackResult(Document):
 
     flights: tuple[FlightRecord, ...]
     """Flights in the order in which they were flown."""
+
+
+class DemoResult(Document):
+    """What `nufleet demo --json` prints: the ranking, and the flights with the best and worst."""
+
+    ranking: RankResult
+    """Ranking of all sources by frequency tests, as `nufleet rank --json` prints it."""
+    flights: EvaluationResult
+    """Tracking errors with the closest and the furthest source, as `nufleet evaluate --json`."""
+
+    def document(self) -> str:
+        """Return this result as JSON, made up of the documents of `rank` and `evaluate`."""
+        parts = {
+            "ranking": json.loads(self.ranking.document()),
+            "flights": json.loads(self.flights.document()),
+        }
+        return json.dumps({"schema": self.schema_version, **parts, "run": self.run})
 
 
 def _trained(one: Trained) -> TrainedExperience:

@@ -9,6 +9,8 @@ from pydantic import Field
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.strict import NonNegative, Strict
 
+EVALUATION = "evaluation.json"
+
 
 class FlightRecord(Strict):
     """One flight along a drawing."""

@@ -13,7 +13,7 @@ from nufleet.orchestrator.conduct.archive import Archive
 from nufleet.orchestrator.conduct.rank_run import ReadyStudy
 from nufleet.orchestrator.evaluation.fly_target import FlightObserver, fly_target, summarise
 from nufleet.orchestrator.evaluation.repeated_studies import psi_of, repeat_study
-from nufleet.orchestrator.evaluation.results import EvaluationRecord
+from nufleet.orchestrator.evaluation.results import EVALUATION, EvaluationRecord
 from nufleet.orchestrator.experience.learning import FLIGHT_S
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.train import Trained, train_robots
@@ -24,8 +24,6 @@ from nufleet.orchestrator.runs.folder import RunFolder
 from nufleet.orchestrator.study.predicted_errors import predict_rms
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.wire.messages import Description
-
-EVALUATION = "evaluation.json"
 
 Say = Callable[[str], None]
 

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import chordal_distance, chordal_variance
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.models.transfer_models import ModelError, StateSpace
+
+if TYPE_CHECKING:
+    from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 
 VARIANCE_MIN = 1e-150
 """Lower bound of a variance, which keeps its inverse, the weight, finite."""

@@ -12,16 +12,16 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import ValidationError
 
-from nufleet.orchestrator.evaluation.demonstration import DEMONSTRATION, DemoResult
 from nufleet.orchestrator.evaluation.flight_documents import (
+    DEMONSTRATION,
     TRACKING,
     TRAINING,
+    DemoResult,
     TrackResult,
     TrainResult,
 )
 from nufleet.orchestrator.evaluation.pairs import PAIRS, PairsResult
-from nufleet.orchestrator.evaluation.results import EvaluationRecord, EvaluationResult
-from nufleet.orchestrator.evaluation.run import EVALUATION
+from nufleet.orchestrator.evaluation.results import EVALUATION, EvaluationRecord, EvaluationResult
 from nufleet.orchestrator.runs.folder import CONFIGURATION, RESULTS, list_runs, read_record
 from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord
 from nufleet.shared.errors import InvalidInputError

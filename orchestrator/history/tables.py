@@ -9,8 +9,8 @@ from rich.console import RenderableType
 from rich.table import Table
 
 from nufleet.orchestrator.conduct.reuse import said_of
-from nufleet.orchestrator.evaluation.demonstration import DemoResult, demo_table
-from nufleet.orchestrator.evaluation.flight_documents import TrackResult, TrainResult
+from nufleet.orchestrator.evaluation.demonstration import demo_table
+from nufleet.orchestrator.evaluation.flight_documents import DemoResult, TrackResult, TrainResult
 from nufleet.orchestrator.evaluation.pairs import PairsResult
 from nufleet.orchestrator.evaluation.report import evaluation_table, pairs_table
 from nufleet.orchestrator.evaluation.results import EvaluationRecord, FlightRecord

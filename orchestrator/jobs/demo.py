@@ -10,14 +10,16 @@ import click
 from rich.console import Console
 
 from nufleet.orchestrator.conduct.rank_run import RankRequest, configuration, prepare
-from nufleet.orchestrator.evaluation.demonstration import DemoResult, demo_table, demonstrate
+from nufleet.orchestrator.evaluation.demonstration import demo_table, demonstrate
+from nufleet.orchestrator.evaluation.flight_documents import DemoResult
 from nufleet.orchestrator.experience.train import check_torch
 from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.flights.legs import legs_of, read_drawings
 from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.study import follow_study
-from nufleet.orchestrator.runs.console import ranking_table, stderr_console
+from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.orchestrator.runs.console import ranking_table
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.robots.fleet_file import find_fleet_file
 

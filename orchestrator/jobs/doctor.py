@@ -1,7 +1,8 @@
-"""The checks that `nufleet doctor` makes."""
+"""The work of `nufleet doctor`: check what nufleet needs, and print the findings."""
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import socket
@@ -10,8 +11,9 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, entry_points, requires, version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
+import click
 from packaging.requirements import Requirement
 
 from nufleet.orchestrator.fleet.connection import running_fleet
@@ -36,9 +38,26 @@ class Finding:
     found: str
     """Description of what was found."""
 
-    def as_json(self) -> dict[str, Any]:
-        """Return the finding as a JSON object."""
-        return asdict(self)
+
+_COLOURS = {"ok": "green", "note": "yellow", "missing": "red"}
+
+
+def checkup_and_print(connect: str, fleet_name: str | None, *, as_json: bool) -> bool:
+    """Make all checks, print their findings, and return whether nothing is missing.
+
+    Args:
+        connect: Endpoint at which to look for a running fleet.
+        fleet_name: Name of that fleet; None when only one is running there.
+        as_json: Whether to print the findings as JSON on stdout instead of text on stderr.
+    """
+    findings = checkup(connect, fleet_name)
+    if as_json:
+        click.echo(json.dumps({"schema": 1, "checks": [asdict(finding) for finding in findings]}))
+    else:
+        for finding in findings:
+            click.secho(f"{finding.verdict:<8}", fg=_COLOURS[finding.verdict], nl=False, err=True)
+            click.echo(f"{finding.what}: {finding.found}", err=True)
+    return all(finding.verdict != "missing" for finding in findings)
 
 
 def checkup(endpoint: str, fleet_name: str | None) -> list[Finding]:

@@ -1,14 +1,17 @@
-"""The work that the commands `nufleet drawing ...` share: robots' limits, files and reports."""
+"""The work of `nufleet drawing draw`, `import` and `show`."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import webbrowser
 from pathlib import Path
+from typing import TypedDict, Unpack
 
 import click
 from rich.console import Console
 
 from nufleet.orchestrator.conduct.preflight import check_robots
+from nufleet.orchestrator.drawings.page import DrawingPage
+from nufleet.orchestrator.drawings.picture import draw_picture
 from nufleet.orchestrator.drawings.report import (
     DrawingReport,
     durations_table,
@@ -17,67 +20,155 @@ from nufleet.orchestrator.drawings.report import (
     shape_text,
 )
 from nufleet.orchestrator.fleet.reach import FleetChoice
+from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.robots.fleet_file import find_fleet_file
+from nufleet.shared.paths.files import read_drawing, write_drawing
+from nufleet.shared.paths.foreign_files import import_points
+from nufleet.shared.paths.installed import find_drawing
+from nufleet.shared.paths.shape import resampled, resized
 from nufleet.shared.wire.messages import Description
 
 
-@dataclass(frozen=True)
-class WhoFlies:
+class RobotOptions(TypedDict):
     """The robots whose limits count: those of a fleet file, of a running fleet, or none."""
 
-    fleet_file: str | None
-    """Path or name of a fleet file; None for a running fleet."""
+    fleet_file: Path | None
+    """Path of a fleet file; None for a running fleet."""
     connect: str
     """Endpoint of a running fleet."""
     fleet_name: str | None
-    """Name of the fleet; None when only one is running there."""
+    """Name of the running fleet; None when only one is running there."""
     robots: tuple[str, ...]
     """Names of the robots; empty for all robots of the fleet file, or for none."""
 
-    def describe(self, console: Console) -> tuple[Description, ...]:
-        """Return the robots' descriptions, which hold their limits; nothing moves."""
-        if self.fleet_file is None and not self.robots:
-            return ()
-        if self.fleet_file is None:
-            choice = FleetChoice.running(self.connect, self.fleet_name)
-        else:
-            choice = FleetChoice.started(find_fleet_file(self.fleet_file))
-        with choice.connection(console) as (fleet, _, there):
-            robots = self.robots or there
-            check_robots(robots, there)
-            return tuple(fleet.describe_all(robots).values())
 
-
-def output_file(wanted: Path | None, default: str, *, force: bool) -> Path:
-    """Return the path to write to.
+def draw_and_print(
+    out: Path, *, extent_m: float, port: int, browser: bool, force: bool, as_json: bool
+) -> None:
+    """Serve a page for drawing until the drawing is saved, and print the report on it.
 
     Args:
-        wanted: Path that the user gave; None for the default.
-        default: Default path.
+        out: File to write.
+        extent_m: Distance from the middle of the paper, the origin, to its edges.
+        port: Port of the page; 0 takes a free one.
+        browser: Whether to open the page in the user's browser.
         force: Whether an existing file may be overwritten.
+        as_json: Whether to print the report as JSON on stdout too.
 
     Raises:
-        InvalidInputError: The file exists, and `force` is not set.
+        InvalidInputError: The file exists, or it is not a CSV file.
+        EndpointInUseError: The port is in use.
     """
+    if out.suffix.lower() != ".csv":
+        raise InvalidInputError(f"{out}: a drawing is stored as a .csv file")
+    path = _output_file(out, str(out), force=force)
+    console = stderr_console()
+    with DrawingPage(port, extent_m, lambda points: write_drawing(path, points)) as page:
+        console.print(f"draw at  {page.url}   (Ctrl-C ends without a drawing)")
+        if browser:
+            webbrowser.open(page.url)
+        points = page.wait()
+    report = _printed(console, path, points, ())
+    _print_end(console, _track_hint(path), report, as_json=as_json)
+
+
+def import_and_print(
+    file: Path,
+    out: Path | None,
+    *,
+    width_m: float | None,
+    height_m: float | None,
+    centred: bool,
+    spacing_m: float,
+    force: bool,
+    as_json: bool,
+    **robots: Unpack[RobotOptions],
+) -> None:
+    """Import a drawing from a file, and print the report on it.
+
+    Args:
+        file: An SVG file, or a table with x and y in two columns.
+        out: File to write; None for the name of `file` with `.csv`, in the working directory.
+        width_m: Width to scale to; None keeps the proportions, or the size.
+        height_m: Height to scale to; None keeps the proportions, or the size.
+        centred: Whether to centre the bounding box on the origin.
+        spacing_m: Distance between the points that are stored.
+        force: Whether an existing file may be overwritten.
+        as_json: Whether to print the report as JSON on stdout too.
+        robots: The robots whose limits count.
+
+    Raises:
+        InvalidInputError: The file cannot be read or is no drawing, or `out` exists or is not a
+            CSV file.
+    """
+    points = resized(import_points(file), width_m=width_m, height_m=height_m, centred=centred)
+    path = _output_file(out, f"{file.stem}.csv", force=force)
+    points = resampled(points, spacing_m)
+    console = stderr_console()
+    described = _described(console, robots)
+    write_drawing(path, points)
+    report = _printed(console, path, points, described)
+    _print_end(console, _track_hint(path), report, as_json=as_json)
+
+
+def show_and_print(
+    drawing: str,
+    picture: Path | None,
+    *,
+    speed_m_s: float,
+    force: bool,
+    as_json: bool,
+    **robots: Unpack[RobotOptions],
+) -> None:
+    """Draw a picture of a drawing, and print the report on it.
+
+    Args:
+        drawing: Name or path of the drawing.
+        picture: File to write; None for the drawing's name with `.png`, in the working directory.
+        speed_m_s: Largest speed along the path in the picture.
+        force: Whether an existing file may be overwritten.
+        as_json: Whether to print the report as JSON on stdout too.
+        robots: The robots whose limits count.
+
+    Raises:
+        InvalidInputError: There is no such drawing, or the picture's file exists.
+    """
+    file = find_drawing(drawing)
+    points = read_drawing(file)
+    path = _output_file(picture, f"{file.stem}.png", force=force)
+    console = stderr_console()
+    report = _printed(console, file, points, _described(console, robots))
+    draw_picture(path, file.stem, points, speed_m_s)
+    _print_end(console, f"picture: {path}", report, as_json=as_json)
+
+
+def _described(console: Console, chosen: RobotOptions) -> tuple[Description, ...]:
+    """Return the robots' descriptions, which hold their limits; nothing moves."""
+    fleet_file, robots = chosen["fleet_file"], chosen["robots"]
+    if fleet_file is None and not robots:
+        return ()
+    if fleet_file is None:
+        choice = FleetChoice.running(chosen["connect"], chosen["fleet_name"])
+    else:
+        choice = FleetChoice.started(fleet_file)
+    with choice.connection(console) as (fleet, _, there):
+        robots = robots or there
+        check_robots(robots, there)
+        return tuple(fleet.describe_all(robots).values())
+
+
+def _output_file(wanted: Path | None, default: str, *, force: bool) -> Path:
     path = Path(default) if wanted is None else wanted
     if path.exists() and not force:
-        raise InvalidInputError(f"{path} is there already: choose another --out, or --force")
+        raise InvalidInputError(f"{path} already exists: choose another --out, or give --force")
     return path
 
 
-def say(
+def _printed(
     console: Console, path: Path, points: FloatArray, robots: tuple[Description, ...]
 ) -> DrawingReport:
-    """Print the report on a drawing, and return it.
-
-    Args:
-        console: Console to print on.
-        path: File of the drawing.
-        points: Points of the drawing in m, shape (n, 2).
-        robots: Descriptions of the robots whose limits count; empty for the default limits.
-    """
+    """Print the report on a drawing with points of shape (n, 2) in m, and return it."""
     report = report_of(path.stem, str(path), points, robots)
     console.print(f"[bold]{path.stem}[/]: {shape_text(report.shape)}")
     console.print(durations_table(report))
@@ -86,7 +177,11 @@ def say(
     return report
 
 
-def print_document(report: DrawingReport, *, as_json: bool) -> None:
-    """Print the report as JSON on stdout, if wanted."""
+def _track_hint(path: Path) -> str:
+    return f"track it with:  nufleet track --target NAME --trajectory {path}"
+
+
+def _print_end(console: Console, hint: str, report: DrawingReport, *, as_json: bool) -> None:
+    console.print(hint)
     if as_json:
         click.echo(report.document())

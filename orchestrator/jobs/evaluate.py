@@ -30,7 +30,7 @@ from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.flights.legs import legs_of, read_drawings
 from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
 from nufleet.orchestrator.jobs.storage import Storage
-from nufleet.orchestrator.runs.console import stderr_console
+from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.layout import Architecture

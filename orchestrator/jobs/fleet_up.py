@@ -12,7 +12,7 @@ from nufleet.orchestrator.fleet.connection import CONNECT_TIMEOUT_S, wait_for_ro
 from nufleet.orchestrator.fleet.orchestrator_id import new_orchestrator_id
 from nufleet.orchestrator.fleet.processes import FleetProcesses, grouped
 from nufleet.orchestrator.fleet.table import fleet_table
-from nufleet.orchestrator.runs.console import stderr_console
+from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.shared.errors import NufleetError
 from nufleet.shared.redaction import without_secrets
 from nufleet.shared.robots.drivers import check_settings
@@ -24,11 +24,11 @@ AGENT_PROCESSES = 2
 """Number of processes that the robots are spread over, unless each robot gets one of its own."""
 
 
-def fleet_up(path: Path, *, listen: str, processes: bool, realtime: float | None) -> None:
+def fleet_up(fleet_file: Path, *, listen: str, processes: bool, realtime: float | None) -> None:
     """Run a router and the robots of a fleet file until Ctrl-C, with a live table on a terminal.
 
     Args:
-        path: Path of the fleet file.
+        fleet_file: Path of the fleet file.
         listen: Endpoint on which the router listens.
         processes: Whether each robot gets a process of its own.
         realtime: Speed of the simulated robots relative to real time; None for as fast as possible.
@@ -38,14 +38,14 @@ def fleet_up(path: Path, *, listen: str, processes: bool, realtime: float | None
         EndpointInUseError: The router cannot listen on that endpoint.
         NufleetError: A process of the fleet ended by itself.
     """
-    file = read_fleet_file(path)
-    check_settings(file, path)
+    file = read_fleet_file(fleet_file)
+    check_settings(file, fleet_file)
     console = stderr_console()
     robots = tuple(file.robots)
     groups = grouped(file, processes=len(robots) if processes else AGENT_PROCESSES)
     with FleetProcesses() as started:
         started.start_router(listen)
-        started.start_agents(path, groups, listen, realtime)
+        started.start_agents(fleet_file, groups, listen, realtime)
         with open_client(listen, timeout_s=CONNECT_TIMEOUT_S) as session:
             fleet = Fleet(session, FleetKeys(file.name), new_orchestrator_id())
             wait_for_robots(fleet, started, file)

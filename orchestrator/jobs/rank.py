@@ -24,7 +24,7 @@ from nufleet.orchestrator.fleet.reach import REACH, FleetChoice
 from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.study import show_study
-from nufleet.orchestrator.runs.console import stderr_console
+from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.runs.rank_result import RunRecord
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.wire.transport import DEFAULT_ENDPOINT

@@ -16,6 +16,7 @@ from nufleet.orchestrator.fleet.reach import REACH, FleetChoice, Reach
 from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.study import show_study
+from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.repository.errors import UnknownRecordError
 from nufleet.orchestrator.repository.records import (
     StudyRecord,
@@ -24,7 +25,6 @@ from nufleet.orchestrator.repository.records import (
     TrialStatus,
 )
 from nufleet.orchestrator.repository.repository import Repository
-from nufleet.orchestrator.runs.console import stderr_console
 from nufleet.orchestrator.runs.folder import (
     CONFIGURATION,
     find_run,

@@ -21,7 +21,7 @@ from nufleet.orchestrator.flights.legs import Leg, legs_of, read_drawings
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
 from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
 from nufleet.orchestrator.jobs.storage import Storage
-from nufleet.orchestrator.runs.console import stderr_console
+from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError, RobotError
 from nufleet.shared.experience.layout import HORIZON_SAMPLES_MAX, InverseLayout

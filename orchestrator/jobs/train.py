@@ -17,7 +17,7 @@ from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.orchestrator.history.tables import experiences_table
 from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.storage import Storage
-from nufleet.orchestrator.runs.console import stderr_console
+from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.shared.experience.layout import Architecture
 
 

@@ -20,7 +20,7 @@ from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.history.rankings import latest_ranking
 from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.storage import Storage
-from nufleet.orchestrator.runs.console import stderr_console
+from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.study.verdict import Verdict
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.layout import Architecture

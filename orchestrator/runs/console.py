@@ -12,11 +12,6 @@ from nufleet.orchestrator.study.interface import Question, Report, SourceEstimat
 from nufleet.orchestrator.study.outcomes import Measured, TestOutcome
 
 
-def stderr_console() -> Console:
-    """Return the console for progress and tables, which leaves stdout to documents."""
-    return Console(stderr=True, highlight=False, soft_wrap=True)
-
-
 class ConsoleObserver:
     """Prints the tests of each round, the ranking after it, and its confidence."""
 

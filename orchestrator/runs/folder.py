@@ -18,8 +18,6 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
-from nufleet.orchestrator.runs.rank_result import RunRecord
-from nufleet.orchestrator.study.outcomes import Measured
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.private_files import write_privately
 from nufleet.shared.redaction import without_secrets
@@ -27,6 +25,9 @@ from nufleet.shared.strict import Strict, describe_validation
 
 if TYPE_CHECKING:
     import pyarrow.parquet
+
+    from nufleet.orchestrator.runs.rank_result import RunRecord
+    from nufleet.orchestrator.study.outcomes import Measured
 
 RECORDING = "run.rrd"
 RESULTS = "results.json"
@@ -147,6 +148,8 @@ def study_id_of(folder: Path) -> str:
 
 def read_record(folder: Path) -> RunRecord:
     """Return the results in a run's folder; raises InvalidInputError when there are none."""
+    from nufleet.orchestrator.runs.rank_result import RunRecord
+
     path = folder / RESULTS
     try:
         return RunRecord.model_validate_json(path.read_bytes())

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from pydantic import Field
 
-from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.frequency_test.quality import Quality
 from nufleet.shared.strict import NonNegative, Positive, Strict
+
+if TYPE_CHECKING:
+    from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 
 
 class ResponseRecord(Strict):
@@ -55,6 +57,8 @@ class ResponseRecord(Strict):
 
     def response(self) -> FrequencyResponse:
         """Return the response that this record holds."""
+        from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+
         return FrequencyResponse(
             omega_rad_s=np.array(self.omega_rad_s),
             z=np.array(self.real) + 1j * np.array(self.imag),

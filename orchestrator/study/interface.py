@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.excitation import Excitation
-from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 
-Responses = Mapping[str, FrequencyResponse]
+if TYPE_CHECKING:
+    from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+
+Responses: TypeAlias = "Mapping[str, FrequencyResponse]"
 """Response at the tones of its test, by robot."""
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.errors import InvalidInputError
@@ -121,6 +120,9 @@ def worst_case_chordal_distance(
     Raises:
         InvalidInputError: the band is empty or reaches a Nyquist frequency.
     """
+    # Half a second, which commands that only compare two responses do without.
+    from scipy.optimize import minimize_scalar
+
     low, high = omega_band_rad_s
     nyquist = np.pi / max(model_1.sample_time_s, model_2.sample_time_s)
     if not 0 <= low < high < nyquist:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import schur
 
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.models.transfer_models import StateSpace
@@ -36,8 +35,11 @@ class Image:
         from orthogonal. In Schur form, the balancing inside the eigenvalue routine can separate the
         modes by scaling; without it, peaks were missed by up to 1e-2.
         """
-        if not len(self.a):
+        if len(self.a) < 2:
             return self
+        # Imported here because it takes longer to load than most comparisons take to compute.
+        from scipy.linalg import schur
+
         a, basis = schur(self.a)
         return Image(a, basis.conj().T @ self.b, self.c @ basis, self.d)
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, matrix_balance
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.models.transfer_models import ModelError, StateSpace
@@ -15,6 +15,9 @@ from nufleet.shared.models.transfer_models import ModelError, StateSpace
 # Singular values below this, relative to the norms of A and B, count as zero when the order is
 # reduced.
 RANK_TOLERANCE = 1e-9
+
+# A state is scaled again only if that makes the norms of its row and column this much smaller.
+BALANCE_GAIN = 0.95
 
 Polynomial = Sequence[float] | NDArray[np.floating]
 
@@ -29,7 +32,8 @@ def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> St
         dt_s: Sample time, or 0 for continuous time.
 
     Raises:
-        ModelError: the fraction is improper or undefined, or a coefficient is not finite.
+        ModelError: the fraction is improper or undefined, or a coefficient is not finite, also
+            after division by the denominator's first.
     """
     numerator = np.trim_zeros(np.atleast_1d(np.asarray(num, dtype=np.float64)), "f")
     denominator = np.trim_zeros(np.atleast_1d(np.asarray(den, dtype=np.float64)), "f")
@@ -49,12 +53,18 @@ def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> St
     shift = 1.0 if dt_s > 0 and order and -denominator[1] > 0.5 * order * denominator[0] else 0.0
     if shift:
         padded, denominator = _about_one(padded), _about_one(denominator)
-    padded, monic = padded / denominator[0], denominator / denominator[0]
+    with np.errstate(over="ignore"):
+        padded, monic = padded / denominator[0], denominator / denominator[0]
+    if not (np.isfinite(padded).all() and np.isfinite(monic).all()):
+        raise ModelError(
+            f"the first coefficient of the denominator, {denominator[0]:g}, is too small beside the"
+            " other coefficients"
+        )
     companion = np.zeros((order, order))
     if order:
         companion[0] = -monic[1:]
         companion[1:, :-1] = np.eye(order - 1)
-    _, (scale, _) = matrix_balance(companion, permute=False, separate=True)
+    scale = _balance(companion)
     b = np.zeros((order, 1))
     b[:1, 0] = 1.0
     return StateSpace(
@@ -64,6 +74,31 @@ def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> St
         padded[:1, None],
         dt_s,
     )
+
+
+def _balance(matrix: FloatArray) -> FloatArray:
+    """Return the scales of the states with which the norms of each row and column are alike.
+
+    The scales d, shape (n,), are powers of 2, so that dividing row i and multiplying column i by
+    dᵢ loses no digits: B. N. Parlett and C. Reinsch, "Balancing a matrix for calculation of
+    eigenvalues and eigenvectors", Numerische Mathematik 13 (1969) 293–304. `scipy.linalg` has the
+    same, but loading it takes longer than most comparisons of two models.
+    """
+    balanced, scale = matrix.copy(), np.ones(len(matrix))
+    changed = True
+    while changed:
+        changed = False
+        for i in range(len(matrix)):
+            column, row = math.hypot(*balanced[:, i]), math.hypot(*balanced[i])
+            if not (0 < column < math.inf and 0 < row < math.inf):
+                continue
+            factor = 2.0 ** round((math.log2(row) - math.log2(column)) / 2)
+            if column * factor + row / factor < BALANCE_GAIN * (column + row):
+                balanced[:, i] *= factor
+                balanced[i] /= factor
+                scale[i] *= factor
+                changed = True
+    return scale
 
 
 def _about_one(p: FloatArray) -> FloatArray:
@@ -89,6 +124,8 @@ def transfer_matrix(
         ModelError: `num` and `den` have different or ragged shapes, or a fraction cannot be
             realised, see `transfer_function`.
     """
+    from scipy.linalg import block_diag
+
     inputs = len(num[0]) if num else 0
     if inputs == 0 or [len(row) for row in [*num, *den]] != [inputs] * (2 * len(num)):
         raise ModelError("num and den must be full matrices of polynomials, of the same shape")

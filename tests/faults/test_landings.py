@@ -19,8 +19,12 @@ from nufleet.shared.wire.messages import GoalRequest, RobotStatus
 
 LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=60.0)
 ROBOTS = ("a", "b", "c")
-LANDING_S = 2.0
-"""What each robot takes to come to rest: long enough to interrupt it in."""
+
+
+@pytest.fixture
+def landing(lab: Lab) -> Path:
+    """The file without which no robot comes to rest, so that a landing lasts as long as a test."""
+    return lab.folder / "may-rest"
 
 
 def all_move(lab: Lab, robots: tuple[str, ...]) -> Fleet:
@@ -51,16 +55,18 @@ def send(number: signal.Signals) -> Callable[[Program], None]:
     return lambda program: os.kill(program.pid, number)
 
 
-def test_the_robots_of_one_agent_process_come_to_rest_together(lab: Lab) -> None:
-    lab.describe_section_v(dict.fromkeys(ROBOTS, 0.9), rest_s=LANDING_S)
+def test_the_robots_of_one_agent_process_come_to_rest_together(lab: Lab, landing: Path) -> None:
+    lab.describe_section_v(dict.fromkeys(ROBOTS, 0.9), rest_awaits=str(landing))
     lab.router()
     agent = lab.agent(*ROBOTS, realtime=1.0)
     all_move(lab, ROBOTS)
-    agent.end()
+    close_stdin(agent)
+    wait_for_landing(lab, ROBOTS)  # none waits until another one is at rest
+    landing.touch()
+    assert agent.wait() == 0
     told = [times_s(lab, robot, TOLD_TO_REST) for robot in ROBOTS]
     rests = [times_s(lab, robot, RESTS) for robot in ROBOTS]
     assert all(len(times) == 1 for times in (*told, *rests))
-    assert max(told) < min(rests), "a robot flew on while another one came to rest"
 
 
 ENDS: dict[str, tuple[Callable[[Program], None], tuple[signal.Signals, ...], int]] = {
@@ -73,9 +79,11 @@ ENDS: dict[str, tuple[Callable[[Program], None], tuple[signal.Signals, ...], int
 
 
 @pytest.mark.parametrize("who", ENDS)
-def test_an_agent_that_lands_is_not_ended_by_further_signals(who: str, lab: Lab) -> None:
+def test_an_agent_that_lands_is_not_ended_by_further_signals(
+    who: str, lab: Lab, landing: Path
+) -> None:
     first, more, code = ENDS[who]
-    lab.describe_section_v(dict.fromkeys(ROBOTS, 0.9), rest_s=LANDING_S)
+    lab.describe_section_v(dict.fromkeys(ROBOTS, 0.9), rest_awaits=str(landing))
     lab.router()
     agent = lab.agent(*ROBOTS, realtime=1.0)
     all_move(lab, ROBOTS)
@@ -85,6 +93,7 @@ def test_an_agent_that_lands_is_not_ended_by_further_signals(who: str, lab: Lab)
         said = agent.said
         os.kill(agent.pid, number)
         wait_until(lambda: agent.said != said)  # noqa: B023
+    landing.touch()
     assert agent.wait() == code, agent.said
     assert "landing: the robots are coming to rest" in agent.said
     assert "error" not in agent.said
@@ -92,13 +101,13 @@ def test_an_agent_that_lands_is_not_ended_by_further_signals(who: str, lab: Lab)
 
 
 def test_a_hanging_driver_ends_the_agent_with_an_error_when_the_others_are_at_rest(
-    lab: Lab,
+    lab: Lab, landing: Path
 ) -> None:
     hangs = {"kind": "hang", "from_sample": 30}
     faulty = {**double_integrator(0.9), "faults": [hangs]}
     lab.describe(
         {"a": {"driver": "faulty", "settings": faulty}, "b": double_integrator(0.9)},
-        rest_s=LANDING_S,
+        rest_awaits=str(landing),
     )
     lab.router()
     agent = lab.agent("a", "b", realtime=1.0)
@@ -106,6 +115,7 @@ def test_a_hanging_driver_ends_the_agent_with_an_error_when_the_others_are_at_re
     lab.wait_for_state(fleet, "a", lambda state: state.status is RobotStatus.FAULT)
     for _ in range(2):
         os.kill(agent.pid, signal.SIGTERM)
+    landing.touch()
     assert agent.wait() == 1
     assert "error: a: " in agent.said
     assert "the robot may not be at rest" in agent.said
@@ -114,10 +124,10 @@ def test_a_hanging_driver_ends_the_agent_with_an_error_when_the_others_are_at_re
 
 
 def test_a_fleet_that_lands_is_not_ended_by_further_signals(
-    lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    lab: Lab, landing: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("NUFLEET_STATE", str(tmp_path / "state"))
-    lab.describe_section_v(dict.fromkeys(ROBOTS, 0.9), rest_s=LANDING_S)
+    lab.describe_section_v(dict.fromkeys(ROBOTS, 0.9), rest_awaits=str(landing))
     where = ("--listen", lab.endpoint, "--realtime", "1")
     up = lab.command("fleet", "up", str(lab.fleet_file), *where)
     up.wait_for("3 robots of fleet lab are up")
@@ -129,6 +139,7 @@ def test_a_fleet_that_lands_is_not_ended_by_further_signals(
         said = up.said
         os.kill(up.pid, number)
         wait_until(lambda: up.said != said)  # noqa: B023
+    landing.touch()
     assert up.wait() == 130
     assert "landing: the robots of this fleet are coming to rest" in up.said
     assert all(len(times_s(lab, robot, RESTS)) == 1 for robot in ROBOTS)

@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.faults.lab import Lab
 from benchmarks.faults.program import PATIENCE_S, Program, wait_until
-from nufleet.orchestrator.fleet.stopping import stop_robots
+from nufleet.orchestrator.jobs.stop import stop_robots
 from nufleet.shared.errors import RefusedError
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
 from nufleet.shared.wire.messages import GoalRequest, Outcome, RobotStatus

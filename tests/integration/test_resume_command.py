@@ -150,7 +150,7 @@ def test_ctrl_c_says_how_to_go_on_and_a_fleet_of_its_own_is_started_again(
     go_on = ("rank", "--resume", run.name, "--runs", "here")
     clash = typed(*go_on, "--seed", "1", cwd=tmp_path)
     assert clash.returncode == 2
-    assert "--seed is that of the run" in clash.stderr
+    assert "--seed is already set by the run" in clash.stderr
     done = typed(*go_on, "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     lab.check(json.loads(done.stdout))

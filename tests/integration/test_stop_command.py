@@ -96,12 +96,12 @@ def test_a_stop_of_all_stops_every_fleet_at_the_router(lab: Lab) -> None:
 def test_a_stop_that_nobody_can_confirm_is_an_error(lab: Lab) -> None:
     nobody = nufleet(lab, "stop", "--all")
     assert nobody.returncode == 1
-    assert "nobody is there to confirm it: no robot is there" in nobody.stderr
+    assert "no robot can confirm it: there are no robots at the router" in nobody.stderr
     lab.agent("a", PuppetRobot())
     elsewhere = nufleet(lab, "stop", "--all", "--fleet-name", "lap")
     assert elsewhere.returncode == 1
-    assert "every robot of fleet lap" in elsewhere.stderr
-    assert "the fleets there are lab" in elsewhere.stderr
+    assert "all robots of fleet lap" in elsewhere.stderr
+    assert "there are fleets lab at the router" in elsewhere.stderr
 
 
 def test_names_from_the_network_that_are_none_are_neither_printed_nor_counted(lab: Lab) -> None:
@@ -138,7 +138,7 @@ def test_one_robot_that_is_not_released_keeps_no_other_from_it(lab: Lab) -> None
 
 def test_nothing_heavy_is_imported_before_robots_are_told_to_stop() -> None:
     script = (
-        "import sys; import nufleet.orchestrator.cli.stop, nufleet.orchestrator.fleet.stopping; "
+        "import sys; import nufleet.orchestrator.cli.stop, nufleet.orchestrator.jobs.stop; "
         "print({m.partition('.')[0] for m in sys.modules})"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)

@@ -6,7 +6,7 @@ import inspect
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import MISSING, fields
+from dataclasses import fields
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -76,13 +76,6 @@ def test_importing_nufleet_imports_nothing_heavy() -> None:
     asked = "import sys, nufleet; print(sorted({'numpy', 'zenoh', 'pydantic'} & set(sys.modules)))"
     found = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True)
     assert found.stdout.strip() == "[]", found.stderr
-
-
-def test_defaults_of_a_command_class_are_those_of_its_function() -> None:
-    parameters = inspect.signature(scripting.rank).parameters
-    for field in fields(RankCommand):
-        if field.default is not MISSING and field.name in parameters:
-            assert parameters[field.name].default == field.default, field.name
 
 
 def test_a_run_that_is_not_there_is_an_error_that_names_the_folder(tmp_path: Path) -> None:

@@ -71,7 +71,7 @@ def test_a_file_that_is_there_is_not_replaced_unless_one_says_so() -> None:
     Path("heart.csv").write_text("mine")
     refused = run(import_drawing, "heart.svg")
     assert isinstance(refused.exception, InvalidInputError)
-    assert "heart.csv is there already" in str(refused.exception)
+    assert "heart.csv already exists" in str(refused.exception)
     assert Path("heart.csv").read_text() == "mine"
     assert run(import_drawing, "heart.svg", "--force").exit_code == 0
     assert len(read_drawing(Path("heart.csv"))) > 60
@@ -116,7 +116,7 @@ def test_a_drawing_is_shown_as_a_picture() -> None:
     picture = matplotlib.image.imread("clover.png")
     assert min(picture.shape[:2]) > 500
     assert picture[..., :3].std() > 0.01
-    assert "is there already" in str(run(show, "clover").exception)
+    assert "already exists" in str(run(show, "clover").exception)
     assert run(show, "heart.svg", "--png", "other.png", "--speed", "0.3").exit_code == 0
     assert Path("other.png").stat().st_size > 10_000
 

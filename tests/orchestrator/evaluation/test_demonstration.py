@@ -6,7 +6,8 @@ import json
 
 from rich.console import Console
 
-from nufleet.orchestrator.evaluation.demonstration import DemoResult, demo_table
+from nufleet.orchestrator.evaluation.demonstration import demo_table
+from nufleet.orchestrator.evaluation.flight_documents import DemoResult
 from nufleet.orchestrator.evaluation.results import (
     BaselineResult,
     EvaluationResult,

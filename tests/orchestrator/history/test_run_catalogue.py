@@ -13,18 +13,18 @@ from learned_things import experience
 from rich.console import Console
 from run_records import NOON, a_record
 
-from nufleet.orchestrator.evaluation.demonstration import DEMONSTRATION, DemoResult
 from nufleet.orchestrator.evaluation.flight_documents import (
+    DEMONSTRATION,
     TRACKING,
     TRAINING,
+    DemoResult,
     HorizonRecord,
     TrackResult,
     TrainedExperience,
     TrainResult,
 )
 from nufleet.orchestrator.evaluation.pairs import PAIRS, compare_pairs
-from nufleet.orchestrator.evaluation.results import EvaluationRecord, StudyEstimates
-from nufleet.orchestrator.evaluation.run import EVALUATION
+from nufleet.orchestrator.evaluation.results import EVALUATION, EvaluationRecord, StudyEstimates
 from nufleet.orchestrator.history.catalogue import (
     KINDS,
     Damaged,
@@ -34,7 +34,8 @@ from nufleet.orchestrator.history.catalogue import (
     read_runs,
 )
 from nufleet.orchestrator.history.tables import run_tables
-from nufleet.orchestrator.jobs.runs import list_and_print, show_and_print
+from nufleet.orchestrator.jobs.run_list import list_and_print
+from nufleet.orchestrator.jobs.runs import show_and_print
 from nufleet.orchestrator.repository.records import StudyRecord, StudyStatus
 from nufleet.orchestrator.repository.repository import open_repository
 from nufleet.orchestrator.runs.folder import RESULTS, RunFolder, study_id_of

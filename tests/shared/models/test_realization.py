@@ -40,6 +40,15 @@ def test_a_model_sampled_fast_keeps_its_poles() -> None:
     )
 
 
+def test_states_are_scaled_until_the_rows_and_columns_of_a_are_alike() -> None:
+    rng = np.random.default_rng(4)
+    for order in (2, 5, 9):
+        den = 10 ** rng.uniform(-9, 9, order + 1)
+        a = transfer_function([1], den).a
+        rows, columns = np.linalg.norm(a, axis=1), np.linalg.norm(a, axis=0)
+        np.testing.assert_array_less(np.abs(np.log2(rows / columns)), 2.0)
+
+
 def test_a_constant_and_leading_zeros_are_fine() -> None:
     model = transfer_function([0, 0, 3], [0, 2])
     assert model.states == 0
@@ -52,6 +61,8 @@ def test_a_constant_and_leading_zeros_are_fine() -> None:
         ([1, 0, 0], [1, 1], "improper transfer function: the numerator has degree 2"),
         ([1], [0, 0], "denominator of a transfer function is zero"),
         ([1, float("nan")], [1, 1], "must be finite"),
+        ([1], [5e-324, 1, 1], "first coefficient of the denominator, 4.94066e-324, is too small"),
+        ([1, 1e10], [1e-300, 1], "too small beside the other"),
     ],
 )
 def test_a_fraction_that_is_no_model_is_refused(

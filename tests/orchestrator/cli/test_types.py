@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nufleet.orchestrator.cli.options import PositiveNumber
+from nufleet.orchestrator.cli.types import PositiveNumber
 
 
 def typed(text: str, *bounds: float) -> float:

@@ -1,4 +1,4 @@
-"""The environment variables that stand for options of commands."""
+"""The environment variables that set options of commands."""
 
 ROUTER_VARIABLE = "NUFLEET_ROUTER"
 RUNS_VARIABLE = "NUFLEET_RUNS"

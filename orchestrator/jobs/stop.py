@@ -1,4 +1,4 @@
-"""Stops many robots at once and finds out which of them did not confirm.
+"""The work of `nufleet stop` and `nufleet release`.
 
 Nothing heavy is imported before the stops are sent, because a person waits for them.
 """
@@ -8,6 +8,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
+
+import click
 
 from nufleet.orchestrator.fleet.discovery import robots_at
 from nufleet.orchestrator.fleet.orchestrator_id import new_orchestrator_id
@@ -24,30 +26,21 @@ MOST_AT_ONCE = 64
 
 _log = logging.getLogger(__name__)
 
-OnAnswer = Callable[[str, str | None], None]
-"""Callback with a robot's name and the reason why it did not confirm its stop, None if it did."""
 
-
-def stop_at_router(
-    endpoint: str,
-    robots: tuple[str, ...] | None,
-    reason: str,
-    *,
-    fleet_name: str | None,
-    on_answer: OnAnswer,
+def stop_and_print(
+    endpoint: str, fleet_name: str | None, robots: tuple[str, ...] | None, reason: str
 ) -> bool:
     """Stop the named robots, or all robots, and return whether each of them confirmed.
 
     An ambiguous request is never an error: without a fleet name, every fleet at the router is
-    stopped.
+    stopped. The answer of each robot is printed as soon as it is known; robots are named
+    `fleet/robot` where there are several fleets.
 
     Args:
         endpoint: Endpoint at which the router listens.
+        fleet_name: Name of the fleet; None means every fleet at the router.
         robots: Names of the robots to stop; None stops all.
         reason: Reason for the stop, in any words.
-        fleet_name: Name of the fleet; None means every fleet at the router.
-        on_answer: Callback for each robot as soon as its answer is known; robots are named
-            `fleet/robot` where there are several fleets.
 
     Raises:
         NoRouterError: No router answers, so no robot can be reached.
@@ -68,7 +61,37 @@ def stop_at_router(
                 if fleet_name in (None, fleet) and (robots is None or robot in robots):
                     asking.put_urgent(FleetKeys(fleet).robot(robot, "stop"), order)
             fleets = tuple(sorted({fleet for fleet, _ in there}))
-            return _all_confirm(asking, fleets, sender, robots, reason, fleet_name, on_answer)
+            confirmed = _all_confirm(asking, fleets, sender, robots, reason, fleet_name)
+    if not confirmed:
+        _print_failure("Stop these robots by hand.")
+    return confirmed
+
+
+def release_and_print(endpoint: str, fleet_name: str | None, robots: tuple[str, ...]) -> bool:
+    """Release the named robots, print the answer of each, and return whether all may move again.
+
+    Args:
+        endpoint: Endpoint at which the router listens.
+        fleet_name: Name of the fleet; None when only one is running there.
+        robots: Names of the robots to release.
+
+    Raises:
+        NoRouterError: No router answers.
+        InvalidInputError: There is no fleet, or there are several and none was named.
+    """
+    from nufleet.orchestrator.fleet.connection import running_fleet
+
+    released = True
+    with running_fleet(endpoint, fleet_name) as connection:
+        for robot in robots:
+            try:
+                connection.fleet.release(robot)
+            except NufleetError as error:
+                released = False
+                _print_failure(f"{robot} was not released: {error}")
+            else:
+                click.echo(f"{robot} may move again", err=True)
+    return released
 
 
 def stop_robots(fleet: Fleet, robots: tuple[str, ...], reason: str) -> dict[str, str]:
@@ -111,7 +134,6 @@ def _all_confirm(
     robots: tuple[str, ...] | None,
     reason: str,
     fleet_name: str | None,
-    on_answer: OnAnswer,
 ) -> bool:
     from nufleet.orchestrator.fleet.client import Fleet
 
@@ -121,21 +143,23 @@ def _all_confirm(
     unconfirmed: set[_Target] = set()
 
     def told(target: _Target, why: str | None) -> None:
-        if why is not None:
+        name = target.robot if len(fleets) == 1 else f"{target.fleet_name}/{target.robot}"
+        if why is None:
+            click.echo(f"{name} is stopped", err=True)
+        else:
             unconfirmed.add(target)
-        one = len(fleets) == 1
-        on_answer(target.robot if one else f"{target.fleet_name}/{target.robot}", why)
+            _print_failure(f"{name} DID NOT CONFIRM ITS STOP: {why}")
 
     # Repeat until no new robot appears: some may appear while others are being asked.
     while new := [target for target in _targets(fleets, robots) if target not in asked]:
         asked.update(new)
         _stop(new, reason, told)
     if not asked:
-        who = "every robot" if fleet_name is None else f"every robot of fleet {fleet_name}"
-        fleets_there = f"the fleets there are {', '.join(there)}" if there else "no robot is there"
+        everyone = "all robots" if fleet_name is None else f"all robots of fleet {fleet_name}"
+        found = f"fleets {', '.join(there)}" if there else "no robots"
         raise RobotLostError(
-            f"a stop was sent to {who if robots is None else ', '.join(robots)}, "
-            f"but nobody is there to confirm it: {fleets_there}"
+            f"a stop was sent to {everyone if robots is None else ', '.join(robots)}, "
+            f"but no robot can confirm it: there are {found} at the router"
         )
     return not unconfirmed
 
@@ -149,6 +173,10 @@ def _targets(fleets: dict[str, Fleet], robots: tuple[str, ...] | None) -> list[_
     seen = {target.robot for target in targets}
     missing = [robot for robot in robots if robot not in seen]
     return targets + [_Target(f, name, robot) for name, f in fleets.items() for robot in missing]
+
+
+def _print_failure(sentence: str) -> None:
+    click.secho(sentence, fg="red", bold=True, err=True)
 
 
 def _stop(targets: list[_Target], reason: str, told: Callable[[_Target, str | None], None]) -> None:

@@ -1,0 +1,80 @@
+"""The types of options that click does not have."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import click
+
+
+class PositiveNumber(click.ParamType[float]):
+    """A finite number above zero, within optional bounds."""
+
+    name = "number"
+
+    def __init__(self, low: float | None = None, high: float | None = None) -> None:
+        self._low, self._high = low, high
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """Return the number; an invalid one raises click's usage error."""
+        try:
+            number = float(str(value))
+        except ValueError:
+            self.fail(f"{value!r} is not a number", param, ctx)
+        if not 0 < number < math.inf:
+            self.fail(f"{value} must be a number above 0, and finite", param, ctx)
+        low, high = self._low or 0.0, self._high or math.inf
+        if not low <= number <= high:
+            self.fail(f"{value} must be between {low:g} and {high:g}", param, ctx)
+        return number
+
+
+class Names(click.ParamType[tuple[str, ...]]):
+    """Names of robots or drawings, separated by commas."""
+
+    name = "names"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, ...]:
+        """Return the names in their order."""
+        return tuple(str(value).split(","))
+
+
+class PositiveNumbers(click.ParamType[tuple[float, ...]]):
+    """Finite numbers above zero, separated by commas."""
+
+    name = "numbers"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, ...]:
+        """Return the numbers in their order; an invalid one raises click's usage error."""
+        number = PositiveNumber()
+        return tuple(number.convert(part, param, ctx) for part in str(value).split(","))
+
+
+class FleetFileOption(click.ParamType[Path]):
+    """A fleet file, given by its path or by the name of an installed one."""
+
+    name = "fleet file"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> Path:
+        """Return the path of the file; raises FleetFileError when there is none."""
+        from nufleet.shared.robots.fleet_file import find_fleet_file
+
+        return find_fleet_file(str(value))
+
+
+class Endpoint(click.types.StringParamType):
+    """A Zenoh endpoint; commas separate several in an environment variable.
+
+    Click would split them at spaces, which the path of a Unix socket may contain.
+    """
+
+    envvar_list_splitter = ","

@@ -1,0 +1,38 @@
+"""The work of `nufleet router`."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+import click
+
+from nufleet.shared.lifeline import when_stdin_closes
+from nufleet.shared.wire.transport import DEFAULT_ENDPOINT, open_configured_router, open_router
+
+
+def run_router(
+    endpoints: tuple[str, ...], configuration: Path | None, *, until_stdin_closes: bool
+) -> None:
+    """Run a router until Ctrl-C.
+
+    Args:
+        endpoints: Endpoints to listen on; empty for the default one.
+        configuration: File with a Zenoh configuration that takes the place of `endpoints`.
+        until_stdin_closes: Whether the router also ends when its standard input is closed.
+
+    Raises:
+        EndpointInUseError: The router cannot listen on an endpoint.
+        InvalidInputError: The configuration cannot be used.
+    """
+    ended = threading.Event()
+    if until_stdin_closes:
+        when_stdin_closes(ended.set)
+    opening = (
+        open_router(list(endpoints) or [DEFAULT_ENDPOINT])
+        if configuration is None
+        else open_configured_router(configuration)
+    )
+    with opening as session:
+        click.echo(f"router listening on {', '.join(session.listening_on())}", err=True)
+        ended.wait()

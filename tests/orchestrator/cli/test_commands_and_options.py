@@ -1,0 +1,169 @@
+"""Options are said once: each command's are the fields of its job, and reach it converted."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+from click.testing import CliRunner, Result
+
+from nufleet.orchestrator.cli.demo import demo
+from nufleet.orchestrator.cli.evaluate import evaluate
+from nufleet.orchestrator.cli.rank import rank
+from nufleet.orchestrator.cli.runs import resume
+from nufleet.orchestrator.cli.track import track
+from nufleet.orchestrator.cli.train import train
+from nufleet.orchestrator.cli.transfer import transfer
+from nufleet.orchestrator.jobs.demo import DemoCommand
+from nufleet.orchestrator.jobs.evaluate import EvaluateCommand
+from nufleet.orchestrator.jobs.rank import RankCommand
+from nufleet.orchestrator.jobs.resume import ResumeCommand
+from nufleet.orchestrator.jobs.track import TrackCommand
+from nufleet.orchestrator.jobs.train import TrainCommand
+from nufleet.orchestrator.jobs.transfer import TransferCommand
+from nufleet.shared.errors import FleetFileError
+from nufleet.sims.fleets import PAPER_LINEAR
+
+JOBS: dict[str, tuple[click.Command, type[Any]]] = {
+    "rank": (rank, RankCommand),
+    "train": (train, TrainCommand),
+    "track": (track, TrackCommand),
+    "transfer": (transfer, TransferCommand),
+    "evaluate": (evaluate, EvaluateCommand),
+    "demo": (demo, DemoCommand),
+    "resume": (resume, ResumeCommand),
+}
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """What the jobs were asked for, since none of them is done."""
+    found: list[Any] = []
+    for name in JOBS:
+        monkeypatch.setattr(f"nufleet.orchestrator.jobs.{name}.{name}_and_print", found.append)
+    for variable in ("NUFLEET_ROUTER", "NUFLEET_RUNS", "NUFLEET_REPOSITORY"):
+        monkeypatch.delenv(variable, raising=False)
+    return found
+
+
+def typed(name: str, *arguments: str, **environment: str) -> Result:
+    return CliRunner().invoke(JOBS[name][0], arguments, env=environment)
+
+
+@pytest.mark.parametrize("name", JOBS)
+def test_the_options_of_a_command_are_the_fields_of_its_job(name: str) -> None:
+    command, job = JOBS[name]
+    options = {parameter.name for parameter in command.params}
+    # `rank --resume` is another job; how many processes a fleet gets only scripts choose.
+    assert options - {"resume"} == {field.name for field in fields(job)} - {"processes"}
+
+
+@pytest.mark.parametrize("name", ["rank", "resume"])
+def test_options_that_are_left_out_are_what_the_job_takes_by_default(
+    name: str, asked: list[Any]
+) -> None:
+    assert typed(name).exit_code == 0
+    assert asked == [JOBS[name][1](runs_root=Path("runs"))]
+
+
+def test_options_of_rank_reach_the_job_converted(asked: list[Any]) -> None:
+    arguments = (
+        *("--fleet", "paper_linear", "--sources", "a,b", "--band", "0.5", "10", "--reuse"),
+        *("--seed", "3", "--wait", "2", "--realtime", "4", "--json", "--runs", "here"),
+    )
+    assert typed("rank", *arguments).exit_code == 0
+    assert asked == [
+        RankCommand(
+            fleet_file=PAPER_LINEAR,
+            sources=("a", "b"),
+            band_rad_s=(0.5, 10.0),
+            reuse_days=30.0,
+            seed=3,
+            wait_s=2.0,
+            realtime=4.0,
+            as_json=True,
+            runs_root=Path("here"),
+        )
+    ]
+
+
+def test_options_of_evaluate_reach_the_job_converted(asked: list[Any]) -> None:
+    arguments = ("--drawings", "clover,my drawing.csv", "--speeds", "0.3,0.6", "--no-guard")
+    assert typed("evaluate", *arguments).exit_code == 0
+    (command,) = asked
+    assert command.drawings == ("clover", "my drawing.csv")
+    assert command.speeds == (0.3, 0.6)
+    assert (command.sources, command.fleet_file, command.guarded) == (None, None, False)
+
+
+def test_options_that_say_no_turn_something_off(asked: list[Any]) -> None:
+    flight = ("--target", "a", "--trajectory", "clover", "--trajectory", "pear")
+    assert typed("track", *flight).exit_code == 0
+    assert typed("track", *flight, "--no-learning", "--no-guard").exit_code == 0
+    as_usual, otherwise = asked
+    assert (as_usual.learn, as_usual.guarded) == (True, True)
+    assert (otherwise.learn, otherwise.guarded) == (False, False)
+    assert otherwise.drawings == ("clover", "pear")
+
+
+@pytest.mark.parametrize(
+    ("chosen", "architectures"),
+    [("state", ("state",)), ("preview", ("preview",)), ("both", ("state", "preview"))],
+)
+def test_both_architectures_can_be_trained_at_once(
+    chosen: str, architectures: tuple[str, ...], asked: list[Any]
+) -> None:
+    assert typed("train", "--architecture", chosen).exit_code == 0
+    assert asked[0].architectures == architectures
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "give either --source or --file"),
+        (("--source", "b", "--file", "b.safetensors"), "give either --source or --file"),
+        (("--file", "b.safetensors", "--architecture", "state"), "only one experience"),
+    ],
+)
+def test_a_transfer_takes_one_experience(
+    arguments: tuple[str, ...], words: str, asked: list[Any]
+) -> None:
+    refused = typed("transfer", "--target", "a", *arguments)
+    assert (refused.exit_code, asked) == (2, [])
+    assert words in refused.output
+
+
+def test_a_speed_that_is_none_is_refused_by_its_option(asked: list[Any]) -> None:
+    refused = typed("evaluate", "--speeds", "0.3,fast")
+    assert (refused.exit_code, asked) == (2, [])
+    assert "'--speeds': 'fast' is not a number" in refused.output
+
+
+def test_a_fleet_file_that_is_missing_is_refused(asked: list[Any]) -> None:
+    assert isinstance(typed("rank", "--fleet", "no_such_fleet").exception, FleetFileError)
+    assert asked == []
+
+
+def test_rank_can_resume_as_runs_resume_does(asked: list[Any]) -> None:
+    assert typed("rank", "--resume", "latest", "--wait", "5", "--runs", "here").exit_code == 0
+    assert typed("resume", "latest", "--wait", "5", "--runs", "here").exit_code == 0
+    from_rank, from_runs = asked
+    assert asdict(from_rank) == asdict(from_runs)
+
+
+def test_a_resumed_run_is_looked_for_where_it_was_unless_a_router_is_typed(
+    asked: list[Any],
+) -> None:
+    router = "tcp/10.0.0.1:7447"
+    assert typed("rank", "--resume", "latest", NUFLEET_ROUTER=router).exit_code == 0
+    assert typed("rank", "--resume", "latest", "--connect", router).exit_code == 0
+    assert [command.connect for command in asked] == [None, router]
+
+
+def test_what_the_run_has_set_cannot_be_changed_when_it_is_resumed(asked: list[Any]) -> None:
+    refused = typed("rank", "--resume", "latest", "--band", "1", "2")
+    assert (refused.exit_code, asked) == (2, [])
+    assert "--band is already set by the run; omit it with --resume" in refused.output

@@ -1,0 +1,81 @@
+"""Commands that only read and calculate load neither the network nor the repository."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from run_records import NOON, a_record
+
+from nufleet.orchestrator.runs.folder import RunFolder
+
+HEAVY = {
+    *("zenoh", "sqlalchemy", "alembic", "psycopg"),
+    *("rerun", "matplotlib", "pyarrow", "numba", "torch", "mujoco", "crazyflow"),
+}
+SCRIPT = """
+import sys
+from nufleet.shared.command_line import main
+try:
+    main()
+finally:
+    print(*sys.modules, sep="\\n", file=open("loaded.txt", "w"))
+"""
+
+
+@pytest.fixture
+def workplace(tmp_path: Path) -> Path:
+    """A folder with the files that the commands read."""
+    models = {"first": {"num": [1], "den": [1, 1]}, "second": {"num": [2], "den": [1, 2]}}
+    for name, model in models.items():
+        (tmp_path / f"{name}.json").write_text(json.dumps(model))
+    (tmp_path / "measured.csv").write_text("omega_rad_s,real,imag\n1,1,0\n2,0.5,-0.5\n")
+    (tmp_path / "runs").mkdir()
+    with RunFolder(tmp_path / "runs", "lab", now=NOON) as folder:
+        folder.write_configuration({"kind": "rank", "fleet": "lab"})
+        folder.write_record(a_record(folder.path))
+    return tmp_path
+
+
+def loaded_by(workplace: Path, *arguments: str) -> tuple[set[str], str]:
+    """Run a command without a display; return what it loaded and what it printed on stderr."""
+    hidden = {"DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET", "NUFLEET_RUNS"}
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT, *arguments],
+        cwd=workplace,
+        env={name: value for name, value in os.environ.items() if name not in hidden},
+        capture_output=True,
+        text=True,
+    )
+    modules = (workplace / "loaded.txt").read_text().split()
+    return {module.partition(".")[0] for module in modules}, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "prints", "also_unneeded"),
+    [
+        (("gap", "first.json", "second.json"), "promises", {"scipy"}),
+        (("gap", "first.json", "measured.csv"), "lower bound", {"scipy"}),
+        (("view",), "no display", {"scipy", "numpy", "rich"}),
+        (("runs", "list"), "source-1 for target", {"scipy"}),
+        (("drawing", "list"), "clover", set[str]()),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
+)
+def test_what_only_reads_and_calculates_loads_neither_network_nor_repository(
+    workplace: Path, arguments: tuple[str, ...], prints: str, also_unneeded: set[str]
+) -> None:
+    loaded, said = loaded_by(workplace, *arguments)
+    assert prints in said
+    assert not loaded & (HEAVY | also_unneeded)
+
+
+@pytest.mark.parametrize("command", [(), ("rank",), ("evaluate",), ("drawing", "import")])
+def test_help_loads_nothing_but_the_words(workplace: Path, command: tuple[str, ...]) -> None:
+    loaded, said = loaded_by(workplace, *command, "--help")
+    assert said == ""
+    assert not loaded & (HEAVY | {"numpy", "scipy", "rich", "pydantic"})
