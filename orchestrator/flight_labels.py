@@ -8,6 +8,9 @@ BASELINE = "baseline"
 NO_PRIOR = "none"
 """Instead of a source: an online process with a zero prior."""
 
+MIXTURE = "mixture"
+"""Instead of a source: a mixture of the experiences of several, weighed in flight."""
+
 _SEPARATOR = " · "
 
 

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from nufleet.robot_agent.flight.combined_layout import CombinedLayout
+from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.robot_agent.flight.inverse_model import NetworkInverse
 from nufleet.robot_agent.flight.memory import Kept, Memory
 from nufleet.robot_agent.flight.prior_bounds import out_of_bounds

@@ -48,12 +48,13 @@ from nufleet.orchestrator.cli.types import PositiveNumber
 )
 @click.option(
     "--inverse",
-    type=click.Choice(["auto", "prior", "zero-prior", "baseline"]),
+    type=click.Choice(["auto", "prior", "mixture", "zero-prior", "baseline"]),
     default="auto",
     show_default=True,
     help=(
         "Inverse model in front of the robot's own controller: the prior that was transferred to "
-        "it, a model learned online from nothing, or none (`baseline`). `auto` takes the prior if "
+        "it, a mixture of all that were, weighed in flight, a model learned online from nothing, or "
+        "none (`baseline`). `auto` takes the mixture if there are several priors, the prior if "
         "there is one, otherwise the baseline."
     ),
 )

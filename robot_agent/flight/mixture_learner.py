@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nufleet.robot_agent.flight.combined_layout import CombinedLayout
+from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.robot_agent.flight.memory import Kept, Memory
 from nufleet.robot_agent.flight.mixture_process import Expert, MixtureProcess
 from nufleet.robot_agent.flight.tracking import Learner

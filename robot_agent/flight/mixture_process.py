@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nufleet.robot_agent.flight.combined_layout import CombinedLayout
+from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.robot_agent.flight.inverse_model import InverseModel
 from nufleet.robot_agent.flight.inverse_stack import InverseStack
 from nufleet.robot_agent.flight.mixture import Mixture

@@ -11,7 +11,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from nufleet.robot_agent.flight.combined_layout import CombinedLayout
+from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.robot_agent.flight.inverse_model import InverseModel
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.experience.layout import InverseLayout

@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from nufleet.robot_agent.flight.combined_layout import CombinedLayout
+from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.robot_agent.flight.guard import Guard
 from nufleet.robot_agent.flight.mixture_process import MixtureProcess
 from nufleet.robot_agent.flight.online_gp import Correction, OnlineGp

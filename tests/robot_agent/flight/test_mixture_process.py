@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from learned_things import layout
 
-from nufleet.robot_agent.flight.combined_layout import CombinedLayout
+from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.robot_agent.flight.mixture_process import Expert, MixtureProcess
 from nufleet.robot_agent.flight.online_gp import OnlineGp
 from nufleet.robot_agent.flight.tracking import PAIR_SPACING_S
