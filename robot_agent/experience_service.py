@@ -7,13 +7,13 @@ from functools import partial
 
 import numpy as np
 
-from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.robot_agent.flight.inverse_model import NetworkInverse
 from nufleet.robot_agent.flight.memory import Kept, Memory
 from nufleet.robot_agent.flight.prior_bounds import out_of_bounds
 from nufleet.robot_agent.robot import Robot
 from nufleet.robot_agent.rules.ownership import Commander
 from nufleet.shared.errors import InvalidInputError, RefusedError
+from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.experience.file import decode_experience
 from nufleet.shared.experience.manifest import misfit
 from nufleet.shared.wire.codec import Message

@@ -53,9 +53,9 @@ from nufleet.orchestrator.cli.types import PositiveNumber
     show_default=True,
     help=(
         "Inverse model in front of the robot's own controller: the prior that was transferred to "
-        "it, a mixture of all that were, weighed in flight, a model learned online from nothing, or "
-        "none (`baseline`). `auto` takes the mixture if there are several priors, the prior if "
-        "there is one, otherwise the baseline."
+        "it, a mixture of all that were, a model learned online from nothing, or none "
+        "(`baseline`). `auto` takes the mixture if there are several priors, the prior if there is "
+        "one, otherwise the baseline."
     ),
 )
 @click.option(

@@ -131,6 +131,7 @@ def flight_record(flight: PathFlight, inverse: str, leg: Leg) -> FlightRecord:
         taken_back=None if event is None else event.reason,
         failure=flight.failure,
         deadline_misses=flight.deadline_misses,
+        weights=flight.mean_weights,
     )
 
 

@@ -12,6 +12,9 @@ from nufleet.shared.strict import NonNegative, Strict
 EVALUATION = "evaluation.json"
 
 
+Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
 class FlightRecord(Strict):
     """One flight along a drawing."""
 
@@ -31,6 +34,9 @@ class FlightRecord(Strict):
     """Why the path was not finished; None when it was."""
     deadline_misses: Annotated[int, Field(ge=0)]
     """Number of references that took longer to choose than a sample lasts."""
+    weights: dict[str, Fraction] | None = None
+    """Mean weight of every source in a mixture over the flight, and of `none`; None without a
+    mixture. The weights of every sample are in the flights' table."""
 
 
 class InverseResult(Strict):

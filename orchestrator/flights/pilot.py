@@ -10,6 +10,7 @@ import numpy as np
 
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.fleet.goal_runner import GoalRunner, Interrupted
+from nufleet.orchestrator.flight_labels import NO_PRIOR
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import MalformedMessageError, RobotError, RobotLostError
 from nufleet.shared.experience.layout import InverseLayout
@@ -54,6 +55,22 @@ class PathFlight:
             return math.inf
         away = self.actual - self.details.desired
         return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
+
+    @property
+    def weights(self) -> dict[str, FloatArray]:
+        """Weight of every source in a mixture and of `none`, each of shape (samples,); empty
+        without a mixture."""
+        if self.details.weights is None:
+            return {}
+        names = (*self.details.experts, NO_PRIOR)
+        return dict(zip(names, self.details.weights.T, strict=True))
+
+    @property
+    def mean_weights(self) -> dict[str, float] | None:
+        """Mean of each of the weights over the flight; None without a mixture or samples."""
+        if not self.weights or not len(self.actual):
+            return None
+        return {name: float(weight.mean()) for name, weight in self.weights.items()}
 
     @property
     def deadline_misses(self) -> int:

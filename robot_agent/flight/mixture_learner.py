@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.robot_agent.flight.memory import Kept, Memory
 from nufleet.robot_agent.flight.mixture_process import Expert, MixtureProcess
 from nufleet.robot_agent.flight.tracking import Learner
 from nufleet.shared.errors import RobotError
+from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.wire.motions import Motion, Tracking
 
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.robot_agent.flight.inverse_model import InverseModel
 from nufleet.robot_agent.flight.inverse_stack import InverseStack
 from nufleet.robot_agent.flight.mixture import Mixture
 from nufleet.robot_agent.flight.online_gp import WINDOW_POINTS, Correction, OnlineGp
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.gaussian_process.exact import Batch, posterior
 

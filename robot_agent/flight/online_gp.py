@@ -11,9 +11,9 @@ from enum import IntEnum
 
 import numpy as np
 
-from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.robot_agent.flight.inverse_model import InverseModel
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.gaussian_process.exact import Bounds, FitStatus, Hyperparameters
 from nufleet.shared.gaussian_process.online import OnlineFit

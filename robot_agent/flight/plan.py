@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.robot_agent.flight.forecast import forecast_of
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.own_model import basis_of
 from nufleet.robot_agent.flight.rich_flight import rich_references, step_references
 from nufleet.robot_agent.flight.tracking import approach
 from nufleet.shared.errors import InvalidInputError, RefusedError
+from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.experience.manifest import misfit
 from nufleet.shared.paths.trajectories import check_trajectory

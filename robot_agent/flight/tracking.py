@@ -14,7 +14,6 @@ from typing import Protocol
 
 import numpy as np
 
-from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.robot_agent.flight.guard import Guard
 from nufleet.robot_agent.flight.mixture_process import MixtureProcess
 from nufleet.robot_agent.flight.online_gp import Correction, OnlineGp
@@ -22,6 +21,7 @@ from nufleet.robot_agent.motion.paced_robot import Halted
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError, RobotError
+from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.paths.trajectories import check_trajectory, travel
 from nufleet.shared.robots.spec import RobotSpec, TrackingLimits

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
 from fleet_lab import Lab, double_integrator, refusal
 from learned_things import experience, layout
+from rich.console import Console
 
+from nufleet.orchestrator.evaluation.flight_documents import TrackResult
 from nufleet.orchestrator.experience.prior_custody import install, prior_put_back
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.flights.pilot import Pilot
+from nufleet.orchestrator.jobs.track import InverseChoice, TrackCommand, track
+from nufleet.orchestrator.jobs.transfer import TransferCommand, TransferResult, transfer
+from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.file import digest
 from nufleet.shared.paths.trajectories import travel
 from nufleet.shared.wire.messages import TrackingTelemetry
@@ -93,3 +99,76 @@ def test_all_priors_are_put_back_in_their_order(fleet: Fleet) -> None:
     with prior_put_back(fleet, Pilot(fleet, "run"), fleet.describe("target")):
         install(fleet, "target", "prior", SOURCES[2])
     assert held(fleet) == ["source-1", "source-2", "source-3"]
+
+
+def transferred(lab: Lab, runs_root: Path, source: str) -> TransferResult:
+    command = TransferCommand(
+        connect=lab.endpoint,
+        fleet_name=None,
+        target="target",
+        source=source,
+        file=None,
+        architecture=None,
+        runs_root=runs_root,
+        repository=None,
+        as_json=False,
+    )
+    return transfer(command, Console(quiet=True))
+
+
+def tracked(lab: Lab, runs_root: Path, inverse: InverseChoice = "auto") -> TrackResult:
+    command = TrackCommand(
+        connect=lab.endpoint,
+        fleet_name=None,
+        target="target",
+        drawings=("clover",),
+        speed=0.4,
+        scale=0.5,
+        inverse=inverse,
+        horizon_s=0.4,
+        learn=True,
+        guarded=True,
+        live=False,
+        runs_root=runs_root,
+        repository=None,
+        as_json=False,
+    )
+    return track(command, Console(quiet=True))
+
+
+@pytest.fixture
+def sources(lab: Lab, fleet: Fleet) -> Fleet:
+    for place, payload in enumerate(SOURCES, 1):
+        lab.agent(f"source-{place}", double_integrator(0.9, place))
+        install(fleet, f"source-{place}", "experience", payload)
+    lab.agent("novice", double_integrator(0.9, 9))
+    return fleet
+
+
+def test_all_that_have_an_experience_are_transferred_and_tracked_with(
+    lab: Lab, sources: Fleet, tmp_path: Path
+) -> None:
+    given = transferred(lab, tmp_path, "all")
+    assert given.source == "source-1"
+    assert [each.source for each in given.companions] == ["source-2", "source-3"]
+    assert held(sources) == ["source-1", "source-2", "source-3"]
+    (flight,) = tracked(lab, tmp_path).flights
+    assert (flight.inverse, flight.failure) == ("mixture", None)
+    assert flight.weights is not None
+    assert set(flight.weights) == {"source-1", "source-2", "source-3", "none"}
+    assert sum(flight.weights.values()) == pytest.approx(1.0)
+    # The paper's single prior stays a choice: it is the first of them.
+    (single,) = tracked(lab, tmp_path, "prior").flights
+    assert (single.inverse, single.weights) == ("source-1", None)
+
+
+def test_named_sources_are_transferred_in_their_order_or_not_at_all(
+    lab: Lab, sources: Fleet, tmp_path: Path
+) -> None:
+    transferred(lab, tmp_path, "source-3,source-1")
+    assert held(sources) == ["source-3", "source-1"]
+    with pytest.raises(InvalidInputError, match="novice"):
+        transferred(lab, tmp_path, "source-2,novice")
+    assert held(sources) == ["source-3", "source-1"]
+    transferred(lab, tmp_path, "source-2")
+    assert held(sources) == ["source-2"]

@@ -1,4 +1,4 @@
-"""A mixture starts from what the ranking knows, and flying without experience always has a share."""
+"""A mixture starts from what the ranking knows, and no experience always has a share of it."""
 
 from __future__ import annotations
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from learned_things import layout
 
-from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.robot_agent.flight.mixture_process import Expert, MixtureProcess
 from nufleet.robot_agent.flight.online_gp import OnlineGp
 from nufleet.robot_agent.flight.tracking import PAIR_SPACING_S
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.experience.combined_layout import CombinedLayout
 
 LAYOUT = layout("state")
 LONGER = layout("state", horizon_samples=30)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from learned_things import layout
 
-from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.experience.layout import Architecture
 
 HORIZONS = (8, 20, 13)
