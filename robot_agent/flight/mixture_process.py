@@ -19,7 +19,7 @@ from nufleet.robot_agent.flight.online_gp import WINDOW_POINTS, Correction, Onli
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.experience.layout import InverseLayout
-from nufleet.shared.gaussian_process.exact import Batch, posterior
+from nufleet.shared.gaussian_process.exact import posterior_weights
 
 CONCENTRATION = 3.0
 """How firmly the weights at the start are believed, see `Mixture`.
@@ -100,8 +100,7 @@ class MixtureProcess:
         # The process has no prior of its own: what the mixture leaves is handed to it.
         self._process = OnlineGp(layout, (None,) * axes, window=window)
         self._left = [np.empty((0, len(start) + 1)) for _ in range(axes)]
-        self._errors: list[FloatArray] = []
-        self._variances: list[float] = []
+        self._new: list[tuple[int, FloatArray, float]] = []
 
     @property
     def weights(self) -> FloatArray:
@@ -114,7 +113,7 @@ class MixtureProcess:
         return self._process.dropped
 
     def learn(self, axis: int, inputs: FloatArray, gamma: float) -> None:
-        """Add a pair to an axis's window, and note what every expert had predicted of it.
+        """Take a pair, by which the next `correct` judges every expert.
 
         Args:
             axis: Index of the axis.
@@ -122,13 +121,9 @@ class MixtureProcess:
             gamma: Output γ of the leading layout that belongs to them, in unit/s.
         """
         if self._window and np.isfinite(inputs).all() and np.isfinite(gamma):
-            row = inputs[np.newaxis]
-            left = gamma - self._values(row, np.array([axis]))[:, 0]
-            error, variance = self._prediction(axis, row, left)
-            self._errors.append(error)
-            self._variances.append(variance)
-            self._left[axis] = np.vstack([self._left[axis], left])[-self._window :]
-        self._process.learn(axis, inputs, gamma)
+            self._new.append((axis, inputs, gamma))
+        else:
+            self._process.learn(axis, inputs, gamma)  # which drops and counts it
 
     def correct(self, inputs: FloatArray) -> Correction:
         """Return γ at the inputs; to be called exactly once per sample, as `OnlineGp.correct` is.
@@ -136,15 +131,35 @@ class MixtureProcess:
         Args:
             inputs: Inputs ξ of every axis, shape (axes, inputs), of the combined layout.
         """
-        if self._errors:
-            errors, variances = np.stack(self._errors, axis=1), np.array(self._variances)
-            self._mixture.observe(errors, variances, np.zeros(len(variances)))
-            self._errors, self._variances = [], []
-            for axis, left in enumerate(self._left):
-                self._process.relearn(axis, left @ self.weights)
+        # New pairs and the query are evaluated together, since each call of the networks costs.
+        rows = np.concatenate([*(row[np.newaxis] for _, row, _ in self._new), inputs])
+        axes = np.array([axis for axis, _, _ in self._new] + list(range(len(inputs))))
+        values = self._values(rows, axes)
+        if self._new:
+            self._weigh(values)
         found = self._process.correct(inputs)
-        prior = self._mixture.mean(self._values(inputs, np.arange(len(inputs))))
+        prior = self._mixture.mean(values[:, -len(inputs) :])
         return replace(found, prior=prior, weights=self.weights)
+
+    def _weigh(self, values: FloatArray) -> None:
+        """Weigh the experts by the new pairs, and hand to the process what they leave together.
+
+        Args:
+            values: γ of every expert and of none, shape (experts + 1, m), whose first columns
+                belong to the new pairs.
+        """
+        new, self._new = self._new, []
+        errors, variances = [], []
+        for (axis, row, gamma), value in zip(new, values.T, strict=False):
+            left = gamma - value
+            error, variance = self._prediction(axis, row, left)
+            errors.append(error)
+            variances.append(variance)
+            self._left[axis] = np.vstack([self._left[axis], left])[-self._window :]
+            self._process.learn(axis, row, gamma)
+        self._mixture.observe(np.stack(errors, axis=1), np.array(variances), np.zeros(len(new)))
+        for axis, left in enumerate(self._left):
+            self._process.relearn(axis, left @ self.weights)
 
     def _values(self, inputs: FloatArray, axes: np.ndarray) -> FloatArray:
         """Return γ of every expert and of none as the leading layout's, shape (experts + 1, m).
@@ -164,7 +179,7 @@ class MixtureProcess:
 
         Args:
             axis: Axis of the pair.
-            row: Inputs ξ of the pair, shape (1, inputs).
+            row: Inputs ξ of the pair, shape (inputs,).
             left: γ of the pair less what each expert says of it, shape (experts + 1,), in unit/s.
 
         Returns:
@@ -175,10 +190,6 @@ class MixtureProcess:
         window = self._process.window(axis)
         if not len(window):
             return -left, float(fitted.signal_variance[0]) + noise
-        mean, variance = posterior(
-            Batch.stacked(window, self._left[axis].T),
-            fitted.repeated(len(left)),
-            self._layout.gp_inputs(row),
-            threads=1,
-        )
-        return mean[:, 0] - left, float(variance[0, 0]) + noise
+        query = self._layout.gp_inputs(row[np.newaxis])[0]
+        weights, variance = posterior_weights(window, fitted, query)
+        return weights @ self._left[axis] - left, variance + noise

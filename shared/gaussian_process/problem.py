@@ -59,15 +59,6 @@ class Hyperparameters:
             theta[:, 2] = np.log(self.noise_variance)
         return theta
 
-    def repeated(self, problems: int) -> Hyperparameters:
-        """Return the hyperparameters of one problem for each of several."""
-        return Hyperparameters(
-            *(
-                np.repeat(v, problems)
-                for v in (self.signal_variance, self.lengthscale, self.noise_variance)
-            )
-        )
-
     @classmethod
     def from_log(cls, theta: FloatArray) -> Hyperparameters:
         """Return the hyperparameters for θ of shape (problems, 3), the inverse of `log`."""

@@ -22,6 +22,7 @@ from nufleet.shared.gaussian_process.exact import (
     fit,
     log_marginal_likelihood,
     posterior,
+    posterior_weights,
     warm_up,
 )
 
@@ -59,6 +60,17 @@ def sklearn_regressor(start: Hyperparameters, bounds: Bounds, **options: Any) ->
         float(start.lengthscale), bounds.lengthscale, nu=1.5
     ) + WhiteKernel(float(start.noise_variance), bounds.noise_variance)
     return GaussianProcessRegressor(kernel, alpha=0.0, **options)
+
+
+@pytest.mark.parametrize(("n", "d"), [(1, 1), (7, 2), (50, 5)])
+def test_the_weights_of_a_posterior_give_the_means_of_any_targets(n: int, d: int) -> None:
+    x, y = wavy(n, d, seed=n)
+    targets = np.stack([y, y**2, np.ones(n)])
+    h, query = Hyperparameters(0.7, 0.4, 0.02), np.full(d, 0.3)
+    mean, variance = posterior(Batch.stacked(x, targets), h, query[np.newaxis])
+    weights, found = posterior_weights(x, h, query)
+    np.testing.assert_allclose(targets @ weights, mean[:, 0], rtol=1e-9, atol=1e-12)
+    assert found == pytest.approx(variance[0, 0], rel=1e-9)
 
 
 @pytest.mark.parametrize(
