@@ -22,7 +22,6 @@ non-negative unknowns (Lawson and Hanson, Solving Least Squares Problems, 1974, 
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import nnls
 
 from nufleet.shared.arrays import FloatArray
 
@@ -31,6 +30,9 @@ ERROR_MAX = 30.0
 
 A model that was wrong once by very much could otherwise not return when it becomes right. What all
 models have in common, such as a gust of wind, does not change the weights."""
+
+
+_ROUNDING = 1e-12
 
 
 class Mixture:
@@ -81,9 +83,7 @@ class Mixture:
         """Weights that explain the observations best, shape (models,), which `weights` approach."""
         form = self._squares + np.diag(self._prior)
         # The scale of the form does not matter; one near 1 keeps the digits of both terms.
-        root = np.linalg.cholesky(form / form.trace()).T
-        models = len(form)
-        found, _ = nnls(np.vstack([root, np.ones(models)]), np.append(np.zeros(models), 1.0))
+        found = _non_negative(form / form.trace() + 1.0, np.ones(len(form)))
         return np.asarray(found / found.sum())
 
     def observe(self, predicted: FloatArray, variance: FloatArray, observed: FloatArray) -> None:
@@ -105,3 +105,34 @@ class Mixture:
     def mean(self, predicted: FloatArray) -> FloatArray:
         """Return the weighted mean of predictions, shape (m,), for predictions (models, m)."""
         return np.asarray(self.weights @ predicted)
+
+
+def _non_negative(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the minimum of ½ xᵀAx − bᵀx over x ≥ 0, shape (n,), by Lawson and Hanson's method.
+
+    Unknowns leave zero one by one, the one first that promises most; those that would become
+    negative return there. SciPy's `nnls` does the same; without it no agent imports its optimisers.
+
+    Args:
+        matrix: Positive definite matrix A, shape (n, n), of a size near 1.
+        right: Vector b, shape (n,).
+    """
+    found, free = np.zeros(len(right)), np.zeros(len(right), dtype=bool)
+    for _ in range(3 * len(right)):
+        promise = np.where(free, -np.inf, right - matrix @ found)
+        if promise.max() <= _ROUNDING:
+            break
+        free[promise.argmax()] = True
+        while free.any():
+            wished = np.zeros(len(right))
+            wished[free] = np.linalg.solve(matrix[np.ix_(free, free)], right[free])
+            negative = free & (wished <= 0)
+            if not negative.any():
+                found = wished
+                break
+            # As far as the first of them allows, which then returns to zero.
+            away = found[negative] / (found[negative] - wished[negative])
+            found = found + away.min() * (wished - found)
+            first = np.flatnonzero(negative)[away.argmin()]
+            free[first], found[first] = False, 0.0
+    return found

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from scipy.optimize import minimize
+from scipy.optimize import minimize, nnls
 from scipy.stats import multivariate_normal
 
 from nufleet.robot_agent.flight.mixture import ERROR_MAX, Mixture
@@ -68,6 +68,26 @@ def test_the_weights_are_the_most_probable_ones_of_sum_one(seed: int, forgetting
     mixture = observed(seed, forgetting)
     np.testing.assert_allclose(mixture.weights, oracle.x, atol=2e-5)
     assert log_posterior(mixture.weights, seed, forgetting) >= -oracle.fun - 1e-9
+
+
+@given(
+    arrays.arrays(np.float64, (8, 3), elements=st.floats(-100, 100)),
+    st.floats(0.01, 100.0),
+)
+@settings(deadline=None)
+def test_the_weights_are_those_of_non_negative_least_squares(
+    errors: FloatArray, concentration: float
+) -> None:
+    """Against SciPy, with the sum of one as an equation that weighs a million times as much."""
+    start = np.full(8, 0.125)
+    mixture = Mixture(start, concentration=concentration)
+    mixture.observe(errors, np.ones(3), np.zeros(3))
+    prior = np.sqrt(concentration / start)
+    heavy = 1e6 * (1 + np.abs(errors).max() + prior.max())
+    clipped = np.clip(errors, -ERROR_MAX, ERROR_MAX)
+    rows = np.vstack([clipped.T, np.diag(prior), np.full(8, heavy)])
+    expected, _ = nnls(rows, np.concatenate([np.zeros(3), prior * start, [heavy]]))
+    np.testing.assert_allclose(mixture.weights, expected, atol=1e-5)
 
 
 def test_two_models_that_err_in_opposite_directions_meet_in_the_middle() -> None:
