@@ -81,6 +81,7 @@ def demonstrate(
         architecture,
         guarded=True,
         observers=observers,
+        psi={estimate.robot: estimate.psi for estimate in (best, worst)},
     )
     result = DemoResult(
         ranking=ranking,
@@ -100,7 +101,7 @@ def demonstrate(
 
 
 def demo_table(result: EvaluationResult) -> Table:
-    """Return a table of the four errors, in the order that the tests predicted."""
+    """Return a table of the errors, in the order that the tests predicted."""
     table = Table(title="what the transfer did, in the order predicted", title_justify="left")
     table.add_column("prior")
     for heading in ("predicted ψ*", f"RMS error, m{result.unit}", "less error"):
@@ -112,6 +113,11 @@ def demo_table(result: EvaluationResult) -> Table:
             _milli(source.rms_m),
             _percent(source.reduction_percent),
             style="bold green" if place == 0 else None,
+        )
+    if result.mixture is not None:
+        mixed = result.mixture
+        table.add_row(
+            "both, weighed in flight", "", _milli(mixed.rms_m), _percent(mixed.reduction_percent)
         )
     none = result.no_prior
     table.add_row(

@@ -25,16 +25,18 @@ from nufleet.orchestrator.evaluation.summaries import kendall_tau
 from nufleet.orchestrator.experience.learning import pick_up
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.prior_custody import prior_put_back
-from nufleet.orchestrator.experience.transfer import transfer
+from nufleet.orchestrator.experience.transfer import transfer, transfer_several
 from nufleet.orchestrator.fleet.client import Fleet
-from nufleet.orchestrator.flight_labels import BASELINE, NO_PRIOR
+from nufleet.orchestrator.flight_labels import BASELINE, MIXTURE, NO_PRIOR
 from nufleet.orchestrator.flights.legs import Leg
+from nufleet.orchestrator.flights.mixture import mixture_of
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
 from nufleet.orchestrator.study.predicted_errors import PredictedRms
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Description
+from nufleet.shared.wire.motions import MIXTURE_MAX
 
 
 class FlightObserver(Protocol):
@@ -68,8 +70,9 @@ def fly_target(
     *,
     guarded: bool,
     observers: Sequence[FlightObserver],
+    psi: Mapping[str, float] | None = None,
 ) -> tuple[FlightRecord, ...]:
-    """Fly a target along all legs: baseline, zero prior, then each source's experience.
+    """Fly a target along all legs: baseline, zero prior, each source's experience, their mixture.
 
     Afterwards the target again holds the prior that it held before.
 
@@ -84,6 +87,8 @@ def fly_target(
         architecture: Architecture of the sources' experiences to transfer.
         guarded: Whether the guard may withdraw a prior in flight.
         observers: Called at the beginning and at the end of each flight.
+        psi: Estimated distance of the sources, from which the mixture's weights start; None to
+            start from equal ones.
 
     Returns:
         One record per flight, in the order in which they were flown.
@@ -116,6 +121,10 @@ def fly_target(
                 fly_legs(NO_PRIOR, partial(pilot.zero_prior, robot, layout=layout, guarded=guarded))
             with_prior = partial(pilot.with_prior, robot, sha256=given.sha256, guarded=guarded)
             fly_legs(source, with_prior)
+        mixed = sources[:MIXTURE_MAX]
+        transfer_several(fleet, library, mixed, target, architecture)
+        mixture = mixture_of(fleet.describe(robot).priors, psi)
+        fly_legs(MIXTURE, partial(pilot.with_mixture, robot, mixture=mixture, guarded=guarded))
     return tuple(flights)
 
 
@@ -163,7 +172,7 @@ def summarise(
         ascending order of ψ̂*, and the first of them is the one selected.
     """
     order = sorted(psi, key=lambda source: psi[source].mean)
-    of = {name: _inverse_result(flights, name) for name in (BASELINE, NO_PRIOR, *order)}
+    of = {name: _inverse_result(flights, name) for name in (BASELINE, NO_PRIOR, MIXTURE, *order)}
     sources = tuple(
         SourceResult(
             robot=source,
@@ -185,6 +194,7 @@ def summarise(
             predicted_rms_m=None if predicted is None else predicted.without,
         ),
         no_prior=of[NO_PRIOR],
+        mixture=of[MIXTURE] if any(flight.inverse == MIXTURE for flight in flights) else None,
         sources=sources,
         selected=order[0],
         kendall_tau=kendall_tau([s.psi for s in sources], measured),

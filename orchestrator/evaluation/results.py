@@ -21,7 +21,7 @@ class FlightRecord(Strict):
     target: str
     """Name of the robot that flew."""
     inverse: str
-    """Name of the source that gave the prior, `none` for a zero prior, or `baseline`."""
+    """Name of the source that gave the prior, `none` for a zero prior, `mixture`, or `baseline`."""
     drawing: str
     """Name of the drawing."""
     speed_m_s: NonNegative
@@ -93,6 +93,8 @@ class EvaluationResult(Strict):
     """Errors with the target's own controller alone."""
     no_prior: InverseResult
     """Errors of online learning that begins with a zero prior."""
+    mixture: InverseResult | None = None
+    """Errors with a mixture of all sources' experiences; None when it was not flown."""
     sources: tuple[SourceResult, ...]
     """Errors with each source's experience, in ascending order of ψ̂*."""
     selected: str

@@ -126,6 +126,7 @@ def transfer(command: TransferCommand, console: Console) -> TransferResult:
         library = ExperienceLibrary(fleet, run.repository.robots, name)
         sources = () if command.source == "none" else _sources(command, run, there, library)
         run.take({command.target: target})
+        given: tuple[Transferred, ...]
         if payload is not None:
             given = (transfer_file(fleet, payload, target),)
         elif sources:

@@ -12,8 +12,11 @@ from learned_things import experience, layout
 from rich.console import Console
 
 from nufleet.orchestrator.evaluation.flight_documents import TrackResult
+from nufleet.orchestrator.evaluation.fly_target import Psi, fly_target, summarise
+from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.prior_custody import install, prior_put_back
 from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.flights.legs import Leg
 from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.orchestrator.jobs.track import InverseChoice, TrackCommand, track
 from nufleet.orchestrator.jobs.transfer import TransferCommand, TransferResult, transfer
@@ -101,6 +104,36 @@ def test_all_priors_are_put_back_in_their_order(fleet: Fleet) -> None:
     assert held(fleet) == ["source-1", "source-2", "source-3"]
 
 
+def test_an_evaluation_flies_the_mixture_of_all_sources_last(sources: Fleet) -> None:
+    before = experience("somebody", seed=9)
+    install(sources, "target", "prior", before)
+    pilot, target = Pilot(sources, "run"), sources.describe("target")
+    pilot.baseline("target", PATH, "baseline")  # from which its guard knows the baseline
+    names = ("source-1", "source-2", "source-3")
+    psi = {"source-1": 0.1, "source-2": 0.2, "source-3": 0.4}
+    flights = fly_target(
+        sources,
+        pilot,
+        ExperienceLibrary(sources),
+        target,
+        names,
+        [Leg("line", 0.4, "m", PATH)],
+        "preview",
+        guarded=True,
+        observers=(),
+        psi=psi,
+    )
+    assert [flight.inverse for flight in flights][-4:] == [*names, "mixture"]
+    weights = flights[-1].weights
+    assert weights is not None
+    assert set(weights) == {*names, "none"}
+    assert held(sources) == ["somebody"]
+    estimates = {source: Psi(value, 0.01) for source, value in psi.items()}
+    result = summarise("target", flights, estimates, "preview", unit="m", guarded=True, run="")
+    assert result.mixture is not None
+    assert result.mixture.rms_m == flights[-1].rms_m
+
+
 def transferred(lab: Lab, runs_root: Path, source: str) -> TransferResult:
     command = TransferCommand(
         connect=lab.endpoint,
@@ -137,11 +170,14 @@ def tracked(lab: Lab, runs_root: Path, inverse: InverseChoice = "auto") -> Track
 
 
 @pytest.fixture
-def sources(lab: Lab, fleet: Fleet) -> Fleet:
-    for place, payload in enumerate(SOURCES, 1):
-        lab.agent(f"source-{place}", double_integrator(0.9, place))
-        install(fleet, f"source-{place}", "experience", payload)
-    lab.agent("novice", double_integrator(0.9, 9))
+def sources(lab: Lab) -> Fleet:
+    """Three that have an experience and one that has none, beside the target."""
+    names = [f"source-{place}" for place in range(1, len(SOURCES) + 1)]
+    for seed, name in enumerate(("target", *names, "novice")):
+        lab.agent(name, double_integrator(0.9, seed))
+    fleet = lab.orchestrator().fleet
+    for name, payload in zip(names, SOURCES, strict=True):
+        install(fleet, name, "experience", payload)
     return fleet
 
 

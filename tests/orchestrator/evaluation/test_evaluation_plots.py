@@ -185,7 +185,9 @@ def test_targets_are_compared_each_by_itself() -> None:
 
 def test_a_source_has_one_colour_in_all_figures_of_a_fleet() -> None:
     assert prior_colours(["baseline", "b", "a"]) == prior_colours(["a", "b", "none"])
-    assert len(set(prior_colours(PRIORS).values())) == len(PRIORS)
+    colours = prior_colours(PRIORS)
+    assert len({colours[prior] for prior in PRIORS}) == len(PRIORS)
+    assert len(set(colours.values())) == len(colours)
 
 
 def test_a_label_is_taken_apart_as_it_was_put_together() -> None:
