@@ -170,9 +170,9 @@ class Memory:
         """
         kept = _checked(payload, sha256)
         if not beside:
-            self._keep(PRIOR, kept)
+            # The others go first: a crash in between must not leave them beside the new one.
             self._forget(_PRIORS[1:])
-            return kept
+            return self._keep(PRIOR, kept)
         source = kept.manifest.robot
         with self._lock:
             same = (

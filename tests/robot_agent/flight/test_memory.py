@@ -115,6 +115,37 @@ def test_priors_beside_each_other_keep_their_order_over_a_restart(tmp_path: Path
         assert payloads(known) == [one_more]
 
 
+def test_a_crash_while_one_prior_replaces_several_never_mixes_old_and_new(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    memory = filled(tmp_path)
+    other, newer = experience("other", "state", seed=5), experience("newer", "state", seed=6)
+    memory.keep_prior(other, digest(other), beside=True)
+
+    def crash(*_: object) -> None:
+        raise CrashError
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "replace", crash)
+        with pytest.raises(CrashError):
+            memory.keep_prior(newer, digest(newer))
+    assert payloads(Memory(tmp_path)) == [GIVEN]
+    memory = Memory(tmp_path)
+    memory.keep_prior(other, digest(other), beside=True)
+    unlink = Path.unlink
+
+    def crash_at_others(path: Path, missing_ok: bool = False) -> None:
+        if path.name.startswith(f"{PRIOR}-") and path.suffix == ".learned":
+            raise CrashError
+        unlink(path, missing_ok)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "unlink", crash_at_others)
+        with pytest.raises(CrashError):
+            memory.keep_prior(newer, digest(newer))
+    assert payloads(Memory(tmp_path)) == [GIVEN, other]
+
+
 def test_a_newer_experience_of_a_source_takes_the_place_of_its_earlier_one(tmp_path: Path) -> None:
     memory = filled(tmp_path)
     other, newer = experience("other", "state", seed=5), experience("source", "state", seed=6)
