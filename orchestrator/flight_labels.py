@@ -10,6 +10,8 @@ NO_PRIOR = "none"
 
 MIXTURE = "mixture"
 """Instead of a source: a mixture of the experiences of several, weighed in flight."""
+OWN = "own"
+"""Instead of a source: the robot's model of itself, inverted along the whole path."""
 
 _SEPARATOR = " · "
 

@@ -168,6 +168,7 @@ def track(
     horizon_s: float = 0.4,
     learn: bool = True,
     guarded: bool = True,
+    rich_flight_s: float | None = None,
     live: bool = False,
     connect: str = DEFAULT_ENDPOINT,
     fleet_name: str | None = None,
@@ -184,11 +185,13 @@ def track(
         drawings: Path or name of a drawing, or several.
         speed: Largest speed on the paths, in the unit of the robot's axes per second.
         scale: Factor on the points of the drawings.
-        inverse: Inverse model in front of the robot's own controller; `auto` takes the robot's
-            prior if it has one, otherwise none.
+        inverse: Inverse model in front of the robot's own controller; `own` is its model of itself,
+            `auto` takes the robot's prior if it has one, otherwise none.
         horizon_s: Horizon of a model that is learned from a zero prior, in s.
         learn: Whether the online Gaussian process learns in flight.
         guarded: Whether the guard may withdraw the inverse in flight.
+        rich_flight_s: Duration in s of a rich flight before the drawings, from which the robot
+            learns more of itself; None for none, unless its guard knows nothing yet.
         live: Whether to serve the recording to viewers during the flights.
         connect: Endpoint of the running fleet.
         fleet_name: Name of the running fleet; None when only one is running there.
@@ -216,6 +219,7 @@ def track(
         horizon_s=horizon_s,
         learn=learn,
         guarded=guarded,
+        rich_flight_s=rich_flight_s,
         live=live,
         runs_root=Path(runs_root),
         repository=repository,

@@ -107,6 +107,11 @@ class ResponseModel:
         self._weights = np.exp(weights - weights.max())
         self._weights /= self._weights.sum()
 
+    @property
+    def gain_std(self) -> float:
+        """Prior standard deviation of the gain at rest, about 1."""
+        return self._prior.gain_std
+
     def draw(self, omega_rad_s: FloatArray, count: int, rng: np.random.Generator) -> ComplexArray:
         """Draw samples of the response.
 

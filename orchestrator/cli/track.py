@@ -48,14 +48,14 @@ from nufleet.orchestrator.cli.types import PositiveNumber
 )
 @click.option(
     "--inverse",
-    type=click.Choice(["auto", "prior", "mixture", "zero-prior", "baseline"]),
+    type=click.Choice(["auto", "prior", "mixture", "own", "zero-prior", "baseline"]),
     default="auto",
     show_default=True,
     help=(
         "Inverse model in front of the robot's own controller: the prior that was transferred to "
-        "it, a mixture of all that were, a model learned online from nothing, or none "
-        "(`baseline`). `auto` takes the mixture if there are several priors, the prior if there is "
-        "one, otherwise the baseline."
+        "it, a mixture of all that were, its model of itself from what it has flown (`own`), a "
+        "model learned online from nothing, or none (`baseline`). `auto` takes the mixture if "
+        "there are several priors, the prior if there is one, otherwise the baseline."
     ),
 )
 @click.option(
@@ -75,6 +75,13 @@ from nufleet.orchestrator.cli.types import PositiveNumber
     help="Use the prior unchanged, without learning in flight.",
 )
 @unguarded_option
+@click.option(
+    "--rich-flight",
+    "rich_flight_s",
+    type=PositiveNumber(),
+    metavar="SECONDS",
+    help="First fly a rich flight that long, from which the robot learns more of itself.",
+)
 @live_option
 @runs_option
 @repository_option

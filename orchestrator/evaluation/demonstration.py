@@ -9,6 +9,7 @@ from rich.table import Table
 from nufleet.orchestrator.evaluation.flight_documents import DEMONSTRATION, DemoResult
 from nufleet.orchestrator.evaluation.fly_target import FlightObserver, Psi, fly_target, summarise
 from nufleet.orchestrator.evaluation.results import EvaluationResult
+from nufleet.orchestrator.experience.learning import know_itself
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.train import train_robots
 from nufleet.orchestrator.fleet.client import Fleet
@@ -54,8 +55,8 @@ def demonstrate(
     """
     best, worst = ranking.ranking[0], ranking.ranking[-1]
     chosen = list(dict.fromkeys((best.robot, worst.robot)))
-    say(f"{target.robot} and {' and '.join(chosen)} fly for {flight_s:.0f} s to learn")
-    pilot.rich(target.robot, duration_s=flight_s, seed=seed)
+    say(f"{' and '.join(chosen)} fly for {flight_s:.0f} s to learn")
+    know_itself(fleet, pilot, target.robot, seed=seed, say=say)
     train_robots(
         fleet,
         pilot,
@@ -123,6 +124,9 @@ def demo_table(result: EvaluationResult) -> Table:
     table.add_row(
         "none: learns in flight", "", _milli(none.rms_m), _percent(none.reduction_percent)
     )
+    if result.own is not None:
+        own = result.own
+        table.add_row("own model of itself", "", _milli(own.rms_m), _percent(own.reduction_percent))
     table.add_row("baseline controller alone", "", _milli(result.baseline.rms_m), "")
     return table
 

@@ -27,16 +27,20 @@ from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.prior_custody import prior_put_back
 from nufleet.orchestrator.experience.transfer import transfer, transfer_several
 from nufleet.orchestrator.fleet.client import Fleet
-from nufleet.orchestrator.flight_labels import BASELINE, MIXTURE, NO_PRIOR
+from nufleet.orchestrator.flight_labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 from nufleet.orchestrator.flights.legs import Leg
 from nufleet.orchestrator.flights.mixture import mixture_of
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
 from nufleet.orchestrator.study.predicted_errors import PredictedRms
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RefusedError
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Description
 from nufleet.shared.wire.motions import MIXTURE_MAX
+
+NO_OWN_MODEL = ("no-own-model", "vague-own-model")
+"""Codes of the refusals of a robot that knows too little of itself for a path."""
 
 
 class FlightObserver(Protocol):
@@ -72,8 +76,10 @@ def fly_target(
     observers: Sequence[FlightObserver],
     psi: Mapping[str, float] | None = None,
 ) -> tuple[FlightRecord, ...]:
-    """Fly a target along all legs: baseline, zero prior, each source's experience, their mixture.
+    """Fly a target along all legs: own model, baseline, zero prior, every source, their mixture.
 
+    Its own model is flown first, since every flight adds to it: on the first path it rests on the
+    tests alone. A path that the target's model of itself is too vague for is not flown with it.
     Afterwards the target again holds the prior that it held before.
 
     Args:
@@ -105,13 +111,21 @@ def fly_target(
             label = leg.label(inverse)
             for observer in observers:
                 observer.begins(robot, label, target.spec)
-            flight = fly(leg.desired, label)
+            known_s = fleet.describe(robot).least_known_s
+            try:
+                flight = fly(leg.desired, label)
+            except RefusedError as error:
+                if error.code not in NO_OWN_MODEL:
+                    raise
+                flights.append(_not_flown(robot, inverse, leg, error.reason))
+                continue
             for observer in observers:
                 observer.ended(flight)
             if flight.failure is not None:
                 pick_up(fleet, target, flight.failure)
-            flights.append(flight_record(flight, inverse, leg))
+            flights.append(flight_record(flight, inverse, leg, known_s))
 
+    fly_legs(OWN, partial(pilot.own, robot, guarded=guarded))
     fly_legs(BASELINE, partial(pilot.baseline, robot))
     with prior_put_back(fleet, pilot, target):
         for place, source in enumerate(sources):
@@ -128,9 +142,31 @@ def fly_target(
     return tuple(flights)
 
 
-def flight_record(flight: PathFlight, inverse: str, leg: Leg) -> FlightRecord:
-    """Return the record of a flight along a leg with the named inverse."""
-    event = flight.details.taken_back
+def _not_flown(robot: str, inverse: str, leg: Leg, reason: str) -> FlightRecord:
+    return FlightRecord(
+        target=robot,
+        inverse=inverse,
+        drawing=leg.drawing,
+        speed_m_s=leg.speed,
+        rms_m=None,
+        taken_back=None,
+        failure=f"not flown: {reason}",
+        deadline_misses=0,
+    )
+
+
+def flight_record(
+    flight: PathFlight, inverse: str, leg: Leg, own_flight_s: float | None = None
+) -> FlightRecord:
+    """Return the record of a flight along a leg with the named inverse.
+
+    Args:
+        flight: The flight, as it was flown.
+        inverse: Name of the source, BASELINE, NO_PRIOR or OWN.
+        leg: Path of the flight.
+        own_flight_s: Duration of the motions by which the robot knew itself before.
+    """
+    event, predicted = flight.details.taken_back, flight.details.predicted
     return FlightRecord(
         target=flight.robot,
         inverse=inverse,
@@ -141,6 +177,11 @@ def flight_record(flight: PathFlight, inverse: str, leg: Leg) -> FlightRecord:
         failure=flight.failure,
         deadline_misses=flight.deadline_misses,
         weights=flight.mean_weights,
+        own_flight_s=own_flight_s,
+        predicted_rms_m=None if predicted is None else predicted.rms,
+        predicted_low_m=None if predicted is None else predicted.low,
+        predicted_high_m=None if predicted is None else predicted.high,
+        findings=flight.details.findings,
     )
 
 
@@ -172,7 +213,9 @@ def summarise(
         ascending order of ψ̂*, and the first of them is the one selected.
     """
     order = sorted(psi, key=lambda source: psi[source].mean)
-    of = {name: _inverse_result(flights, name) for name in (BASELINE, NO_PRIOR, MIXTURE, *order)}
+    of = {
+        name: _inverse_result(flights, name) for name in (BASELINE, NO_PRIOR, OWN, MIXTURE, *order)
+    }
     sources = tuple(
         SourceResult(
             robot=source,
@@ -195,6 +238,7 @@ def summarise(
         ),
         no_prior=of[NO_PRIOR],
         mixture=of[MIXTURE] if any(flight.inverse == MIXTURE for flight in flights) else None,
+        own=of[OWN] if any(flight.inverse == OWN for flight in flights) else None,
         sources=sources,
         selected=order[0],
         kendall_tau=kendall_tau([s.psi for s in sources], measured),

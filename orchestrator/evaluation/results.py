@@ -21,7 +21,8 @@ class FlightRecord(Strict):
     target: str
     """Name of the robot that flew."""
     inverse: str
-    """Name of the source that gave the prior, `none` for a zero prior, `mixture`, or `baseline`."""
+    """Name of the source that gave the prior, `none` for a zero prior, `mixture` for one of all
+    sources, `own` for the target's model of itself, or `baseline`."""
     drawing: str
     """Name of the drawing."""
     speed_m_s: NonNegative
@@ -37,6 +38,17 @@ class FlightRecord(Strict):
     weights: dict[str, Fraction] | None = None
     """Mean weight of every source in a mixture over the flight, and of `none`; None without a
     mixture. The weights of every sample are in the flights' table."""
+    own_flight_s: NonNegative | None = None
+    """Duration of the motions that the target's model of itself rested on before the flight; that
+    of its least known axis. None if unknown."""
+    predicted_rms_m: NonNegative | None = None
+    """Error that the target expected, from its model of itself; None when it had none."""
+    predicted_low_m: NonNegative | None = None
+    """Error that it expected to exceed with a probability of 95 %."""
+    predicted_high_m: NonNegative | None = None
+    """Error that it expected to stay below with a probability of 95 %."""
+    findings: tuple[str, ...] = ()
+    """What the flight showed of the target's model of itself: that the target has changed, say."""
 
 
 class InverseResult(Strict):
@@ -93,6 +105,8 @@ class EvaluationResult(Strict):
     """Errors with the target's own controller alone."""
     no_prior: InverseResult
     """Errors of online learning that begins with a zero prior."""
+    own: InverseResult | None = None
+    """Errors with the target's model of itself; None when it was not flown."""
     mixture: InverseResult | None = None
     """Errors with a mixture of all sources' experiences; None when it was not flown."""
     sources: tuple[SourceResult, ...]

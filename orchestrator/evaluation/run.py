@@ -14,7 +14,7 @@ from nufleet.orchestrator.conduct.rank_run import ReadyStudy
 from nufleet.orchestrator.evaluation.fly_target import FlightObserver, fly_target, summarise
 from nufleet.orchestrator.evaluation.repeated_studies import psi_of, repeat_study
 from nufleet.orchestrator.evaluation.results import EVALUATION, EvaluationRecord
-from nufleet.orchestrator.experience.learning import FLIGHT_S
+from nufleet.orchestrator.experience.learning import FLIGHT_S, know_itself
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.train import Trained, train_robots
 from nufleet.orchestrator.fleet.client import Fleet
@@ -100,6 +100,7 @@ def run_evaluation(
         np.random.default_rng(plan.seed),
         omega_max_rad_s=study.band_rad_s[1],
     )
+    know_itself(fleet, pilot, study.target, seed=plan.seed, say=say)
     target = fleet.describe(study.target)
     flights = fly_target(
         fleet,
@@ -143,50 +144,38 @@ def prepare_robots(
     *,
     say: Say,
 ) -> None:
-    """Train the experiences that sources lack, and have the target learn its own baseline.
+    """Train the experiences that sources lack; for the arguments and errors, see `run_evaluation`.
 
-    The target flies while the sources do; its guard needs to know the baseline. For the arguments
-    and the errors, see `run_evaluation`.
+    The target needs no flight: its guard knows its baseline from the tests.
     """
     study = plan.ready.plan
     with ThreadPoolExecutor(8, thread_name_prefix="describe") as pool:
         sources = tuple(pool.map(fleet.describe, study.sources))
     lacking = [source for source in sources if not _has(source, plan.architecture)]
-    target = fleet.describe(study.target)
+    if not lacking:
+        return
+    say(f"{', '.join(source.robot for source in lacking)}: experiences are flown and trained")
+    keep = library.keeping(lacking, folder.path.name)
 
-    def learn_baseline() -> None:
-        if not target.baseline_known:
-            say(f"{target.robot} flies for {plan.flight_s:.0f} s to know its own baseline")
-            pilot.rich(target.robot, duration_s=plan.flight_s, seed=plan.seed)
+    def on_trained(trained: Trained) -> None:
+        keep(trained)
+        horizon_s = trained.lesson.choice.layout.horizon_s
+        say(
+            f"  {trained.lesson.robot}: horizon {horizon_s:.2f} s, "
+            f"trained in {trained.training_time_s:.1f} s"
+        )
 
-    # The target's flight and the sources' training take minutes each, so they run side by side.
-    with ThreadPoolExecutor(1, thread_name_prefix="baseline") as pool:
-        baseline = pool.submit(learn_baseline)
-        if lacking:
-            names = ", ".join(source.robot for source in lacking)
-            say(f"{names}: experiences are flown and trained")
-            keep = library.keeping(lacking, folder.path.name)
-
-            def on_trained(trained: Trained) -> None:
-                keep(trained)
-                horizon_s = trained.lesson.choice.layout.horizon_s
-                say(
-                    f"  {trained.lesson.robot}: horizon {horizon_s:.2f} s, "
-                    f"trained in {trained.training_time_s:.1f} s"
-                )
-
-            train_robots(
-                fleet,
-                pilot,
-                lacking,
-                (plan.architecture,),
-                folder.path / "experiences",
-                seed=plan.seed,
-                duration_s=plan.flight_s,
-                say=lambda robot, what: None,
-                on_trained=on_trained,
-            )
-        baseline.result()
+    train_robots(
+        fleet,
+        pilot,
+        lacking,
+        (plan.architecture,),
+        folder.path / "experiences",
+        seed=plan.seed,
+        duration_s=plan.flight_s,
+        say=lambda robot, what: None,
+        on_trained=on_trained,
+    )
 
 
 def ranking_line(psi: dict[str, float]) -> str:

@@ -24,6 +24,10 @@ FLIGHT_S = 120.0
 """Duration of a rich flight. At 50 samples per second it yields about 6000 training pairs, of which
 training takes 2100."""
 
+FIRST_FLIGHT_S = 30.0
+"""Duration of the rich flight of a robot that knows nothing of itself yet. A robot that has been
+tested needs none."""
+
 
 @dataclass(frozen=True, eq=False)
 class Lesson:
@@ -122,6 +126,27 @@ def fly_lessons(
             data = TrainingData(*pooled_pairs(choice.layout, record, columns))
             lessons.append(Lesson(robot, data, origin, choice))
     return tuple(lessons)
+
+
+def know_itself(
+    fleet: Fleet, pilot: Pilot, robot: str, *, seed: int, say: Callable[[str], None]
+) -> None:
+    """Have a robot fly until its guard knows its baseline, unless an earlier motion has shown it.
+
+    Args:
+        fleet: Client of the robot's fleet.
+        pilot: Pilot that has the robot fly.
+        robot: Name of the robot.
+        seed: Seed of the rich flight's reference.
+        say: Called with one line before the flight.
+
+    Raises:
+        RobotError: The flight failed.
+    """
+    if fleet.describe(robot).baseline_known:
+        return
+    say(f"{robot} flies for {FIRST_FLIGHT_S:.0f} s first, so that its guard knows its baseline")
+    pilot.rich(robot, duration_s=FIRST_FLIGHT_S, seed=seed)
 
 
 def pick_up(fleet: Fleet, description: Description, failure: str) -> None:

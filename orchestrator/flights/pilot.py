@@ -206,6 +206,19 @@ class Pilot:
         )
         return self._path(robot, motion, label)
 
+    def own(
+        self, robot: str, desired: FloatArray, label: str, *, guarded: bool = True
+    ) -> PathFlight:
+        """Fly a path with the robot's model of itself, inverted along the whole path.
+
+        Args:
+            robot: Name of the robot that flies.
+            desired: Desired positions in the unit of the robot's axes, shape (samples, axes).
+            label: Name of the flight; see `flight_label`.
+            guarded: Whether the guard may withdraw the corrections in flight.
+        """
+        return self._path(robot, Tracking(desired=desired, inverse="own", guarded=guarded), label)
+
     def _path(self, robot: str, motion: Tracking, label: str) -> PathFlight:
         result = self._fly(robot, motion)
         details = result.details

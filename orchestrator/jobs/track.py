@@ -14,9 +14,9 @@ from nufleet.orchestrator.conduct.preflight import check_robots
 from nufleet.orchestrator.evaluation.flight_documents import TRACKING, TrackResult
 from nufleet.orchestrator.evaluation.fly_target import flight_record
 from nufleet.orchestrator.evaluation.results import FlightRecord
-from nufleet.orchestrator.experience.learning import FLIGHT_S
+from nufleet.orchestrator.experience.learning import know_itself
 from nufleet.orchestrator.fleet.reach import FleetChoice
-from nufleet.orchestrator.flight_labels import BASELINE, MIXTURE, NO_PRIOR
+from nufleet.orchestrator.flight_labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 from nufleet.orchestrator.flights.legs import Leg, legs_of, read_drawings
 from nufleet.orchestrator.flights.mixture import mixture_of
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
@@ -29,7 +29,7 @@ from nufleet.shared.errors import InvalidInputError, RobotError
 from nufleet.shared.experience.layout import HORIZON_SAMPLES_MAX, InverseLayout
 from nufleet.shared.wire.messages import Description
 
-InverseChoice = Literal["auto", "prior", "mixture", "zero-prior", "baseline"]
+InverseChoice = Literal["auto", "prior", "mixture", "own", "zero-prior", "baseline"]
 """Inverse models to fly with."""
 
 
@@ -58,6 +58,9 @@ class TrackCommand:
     """Whether the online Gaussian process learns in flight."""
     guarded: bool
     """Whether the guard may withdraw the inverse in flight."""
+    rich_flight_s: float | None
+    """Duration of a rich flight before the drawings, from which the robot learns more of itself;
+    None for none, unless nothing is known of it and its guard needs to know."""
     live: bool
     """Whether to serve the recording to live viewers."""
     runs_root: Path
@@ -102,7 +105,7 @@ def track(command: TrackCommand, console: Console) -> TrackResult:
         inverse = _inverse(command, target, ranking)
         run.fly("track", {target.robot: target}, live=command.live)
         run.configure({"kind": "track", **asdict(command)})
-        _learn_baseline(inverse, command, run, target)
+        _learn_first(inverse, command, run)
         records = [_flown(run, target, inverse, leg) for leg in legs]
         result = TrackResult(flights=tuple(records), run=str(run.folder.path))
         run.folder.write_document(TRACKING, result)
@@ -114,7 +117,7 @@ class _Inverse:
     """An inverse to fly paths with."""
 
     name: str
-    """Source of the prior, BASELINE, NO_PRIOR or MIXTURE."""
+    """Source of the prior, BASELINE, NO_PRIOR, OWN or MIXTURE."""
     corrects: bool
     """Whether it corrects the references of the baseline controller."""
     fly: Callable[[Pilot, FloatArray, str], PathFlight]
@@ -124,21 +127,21 @@ class _Inverse:
 def _flown(run: FlyingRun, target: Description, inverse: _Inverse, leg: Leg) -> FlightRecord:
     kept, label = KeptFlights(run), leg.label(inverse.name)
     kept.begins(target.robot, label, target.spec)
+    known_s = run.connection.fleet.describe(target.robot).least_known_s
     flight = inverse.fly(run.pilot, leg.desired, label)
     kept.ended(flight)
-    return flight_record(flight, inverse.name, leg)
+    for finding in flight.details.findings:
+        run.console.print(f"[yellow]{target.robot}: {finding}[/]")
+    return flight_record(flight, inverse.name, leg, known_s)
 
 
-def _learn_baseline(
-    inverse: _Inverse, command: TrackCommand, run: FlyingRun, target: Description
-) -> None:
-    """Have a robot learn its own baseline for the guard, unless it is known or not needed."""
-    if not inverse.corrects or not command.guarded or target.baseline_known:
-        return
-    run.console.print(
-        f"{target.robot} flies for {FLIGHT_S:.0f} s first, so that its guard knows its baseline"
-    )
-    run.pilot.rich(target.robot, duration_s=FLIGHT_S, seed=0)
+def _learn_first(inverse: _Inverse, command: TrackCommand, run: FlyingRun) -> None:
+    """Have the robot fly what was asked for, or what its guard must know, before the drawings."""
+    if command.rich_flight_s is not None:
+        run.console.print(f"{command.target} flies for {command.rich_flight_s:.0f} s first")
+        run.pilot.rich(command.target, duration_s=command.rich_flight_s, seed=0)
+    elif inverse.corrects and command.guarded:
+        know_itself(run.connection.fleet, run.pilot, command.target, seed=0, say=run.console.print)
 
 
 def _inverse(command: TrackCommand, target: Description, ranking: Ranking | None) -> _Inverse:
@@ -149,6 +152,8 @@ def _inverse(command: TrackCommand, target: Description, ranking: Ranking | None
         wanted = ("baseline", "prior", "mixture")[min(2, len(target.priors))]
     if wanted == "baseline":
         return _Inverse(BASELINE, False, lambda pilot, *path: pilot.baseline(robot, *path))
+    if wanted == "own":
+        return _Inverse(OWN, True, lambda pilot, *path: pilot.own(robot, *path, guarded=guarded))
     if wanted == "zero-prior":
         layout = _layout(command.horizon_s, target)
         return _Inverse(

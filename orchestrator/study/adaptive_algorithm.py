@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nufleet.orchestrator.belief.response_belief import ResponseModel
+from nufleet.orchestrator.belief.resting_gain import draw_resting
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.study.interface import (
     Curve,
@@ -146,8 +148,10 @@ class AdaptiveStudy:
             else:
                 self._lose(name, failed.get(name, "it gave no response"))
         sources = self._remaining()
+        # Distances are compared over the band that is tested; a motion reaches far below it.
+        draw = ResponseModel.draw if self._spectrum is None else draw_resting
         draws = {
-            name: self._robots[name].model.draw(self._drawn, self._settings.samples, self._rng)
+            name: draw(self._robots[name].model, self._drawn, self._settings.samples, self._rng)
             for name in (self._plan.target, *sources)
         }
         target = draws[self._plan.target]

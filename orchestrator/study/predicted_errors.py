@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nufleet.orchestrator.belief.resting_gain import draw_resting
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum, spectrum_of
 from nufleet.orchestrator.study.verdict import error_with_transfer
@@ -63,7 +64,7 @@ def predict_rms(
         known = RobotKnowledge(robot, specs[robot], omega_max_rad_s)
         for response in responses[robot]:
             known.learn(response, rng, check=False)
-        z[robot] = known.model.draw(omega, SAMPLES, rng)
+        z[robot] = draw_resting(known.model, omega, SAMPLES, rng)
 
     def mean_rms(errors: FloatArray) -> float:
         # Parseval: the mean square error on a path is Σ_ω |error gain|² power. `errors` has shape

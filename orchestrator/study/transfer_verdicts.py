@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nufleet.orchestrator.belief.resting_gain import draw_resting
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.study.interface import SourceEstimate, StudyPlan
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum
@@ -73,7 +74,7 @@ def judge_transfers(
                 known[robot].learn(response, rng)
     if plan.target not in known:
         return Judgement({}, ())
-    drawn = {robot: it.model.draw(omega, SAMPLES, rng) for robot, it in known.items()}
+    drawn = {robot: draw_resting(it.model, omega, SAMPLES, rng) for robot, it in known.items()}
 
     def predict(source: str, part: slice, motion: Spectrum) -> TransferPrediction:
         at_source, at_target = drawn[source][:, part], drawn[plan.target][:, part]

@@ -60,7 +60,7 @@ class Flight:
 
     @property
     def prior(self) -> str:
-        """Name of the source that gave the prior, or BASELINE or NO_PRIOR."""
+        """Name of the source that gave the prior, or BASELINE, NO_PRIOR or OWN."""
         return prior_and_path(self.label)[0]
 
     @property

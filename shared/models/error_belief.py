@@ -149,9 +149,13 @@ class ErrorBelief:
         return np.asarray(self.basis.columns(reference, before) @ self.mean)
 
     def draws(self, count: int, rng: np.random.Generator) -> FloatArray:
-        """Draw parameters x from the belief, shape (size, count)."""
+        """Draw parameters x from the belief, shape (size, count).
+
+        Each draw is larger or smaller as a whole by what no linear response is better known than.
+        """
         normal = rng.standard_normal((self.factor.shape[1], count))
-        return np.asarray(self.mean[:, None] + self.factor @ normal)
+        scale = 1 + MODEL_ERROR * rng.standard_normal(count)
+        return np.asarray((self.mean[:, None] + self.factor @ normal) * scale)
 
     def response(self, omega_rad_s: FloatArray) -> tuple[ComplexArray, FloatArray]:
         """Return the mean of the loop's response z(ω), and E|z − mean|².

@@ -120,6 +120,11 @@ class Description(Message):
         """Whether the robot knows how its baseline behaves, so that a flight can be guarded."""
         return bool(self.own_flight_s)
 
+    @property
+    def least_known_s(self) -> float:
+        """Duration of the motions that tell the robot of its least known axis."""
+        return min(self.own_flight_s.get(axis.name, 0.0) for axis in self.spec.axes)
+
 
 class GoalRequest(Message):
     """Request for one motion.

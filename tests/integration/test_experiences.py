@@ -24,8 +24,9 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError, MalformedMessageError, RobotError
 from nufleet.shared.experience.file import decode_experience, digest, encode_experience
 from nufleet.shared.experience.layout import Architecture, InverseLayout
+from nufleet.shared.frequency_test.multitone import multitone
 from nufleet.shared.paths.trajectories import travel
-from nufleet.shared.wire.messages import GoalRequest
+from nufleet.shared.wire.messages import GoalRequest, Outcome
 from nufleet.shared.wire.motions import Tracking
 from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
@@ -219,6 +220,32 @@ def test_the_targets_own_experience_makes_it_track_better_at_the_first_attempt(
     transfer(fleet, ExperienceLibrary(fleet), "source", fleet.describe("target"))
     errors = flown(fleet)
     assert errors["prior"] < 0.2 * errors["baseline"]
+
+
+def test_one_test_is_all_that_a_guard_and_a_robots_own_inverse_need(
+    orchestrator: Orchestrator,
+) -> None:
+    """As after a ranking: the first flights, and no flight of minutes before them."""
+    fleet = orchestrator.fleet
+    tones = multitone(2 * np.pi / 10.0, (3, 5, 7, 11, 15), np.ones(5))
+    assert orchestrator.run("target", "test", tones=tones).outcome is Outcome.COMPLETED
+    assert fleet.describe("target").own_flight_s["x"] > 10.0
+    pilot = Pilot(fleet, "run")
+    sha256 = install(fleet, "target", "prior", experience(gain=-4.0)).sha256
+    harmful = pilot.with_prior("target", PATH, "harmful", sha256)
+    own = pilot.own("target", PATH, "own")
+    baseline = pilot.baseline("target", PATH, "baseline")
+    assert harmful.details.taken_back is not None
+    assert harmful.rms_error <= 1.1 * baseline.rms_error
+    assert own.rms_error < 0.1 * baseline.rms_error
+    predicted = own.details.predicted
+    assert predicted is not None
+    assert predicted.high < 0.2 * baseline.rms_error
+
+
+def test_a_robot_that_knows_nothing_of_itself_flies_no_inverse_of_it(fleet: Fleet) -> None:
+    pilot = Pilot(fleet, "run")
+    assert refusal(lambda: pilot.own("target", PATH, "own")) == "no-own-model"
 
 
 def test_a_harmful_prior_is_taken_back_and_the_result_says_when_and_why(fleet: Fleet) -> None:

@@ -218,6 +218,25 @@ def test_a_track_says_and_stores_what_was_flown(
     assert flights[0]["rms_m"] < 0.2 * baseline["rms_m"]  # type: ignore[operator]
 
 
+def test_a_robot_that_has_flown_inverts_its_own_loop_and_says_what_to_expect(
+    lab: Workplace,
+) -> None:
+    """It has never been tested: what its guard has to know takes half a minute, and is said."""
+    path = ("--target", "source-1", "--trajectory", "clover", "--speed", "0.5")
+    first = lab.run("track", *path, "--inverse", "own", "--json")
+    assert first.returncode == 0, first.stderr
+    assert "source-1 flies for 30 s first" in first.stderr
+    (own,) = json.loads(first.stdout)["flights"]
+    (baseline,) = lab.json("track", *path, "--inverse", "baseline")["flights"]  # type: ignore[misc]
+    assert own["inverse"] == "own"
+    assert own["own_flight_s"] >= 30.0
+    assert own["rms_m"] < 0.05 * baseline["rms_m"]
+    assert own["predicted_low_m"] <= own["predicted_rms_m"] <= own["predicted_high_m"]
+    assert baseline["predicted_rms_m"] == pytest.approx(baseline["rms_m"], rel=0.05)
+    more = lab.run("track", *path, "--inverse", "own", "--rich-flight", "15")
+    assert "source-1 flies for 15 s first" in more.stderr
+
+
 @pytest.fixture(scope="module")
 def slow(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workplace]:
     """A robot in real time."""

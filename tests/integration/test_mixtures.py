@@ -161,6 +161,7 @@ def tracked(lab: Lab, runs_root: Path, inverse: InverseChoice = "auto") -> Track
         horizon_s=0.4,
         learn=True,
         guarded=True,
+        rich_flight_s=None,
         live=False,
         runs_root=runs_root,
         repository=None,

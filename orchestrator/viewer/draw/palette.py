@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from nufleet.orchestrator.flight_labels import BASELINE, MIXTURE, NO_PRIOR
+from nufleet.orchestrator.flight_labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 
 Colour = tuple[int, int, int]
 
@@ -31,10 +31,11 @@ ALARM: Colour = (235, 90, 90)
 _NO_SOURCE: dict[str, Colour] = {
     BASELINE: TARGET,
     NO_PRIOR: (176, 166, 200),
+    OWN: (196, 164, 98),
     MIXTURE: (150, 220, 200),
 }
 """Colours of the target's flights without a source of their own: with its own controller alone,
-with online learning from a zero prior, and with a mixture."""
+with online learning from a zero prior, with its model of itself, and with a mixture."""
 
 # Palette of Okabe and Ito (2008) for a dark background: lighter blue, and no black.
 _BASE: tuple[Colour, ...] = (
@@ -85,7 +86,8 @@ class Palette:
         return self._colours[source]
 
     def of_prior(self, prior: str) -> Colour:
-        """Return the colour of flights, given by the source of their prior, BASELINE or NO_PRIOR.
+        """Return the colour of flights, given by the source of their prior, BASELINE, NO_PRIOR
+            or OWN.
 
         A source without a colour is assigned one.
         """
