@@ -75,16 +75,14 @@ class Mixture:
         self._forgetting, self._ease = forgetting, ease
         self._prior = concentration / weights
         self._squares = np.zeros((len(weights), len(weights)))
+        self._best = weights
         self.weights = weights
         """Weight with which each model takes part, shape (models,); the sum is one."""
 
     @property
     def best(self) -> FloatArray:
         """Weights that explain the observations best, shape (models,), which `weights` approach."""
-        form = self._squares + np.diag(self._prior)
-        # The scale of the form does not matter; one near 1 keeps the digits of both terms.
-        found = _non_negative(form / form.trace() + 1.0, np.ones(len(form)))
-        return np.asarray(found / found.sum())
+        return self._best
 
     def observe(self, predicted: FloatArray, variance: FloatArray, observed: FloatArray) -> None:
         """Take what turned out, after what each model predicted of it.
@@ -100,32 +98,34 @@ class Mixture:
             errors = (predicted[:, known] - observed[known]) / np.sqrt(variance[known])
         errors = np.clip(np.nan_to_num(errors, nan=ERROR_MAX), -ERROR_MAX, ERROR_MAX)
         self._squares = self._forgetting * self._squares + errors @ errors.T
-        self.weights = self.weights + self._ease * (self.best - self.weights)
+        form = self._squares + np.diag(self._prior)
+        # The scale of the form does not matter; one near 1 keeps the digits of both terms.
+        found = _non_negative(form / form.trace() + 1.0, np.ones(len(form)), self._best)
+        self._best = found / found.sum()
+        self.weights = self.weights + self._ease * (self._best - self.weights)
 
     def mean(self, predicted: FloatArray) -> FloatArray:
         """Return the weighted mean of predictions, shape (m,), for predictions (models, m)."""
         return np.asarray(self.weights @ predicted)
 
 
-def _non_negative(matrix: FloatArray, right: FloatArray) -> FloatArray:
+def _non_negative(matrix: FloatArray, right: FloatArray, start: FloatArray) -> FloatArray:
     """Return the minimum of ½ xᵀAx − bᵀx over x ≥ 0, shape (n,), by Lawson and Hanson's method.
 
-    Unknowns leave zero one by one, the one first that promises most; those that would become
-    negative return there. SciPy's `nnls` does the same; without it no agent imports its optimisers.
+    Unknowns that would become negative return to zero, and others leave it, the one first that
+    promises most. From the solution of a similar problem it takes one or two rounds. SciPy's `nnls`
+    does the same; without it no agent imports SciPy's optimisers.
 
     Args:
         matrix: Positive definite matrix A, shape (n, n), of a size near 1.
         right: Vector b, shape (n,).
+        start: Point to start from, shape (n,), with no negative number.
     """
-    found, free = np.zeros(len(right)), np.zeros(len(right), dtype=bool)
+    found, free = start, start > 0
     for _ in range(3 * len(right)):
-        promise = np.where(free, -np.inf, right - matrix @ found)
-        if promise.max() <= _ROUNDING:
-            break
-        free[promise.argmax()] = True
         while free.any():
             wished = np.zeros(len(right))
-            wished[free] = np.linalg.solve(matrix[np.ix_(free, free)], right[free])
+            wished[free] = np.linalg.solve(matrix[free][:, free], right[free])
             negative = free & (wished <= 0)
             if not negative.any():
                 found = wished
@@ -135,4 +135,8 @@ def _non_negative(matrix: FloatArray, right: FloatArray) -> FloatArray:
             found = found + away.min() * (wished - found)
             first = np.flatnonzero(negative)[away.argmin()]
             free[first], found[first] = False, 0.0
+        promise = np.where(free, -np.inf, right - matrix @ found)
+        if promise.max() <= _ROUNDING:
+            break
+        free[promise.argmax()] = True
     return found

@@ -240,8 +240,11 @@ def posterior_weights(
         )
     )
     points = np.concatenate([inputs, query[np.newaxis]])
-    apart = (inputs[:, np.newaxis] - points) * (math.sqrt(3.0) / lengthscale)
-    scaled = np.sqrt(np.einsum("ijk,ijk->ij", apart, apart))
+    # |x − x'|² = |x|² + |x'|² − 2 x·x', from the query, so that near points lose few digits.
+    apart = (points - query) * (math.sqrt(3.0) / lengthscale)
+    squares = np.einsum("ij,ij->i", apart, apart)
+    products = apart[:-1] @ apart.T
+    scaled = np.sqrt(np.maximum(squares[:-1, np.newaxis] + squares - 2.0 * products, 0.0))
     covariance = signal * (1.0 + scaled) * np.exp(-scaled)
     between = covariance[:, -1]
     known = covariance[:, :-1]

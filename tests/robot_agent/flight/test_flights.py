@@ -247,6 +247,19 @@ def test_a_robot_that_has_changed_notices_it_by_its_own_prediction() -> None:
     assert details(again).findings == ()
 
 
+def test_the_guard_takes_a_mixture_back_as_it_does_a_single_prior() -> None:
+    robot, memory = known_robot()
+    wrong = experience(layout=layout(sample_time_s=0.02), robot_kind="lagged", axes=("x", "y"))
+    motion = mixture_of(memory, wrong, weight=0.9)
+    kept = memory.prior
+    assert kept is not None
+    kept.inverse._layers[0][0][:] = -40.0  # asks for far too much of every point ahead
+    played = flown(robot, motion.model_copy(update={"learn": False}), memory)
+    assert details(played).taken_back is not None
+    baseline = flown(robot, baseline_flight(), memory)
+    assert rms(played) < 1.1 * rms(baseline)
+
+
 def test_a_wrong_prior_gives_way_to_the_robots_model_of_itself() -> None:
     robot, memory = known_robot()
     wrong = experience(layout=layout(sample_time_s=0.02), robot_kind="lagged", axes=("x", "y"))

@@ -69,8 +69,8 @@ def test_the_weights_of_a_posterior_give_the_means_of_any_targets(n: int, d: int
     h, query = Hyperparameters(0.7, 0.4, 0.02), np.full(d, 0.3)
     mean, variance = posterior(Batch.stacked(x, targets), h, query[np.newaxis])
     weights, found = posterior_weights(x, h, query)
-    np.testing.assert_allclose(targets @ weights, mean[:, 0], rtol=1e-9, atol=1e-12)
-    assert found == pytest.approx(variance[0, 0], rel=1e-9)
+    np.testing.assert_allclose(targets @ weights, mean[:, 0], rtol=1e-6, atol=1e-9)
+    assert found == pytest.approx(variance[0, 0], rel=1e-6)
 
 
 @pytest.mark.parametrize(
