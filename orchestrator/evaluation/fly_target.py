@@ -29,8 +29,8 @@ from nufleet.orchestrator.experience.transfer import transfer, transfer_several
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.flight_labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 from nufleet.orchestrator.flights.legs import Leg
-from nufleet.orchestrator.flights.mixture import mixture_of
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
+from nufleet.orchestrator.flights.start_weights import mixture_of
 from nufleet.orchestrator.study.predicted_errors import PredictedRms
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RefusedError

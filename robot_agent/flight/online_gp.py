@@ -116,6 +116,8 @@ class OnlineGp:
         self._eased = np.zeros(len(priors))
         self._ease = 1.0 / (1.0 + layout.gp_ease_samples)
         self.dropped = 0
+        self.weights = np.empty(0)
+        """Weights of a mixture, of which a single prior has none."""
 
     @property
     def hyperparameters(self) -> tuple[Hyperparameters, ...]:

@@ -66,8 +66,7 @@ class TrackingRecord:
     """Variance of `mean`, shape (samples, axes), in unit²/s²."""
 
     weights: FloatArray
-    """Weights of the experts of a mixture and, last, of none, shape (samples, experts + 1); without
-    a mixture (samples, 0)."""
+    """Weights of a mixture, shape (samples, experts + 1), none's last; (samples, 0) without one."""
 
     share: FloatArray
     """Share of the correction that the guard let act, shape (samples,), from 0 to 1."""
@@ -259,12 +258,12 @@ class _Flight:
         self._learn_every = 1
         # The output of a robot without states is known only once it has been sent a reference.
         self._late = 0 if robot.state_names else 1
-        states = 1
+        states, experts = 1, 0
         if isinstance(learner, Learner):
             layout = learner.layout
             self._back, self._ahead = layout.back_samples, layout.horizon_samples
             self._span = layout.span_samples
-            states = len(layout.states)
+            states, experts = len(layout.states), len(learner.process.weights)
             spacing = round(learner.pair_spacing_s / robot.spec.sample_time_s)
             self._learn_every = max(1, spacing)
         self._path = np.pad(desired, ((self._back, self._ahead + 1), (0, 0)), mode="edge")
@@ -280,8 +279,6 @@ class _Flight:
         self._variance, self._actual = np.zeros((samples, axes)), np.zeros((samples, axes))
         self._share, self._step_time_s = np.ones(samples), np.zeros(samples)
         self._limited = np.zeros(samples, dtype=bool)
-        process = learner.process if isinstance(learner, Learner) else None
-        experts = len(process.weights) if isinstance(process, MixtureProcess) else 0
         self._weights = np.zeros((samples, experts))
         self._fading: FloatArray | None = None
         self._done = 0

@@ -101,7 +101,7 @@ class Description(Message):
     prior: ExperienceOffer | None = None
     """Experience that was transferred to the robot."""
     companions: Annotated[tuple[ExperienceOffer, ...], Field(max_length=MIXTURE_MAX - 1)] = ()
-    """Further experiences that were transferred to it, for a mixture with the prior."""
+    """Further ones that were transferred, for a mixture with the prior."""
     own_flight_s: dict[Name, NonNegative] = Field(default_factory=dict)
     """Duration of the motions that tell the robot of each of its axes. A robot that knows nothing
     of itself cannot guard a flight."""

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nufleet.orchestrator.flights.mixture import start_weights
+from nufleet.orchestrator.flights.start_weights import start_weights
 
 SOURCES = ["a", "b", "c"]
 
