@@ -1,14 +1,15 @@
-# make demo   sets everything up and runs the main job
-# make test   sets everything up, lints, type-checks and passes the tests
-# make check  a minute's worth of that: lint, format, types, and the tests that start no process, open
-#             no connection, run no foreign simulator (tests/purity.py) and are not marked `thorough`
-# make test-busy   passes the tests beside processes that keep the machine busy, RUNS times over
+# make demo        installs everything and runs the main job
+# make test        installs everything, lints, checks types and runs all tests
+# make check       the part of it that takes a minute: lint, format, types, and the tests that start no
+#                  process, open no connection, run no foreign simulator (tests/purity.py) and are not
+#                  marked `thorough`
+# make test-busy   runs the tests RUNS times, beside processes that keep the machine busy
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PIP_INSTALL = .venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
-# Many tests wait for processes; two at a time take little more than half as long as one by one.
+# Many tests wait for processes; running two at a time takes little more than half the time.
 TEST_PROCESSES ?= 2
-# What the tests use that pip does not bring: a software renderer for pictures of recordings, a real
-# PostgreSQL server, networks that can be cut in two, and clocks that are wrong.
+# Tools that the tests need and pip does not install: a software renderer for pictures of recordings,
+# a real PostgreSQL server, networks that can be cut in two, and clocks that are wrong.
 SYSTEM_PACKAGES = mesa-vulkan-drivers postgresql iproute2 libfaketime
 
 RUNS ?= 5
@@ -23,7 +24,7 @@ test: .venv/installed-test system-packages lint
 	@echo "== tests"
 	.venv/bin/pytest -n $(TEST_PROCESSES) --dist loadfile
 
-# A busy loop ends with the shell of this recipe, however that ends.
+# A busy loop ends when the shell of this recipe ends, for whatever reason.
 test-busy: .venv/installed-test system-packages
 	@for burner in $$(seq $(BURNERS)); do (while kill -0 $$$$ 2>/dev/null; do :; done) & done; \
 	for run in $$(seq $(RUNS)); do \
@@ -46,25 +47,25 @@ lint: .venv/installed-test
 	.venv/bin/mypy
 
 .venv/bin/python:
-	@echo "== making .venv with $(PYTHON)"
+	@echo "== creating .venv with $(PYTHON)"
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
-	  || { echo "nufleet needs Python 3.11 or newer; say which with make PYTHON=..."; exit 2; }
+	  || { echo "nufleet needs Python 3.11 or newer; name the interpreter with make PYTHON=..."; exit 2; }
 	$(PYTHON) -m venv .venv
 
 .venv/installed-demo: .venv/bin/python pyproject.toml constraints.txt
-	@echo "== installing nufleet and what it needs, torch among it (once; some minutes)"
+	@echo "== installing nufleet and its dependencies, including torch (once; some minutes)"
 	$(PIP_INSTALL) -e '.[learning]'
-	@echo "== compiling the numerics (once)"
+	@echo "== compiling the numerical code (once)"
 	.venv/bin/python -c 'from nufleet.shared.gaussian_process.exact import warm_up; warm_up()'
 	@touch $@
 
 .venv/installed-test: .venv/installed-demo
-	@echo "== installing what the tests need, simulators among it (once; some minutes)"
+	@echo "== installing the dependencies of the tests, including simulators (once; some minutes)"
 	$(PIP_INSTALL) -e '.[test,quadrotors,arms,learning,repository]'
 	@touch $@
 
 .venv/installed-quadrotors: .venv/installed-demo
-	@echo "== installing the quadrotors' simulator (once)"
+	@echo "== installing the simulator of the quadrotors (once)"
 	$(PIP_INSTALL) -e '.[quadrotors]'
 	@touch $@
 
@@ -74,7 +75,7 @@ system-packages:
 	if [ -n "$$missing" ]; then \
 	  echo "== installing$$missing"; \
 	  if [ "$$(id -u)" != 0 ]; then \
-	    echo "the tests need them: sudo apt-get install --no-install-recommends$$missing"; exit 2; fi; \
+	    echo "the tests need these packages: sudo apt-get install --no-install-recommends$$missing"; exit 2; fi; \
 	  apt-get update -qq && apt-get install -y -qq --no-install-recommends $$missing; fi
 
 clean:

@@ -132,14 +132,14 @@ def prepared(
 
 
 def fly_by_the_clock(minutes: float, training_steps_max: int = STEPS_MAX) -> ClockedFlight:
-    """Fly so many minutes of laps in real time.
+    """Fly laps in real time.
 
     Args:
-        minutes: of the flight; what comes before it is not paced.
-        training_steps_max: of the prior.
+        minutes: Duration of the flight; the training before it is not paced.
+        training_steps_max: Largest number of steps in the training of the prior.
 
     Raises:
-        RuntimeError: the flight failed.
+        RuntimeError: The flight failed.
     """
     warm_up()
     robot = planar_double_integrator(NOISE_STD_M)
@@ -188,7 +188,7 @@ def print_flight(flight: ClockedFlight) -> None:
         f"{flight.worst_at_s:.2f} s\n"
         f"  RMS error {flight.rms_error_mm:.1f} mm, of the baseline alone "
         f"{flight.baseline_rms_error_mm:.1f} mm; "
-        + (f"taken back: {flight.taken_back}" if flight.taken_back else "prior never taken back")
+        + (f"withdrawn: {flight.taken_back}" if flight.taken_back else "prior never withdrawn")
     )
 
 

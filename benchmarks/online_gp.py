@@ -52,7 +52,7 @@ BLOCKS = 5
 
 @dataclass(frozen=True)
 class Row:
-    """One column's times, in ms per step, and how its likelihoods compare with the product's."""
+    """The times of one column, in ms per step, and its likelihoods relative to the product."""
 
     name: str
     start: str

@@ -14,16 +14,12 @@ from benchmarks.online_gp_windows import Windows
 from nufleet.robot_agent.flight.online_gp import BOUNDS, START, OnlineGp
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.experience.layout import InverseLayout
-from nufleet.shared.gaussian_process.exact import (
-    Batch,
-    Hyperparameters,
-    fit,
-    log_marginal_likelihood,
-)
+from nufleet.shared.gaussian_process.exact import fit, log_marginal_likelihood
+from nufleet.shared.gaussian_process.problem import Batch, Hyperparameters
 
 EQUAL = 1e-6
 STATES = {4: ("position", "velocity"), 5: ("position", "velocity", "tilt")}
-"""Which states make so many inputs."""
+"""Names of the states, by the number of inputs that they give."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +60,9 @@ class Column:
 class Comparison:
     """Log likelihoods less the product's, over all fits.
 
-    Of the higher ones, `higher_found_from_papers_start` is how many our own search reaches from
-    there. The lower ones either `stopped_short` of a maximum as high as ours or are at
-    `another_maximum`. `mean_difference` is the median of |Δ mean| where likelihoods are equal.
+    `higher_found_from_papers_start` counts those of the `higher` ones that our own search reaches
+    from the paper's start. The lower ones either `stopped_short` of a maximum as high as ours or
+    are at `another_maximum`. `mean_difference` is the median of |Δ mean| over equal likelihoods.
     """
 
     fits: int

@@ -9,10 +9,11 @@ import numpy as np
 from benchmarks.online_gp_peers import Answer, Peer
 from nufleet.robot_agent.flight.online_gp import BOUNDS, START
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.gaussian_process.exact import Batch, Hyperparameters, fit, posterior
+from nufleet.shared.gaussian_process.exact import fit, posterior
+from nufleet.shared.gaussian_process.problem import Batch, Hyperparameters
 
 NEARLY_LINEAR = Hyperparameters(0.01, BOUNDS.lengthscale[1], BOUNDS.noise_variance[0])
-"""Of a handful of second starts tried on recorded windows, the one that left the fewest traps."""
+"""Second starting point: of several tried on recorded windows, it left the fewest local maxima."""
 
 
 def papers_start(dimension: int, points: int) -> Peer:  # noqa: ARG001

@@ -82,11 +82,11 @@ def planar_double_integrator(noise_std_m: float) -> PlanarRobot:
 
 
 class ClockedRobot(Robot):
-    """A robot whose samples begin at ticks of a clock, whatever time the controller takes.
+    """A robot whose samples begin at ticks of a clock, no matter how long the controller takes.
 
     `observe` waits for the next tick. The ticks are fixed when the first one is waited for: a
-    controller that is late once has so much less time for the next sample. `reference_s` holds, for
-    every sample observed, when its reference arrived, in seconds after its tick.
+    controller that is late once has less time left for the next sample. `reference_s` holds, for
+    every observed sample, the time in seconds from its tick to the arrival of its reference.
     """
 
     def __init__(

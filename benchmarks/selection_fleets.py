@@ -202,7 +202,7 @@ def mildly_nonlinear(rng: np.random.Generator) -> NonlinearLoop:
 
 
 def strongly_nonlinear(rng: np.random.Generator) -> NonlinearLoop:
-    """The same with so much of it that the response to many tones is far from that to one."""
+    """The same, but so nonlinear that the responses to many tones and to one tone differ."""
     mild = mildly_nonlinear(rng)
     if mild.dead_zone_m_s2 > 0:
         return replace(mild, dead_zone_m_s2=rng.uniform(0.1, 0.3))

@@ -22,14 +22,14 @@ ADAPTIVE_ROUNDS = 8
 SWEEP_TONES = 9
 RANDOM_TONES = 12
 LONG_TEST_PERIODS = 55
-"""The long test measures for so many periods of the band's upper end, at 27 tones."""
+"""Measuring time of the long test, in periods of the upper end of the band; it has 27 tones."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """What is selected after a round, how sure the method is of it, and robot-seconds so far.
+    """The selection after a round, the method's confidence in it, and the robot-seconds used.
 
-    `selected` is None when the study could not go on, since no test of the target was usable.
+    `selected` is None when the study had to end because no test of the target was usable.
     """
 
     selected: str | None

@@ -43,14 +43,14 @@ from nufleet.shared.errors import StudyError
 PERIOD_S = 60.0
 FASTEST_RAD_S = (1.5, 5.0)
 LAPS = 3
-"""The last of so many is measured: transients of the lightest damping are over by then."""
+"""Number of laps; the last one is measured, when even lightly damped transients have decayed."""
 
 LINEAR = tuple(family for family in FAMILIES if "nonlinear" not in family)
 
 
 @dataclass(frozen=True)
 class Judged:
-    """One verdict, and what the simulated transfer did; errors are RMS over the trajectory's."""
+    """One verdict and the result of the simulated transfer; errors are relative RMS values."""
 
     family: str
     verdict: Verdict
@@ -102,7 +102,7 @@ def through_inverse(source: LinearLoop, wanted: FloatArray) -> FloatArray:
 
 
 def tracking_error(target: LinearLoop, reference: FloatArray, wanted: FloatArray) -> float:
-    """Fly laps of a closed reference from rest; return the last one's RMS error over the path's."""
+    """Fly laps of a closed reference from rest; return the relative RMS error of the last lap."""
     amplitudes = np.fft.rfft(reference)
     omega = 2 * math.pi * np.fft.rfftfreq(len(reference), SAMPLE_TIME_S)
     late = np.fft.irfft(amplitudes * np.exp(-1j * omega * target.delay_s), len(reference))

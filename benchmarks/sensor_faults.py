@@ -44,7 +44,7 @@ HARMLESS_CHORDAL = 1e-3
 
 MISSES_EXPECTED = 0.05
 INVISIBLE = ("late", "always 3")
-"""A delay that never changes is, to whoever measures at that sensor, a slower robot."""
+"""Faults that cannot be seen: a constant delay of the sensor looks like a slower robot."""
 
 ONE_FAULT: TypeAdapter[Fault] = TypeAdapter(Fault)
 
@@ -65,7 +65,7 @@ class Case:
 
 
 def cases(measured_from: int, measured: int) -> Iterator[Case]:
-    """Yield every case for a test that measures so many samples from one sample on."""
+    """Yield every case for a test that measures `measured` samples from `measured_from` on."""
     yield Case("none", "", {"kind": "noisy", "std": 0.0})
     for std in (0.03, 0.3, 1.0):
         yield Case("noisy", f"{std:g}", {"kind": "noisy", "std": std}, ("std",))

@@ -1,4 +1,4 @@
-"""How long the simulators that nobody here wrote take for a minute of a robot's time.
+"""The time that third-party simulators take for a minute of a robot's time.
 
 python -m benchmarks.simulators
 """

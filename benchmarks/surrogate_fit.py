@@ -1,11 +1,11 @@
-"""What one iteration's surrogates cost: all pairs fitted, against scikit-learn and BoTorch.
+"""The cost of fitting the surrogates of one iteration, compared with scikit-learn and BoTorch.
 
-Every robot is a random second-order loop with a delay; a pair's data are noisy chordal distances at
-M frequencies. All libraries get the same data, start and bounds, and maximise the marginal
-likelihood with no priors. What they find is compared by the likelihood, by one formula for all.
-Processor time is that of all threads; it says more than wall time on a machine shared with others.
-The peers' BLAS and torch get one thread unless told otherwise: on matrices this small more threads
-made scikit-learn several times slower.
+Every robot is a random second-order loop with a delay; the data of a pair are noisy chordal
+distances at M frequencies. All libraries get the same data, start and bounds, and maximise the
+marginal likelihood without priors. Their results are compared by the likelihood, with the same
+formula for all. Processor time is summed over all threads; it is more meaningful than wall time on
+a shared machine. The BLAS and torch of the other libraries get one thread by default: with matrices
+this small, more threads made scikit-learn several times slower.
 
     python -m benchmarks.surrogate_fit --pairs 100 1000 10000 --points 5 10 20
 """
@@ -28,16 +28,13 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.distance.chordal import chordal_distance
 from nufleet.shared.gaussian_process.exact import (
-    Batch,
     BatchFit,
-    Bounds,
-    FitStatus,
-    Hyperparameters,
     fit,
     log_marginal_likelihood,
     posterior,
     warm_up,
 )
+from nufleet.shared.gaussian_process.problem import Batch, Bounds, FitStatus, Hyperparameters
 
 BAND_RAD_S = (0.1, 10.0)
 NOISE = 0.02
@@ -308,7 +305,7 @@ def main() -> None:
         nargs=2,
         default=[200, 10000],
         metavar=("SKLEARN", "BOTORCH"),
-        help="fit at most so many problems with a peer and scale its times",
+        help="largest number of problems to fit with a peer, whose times are then scaled",
     )
     parser.add_argument("--json", type=Path, help="also write the numbers to this file")
     arguments = parser.parse_args()

@@ -14,7 +14,6 @@ import uuid
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 
 from nufleet.robot_agent.decisions import Decisions
 from nufleet.robot_agent.experience_service import ExperienceService
@@ -47,7 +46,6 @@ from nufleet.shared.wire.messages import (
     FetchRequest,
     GoalRequest,
     InstallRequest,
-    PredictRequest,
     ReleaseRequest,
     RemovePriorRequest,
     ResultRequest,
@@ -124,12 +122,7 @@ class Agent:
             self._open = opened.pop_all()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
@@ -156,7 +149,7 @@ class Agent:
         journal = Unrecorded() if folder is None else Journal(folder / "journal")
         opened.callback(journal.close)
         for goal_id in journal.remembrance.lost:
-            _log.warning("%s: goal %s was lost with the agent before", self._name, goal_id)
+            _log.warning("%s: goal %s was lost with the previous agent", self._name, goal_id)
         robot, memory = self._robot, self._memory
         planner = Planner(
             self._name,
@@ -215,9 +208,8 @@ class Agent:
                 "prior": self._fetch,
                 "prior/install": self._install_prior,
                 "prior/remove": self._remove_prior,
-                "predict": self._predict,
             },
-            large=("goal", "experience/install", "prior/install", "predict"),
+            large=("goal", "experience/install", "prior/install"),
             urgent={"stop": stops.asked},
         )
         opened.callback(endpoint.close)
@@ -240,7 +232,7 @@ class Agent:
     def _on_orchestrator(self, key: str, alive: bool) -> None:
         owner = self._keys.orchestrator_of(key)
         if owner is None:
-            _log.warning("%s: ignoring %r, which names no orchestrator", self._name, key)
+            _log.warning("%s: ignoring %r, which is not an orchestrator's key", self._name, key)
         elif alive:
             self._decisions.owner_appeared(owner)
         else:
@@ -303,9 +295,6 @@ class Agent:
 
     def _fetch(self, payload: bytes) -> Answer:
         return self._experiences.fetch(_decoded(payload, FetchRequest))
-
-    def _predict(self, payload: bytes) -> Answer:
-        return self._experiences.predict(_decoded(payload, PredictRequest))
 
     def _install_experience(self, payload: bytes) -> Answer:
         return self._experiences.install_experience(_decoded(payload, InstallRequest))

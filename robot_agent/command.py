@@ -16,7 +16,7 @@ import click
     "robots",
     multiple=True,
     metavar="NAME",
-    help="A robot of the file to serve; may be given several times.  [default: all of them]",
+    help="Serve this robot of the file; may be given several times.  [default: all of them]",
 )
 @click.option(
     "--connect",
@@ -24,13 +24,13 @@ import click
     show_default=True,
     envvar="NUFLEET_ROUTER",
     metavar="ENDPOINT",
-    help="Where the router listens.  [env: NUFLEET_ROUTER]",
+    help="Address of the router.  [env: NUFLEET_ROUTER]",
 )
 @click.option(
     "--realtime",
     type=click.FloatRange(min=0, min_open=True),
     metavar="FACTOR",
-    help="Play simulated robots at this multiple of real time.  [default: as fast as they can]",
+    help="Run simulated robots at this multiple of real time.  [default: as fast as they can]",
 )
 @click.option(
     "--state",
@@ -38,15 +38,16 @@ import click
     type=click.Path(file_okay=False, path_type=Path),
     envvar="NUFLEET_STATE",
     metavar="FOLDER",
-    help="Where robots keep what has to survive this process: which goals they did, whether they "
-    "are stopped, what they learned. One agent at a time.  "
+    help="Folder for everything that has to survive this process: the goals of each robot, whether "
+    "it is stopped, what it has learned. Only one agent at a time may use a robot's part of it.  "
     "[env: NUFLEET_STATE; default: nufleet in XDG_STATE_HOME or ~/.local/state]",
 )
 @click.option(
     "--forget-owner",
     is_flag=True,
-    help="Make the robots of --robot forget who commanded them and under which epoch, and end. For "
-    "a robot that was told an epoch that no repository gives out; end its agent first.",
+    help="Make the robots given with --robot forget which orchestrator commanded them and under "
+    "which epoch, then exit. For a robot that has stored an epoch that no repository issues; end "
+    "its agent first.",
 )
 @click.option("--until-stdin-closes", is_flag=True, hidden=True)
 def agent(

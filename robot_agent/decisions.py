@@ -89,7 +89,7 @@ class Decisions:
         self._commander = None if owner is None else Commander(owner.owner, owner.epoch)
         self._last_goal = found.lost[-1] if found.lost else None
         self._last_reason = (
-            f"the agent before this one ended during {self._last_goal}" if found.lost else ""
+            f"the previous agent process ended during {self._last_goal}" if found.lost else ""
         )
         self._results = KeptResults()
         self._owners_alive: set[str] = set()
@@ -221,11 +221,11 @@ class Decisions:
         if result is not None:
             return result
         if goal is None:
-            return Refusal(code="unknown-goal", reason=f"goal {goal_id} is not known here")
+            return Refusal(code="unknown-goal", reason=f"the robot does not know goal {goal_id}")
         if goal.outcome is None:
             return Refusal(code="not-finished", reason=f"goal {goal_id} is still running")
         return self._journal.result(goal_id) or Refusal(
-            code="result-gone", reason=f"the result of {goal_id} was let go already"
+            code="result-gone", reason=f"the result of {goal_id} has already been deleted"
         )
 
     def acknowledge(self, goal_ids: Iterable[str], sender: Commander) -> Refusal | None:
@@ -254,14 +254,14 @@ class Decisions:
                 stops = self._stops
                 if self._goals.running is not None:
                     return Refusal(
-                        code="busy", reason="still coming to rest; release it in a moment"
+                        code="busy", reason="it is still coming to rest; release it in a moment"
                     )
             self._journal.released(sender)
             with self._lock:
                 if self._stops != stops:
                     # The sender of that later stop does not know of this release, so the stop
                     # stands; its `store_stop`, which waits for us, stores it again.
-                    return Refusal(code="stopped", reason="it was stopped again just now")
+                    return Refusal(code="stopped", reason="it has just been stopped again")
                 self._supervise(supervisor.ReleaseOrdered(sender))
                 self._last_reason = ""
         return None
@@ -291,7 +291,7 @@ class Decisions:
         except JournalError as error:
             # The motion has ended all the same. The next agent process will report the goal as
             # lost and will not play it again.
-            _log.error("the end of %s is not stored: %s", result.goal_id, error)
+            _log.error("the end of %s could not be stored: %s", result.goal_id, error)
         with self._lock:
             self._results.add(result)
             self._goals = goal_machine.end(self._goals, result.goal_id, result.outcome)
@@ -383,7 +383,7 @@ class Decisions:
             self._forget(goal_ids)
         except JournalError as error:
             # This is no reason to refuse the goal in the same request, which may already run.
-            _log.warning("results that arrived are kept: %s", error)
+            _log.warning("acknowledged results could not be deleted: %s", error)
 
     def _known_plan(self, goal_id: str) -> MotionPlan | None:
         """Return the plan of a goal that is known; None when it was dropped with its result.
@@ -430,7 +430,9 @@ class Decisions:
             return self._goals, refusal
         if goal_machine.recognise(self._goals, goal_id=goal_id, digest=sha256) is None:
             if self._shutting_down:
-                return self._goals, Refusal(code="shutting-down", reason="this agent is ending")
+                return self._goals, Refusal(
+                    code="shutting-down", reason="this agent is shutting down"
+                )
             alive = owner in self._owners_alive
             refusal = supervisor.refusal_to_start(self._supervision, owner=owner, owner_alive=alive)
             if refusal is not None:

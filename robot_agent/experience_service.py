@@ -1,11 +1,9 @@
-"""Answers requests for the experiences of one robot: its offers, their files and predictions."""
+"""Answers requests for the experiences of one robot: its offers, and their files."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-
-import numpy as np
 
 from nufleet.robot_agent.flight.inverse_model import NetworkInverse
 from nufleet.robot_agent.flight.memory import Kept, Memory
@@ -23,14 +21,9 @@ from nufleet.shared.wire.messages import (
     ExperienceOffer,
     FetchRequest,
     InstallRequest,
-    Prediction,
-    PredictRequest,
     Refusal,
     RemovePriorRequest,
 )
-
-INPUTS_MAX = 10_000
-"""Largest number of rows of one prediction, which take a small processor half a second."""
 
 
 class ExperienceService:
@@ -67,25 +60,6 @@ class ExperienceService:
         kept = self._found(request.sha256)
         return ExperienceFile(sha256=kept.sha256, payload=kept.payload)
 
-    def predict(self, request: PredictRequest) -> Message:
-        """Return γ, shape (m,), in unit/s, at the inputs of a request, shape (m, inputs).
-
-        Raises:
-            RefusedError: No stored experience has the request's digest.
-        """
-        kept, inputs = self._found(request.sha256), request.inputs
-        expected = len(kept.manifest.inputs)
-        if inputs.ndim != 2 or inputs.shape[1] != expected or len(inputs) > INPUTS_MAX:
-            return Refusal(
-                code="inputs",
-                reason=f"inputs must be of shape (m, {expected}) with m up to {INPUTS_MAX}, "
-                f"one column for each of {', '.join(kept.manifest.inputs)}; got {inputs.shape}",
-            )
-        gamma = kept.inverse(inputs)
-        if not np.isfinite(gamma).all():
-            return Refusal(code="inputs", reason="what the model makes of them is not finite")
-        return Prediction(gamma=gamma)
-
     def install_experience(self, request: InstallRequest) -> Message:
         """Store an experience that was trained from this robot's own flights."""
         return self._installed(request, self._memory.keep_experience, own=True)
@@ -115,7 +89,7 @@ class ExperienceService:
         if own and manifest.robot != self._name:
             return Refusal(
                 code="misfit",
-                reason=f"it was learned on {manifest.robot}; as a prior it can be transferred",
+                reason=f"it was learned on {manifest.robot}; install it as a prior instead",
             )
         for axis in manifest.axes:
             reason = misfit(manifest, self._robot.spec, self._robot.state_names, axis)
@@ -143,7 +117,7 @@ class ExperienceService:
         kept = self._memory.find(sha256)
         if kept is None:
             raise RefusedError(
-                "unknown-experience", f"it has none with sha256 {sha256}", self._name
+                "unknown-experience", f"it has no experience with sha256 {sha256}", self._name
             )
         return kept
 

@@ -28,12 +28,12 @@ def forget_owners(fleet_file: Path, names: tuple[str, ...], state_folder: Path) 
     if unknown or not names:
         raise InvalidInputError(
             f"--forget-owner needs --robot with robots of {fleet_file}: {', '.join(fleet.robots)}"
-            + (f"; {', '.join(unknown)} is none" if unknown else "")
+            + (f"; not in the file: {', '.join(unknown)}" if unknown else "")
         )
     for name in names:
         with Journal(state_folder / fleet.name / name / "journal") as journal:
             known = journal.forget_owner()
         if known is None:
-            click.echo(f"{name} remembers no owner")
+            click.echo(f"{name} had no owner stored")
         else:
             click.echo(f"{name} forgot {known.owner} and its epoch {known.epoch}")

@@ -140,7 +140,7 @@ class MotionWorker:
             given_up, self._performing = self._performing is None, None
         if given_up:
             _log.warning(
-                "goal %s: the driver returned after all; the robot %s",
+                "goal %s: the driver has returned after all; the robot %s",
                 assignment.goal.goal_id,
                 "is at rest" if played.fault is None else f"has a fault: {played.fault}",
             )
@@ -208,7 +208,7 @@ class MotionWorker:
         plan, motion = assignment.plan, assignment.motion
         if isinstance(motion, Excitation):
             if not isinstance(plan, ExcitationPlan):
-                raise TypeError("a frequency test without its plan")
+                raise TypeError("a frequency test needs the plan of an excitation")
             return AxisMotion(
                 self._robot,
                 plan.axis,
@@ -268,11 +268,11 @@ class MotionWorker:
             try:
                 self._robot.disconnect()
             except RobotError as error:
-                _log.warning("disconnecting a robot with a fault: %s", error)
+                _log.warning("a robot with a fault could not be disconnected: %s", error)
             self._robot.connect()
         except Exception as error:  # noqa: BLE001 - a driver's mistake must not end the thread
-            _log.exception("a robot could not be connected anew")
-            fault = f"could not be connected anew: {error}"
+            _log.exception("a robot could not be reconnected")
+            fault = f"could not be reconnected: {error}"
         self._decisions.reconnected(fault)
         return Done() if fault is None else Refusal(code="fault", reason=fault)
 

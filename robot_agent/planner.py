@@ -69,7 +69,7 @@ class Planner:
             per_sample = _NUMBERS_PER_AXIS * len(self.spec.axes)
         most = MAX_RESULT_NUMBERS // per_sample
         if plan.samples > most:
-            too_long = f"{plan.samples} samples are too many; at most {most}"
+            too_long = f"the motion has {plan.samples} samples; at most {most} are possible"
             raise RefusedError("duration", too_long, self.robot)
         return plan
 

@@ -15,14 +15,54 @@ class Robot(ABC):
 
     A robot rests at reference 0 of every axis: `connect` and `rest` leave it there, and every
     motion begins there with a first reference of 0. The driver itself chooses the reference that
-    holds the robot at rest, and therefore also how to get to 0. A driver that rested wherever the
-    robot happens to be would see its reference jump when the next motion begins. The agent compares
+    holds the robot at rest, and therefore also how to get to 0. If a driver rested at the present
+    position of the robot, its reference would jump when the next motion begins. The agent compares
     the output at rest with the first reference, and refuses to begin a motion when they are further
     apart than `nufleet.robot_agent.motion.monitor` allows.
 
     One sample lasts `spec.sample_time_s`. References and outputs hold one number per axis, in the
     order and the units of `spec.axes`. Methods are called from one thread at a time. Each raises
     `RobotError` when the robot cannot do what it is asked to.
+
+    Examples:
+        A robot that reaches its reference within one sample:
+
+        >>> from nufleet.shared.robots.spec import AxisSpec
+        >>> class Follower(Robot):
+        ...     spec = RobotSpec(
+        ...         kind="follower",
+        ...         axes=(
+        ...             AxisSpec(
+        ...                 name="x", unit="m", amplitude_max=1, velocity_max=1, acceleration_max=1
+        ...             ),
+        ...         ),
+        ...         sample_time_s=0.02,
+        ...         omega_min_rad_s=0.1,
+        ...         omega_max_rad_s=6.0,
+        ...         duration_max_s=300.0,
+        ...         settling_time_s=4.0,
+        ...         simulated=True,
+        ...     )
+        ...
+        ...     def connect(self):
+        ...         self.output = np.zeros(1)
+        ...
+        ...     def measure_output(self):
+        ...         return self.output
+        ...
+        ...     def step(self, reference):
+        ...         measured, self.output = self.output, reference
+        ...         return measured
+        ...
+        ...     def rest(self):
+        ...         self.output = np.zeros(1)
+        ...
+        ...     def disconnect(self):
+        ...         self.rest()
+        >>> robot = Follower()
+        >>> robot.connect()
+        >>> robot.run(np.array([[0.0], [0.1], [0.2]])).ravel()
+        array([0. , 0. , 0.1])
     """
 
     @property
@@ -96,8 +136,8 @@ class Robot(ABC):
     def rest(self) -> None:
         """Bring the robot to rest at reference 0 from any state; returns when it rests there.
 
-        The driver chooses the path, no faster than the robot may move, whatever the last reference
-        was. This is called at the end of every motion, and in the middle of one that is stopped.
+        The driver chooses the path from the last reference, no faster than the robot may move. This
+        is called at the end of every motion, and in the middle of one that is stopped.
         """
 
     @abstractmethod

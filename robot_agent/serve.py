@@ -22,7 +22,7 @@ from nufleet.shared.robots.fleet_file import FleetFile, read_fleet_file, validat
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.transport import open_client
 
-LANDING = "landing: the robots are coming to rest, and then this ends by itself"
+LANDING = "landing: the robots are coming to rest, and then this process ends by itself"
 
 
 def build_robots(fleet: FleetFile, path: Path, names: tuple[str, ...]) -> dict[str, Robot]:

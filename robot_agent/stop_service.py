@@ -78,7 +78,7 @@ class StopService:
         try:
             self._decisions.store_stop()
         except JournalError as error:
-            _log.error("%s: a stop is not stored: %s", self._robot, error)
-            forgotten = "it was halted, but the stop would not outlast its agent"
+            _log.error("%s: a stop could not be stored: %s", self._robot, error)
+            forgotten = "it was halted, but the stop will not outlast its agent"
             return Refusal(code="journal", reason=f"{forgotten}: {error}")
         return Done()

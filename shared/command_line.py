@@ -82,7 +82,7 @@ def command_line() -> click.Group:
         help=_HELP,
         context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
         params=[
-            click.Option(["-v", "--verbose"], is_flag=True, help="Say more on stderr."),
+            click.Option(["-v", "--verbose"], is_flag=True, help="Print more messages on stderr."),
             click.Option(
                 ["--version"],
                 is_flag=True,
@@ -116,9 +116,9 @@ def main() -> NoReturn:
     except OSError as error:
         if error.errno not in _DISK_TROUBLE:
             raise
-        # A full disk can strike at any write, and there is no better remedy in any of those places.
+        # A disk can be full at any write, and none of those places has a better remedy.
         place = f" ({error.filename})" if error.filename else ""
-        _print_error(f"cannot write: {os.strerror(error.errno)}{place}; make room, and try again")
+        _print_error(f"cannot write: {os.strerror(error.errno)}{place}; free some space and retry")
         sys.exit(NufleetError.exit_code)
     # Without its standalone mode click returns the code of `--help`, `--version` and `Exit`.
     sys.exit(code if isinstance(code, int) else 0)
@@ -139,9 +139,9 @@ _HELP = """Find out which robot's experience will help a new robot, before you t
 Try it:       nufleet demo
 Your robots:  nufleet router             on one machine
               nufleet agent FLEET.toml   beside each robot
-              nufleet rank --target ...  from anywhere: who is closest
-Experience:   nufleet train              robots learn what they can pass on
-              nufleet transfer, track    one flies with what another learned
+              nufleet rank --target ...  on any machine: finds the closest source
+Experience:   nufleet train              trains the experiences of robots
+              nufleet transfer, track    a robot flies with the experience of another
 """
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import (
     BaseModel,
@@ -25,6 +25,17 @@ class Strict(BaseModel):
     model_config = ConfigDict(
         extra="forbid", strict=True, frozen=True, allow_inf_nan=False, validate_default=True
     )
+
+
+class Document(Strict):
+    """A result that other programs read, printed with `--json` or stored in a run's folder."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
+    """Version of this document's layout."""
+
+    def document(self) -> str:
+        """Return the JSON that other programs read."""
+        return self.model_dump_json(by_alias=True)
 
 
 Name = Annotated[str, StringConstraints(pattern=NAME_PATTERN)]

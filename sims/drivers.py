@@ -15,8 +15,11 @@ class DoubleIntegratorDriver:
     """Builds the robots of the paper's Section V; each can run in a process of its own."""
 
     settings: type[DoubleIntegratorSettings] = DoubleIntegratorSettings
+    """Settings of one robot in a fleet file."""
     shares_process: bool = False
+    """Whether the robots of a fleet have to run in one process."""
     environment: Mapping[str, str] = field(default_factory=dict)
+    """Environment variables that the process of a robot needs."""
 
     def build(
         self, settings: Mapping[str, DoubleIntegratorSettings], rng: np.random.Generator

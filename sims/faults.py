@@ -43,9 +43,9 @@ class FaultBase(Strict):
     @model_validator(mode="after")
     def _said_once(self) -> FaultBase:
         if self.from_sample is not None and self.from_s is not None:
-            raise ValueError("a fault begins from_sample or from_s, not both")
+            raise ValueError("give either from_sample or from_s, not both")
         if self.samples is not None and self.for_s is not None:
-            raise ValueError("a fault lasts for some samples or for_s, not both")
+            raise ValueError("give either samples or for_s, not both")
         return self
 
     def acts(self, motion: int, sample: int, count: int, sample_time_s: float) -> NDArray[np.bool_]:
@@ -80,29 +80,38 @@ class NotANumber(FaultBase):
     """Each sample reads NaN with this probability."""
 
     kind: Literal["not-a-number"]
+    """Discriminator of the fault's type."""
     probability: Probability = 1.0
+    """Probability at each sample."""
 
 
 class Infinite(FaultBase):
     """Each sample reads infinity, of either sign, with this probability."""
 
     kind: Literal["infinite"]
+    """Discriminator of the fault's type."""
     probability: Probability = 1.0
+    """Probability at each sample."""
 
 
 class Frozen(FaultBase):
     """The sensor repeats its last reading, with noise of standard deviation `noise` on top."""
 
     kind: Literal["frozen"]
+    """Discriminator of the fault's type."""
     noise: NonNegative = 0.0
+    """Standard deviation of the noise, in the axis's unit."""
 
 
 class Saturated(FaultBase):
     """The sensor's readings are clipped to the range from `low` to `high`."""
 
     kind: Literal["saturated"]
+    """Discriminator of the fault's type."""
     low: float
+    """Smallest reading, in the axis's unit."""
     high: float
+    """Largest reading, in the axis's unit."""
 
     @model_validator(mode="after")
     def _a_range(self) -> Saturated:
@@ -115,13 +124,17 @@ class Noisy(FaultBase):
     """White noise of standard deviation `std` is added to the robot's own."""
 
     kind: Literal["noisy"]
+    """Discriminator of the fault's type."""
     std: NonNegative
+    """Standard deviation of the noise, in the axis's unit."""
 
 
 class Spikes(FaultBase):
     """Single samples are far off."""
 
     kind: Literal["spikes"]
+    """Discriminator of the fault's type."""
+
     probability: Probability
     """Probability of a spike at each sample."""
 
@@ -136,8 +149,11 @@ class Late(FaultBase):
     """Each reading is `late_min` to `late_max` samples old, drawn independently for each sample."""
 
     kind: Literal["late"]
+    """Discriminator of the fault's type."""
     late_min: SampleCount = 0
+    """Smallest age of a reading, in samples."""
     late_max: Annotated[int, Field(ge=0, le=1000)]
+    """Largest age of a reading, in samples."""
 
     @model_validator(mode="after")
     def _a_range(self) -> Late:
@@ -153,29 +169,38 @@ class Held(FaultBase):
     """
 
     kind: Literal["held"]
+    """Discriminator of the fault's type."""
     probability: Probability
+    """Probability at each sample that a drop-out begins."""
     run: Annotated[int, Field(ge=1)] = 1
+    """Length of a drop-out in samples."""
 
 
 class DropOut(FaultBase):
     """The driver reports an error (`RobotError`) instead of a sample, with this probability."""
 
     kind: Literal["drop-out"]
+    """Discriminator of the fault's type."""
     probability: Probability = 1.0
+    """Probability at each sample."""
 
 
 class Crash(FaultBase):
     """The driver ends: its process at once, or with an exception that no driver should raise."""
 
     kind: Literal["crash"]
+    """Discriminator of the fault's type."""
     way: Literal["exits", "raises"]
+    """Whether the process ends, or the driver raises an exception."""
 
 
 class Hang(FaultBase):
     """The driver does not return from a sample for `hang_s` seconds; for ever if that is None."""
 
     kind: Literal["hang"]
+    """Discriminator of the fault's type."""
     hang_s: Positive | None = None
+    """Time in s until the driver returns; None for ever."""
 
 
 SensorFault = NotANumber | Infinite | Frozen | Saturated | Noisy | Spikes | Late | Held

@@ -45,8 +45,8 @@ class FaultyRobotSettings(Strict):
             raise ValueError(str(error)) from error
         if driver.shares_process or driver.environment:
             raise ValueError(
-                f"driver {self.driver!r} needs a process of its own kind; only robots that can "
-                "live in any process can be made faulty"
+                f"driver {self.driver!r} needs a process of a particular kind; only robots that "
+                "run in any process can be made faulty"
             )
         try:
             driver.settings.model_validate_json(json.dumps(self.settings, default=str))
@@ -177,11 +177,11 @@ class FaultyRobot(Robot):
 def _fail(fault: DriverFault, sample: int) -> None:
     match fault:
         case DropOut():
-            raise RobotError(f"the driver got no sample {sample}")
+            raise RobotError(f"the driver received no sample {sample}")
         case Crash(way="exits"):
             os._exit(EXIT_CODE)
         case Crash():
-            raise OSError(f"the driver broke at sample {sample}")
+            raise OSError(f"the driver failed at sample {sample}")
         case Hang(hang_s=hang_s):
             # The robot does not answer during this time, and nothing in this process can end it.
             threading.Event().wait(hang_s)
@@ -192,8 +192,11 @@ class FaultyRobotDriver:
     """Builds robots of other drivers with faults; each can run in a process of its own."""
 
     settings: type[FaultyRobotSettings] = FaultyRobotSettings
+    """Settings of one robot in a fleet file."""
     shares_process: bool = False
+    """Whether the robots of a fleet have to run in one process."""
     environment: Mapping[str, str] = field(default_factory=dict)
+    """Environment variables that the process of a robot needs."""
 
     def build(
         self, settings: Mapping[str, FaultyRobotSettings], rng: np.random.Generator

@@ -42,7 +42,7 @@ class FaultySensor:
         self._past = np.empty((0, 0))
 
     def measured(self, outputs: FloatArray) -> FloatArray:
-        """Return the faulty sensor's readings of the next outputs, both (samples, axes)."""
+        """Return the faulty sensor's readings of the next outputs, shape (samples, axes)."""
         if not len(outputs):
             return outputs
         count, axes = outputs.shape

@@ -84,7 +84,7 @@ class SimulatedRobot(Robot):
         return self._ready() + self._noise.now
 
     def step(self, reference: FloatArray) -> FloatArray:
-        """Follow a reference for one sample; return the output at its start, both (axes,)."""
+        """Follow a reference for one sample; return the output at its start; shape (axes,)."""
         return np.asarray(self.run(reference[np.newaxis])[0])
 
     def run(self, references: FloatArray) -> FloatArray:
@@ -154,7 +154,7 @@ class SimulatedRobot(Robot):
 
     def _ready(self) -> FloatArray:
         if self._failure is not None:
-            raise RobotError(f"{self._name} has to be connected anew: {self._failure}")
+            raise RobotError(f"{self._name} has to be reconnected: {self._failure}")
         if self._state is None:
             raise RobotError(f"{self._name} is not connected")
         return self._state

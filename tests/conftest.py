@@ -45,7 +45,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Try fewer examples where somebody waits."""
+    """Try fewer examples in the quick check."""
     if config.getoption("pure"):
         settings.load_profile("quick")
 

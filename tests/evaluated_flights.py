@@ -10,7 +10,7 @@ from nufleet.orchestrator.evaluation.results import (
     InverseResult,
     SourceResult,
 )
-from nufleet.orchestrator.flight_labels import BASELINE, NO_PRIOR
+from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR
 from nufleet.shared.experience.layout import Architecture
 
 PSI = {"near": Psi(0.1, 0.01), "middle": Psi(0.3, 0.02), "far": Psi(0.5, 0.03)}

@@ -42,7 +42,7 @@ def started_with(variable: str, value: str) -> list[psutil.Process]:
     """Return the processes that live and inherited an environment variable of this value."""
     found = []
     for process in psutil.process_iter():
-        with suppress(psutil.Error):  # it has ended, or is somebody else's
+        with suppress(psutil.Error):  # it has ended, or belongs to another user
             if process.environ().get(variable) == value:
                 found.append(process)
     return found

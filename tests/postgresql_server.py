@@ -31,7 +31,7 @@ class PostgresqlServer:
     def empty_database(self) -> str:
         """Empty the server's database and return its address.
 
-        A database for each test would be 8 MB to write each; one that somebody uses still is found.
+        A database for each test would mean writing 8 MB each; one still in use is detected.
         """
         with psycopg.connect(self.connection(), autocommit=True) as connection:
             connection.execute(f"SET lock_timeout = '{PATIENCE_S:g}s'")

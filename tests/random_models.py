@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.models.linear_model import LinearModel
 from nufleet.shared.models.transfer_models import StateSpace
 
 Quotient = tuple[FloatArray, FloatArray]
@@ -49,6 +50,17 @@ def random_state_space(
         rng.standard_normal((states, inputs)),
         rng.standard_normal((outputs, states)),
         rng.choice([0.0, 0.3]) * rng.standard_normal((outputs, inputs)),
+    )
+
+
+def state_space(model: LinearModel) -> StateSpace:
+    """Return a robot's discrete-time closed-loop model as a state-space model with n states."""
+    return StateSpace(
+        np.asarray(model.a),
+        np.asarray(model.b)[:, None],
+        np.asarray(model.c)[None, :],
+        np.array([[model.d]]),
+        model.sample_time_s,
     )
 
 

@@ -20,6 +20,10 @@ BETWEEN_FOLDERS = {
     "orchestrator": {"shared"},
     "sims": {"shared", "robot_agent.robot"},
 }
+ROOMS_MAX, FLOORS_MAX = 18, 10
+"""Limits of each folder: the sub-packages and modules directly in it, and the longest chain of
+imports among them."""
+
 HOW_TO_DECIDE = """\
 An arrow is welcome when the importing part may not be understood without the imported one, and
 nothing below it needs the importing part. Otherwise move the code to the part whose subject it
@@ -96,6 +100,20 @@ def arrows() -> dict[str, set[str]]:
         part = part_of(module)
         if part in found:
             found[part] |= ({part_of(other) for other in ours(module)} & set(PARTS)) - {part}
+    return found
+
+
+def rooms(folder: str) -> dict[str, set[str]]:
+    """Return, for each sub-package and module directly in a folder, those that it imports."""
+
+    def room_of(module: str) -> str:
+        return ".".join(module.split(".")[:2])
+
+    found: dict[str, set[str]] = {}
+    for module in MODULES:
+        if module.startswith(f"{folder}."):
+            imported = {room_of(name) for name in ours(module) if name.startswith(f"{folder}.")}
+            found.setdefault(room_of(module), set()).update(imported - {room_of(module)})
     return found
 
 
@@ -197,6 +215,16 @@ def test_no_arrows_lead_back_to_where_they_came_from() -> None:
         TopologicalSorter(arrows()).prepare()
     except CycleError as error:
         pytest.fail(f"parts import one another in a circle: {' <- '.join(error.args[1])}")
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+def test_a_folder_has_few_rooms_on_few_floors_and_no_circle(folder: str) -> None:
+    graph = rooms(folder)
+    assert len(graph) <= ROOMS_MAX, f"{folder}: {len(graph)} rooms: {', '.join(sorted(graph))}"
+    floors: dict[str, int] = {}
+    for room in TopologicalSorter(graph).static_order():  # raises CycleError for a circle
+        floors[room] = 1 + max((floors[below] for below in graph[room]), default=0)
+    assert max(floors.values()) <= FLOORS_MAX, floors
 
 
 def test_zenoh_is_imported_by_the_transport_alone() -> None:

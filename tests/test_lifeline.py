@@ -43,6 +43,6 @@ def test_a_run_that_is_killed_leaves_no_process_and_no_file() -> None:
         run.kill()
         wait_until(lambda: not any(psutil.pid_exists(pid) for pid in pids))
         wait_until(lambda: not folder.exists())
-        # What another run started goes on.
+        # A process that another run started continues.
         assert others.poll() is None
         others.communicate(b"\n")

@@ -38,7 +38,7 @@ from nufleet.shared.experience.file import encode_experience
 ITERATIONS = 3
 REALTIME = 20.0
 AT_ONCE = 3
-"""So many faults last at the same time at most."""
+"""Largest number of simultaneous faults."""
 
 HEALED_MAX_S = 600.0
 """After the last fault the study in progress has to end within this time."""
@@ -47,7 +47,7 @@ Act = Callable[[], None]
 
 
 class Chaos:
-    """One run: `live` lets things fail for a while, `heal` ends that, `history` tells of it."""
+    """One run: `live` causes faults for a while, `heal` ends them, `history` records them."""
 
     def __init__(self, lab: Lab, stack: ExitStack, robots: int, rng: np.random.Generator) -> None:
         """Start a fleet, and run one study of it in peace."""
@@ -83,7 +83,7 @@ class Chaos:
         self._finish()
 
     def live(self, seconds: float, faults_min: int) -> None:
-        """Let things fail at random for so long, and so often, one study after the other."""
+        """Cause at least `faults_min` faults at random for `seconds`, one study after another."""
         kinds: list[tuple[str, Callable[[], None], float]] = [
             ("agents killed", self._kill_agent, 3.0),
             ("agents frozen", self._freeze_agent, 2.0),
@@ -159,7 +159,7 @@ class Chaos:
         return self._lab.folder / "nufleet.sqlite"
 
     def _attend(self) -> None:
-        """Do what is due, and see to it that an orchestrator works on a study."""
+        """Do what is due, and make sure that an orchestrator works on a study."""
         while self._due and self._due[0][0] <= time.monotonic():
             heapq.heappop(self._due)[2]()
         if self._study is None:
@@ -196,7 +196,7 @@ class Chaos:
                 raise AssertionError(f"{ending} did not end within {HEALED_MAX_S:g} s: {said}")
             time.sleep(0.01)
 
-    # Faults. Each afflicts somebody until it is healed.
+    # Faults. Each afflicts one part of the fleet until it is healed.
 
     def _afflict(self, who: str, lasts_s: tuple[float, float], heal: Act) -> None:
         self._afflicted.add(who)
@@ -260,7 +260,7 @@ class Chaos:
         if "orchestrator" not in self._afflicted and self._study is not None:
             self._study.kill()
             self._study = None
-            # Whoever is next may begin at once.
+            # The next orchestrator may begin at once.
             self._afflict("orchestrator", (0.0, 0.1), lambda: None)
 
     def _freeze_orchestrator(self) -> None:
@@ -299,14 +299,17 @@ def run(
     faults_min: int = 0,
     halt_max_s: float = HALT_MAX_S,
 ) -> tuple[History, dict[str, int], dict[str, int]]:
-    """Live through a chaos; return what happened, and what was held before and after it.
+    """Run studies under random faults.
 
     Args:
-        robots: in the fleet.
-        seconds: how long things fail.
-        seed: of what fails when.
-        faults_min: they fail for longer until they have failed so often.
-        halt_max_s: how long after a stop a motion may go on.
+        robots: Number of robots in the fleet.
+        seconds: Time during which faults are caused.
+        seed: Seed of the kinds and times of the faults.
+        faults_min: Number of faults below which faults are caused for longer.
+        halt_max_s: Longest time that a motion may continue after a stop.
+
+    Returns:
+        The history, and the resources of the process before and after it.
     """
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="nufleet-chaos-"))

@@ -1,4 +1,4 @@
-"""What happened while everything failed, and what must hold of it whatever happened."""
+"""The record of a run under random faults, and the invariants that it has to satisfy."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class History:
 
     @property
     def whole(self) -> list[StudyRecord]:
-        """Those of them that lost no robot on the way: their data are those of any other."""
+        """The complete studies that lost no robot: they all have the same data."""
         return [s for s in self.complete if s.result is not None and not s.result["dropped"]]
 
     def violations(self) -> list[str]:

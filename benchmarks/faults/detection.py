@@ -22,7 +22,7 @@ LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=60.0)
 
 
 def figures(kills: int, silences: int) -> list[Figure]:
-    """Measure so many kills, and so many freezes and partitions."""
+    """Measure `kills` kills of an agent, and `silences` freezes and partitions each."""
     with tempfile.TemporaryDirectory() as folder, opened_lab(Path(folder)) as lab, star("a") as net:
         lab.describe_section_v({"a": 0.9})
         lab.router("tcp/0.0.0.0:7447", namespace=net.hub)

@@ -23,7 +23,7 @@ WARM_UP = 200
 
 def figures(payloads: int, requests: int) -> list[Figure]:
     """Measure; raises EscapedError with the payload when one escapes."""
-    logging.disable(logging.CRITICAL)  # a damaged journal is shouted about each time
+    logging.disable(logging.CRITICAL)  # every damaged journal would log an error
     try:
         return [*_in_process(payloads), *_over_the_network(requests)]
     finally:

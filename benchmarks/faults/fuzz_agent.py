@@ -23,7 +23,6 @@ from nufleet.shared.wire.messages import (
     GoalResult,
     InstallRequest,
     Outcome,
-    PredictRequest,
     Refusal,
     ReleaseRequest,
     RemovePriorRequest,
@@ -45,7 +44,6 @@ LEAVES: dict[str, type[Message]] = {
     "prior": FetchRequest,
     "prior/install": InstallRequest,
     "prior/remove": RemovePriorRequest,
-    "predict": PredictRequest,
 }
 """What an agent serves, and what each takes."""
 
@@ -64,9 +62,9 @@ def fuzz_agent(
     """
     tallies = {leaf: Tally(f"live: {leaf}") for leaf in LEAVES}
     stops = Tally("live: puts to the stop keys")
-    for number, (leaf, payload) in enumerate(_questions(count, rng)):
-        if leaf == "stop" and number % 2:
-            everyone = number % 4 == 1
+    for leaf, payload in _questions(count, rng):
+        if leaf == "stop" and stops.payloads <= tallies[leaf].payloads:  # a put and a query in turn
+            everyone = stops.payloads % 2 == 1
             session.put_urgent(keys.stop if everyone else keys.robot(robot, "stop"), payload)
             stops.payloads += 1
             continue

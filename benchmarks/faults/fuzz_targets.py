@@ -44,8 +44,6 @@ from nufleet.shared.wire.messages import (
     GoalResult,
     InstallRequest,
     Outcome,
-    Prediction,
-    PredictRequest,
     Refusal,
     ReleaseRequest,
     RemovePriorRequest,
@@ -140,7 +138,7 @@ def example_messages() -> list[Message]:
     states = RichFlightDetails(state_names=("position",), states=FLIGHT.reshape(40, 2, 1))
     path = dict.fromkeys(("desired", "actual", "prior", "mean", "variance"), FLIGHT)
     return [
-        Refusal(code="busy", reason="running goal g of somebody"),
+        Refusal(code="busy", reason="running goal g of another owner"),
         DescribeRequest(),
         Description(robot="a", boot_id="b00f", spec=SPEC, experiences=(offer,), prior=offer),
         *(
@@ -174,8 +172,6 @@ def example_messages() -> list[Message]:
         offer,
         InstallRequest(sender="me", sha256="0" * 64, payload=encode_experience(stored)),
         RemovePriorRequest(sender="me"),
-        PredictRequest(sha256="0" * 64, inputs=FLIGHT),
-        Prediction(gamma=SIGNAL),
         StopRequest(sender="me", reason="smoke"),
         ReleaseRequest(sender="me"),
         Done(),
@@ -249,7 +245,10 @@ def file_targets(folder: Path) -> list[Target]:
     """Return what reads files, which are written into a folder."""
     fleets = Path(sims.__file__).parent / "fleets"
     drawing = b"x_m,y_m\n0,0\n0.5,0.25\n1,0\n"
-    drawn = b'<svg><path d="M 0 0 L 10 5 C 1 2 3 4 5 6 Q 1 2 3 4 H 3 V 4 Z"/></svg>'
+    drawn = (
+        b'<svg><path d="M 0 0 L 10 5 C 1 2 3 4 5 6 Q 1 2 3 4 H 3 V 4 A 1 2 3 0 1 5 6 Z"/>'
+        b'<g transform="rotate(3)"><circle r="1mm"/></g></svg>'
+    )
     transfer = json.dumps({"num": [1.0, 2.0], "den": [1.0, 0.5, 3.0], "dt": 0.01}).encode()
     space = json.dumps({"A": [[0.5]], "B": [[1.0]], "C": [[1.0]], "D": [[0.0]], "dt": 0.01})
     table = b"omega_rad_s,real,imag,variance\n1,0.5,-0.5,0.01\n2,0.25,-0.5,0.02\n"
@@ -319,7 +318,7 @@ def _decoded(kind: type[Message], payload: bytes) -> Message:
 def _scanned(records: tuple[bytes, ...], payload: bytes) -> None:
     found = scan(payload).payloads
     if not set(found) <= set(records):
-        raise ValueError(f"records that nobody wrote: {found}")
+        raise ValueError(f"records that were never written: {found}")
 
 
 def _opened(folder: Path) -> None:

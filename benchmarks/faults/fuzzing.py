@@ -1,7 +1,7 @@
-"""Payloads that no honest peer sends, and what becomes of whoever takes them.
+"""Malformed payloads, and a check that every receiver refuses them with a typed error.
 
-Valid payloads are cut, flipped, repeated, spliced and spiked with what parsers trip over; some are
-random from the first byte to the last. What is wrong with them must be said with a typed error.
+Valid payloads are cut, flipped, repeated, spliced and mixed with input that parsers often handle
+wrongly; some payloads are entirely random.
 """
 
 from __future__ import annotations
@@ -122,14 +122,14 @@ class Tally:
 
 
 class EscapedError(AssertionError):
-    """A payload was answered with an error that nobody documented."""
+    """A payload caused an error that is not documented."""
 
 
 def fuzz(target: Target, count: int, rng: np.random.Generator) -> Tally:
-    """Give a target so many payloads.
+    """Give a target `count` malformed payloads.
 
     Raises:
-        EscapedError: with the payload, when another error escapes than its refusals.
+        EscapedError: An error other than the target's refusals escaped; it holds the payload.
     """
     mutator, tally = Mutator(rng, target.seeds), Tally(target.name)
     for seed in target.seeds:

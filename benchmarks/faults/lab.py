@@ -143,7 +143,7 @@ class Lab:
         connect: str | None = None,
         term_s: float = TERM_S,
     ) -> Program:
-        """Start an orchestrator that begins a study of robots, target first, or goes on with it."""
+        """Start an orchestrator that begins or resumes a study of robots, target first."""
         self._commands += 1
         arguments = ["--connect", connect or self.endpoint, "--database", str(database)]
         arguments += ["--study", study_id, "--iterations", str(iterations)]

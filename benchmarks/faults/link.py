@@ -1,7 +1,7 @@
-"""A cable through this process that can be cut, held up, or made slow, in each direction.
+"""A cable through this process that can be cut, blocked or delayed in each direction.
 
-Clients reach it by TCP at a port that is its own as long as it lives; the server behind it listens
-at a Unix socket, which nobody takes while a router is being restarted.
+Clients reach it by TCP at a port that it holds as long as it exists; the server behind it listens
+on a Unix socket, which no other process can take while a router is being restarted.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Literal
 CHUNK_BYTES = 64 * 1024
 _TICK_S = 0.005
 _IDLE_S = 0.05
-"""New connections and bytes are seen at once; so often it looks whether it is to end."""
+"""Interval between checks whether to end; new connections and bytes are noticed at once."""
 
 
 Direction = Literal["up", "down"]
@@ -77,7 +77,7 @@ class Link:
             self._refusing = False
 
     def delay(self, seconds: float) -> None:
-        """Pass everything on so much later."""
+        """Delay everything by a time in seconds."""
         with self._lock:
             self._delay_s = seconds
 
@@ -138,7 +138,7 @@ class Link:
         if data:
             pipe.waiting.append((time.monotonic() + self._delay_s, data))
         elif pipe.direction in self._held:
-            # Nobody hears that the other end is gone, either.
+            # A blocked direction does not report that its other end is gone, either.
             time.sleep(_TICK_S)
         else:
             self._end(pipe)

@@ -103,9 +103,10 @@ def motions(entries: list[Entry]) -> list[Stretch]:
 
 
 class LoggedRobot(Robot):
-    """Another robot; each rest ends exactly at its origin, so that equal motions measure equally.
+    """A wrapper of another robot that moves it exactly to its origin at the end of each rest.
 
-    Without noise a test then gives the same samples whatever went before it.
+    Equal motions then measure equally: without noise, a test gives the same samples no matter what
+    happened before it.
     """
 
     def __init__(self, name: str, robot: Robot, settings: LoggedRobotSettings) -> None:

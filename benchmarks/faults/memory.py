@@ -23,7 +23,7 @@ from nufleet.shared.errors import StudyError
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
 
 GROWTH_MAX_KIB_PER_TEST = 2.0
-"""Of a process; what a journal remembers of 10 000 goals by design is less than half of that."""
+"""Bound on the growth of a process; the goals that a journal keeps account for less than half."""
 
 WARM_UP = 0.3
 LOOKS = 50
@@ -32,7 +32,7 @@ STUDY = "memory"
 
 
 def figures(tests: int) -> list[Figure]:
-    """Have one robot do so many tests; the slopes leave out the first share of them."""
+    """Run `tests` tests on one robot; the slopes leave out the first share (`WARM_UP`) of them."""
     with (
         tempfile.TemporaryDirectory() as folder,
         opened_lab(Path(folder)) as lab,

@@ -1,4 +1,4 @@
-"""nufleet as processes that can be killed, frozen, cut off and started anew."""
+"""nufleet as processes that can be killed, frozen, cut off and restarted."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ class Program:
         namespace: Namespace | None = None,
         environment: Mapping[str, str] | None = None,
     ) -> None:
-        """Prepare.
+        """Prepare a process without starting it.
 
         Args:
-            what: a name for messages and for the file in `folder` that keeps what it prints.
-            arguments: of the module.
-            folder: where it runs, and where drivers may be installed.
-            module: what it runs; `nufleet` if not said otherwise.
-            namespace: the network that it sees; None the usual one.
-            environment: added to that of this process.
+            what: Name for messages and for the file in `folder` that keeps its output.
+            arguments: Command-line arguments of the module.
+            folder: Working directory, in which drivers may be installed.
+            module: Name of the module to run.
+            namespace: Network namespace of the process; None for that of this process.
+            environment: Variables that are added to the environment of this process.
         """
         self.what = what
         self._arguments = [sys.executable, "-m", module, *arguments]
@@ -77,7 +77,7 @@ class Program:
 
     @property
     def pid(self) -> int:
-        """Of the process that runs."""
+        """Process id of the running process."""
         if self._process is None:
             raise RuntimeError(f"{self.what} does not run")
         return self._process.pid
@@ -126,7 +126,7 @@ class Program:
         return code
 
     def end(self) -> None:
-        """Ask it to end, and see to it."""
+        """Tell the process to end, and make sure that it does."""
         if self._process is None:
             return
         self.thaw()

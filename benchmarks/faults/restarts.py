@@ -23,7 +23,7 @@ STUDY_MAX_S = 600.0
 
 
 def figures(restarts: int) -> list[Figure]:
-    """Restart the router so often during one study, and kill so many orchestrators in others."""
+    """Restart the router during one study, and kill as many orchestrators in other studies."""
     rng = np.random.default_rng(21)
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -60,18 +60,18 @@ class _Scene:
         """Run a study with one orchestrator; return the seconds that it took."""
         before, began_s = self._moved(), time.monotonic()
         study = self._start(study_id)
-        study.wait_for("goes on with")
+        study.wait_for("works on")
         disturb(study)
         self._end(study_id, before)
         return time.monotonic() - began_s
 
     def killed(self, study_id: str, most: int, rng: np.random.Generator) -> int:
-        """Run a study whose orchestrators are killed, up to so often; return how often."""
+        """Run a study whose orchestrators are killed at most `most` times; return the number."""
         before = self._moved()
         for kills in count():
             study = self._start(study_id)
             wait_until(
-                lambda: "goes on with" in study.said or not study.running,  # noqa: B023
+                lambda: "works on" in study.said or not study.running,  # noqa: B023
                 timeout_s=STUDY_MAX_S,
             )
             ends_s = time.monotonic() + float(rng.uniform(0.0, 2.0))
@@ -89,7 +89,7 @@ class _Scene:
     def figures(
         self, what: str, times: int, studies: tuple[str, ...], quiet_s: float, seconds: float
     ) -> list[Figure]:
-        """Return what became of studies while something happened so often."""
+        """Return the figures of studies that were disturbed `times` times."""
         quiet = self._repository.studies.study("quiet").result
         trials = [t for study in studies for t in self._repository.studies.trials(study)]
         open_trials = sum(not trial.status.ended for trial in trials)

@@ -29,7 +29,7 @@ LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=600.0)
 
 
 def figures(robots: int, rounds: int) -> list[Figure]:
-    """In each round, stop each of so many robots by itself, and then all of them together."""
+    """In each round, stop each robot by itself, and then all of them together."""
     names = tuple(f"r{k}" for k in range(robots))
     with tempfile.TemporaryDirectory() as folder, opened_lab(Path(folder)) as lab:
         lab.describe_section_v(dict.fromkeys(names, 0.9))

@@ -1,4 +1,4 @@
-"""An orchestrator in a process of its own, which begins a study or goes on with it."""
+"""An orchestrator in a process of its own that begins or resumes a study."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from nufleet.shared.wire.transport import open_client
 FLEET = "lab"
 SEED = 3
 TERM_S = 2.0
-"""A successor waits so long for a killed owner; the product's own term would only take longer."""
+"""Term of a lease, which a successor waits for after a kill; shorter than the product's own."""
 
 RENEW_EVERY_S = 0.5
 
@@ -72,7 +72,7 @@ def _run(
         study = _study(archive, study_id, described, iterations)
         if study.status is not StudyStatus.OPEN:
             return
-        print(f"goes on with {study_id}", flush=True)
+        print(f"works on {study_id}", flush=True)
         story = Story()
         log = archive.log(study_id)
         specs = recipe_of(study).specs

@@ -103,6 +103,8 @@ class ResponseModel:
         self._grid_omega, self._grid_damping, self._grid_log_weight = prior.mode_grid()
         self._components: list[_Component] = []
         self._build()
+        # Posterior weights, proportional to prior × evidence; the largest is subtracted first so
+        # that its exponential does not overflow.
         weights = np.concatenate([c.log_weights for c in self._components])
         self._weights = np.exp(weights - weights.max())
         self._weights /= self._weights.sum()
@@ -124,6 +126,7 @@ class ResponseModel:
             Samples of z, in random order, shape (count, frequencies).
         """
         chosen = np.sort(rng.choice(len(self._weights), size=count, p=self._weights))
+        # A weight's flat index is index × per_component + 1 + mode, with mode −1 for no other mode.
         per_component = 1 + len(self._grid_omega)
         parts = []
         for index, component in enumerate(self._components):
@@ -140,6 +143,8 @@ class ResponseModel:
         floored = Tones(
             self.tones.omega_rad_s, self.tones.z, self.tones.variance + self._settings.fit_floor**2
         )
+        # Modes are added one at a time: the components about a fit say which further mode is the
+        # most likely, and that mode starts the next fit.
         expansion = self._fit_loop(floored)
         for modes in range(self._settings.modes_max + 1):
             components = self._components_about(expansion)
@@ -150,6 +155,8 @@ class ResponseModel:
 
     def _fit_loop(self, floored: Tones) -> _Expansion:
         mean, std = self._prior.loop()
+        # The posterior has several maxima in bandwidth and damping (parameters 2 and 3, both
+        # logarithmic), so the fit starts from a grid of both.
         starts = np.tile(mean, (len(STARTS_BANDWIDTH) * len(STARTS_DAMPING), 1))
         for start, (bandwidth, damping) in zip(
             starts, product(STARTS_BANDWIDTH, STARTS_DAMPING), strict=True
@@ -168,6 +175,7 @@ class ResponseModel:
         for mode in ranked:
             mean, std = self._prior.mode(self._grid_omega[mode], self._grid_damping[mode])
             start = mean.copy()
+            # The coefficients h of a mode are standard normal, in units of its prior height.
             start[:2] = best.mode_mean[mode] * self._prior.mode_height_std
             starts.append(np.concatenate([before.theta, start]))
             means.append(np.concatenate([before.mean, mean]))
@@ -262,6 +270,8 @@ class ResponseModel:
         by_mode = component.cross.reshape(len(component.half), -1, 2)
         shifted = np.tile(component.half[:, None], count)
         shifted[:, with_mode] -= np.einsum("imc,mc->im", by_mode[:, mine], heights[with_mode])
+        # w = L⁻ᵀ (L⁻¹Φᵀ(r − Xh) + ε) with ε standard normal has that mean and covariance, since
+        # A⁻¹ = L⁻ᵀL⁻¹.
         shifted += rng.standard_normal(shifted.shape)
         weights = solve_triangular(component.factor, shifted, lower=True, trans="T")
         samples = at_prior + (columns @ weights).T

@@ -91,7 +91,7 @@ def export(
 
     Each file holds the response z(ω) of one robot with its variance, from all its usable tests.
     `nufleet gap` compares two such files; for python-control, real + 1j imag and omega_rad_s make a
-    FrequencyResponseData. An interrupted run exports what it has stored so far.
+    FrequencyResponseData. An interrupted run exports the responses that it has stored.
 
     \b
     nufleet runs export latest --to responses

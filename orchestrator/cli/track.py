@@ -53,7 +53,7 @@ from nufleet.orchestrator.cli.types import PositiveNumber
     show_default=True,
     help=(
         "Inverse model in front of the robot's own controller: the prior that was transferred to "
-        "it, a mixture of all that were, its model of itself from what it has flown (`own`), a "
+        "it, a mixture of all that were, its model of itself from all that it has flown (`own`), a "
         "model learned online from nothing, or none (`baseline`). `auto` takes the mixture if "
         "there are several priors, the prior if there is one, otherwise the baseline."
     ),
@@ -74,14 +74,14 @@ from nufleet.orchestrator.cli.types import PositiveNumber
     default=True,
     help="Use the prior unchanged, without learning in flight.",
 )
-@unguarded_option
 @click.option(
     "--rich-flight",
     "rich_flight_s",
     type=PositiveNumber(),
     metavar="SECONDS",
-    help="First fly a rich flight that long, from which the robot learns more of itself.",
+    help="Fly a persistently exciting reference for this long first, to learn more of the robot.",
 )
+@unguarded_option
 @live_option
 @runs_option
 @repository_option

@@ -74,7 +74,7 @@ class HeldLeases:
         try:
             self._store.release(self._leases)
         except RepositoryError as problem:
-            _log.warning("others have to wait until the leases have run out: %s", problem)
+            _log.warning("others have to wait until the leases expire: %s", problem)
 
     @contextmanager
     def guarding(self, interrupt: Callable[[], None]) -> Iterator[None]:
@@ -113,7 +113,7 @@ class HeldLeases:
                     first = self._leases[0]
                     reason = f"it could not be renewed for {TERM_S:g} s: {error}"
                     return self._lose(LeaseLostError(first.robot, first.owner, first.epoch, reason))
-                _log.warning("leases are not renewed yet: %s", error)
+                _log.warning("the leases could not be renewed yet: %s", error)
             else:
                 held_until_s = asked_s + TERM_S
         return None
@@ -272,13 +272,13 @@ def check_others(
             ours is None or (found.owner, found.epoch) != (ours.owner, ours.epoch)
         ):
             suspects[found.owner] = (
-                f"commanded by {found.owner} (epoch {found.epoch}), who keeps another repository; "
+                f"commanded by {found.owner} (epoch {found.epoch}), which uses another repository; "
                 "wait until it has ended, or share one repository with --repository"
             )
         if ours is not None and ours.silent:
             suspects[ours.owner] = (
-                f"owned by {ours.owner} (epoch {ours.epoch}), who is alive although its lease ran "
-                "out; wait until it has ended or renewed it, or end it"
+                f"owned by {ours.owner} (epoch {ours.epoch}), which is alive although its lease "
+                "has expired; wait until it has ended or renewed the lease, or end it"
             )
         for owner, why in suspects.items():
             if owner != fleet.orchestrator_id and is_alive(owner):

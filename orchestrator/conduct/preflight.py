@@ -70,15 +70,15 @@ def check_plan(plan: StudyPlan, descriptions: Mapping[str, Description]) -> None
         spec = descriptions[robot].spec
         if low < spec.omega_min_rad_s or high > spec.omega_max_rad_s:
             raise InvalidInputError(
-                f"the band {low:g} to {high:g} rad/s is outside what robot {robot} can be tested "
-                f"at: {spec.omega_min_rad_s:g} to {spec.omega_max_rad_s:g} rad/s"
+                f"the band {low:g} to {high:g} rad/s exceeds the range in which robot {robot} can "
+                f"be tested: {spec.omega_min_rad_s:g} to {spec.omega_max_rad_s:g} rad/s"
             )
         units[robot] = _axis(plan.axis, robot, descriptions[robot]).unit
     for robot, unit in units.items():
         if unit != units[plan.target]:
             raise InvalidInputError(
-                f"axis {plan.axis} of robot {robot} is in {unit}, of the target {plan.target} in "
-                f"{units[plan.target]}: their responses cannot be compared"
+                f"axis {plan.axis} of robot {robot} is in {unit}, that of the target {plan.target} "
+                f"in {units[plan.target]}: their responses cannot be compared"
             )
 
 

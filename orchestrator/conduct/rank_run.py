@@ -151,7 +151,7 @@ def prepare_again(fleet: Fleet, study: StudyRecord, gone: Collection[str]) -> Re
     for robot in needed:
         if descriptions[robot].spec != specs[robot]:
             raise InvalidInputError(
-                f"robot {robot} is not what it was when study {study.study_id} began; begin anew"
+                f"robot {robot} has changed since study {study.study_id} began; start a new study"
             )
     for robot in gone:
         descriptions[robot] = Description(robot=robot, boot_id="gone", spec=specs[robot])

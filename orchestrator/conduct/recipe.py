@@ -75,6 +75,6 @@ def make_study(record: StudyRecord, studies: StudyStore) -> Study:
         }
         return AdaptiveStudy(record.plan, recipe.specs, rng, stored=stored)
     raise ResumeError(
-        f"study {record.study_id} is of algorithm {record.algorithm!r}; resume it with the nufleet "
-        "that began it"
+        f"study {record.study_id} uses the algorithm {record.algorithm!r}; resume it with the "
+        "version of nufleet that began it"
     )

@@ -140,7 +140,7 @@ def resume(study_id: str, study: Study, trials: Sequence[TrialRecord]) -> Resume
         iteration, robot = min(left)
         raise ResumeError(
             f"study {study_id}: a test of {robot} in iteration {iteration} is stored that the study"
-            " did not ask for; resume it with the nufleet that began it"
+            " did not request; resume it with the version of nufleet that began it"
         )
     robot_time_s = sum(trial.robot_time_s for trial in trials)
     return Resumed(tuple(told), open_round, robot_time_s)
@@ -220,21 +220,23 @@ def next_of(
         expected_id = goal_id_of(study_id, iteration, robot, number)
         if (trial.intent.goal_id, trial.intent.excitation) != (expected_id, excitation):
             raise ResumeError(
-                f"study {study_id} asks {robot} for goal {expected_id} with {_shown(excitation)}, "
-                f"and goal {trial.intent.goal_id} with {_shown(trial.intent.excitation)} is stored;"
-                " resume it with the nufleet that began it"
+                f"study {study_id} requests goal {expected_id} with {_shown(excitation)} from "
+                f"{robot}, but goal {trial.intent.goal_id} with {_shown(trial.intent.excitation)} "
+                "is stored; resume it with the version of nufleet that began it"
             )
         if trial.status is TrialStatus.MEASURED and trial.response is None:
-            raise ResumeError(f"goal {expected_id} was measured, and its response is not stored")
+            raise ResumeError(f"goal {expected_id} was measured, but its response is not stored")
         last = number == len(attempts)
         if trial.status.ended and (trial.status is TrialStatus.MEASURED or trial.retry is None):
             if last:
                 return trial
-            raise ResumeError(f"goal {expected_id} decided, and {robot} was tested again after it")
+            raise ResumeError(
+                f"goal {expected_id} was final, but {robot} was tested again after it"
+            )
         if not trial.status.ended:
             if last:
                 return OpenTest(expected_id, iteration, robot, number, excitation, trial, failures)
-            raise ResumeError(f"goal {expected_id} has not ended, and another attempt is stored")
+            raise ResumeError(f"goal {expected_id} has not ended, but another attempt is stored")
         excitation = trial.retry or excitation
         failures += not trial.interrupted
     number = len(attempts) + 1

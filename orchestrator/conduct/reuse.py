@@ -62,11 +62,11 @@ def find_stored(
         if fitting:
             known[source] = tuple(one.goal_id for one in fitting)
         elif young:
-            unusable[source] = "it is not what it was then, or was tested over another band"
+            unusable[source] = "it has changed since then, or was tested over another band"
         elif stored:
-            unusable[source] = f"the latest was measured {_day(stored[-1].measured_at)}"
+            unusable[source] = f"the latest one was measured {_day(stored[-1].measured_at)}"
         else:
-            unusable[source] = "nothing of it is stored"
+            unusable[source] = "none is stored"
     return Reuse(known, unusable)
 
 
@@ -84,8 +84,8 @@ def check_absent(absent: Sequence[str], reuse: Reuse, fleet: str) -> None:
     for robot in absent:
         if robot not in reuse.known:
             raise InvalidInputError(
-                f"robot {robot} of fleet {fleet} is not there, and no stored response can stand "
-                f"for it: {reuse.unusable[robot]}; start it, or leave it out with --sources"
+                f"robot {robot} of fleet {fleet} is not there, and no stored response can replace "
+                f"its tests: {reuse.unusable[robot]}; start it, or leave it out with --sources"
             )
 
 
@@ -122,9 +122,9 @@ def said_of(robot: str, stored: StoredResponses, now: datetime) -> str:
     """Return a sentence that says that a robot did not fly and how old its data are."""
     measured = (stored.measured_to, stored.measured_from)
     ages = dict.fromkeys(age_text(now - datetime.fromisoformat(when)) for when in measured)
-    tests = "1 stored test stands" if stored.tests == 1 else f"{stored.tests} stored tests stand"
+    tests = "1 stored test was" if stored.tests == 1 else f"{stored.tests} stored tests were"
     return (
-        f"{robot} did not fly: {tests} for it, measured {' to '.join(ages)} ago "
+        f"{robot} did not fly: {tests} used, measured {' to '.join(ages)} ago "
         f"({', '.join(stored.studies)})"
     )
 

@@ -77,7 +77,7 @@ class DrawingPage:
             self._server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
         except OSError as error:
             raise EndpointInUseError(
-                f"port {port} cannot be listened on: {error.strerror}; choose another --port"
+                f"cannot listen on port {port}: {error.strerror}; choose another --port"
             ) from error
         self._thread = threading.Thread(
             target=self._server.serve_forever, args=(0.05,), name="drawing-page"
@@ -138,7 +138,7 @@ class DrawingPage:
             points = _evened(np.array(drawn.points))
             with self._lock:
                 if self._saved is not None:
-                    _answer(request, HTTPStatus.CONFLICT, "a drawing was saved already")
+                    _answer(request, HTTPStatus.CONFLICT, "a drawing has already been saved")
                     return
                 self._save(points)
                 self._saved = points

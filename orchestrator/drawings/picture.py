@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from nufleet.orchestrator.drawings.report import ACCELERATION_MAX_M_S2, SAMPLE_TIME_S
-from nufleet.orchestrator.figures import new_figure, plain, save
+from nufleet.orchestrator.runs.figures import new_figure, plain, save
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.paths.shape import shape_of
 from nufleet.shared.paths.trajectories import travel

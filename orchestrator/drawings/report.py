@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Literal
 
-from pydantic import Field
 from rich.table import Table
 
 from nufleet.orchestrator.flights.legs import trajectory
@@ -13,7 +11,7 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.paths.shape import DrawingShape, shape_of
 from nufleet.shared.paths.trajectories import travel
-from nufleet.shared.strict import Positive, Strict
+from nufleet.shared.strict import Document, Positive, Strict
 from nufleet.shared.wire.messages import Description
 
 SPEEDS = (0.3, 0.6, 0.9)
@@ -38,11 +36,9 @@ class Duration(Strict):
     """Why the robot may not fly it; None when it may."""
 
 
-class DrawingReport(Strict):
+class DrawingReport(Document):
     """What `nufleet drawing import --json` and `show --json` print."""
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    """Version of this document's layout."""
     drawing: str
     """Name of the drawing."""
     file: str
@@ -51,10 +47,6 @@ class DrawingReport(Strict):
     """Length, extent and curvature of the drawing."""
     durations: tuple[Duration, ...]
     """Duration for each robot and speed."""
-
-    def document(self) -> str:
-        """Return the JSON that other programs read."""
-        return self.model_dump_json(by_alias=True)
 
 
 def report_of(

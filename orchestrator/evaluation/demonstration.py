@@ -47,8 +47,8 @@ def demonstrate(
         folder: Folder of the run; experiences and the result are written there.
         seed: Seed of the learning flights and of the networks' first weights.
         flight_s: Duration in s of each flight that a robot learns from.
-        say: Called with one line of progress at a time.
-        observers: Called at the beginning and at the end of each flight along a path.
+        say: Callback that receives one line of progress at a time.
+        observers: Callbacks for the beginning and the end of each flight along a path.
 
     Returns:
         The ranking together with the errors of the flights, as written to the run's folder.
@@ -103,7 +103,7 @@ def demonstrate(
 
 def demo_table(result: EvaluationResult) -> Table:
     """Return a table of the errors, in the order that the tests predicted."""
-    table = Table(title="what the transfer did, in the order predicted", title_justify="left")
+    table = Table(title="effect of the transfer, in the predicted order", title_justify="left")
     table.add_column("prior")
     for heading in ("predicted ψ*", f"RMS error, m{result.unit}", "less error"):
         table.add_column(heading, justify="right")

@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
 from nufleet.orchestrator.evaluation.results import EvaluationResult, FlightRecord
 from nufleet.orchestrator.runs.rank_result import RankResult
 from nufleet.shared.experience.manifest import ExperienceManifest
-from nufleet.shared.strict import Digest, NonNegative, Strict
+from nufleet.shared.strict import Digest, Document, NonNegative, Strict
 
 if TYPE_CHECKING:
     from nufleet.orchestrator.experience.train import Trained
@@ -22,17 +22,11 @@ TRACKING = "track.json"
 DEMONSTRATION = "demo.json"
 
 
-class Document(Strict):
+class RunDocument(Document):
     """The result of a run, as printed and as stored in its folder."""
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    """Version of this document's layout."""
     run: str
     """Path of the run's folder."""
-
-    def document(self) -> str:
-        """Return the JSON that other programs read."""
-        return self.model_dump_json(by_alias=True)
 
 
 class HorizonRecord(Strict):
@@ -59,8 +53,8 @@ class TrainedExperience(Strict):
     """Description of the experience, as stored in its file."""
 
 
-class TrainResult(Document):
-    """What `nufleet train --json` prints."""
+class TrainResult(RunDocument):
+    """What `nufleet train` prints and leaves in its run's folder."""
 
     experiences: tuple[TrainedExperience, ...]
     """Experiences that were trained, in the order of robots and architectures."""
@@ -71,14 +65,14 @@ class TrainResult(Document):
         return TrainResult(experiences=tuple(map(_trained, trained)), run=run)
 
 
-class TrackResult(Document):
-    """What `nufleet track --json` prints."""
+class TrackResult(RunDocument):
+    """What `nufleet track` prints and leaves in its run's folder."""
 
     flights: tuple[FlightRecord, ...]
     """Flights in the order in which they were flown."""
 
 
-class DemoResult(Document):
+class DemoResult(RunDocument):
     """What `nufleet demo --json` prints: the ranking, and the flights with the best and worst."""
 
     ranking: RankResult

@@ -27,7 +27,7 @@ from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.prior_custody import prior_put_back
 from nufleet.orchestrator.experience.transfer import transfer, transfer_several
 from nufleet.orchestrator.fleet.client import Fleet
-from nufleet.orchestrator.flight_labels import BASELINE, MIXTURE, NO_PRIOR, OWN
+from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 from nufleet.orchestrator.flights.legs import Leg
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
 from nufleet.orchestrator.flights.start_weights import mixture_of
@@ -92,7 +92,7 @@ def fly_target(
         legs: Paths to fly with every inverse.
         architecture: Architecture of the sources' experiences to transfer.
         guarded: Whether the guard may withdraw a prior in flight.
-        observers: Called at the beginning and at the end of each flight.
+        observers: Callbacks for the beginning and the end of each flight.
         psi: Estimated distance of the sources, from which the mixture's weights start; None to
             start from equal ones.
 

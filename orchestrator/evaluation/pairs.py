@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -16,7 +16,7 @@ from nufleet.orchestrator.evaluation.summaries import (
     pooled_kendall_tau,
 )
 from nufleet.orchestrator.evaluation.values import TransferPair
-from nufleet.shared.strict import NonNegative, Strict
+from nufleet.shared.strict import Document, NonNegative, Strict
 
 PAIRS = "pairs.json"
 
@@ -56,11 +56,9 @@ class Regret(Strict):
     """Regret of flying with a source chosen at random: the mean over all sources."""
 
 
-class PairsResult(Strict):
+class PairsResult(Document):
     """What `nufleet evaluate --all-pairs --json` prints."""
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    """Version of this document's layout."""
     pairs: tuple[Pair, ...]
     """All ordered pairs, target by target."""
     targets: tuple[EvaluationResult, ...]
@@ -83,10 +81,6 @@ class PairsResult(Strict):
     """Number of pairs in which the target did worse than its baseline on at least one path."""
     run: str
     """Path of the run's folder."""
-
-    def document(self) -> str:
-        """Return the JSON that other programs read."""
-        return self.model_dump_json(by_alias=True)
 
 
 def compare_pairs(targets: Sequence[EvaluationResult], run: str) -> PairsResult:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nufleet.orchestrator.evaluation.summaries import SECOND, reduction, second_and_last
+from nufleet.orchestrator.evaluation.results import StudyEstimates
+from nufleet.orchestrator.evaluation.summaries import by_source, reduction
 from nufleet.orchestrator.evaluation.transfer_scatter import scatter
-from nufleet.orchestrator.evaluation.values import FlightError, FlownPath, StudyEstimate
-from nufleet.orchestrator.figures import new_figure, plain, prior_colours, save
-from nufleet.orchestrator.flight_labels import BASELINE, MIXTURE, NO_PRIOR, OWN, path_label
+from nufleet.orchestrator.evaluation.values import FlightError, FlownPath
+from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN, path_label
+from nufleet.orchestrator.runs.figures import new_figure, plain, prior_colours, save
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 
@@ -23,9 +24,7 @@ if TYPE_CHECKING:
 __all__ = ["fig4", "fig7", "paths", "scatter"]
 
 
-def fig4(
-    png: Path, estimates: Sequence[StudyEstimate], closed_form: Mapping[str, float] | None = None
-) -> None:
+def fig4(png: Path, studies: Sequence[StudyEstimates]) -> None:
     """Draw how ψ̂*_n scatters over repeated studies, at the second and at the last iteration.
 
     This corresponds to the paper's Fig. 4. Boxes span the quartiles and show the median; whiskers
@@ -34,15 +33,16 @@ def fig4(
 
     Args:
         png: File to write.
-        estimates: Estimates of the sources of one target; each study contributes its own last
+        studies: Estimates of repeated studies of one target; each study contributes its own last
             iteration.
-        closed_form: Exact ψ*_n by source, for the sources whose transfer function is known; drawn
-            as dashed lines.
 
     Raises:
-        InvalidInputError: No study has a second iteration.
+        InvalidInputError: There are no studies.
     """
-    second, last = second_and_last(estimates)
+    if not studies:
+        raise InvalidInputError("there are no studies to be drawn")
+    second = by_source(study.second for study in studies)
+    last = by_source(study.last for study in studies)
     sources = sorted(last, key=lambda source: float(np.median(last[source])))
     colours = prior_colours(sources)
     figure = new_figure(max(6.0, 1.5 + 1.1 * len(sources)))
@@ -50,21 +50,15 @@ def fig4(
     for place, source in enumerate(sources):
         _box(axes, place - 0.19, second.get(source, []), colours[source], bold=False)
         _box(axes, place + 0.19, last[source], colours[source], bold=True)
-        if closed_form and source in closed_form:
-            exact = closed_form[source]
-            axes.plot([place - 0.42, place + 0.42], [exact, exact], "--", color="black", lw=0.9)
-    axes.plot([], [], "s", ms=9, mfc="white", mec="0.4", label=f"iteration {SECOND}")
+    axes.plot([], [], "s", ms=9, mfc="white", mec="0.4", label="iteration 2")
     axes.plot([], [], "s", ms=9, mfc="0.8", mec="0.4", mew=1.8, label="last iteration")
-    if closed_form:
-        axes.plot([], [], "--", color="black", lw=0.9, label="closed form")
     plain(axes)
     axes.grid(visible=False, axis="x")
     axes.set_xticks(range(len(sources)), sources)
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel(r"estimate $\hat{\psi}^*_n$")
-    studies = len({estimate.study for estimate in estimates})
     axes.set_title(
-        f"estimated worst-case chordal distance to the target (studies: {studies})",
+        f"estimated worst-case chordal distance to the target (studies: {len(studies)})",
         loc="left",
         fontsize=10,
     )
@@ -137,7 +131,7 @@ def fig7(png: Path, errors: Sequence[FlightError]) -> None:
         axes.bar([0], [0], color=colours[prior], label=prior)
     axes.plot([], [], ".", color="0.3", ms=7, label="one drawing")
     if any(error.taken_back for error in errors):
-        axes.plot([], [], "x", color="0.3", ms=5, label="prior taken back")
+        axes.plot([], [], "x", color="0.3", ms=5, label="prior withdrawn")
     if any(math.isinf(error.rms_error_m) for error in errors):
         axes.plot([], [], "^", color="0.3", ms=6, label="not finished")
     plain(axes)
@@ -147,7 +141,7 @@ def fig7(png: Path, errors: Sequence[FlightError]) -> None:
     axes.set_xlabel("largest speed on the path")
     axes.set_ylabel("RMS tracking error [m]")
     axes.set_title(
-        "tracking error by who gave the prior, and its change against the baseline",
+        "tracking error by source of the prior, and its change relative to the baseline",
         loc="left",
         fontsize=10,
     )
@@ -231,7 +225,7 @@ def _path(axes: Axes, flight: FlownPath, colour: str) -> None:
     error = flight.error
     text = f"{1e3 * error.rms_error_m:.0f} mm" if math.isfinite(error.rms_error_m) else "unfinished"
     if error.taken_back:
-        text += ", taken back"
+        text += ", withdrawn"
     axes.set_title(text, fontsize=7.5, color="0.25", pad=3)
 
 

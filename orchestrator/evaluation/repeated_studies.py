@@ -50,7 +50,7 @@ def repeat_study(
         seeds: Seeds of the studies, one study for each.
         run_id: Prefix of the studies' ids.
         archive: Repository that stores the studies, with the leases on the robots.
-        on_study: Called with the estimates of each study as soon as it is complete.
+        on_study: Callback that receives the estimates of each study as soon as it is complete.
 
     Returns:
         Estimates of all studies, and all responses that they measured.

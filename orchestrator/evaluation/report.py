@@ -15,8 +15,8 @@ from nufleet.orchestrator.evaluation.results import (
     EvaluationResult,
     InverseResult,
 )
-from nufleet.orchestrator.evaluation.values import FlightError, FlownPath, StudyEstimate
-from nufleet.orchestrator.flight_labels import flight_label, path_label
+from nufleet.orchestrator.evaluation.values import FlightError, FlownPath
+from nufleet.orchestrator.flights.labels import flight_label, path_label
 from nufleet.shared.arrays import FloatArray
 
 PAPER_TABLE_I = {
@@ -42,7 +42,7 @@ def evaluation_table(result: EvaluationResult) -> Table:
         f"RMS {unit}",
         "less error",
         "worst / baseline",
-        "taken back",
+        "withdrawn",
     ):
         table.add_column(heading, justify="right")
     own = result.baseline
@@ -64,8 +64,8 @@ def evaluation_table(result: EvaluationResult) -> Table:
             style="bold green" if place == 0 else None,
         )
     table.caption = (
-        f"Kendall's τ with the error: {_or_dash(result.kendall_tau)} of ψ̂*, "
-        f"{_or_dash(result.kendall_tau_trajectory)} of the error predicted for these paths"
+        f"Kendall's τ with the error: {_or_dash(result.kendall_tau)} for ψ̂*, "
+        f"{_or_dash(result.kendall_tau_trajectory)} for the error predicted for these paths"
     )
     table.caption_justify = "left"
     return table
@@ -77,7 +77,7 @@ def paper_table(result: EvaluationResult) -> Table:
     It makes sense only for the fleet that models the paper's quadrotors; sources that the paper
     does not name are left out.
     """
-    table = Table(title="beside Table I of the paper", title_justify="left")
+    table = Table(title="comparison with Table I of the paper", title_justify="left")
     table.add_column("prior", no_wrap=True)
     for heading in ("ψ̂*", "paper", "RMS, mm", "paper", "less error", "paper"):
         table.add_column(
@@ -102,7 +102,7 @@ def paper_table(result: EvaluationResult) -> Table:
 def pairs_table(result: PairsResult) -> Table:
     """Return a table of all pairs' errors relative to the target's baseline, with a summary."""
     targets = [target.target for target in result.targets]
-    table = Table(title="error over the baseline's (ψ̂*)", title_justify="left")
+    table = Table(title="error relative to the baseline (ψ̂*)", title_justify="left")
     table.add_column("target")
     for robot in targets:
         table.add_column(f"from {robot}", justify="right")
@@ -114,12 +114,12 @@ def pairs_table(result: PairsResult) -> Table:
     for target in targets:
         table.add_row(target, *(cells.get((target, source), "") for source in targets))
     table.caption = (
-        f"Kendall's τ of ψ̂*, mean over targets: {_or_dash(result.kendall_tau)}, over all pairs: "
-        f"{_or_dash(result.kendall_tau_pooled)}; of the error predicted for the paths: "
+        f"Kendall's τ for ψ̂*, mean over targets: {_or_dash(result.kendall_tau)}, over all pairs: "
+        f"{_or_dash(result.kendall_tau_pooled)}; for the error predicted for the paths: "
         f"{_or_dash(result.kendall_tau_trajectory)} and "
         f"{_or_dash(result.kendall_tau_trajectory_pooled)}; best source selected for "
         f"{result.best_selected} of {len(targets)} targets; {_regret(result)}worse than the "
-        f"baseline on some path: {result.harmful} of {len(result.pairs)} pairs"
+        f"baseline on at least one path: {result.harmful} of {len(result.pairs)} pairs"
     )
     table.caption_justify = "left"
     return table
@@ -136,13 +136,7 @@ def write_figures(folder: Path, record: EvaluationRecord, flights: Path) -> None
     """
     plots = folder / "plots"
     plots.mkdir(exist_ok=True)
-    estimates = [
-        StudyEstimate(study.seed, iteration, source, psi)
-        for study in record.studies
-        for iteration, beliefs in ((2, study.second), (study.iterations, study.last))
-        for source, psi in beliefs.items()
-    ]
-    fig4(plots / "fig4_psi_over_studies.png", estimates)
+    fig4(plots / "fig4_psi_over_studies.png", record.studies)
     errors = [
         FlightError(
             prior=flight.inverse,
@@ -227,7 +221,10 @@ def _regret(result: PairsResult) -> str:
     regret = result.regret
     if regret is None:
         return ""
-    return f"regret {regret.selected:.3f} of the baseline's error, at random {regret.random:.3f}; "
+    return (
+        f"regret {regret.selected:.3f} of the baseline's error, {regret.random:.3f} for a random "
+        "choice; "
+    )
 
 
 def _or_dash(value: float | None) -> str:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from nufleet.shared.experience.layout import Architecture
-from nufleet.shared.strict import NonNegative, Strict
+from nufleet.shared.strict import Document, NonNegative, Strict
 
 EVALUATION = "evaluation.json"
 
@@ -88,11 +88,9 @@ class BaselineResult(Strict):
     """Predicted RMS error: |1 − z_T| weighted by the spectra of the paths that were flown."""
 
 
-class EvaluationResult(Strict):
+class EvaluationResult(Document):
     """What `nufleet evaluate --json` prints. Every `rms_m` is in `unit`."""
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    """Version of this document's layout."""
     target: str
     """Name of the robot that received the experiences."""
     architecture: Architecture
@@ -120,10 +118,6 @@ class EvaluationResult(Strict):
     fewer than two sources or without predictions."""
     run: str
     """Path of the run's folder."""
-
-    def document(self) -> str:
-        """Return the JSON that other programs read."""
-        return self.model_dump_json(by_alias=True)
 
 
 class StudyEstimates(Strict):

@@ -68,8 +68,8 @@ def run_evaluation(
         plan: Target, sources, paths and seeds.
         folder: Folder of the run; experiences and the result are written there.
         archive: Repository that stores the studies, with the leases on the robots.
-        say: Called with one line of progress at a time.
-        observers: Called at the beginning and at the end of each flight along a path.
+        say: Callback that receives one line of progress at a time.
+        observers: Callbacks for the beginning and the end of each flight along a path.
 
     Returns:
         The result with all studies and flights, as written to the run's folder.

@@ -2,47 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from nufleet.orchestrator.evaluation.values import FlightError, StudyEstimate, TransferPair
-from nufleet.orchestrator.flight_labels import BASELINE
-from nufleet.shared.errors import InvalidInputError
-
-SECOND = 2
-"""Iteration that the paper's Fig. 4 compares with the last one."""
+from nufleet.orchestrator.evaluation.values import FlightError, TransferPair
+from nufleet.orchestrator.flights.labels import BASELINE
 
 
-def second_and_last(
-    estimates: Sequence[StudyEstimate],
-) -> tuple[dict[str, list[float]], dict[str, list[float]]]:
-    """Return each source's ψ̂*_n after the second and after the last iteration of every study.
+def by_source(estimates: Iterable[Mapping[str, float]]) -> dict[str, list[float]]:
+    """Return each source's estimates ψ̂*_n, one for each study that kept the source to its end.
 
     Args:
-        estimates: Estimates ψ̂*_n (paper, eq. 10) of one target, in any order. Studies may differ
-            in their number of iterations; each contributes its own last one.
-
-    Returns:
-        Estimates after the second iteration and after the last one, each as a dictionary from the
-        source's name to one value per study. Both are dimensionless, in [0, 1].
-
-    Raises:
-        InvalidInputError: No study has a second iteration.
+        estimates: Estimates by source, of several studies of one target (paper, eq. 10).
     """
-    ends: dict[int, int] = {}
-    for estimate in estimates:
-        ends[estimate.study] = max(ends.get(estimate.study, 0), estimate.iteration)
-    second: dict[str, list[float]] = {}
-    last: dict[str, list[float]] = {}
-    for estimate in estimates:
-        if estimate.iteration == SECOND:
-            second.setdefault(estimate.source, []).append(estimate.psi)
-        if estimate.iteration == ends[estimate.study]:
-            last.setdefault(estimate.source, []).append(estimate.psi)
-    if not second:
-        raise InvalidInputError("no study has a second iteration to be compared with its last")
-    return second, last
+    found: dict[str, list[float]] = {}
+    for study in estimates:
+        for source, psi in study.items():
+            found.setdefault(source, []).append(psi)
+    return found
 
 
 def reduction(errors: Sequence[FlightError], prior: str) -> float | None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from nufleet.orchestrator.evaluation.summaries import mean_kendall_tau, pooled_kendall_tau
 from nufleet.orchestrator.evaluation.values import TransferPair
-from nufleet.orchestrator.figures import COLOURS, label_places, new_figure, plain, save
+from nufleet.orchestrator.runs.figures import COLOURS, label_places, new_figure, plain, save
 from nufleet.shared.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def scatter(png: Path, pairs: Sequence[TransferPair]) -> None:
         InvalidInputError: There are fewer than two pairs.
     """
     if len(pairs) < 2:
-        raise InvalidInputError(f"a rank correlation needs two pairs at least, got {len(pairs)}")
+        raise InvalidInputError(f"a rank correlation needs at least two pairs, got {len(pairs)}")
     targets = sorted({pair.target for pair in pairs})
     figure = new_figure(8.0, 5.5)
     axes = figure.add_subplot()
@@ -55,12 +55,12 @@ def scatter(png: Path, pairs: Sequence[TransferPair]) -> None:
     axes.set_ylim(0.0, 1.04 * top)
     axes.set_xlabel(r"estimate $\hat{\psi}^*$ of the worst-case chordal distance")
     axes.axhline(1.0, color="0.5", lw=0.8, ls="--")
-    axes.set_ylabel("RMS tracking error over the baseline's")
+    axes.set_ylabel("RMS tracking error relative to the baseline")
     title = (
         f"target→source, {len(pairs)} pairs: Kendall's τ = {_rounded(pooled_kendall_tau(pairs))}"
     )
     if len(targets) > 1:
-        title += f"; for the same target on average {_rounded(mean_kendall_tau(pairs))}"
+        title += f"; mean over targets {_rounded(mean_kendall_tau(pairs))}"
     axes.set_title(title, loc="left", fontsize=10)
     _label(
         figure, axes, pairs, [COLOURS[targets.index(p.target) % len(COLOURS)] for p in pairs], top

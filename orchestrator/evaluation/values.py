@@ -1,4 +1,4 @@
-"""The measurements of an evaluation as plain values: estimates of studies, errors of flights."""
+"""The measurements of an evaluation as plain values: errors of flights and of transfers."""
 
 from __future__ import annotations
 
@@ -8,25 +8,11 @@ from nufleet.shared.arrays import FloatArray
 
 
 @dataclass(frozen=True)
-class StudyEstimate:
-    """ψ̂*_n of one source after one iteration of one of several repeated studies."""
-
-    study: int
-    """Seed of the study, which tells it from the others."""
-    iteration: int
-    """Number of the iteration, from 1."""
-    source: str
-    """Name of the source."""
-    psi: float
-    """Estimate ψ̂*_n in [0, 1] (paper, eq. 10)."""
-
-
-@dataclass(frozen=True)
 class FlightError:
     """The tracking error of one flight of a target."""
 
     prior: str
-    """Source of the prior, or one of the names in `flight_labels` for a flight without one."""
+    """Source of the prior, or one of the names in `flights.labels` for a flight without one."""
     drawing: str
     """Name of the drawing that was flown."""
     speed_m_s: float

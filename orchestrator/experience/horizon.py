@@ -114,6 +114,8 @@ def choose_horizon(
     """
     errors = {layout.horizon_samples: math.inf for layout in layouts}
     failures = 0
+    # From the longest down: the shorter the horizon, the harder the inverse drives the robot, so
+    # the candidates most likely to fail come last and may be left out.
     for layout in reversed(layouts):
         if failures == FAILURES_MAX:
             break
@@ -124,6 +126,7 @@ def choose_horizon(
         if layout.architecture == "state" and worst <= _CLOSE * best and math.isfinite(worst):
             worst = max(worst, fly(linear_experience(data, layout, origin, gain=_GAIN_ERROR)))
         errors[layout.horizon_samples] = worst
+        # Before any horizon has worked, a failure says nothing about the shorter ones.
         failed = not math.isfinite(worst) or worst > _FAR * best
         failures = failures + 1 if failed and math.isfinite(best) else 0
     trials = tuple(
@@ -136,8 +139,8 @@ def choose_horizon(
         raise StudyError(
             f"robot {origin.robot} could not be flown with a {layouts[0].architecture} inverse of "
             f"any horizon from {shortest:.2f} to {longest:.2f} s: none did better than its "
-            f"baseline; let it learn the other kind (--architecture {other}), or from a longer "
-            "flight (--duration)"
+            f"baseline; use the other architecture (--architecture {other}), or a longer flight "
+            "(--duration)"
         )
     # Trials are in ascending order of the horizon: the last is the longest, the first the shortest.
     alike = [i for i, trial in enumerate(trials) if trial.rms_error <= _CLOSE * best]

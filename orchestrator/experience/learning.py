@@ -70,7 +70,7 @@ def fly_lessons(
         architectures: Architectures of the experiences to learn.
         seed: Seed of the rich flight's reference.
         duration_s: Duration of the rich flight.
-        say: Called with the robot's name and what it does now.
+        say: Callback that receives the robot's name and its present activity.
 
     Returns:
         One lesson per architecture, in the given order.
@@ -88,10 +88,10 @@ def fly_lessons(
             f"robot {robot} measures its output alone, and an inverse of its state needs its state "
             "measured: let it learn a preview (--architecture preview)"
         )
-    say(robot, f"flies richly for {duration_s:.0f} s")
+    say(robot, f"flies a persistently exciting reference for {duration_s:.0f} s")
     result, details = pilot.rich(robot, duration_s=duration_s, seed=seed)
     record = LearningRecord(result.reference, details.states, details.state_names)
-    say(robot, "flies steps")
+    say(robot, "flies a step test on each axis")
     columns = tuple(range(len(spec.axes)))
     degree = max(_degree(pilot, robot, i, spec.axes[i].name) for i in columns)
     origin = Origin(
@@ -112,7 +112,7 @@ def fly_lessons(
             return math.inf
         event = flight.details.taken_back
         if event is not None:
-            say(robot, f"does not fly it to the end: {event.reason}")
+            say(robot, f"does not fly it to the end, the guard withdrew it: {event.reason}")
             return math.inf
         return flight.rms_error
 
@@ -162,7 +162,7 @@ def pick_up(fleet: Fleet, description: Description, failure: str) -> None:
     """
     if not description.spec.simulated:
         raise RobotError(
-            f"robot {description.robot} failed: {failure}; see to it, then `nufleet release` it"
+            f"robot {description.robot} failed: {failure}; inspect it, then `nufleet release` it"
         )
     fleet.release(description.robot)
 
@@ -173,7 +173,7 @@ def _degree(pilot: Pilot, robot: str, column: int, axis: str) -> int:
         return relative_degree(result.reference[:, column], result.response[:, column])
     except StudyError as error:
         raise StudyError(
-            f"robot {robot}, axis {axis}: {error}; see whether it moves at all, with "
+            f"robot {robot}, axis {axis}: {error}; check whether it moves at all, with "
             f"`nufleet track --target {robot} --inverse baseline --trajectory clover`"
         ) from error
 

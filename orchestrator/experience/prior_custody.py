@@ -86,6 +86,6 @@ def prior_put_back(fleet: Fleet, pilot: Pilot, description: Description) -> Iter
         try:
             put_back()
         except NufleetError as left:
-            _log.warning("the prior of %s is not the one that it had: %s", robot, left)
+            _log.warning("the former prior of %s could not be restored: %s", robot, left)
         raise
     put_back()

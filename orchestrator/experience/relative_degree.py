@@ -55,7 +55,7 @@ def relative_degree(reference: FloatArray, response: FloatArray) -> int:
     # The second term is for simulators without noise, whose standard error is only rounding.
     stands_out = np.abs(answers.mean(axis=0)) > _NOISES * error + 1e-9 * height
     if not stands_out.any():
-        raise StudyError(f"the robot did not answer to steps of {height:g}")
+        raise StudyError(f"the robot did not respond to steps of {height:g}")
     threshold = _NOISES * error + 1e-9 * height
     answered = _reached(np.abs(answers.mean(axis=0)), threshold)
     began = _reached((asked * signs).mean(axis=0), threshold)

@@ -69,8 +69,9 @@ def train_robots(
         folder: Folder in which a copy of each experience is stored.
         seed: Seed of the flights and of the networks' first weights.
         duration_s: Duration of each rich flight.
-        say: Called with a robot's name and what it does now, from several threads.
-        on_trained: Called with each experience once its robot holds it, from several threads.
+        say: Callback that receives a robot's name and its present activity, from several threads.
+        on_trained: Callback that receives each experience once its robot holds it, from several
+            threads.
 
     Returns:
         All experiences, in the order of the robots and then of the architectures.

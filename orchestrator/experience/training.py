@@ -110,12 +110,12 @@ def train(
     """
     if len(data.gamma) < points or points < 10 * _BLOCKS:
         raise InvalidInputError(
-            f"robot {origin.robot}: {points} points are needed, at least 500; got "
-            f"{len(data.gamma)}: let it fly for longer (--duration)"
+            f"robot {origin.robot}: training needs {points} points, and no fewer than 500; there "
+            f"are {len(data.gamma)}: let the robot fly for longer (--duration)"
         )
     if not (np.isfinite(data.inputs).all() and np.isfinite(data.gamma).all()):
         raise InvalidInputError(
-            f"robot {origin.robot}: the training data hold a number that is not finite"
+            f"robot {origin.robot}: the training data contain a number that is not finite"
         )
     chosen = np.linspace(0, len(data.gamma) - 1, points).round().astype(int)
     inputs, gamma = data.inputs[chosen], data.gamma[chosen]
@@ -128,7 +128,7 @@ def train(
     offset, spread = float(gamma[~held_back].mean()), float(gamma[~held_back].std())
     if spread == 0 or (scale == 0).any():
         raise InvalidInputError(
-            f"robot {origin.robot}: the training data do not vary: it was not excited"
+            f"robot {origin.robot}: the training data do not vary: the robot was not excited"
         )
     network, error = _fit(
         (inputs - mean) / scale, (gamma - offset) / spread, held_back, seed, steps_max

@@ -128,7 +128,7 @@ def read_experience(path: Path) -> bytes:
         decode_experience(payload)
     except MalformedMessageError as error:
         raise InvalidInputError(
-            f"{path}: {error}; choose a file that `nufleet train` left in its run's experiences"
+            f"{path}: {error}; choose a file from the experiences folder of a `nufleet train` run"
         ) from error
     return payload
 
@@ -177,7 +177,7 @@ def check_fit(manifest: ExperienceManifest, target: Description) -> None:
         if reason is not None:
             raise InvalidInputError(
                 f"the experience of {manifest.robot} does not fit {target.robot}: {reason}; choose "
-                "a source of its kind"
+                "a source of the same kind"
             )
 
 

@@ -11,7 +11,6 @@ from functools import partial
 from typing import Literal, TypeVar
 
 from nufleet.orchestrator.fleet.robot_watch import RobotWatch
-from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import MalformedMessageError, NoReplyError, RefusedError, RobotLostError
 from nufleet.shared.wire.codec import Message, decode, encode
 from nufleet.shared.wire.keys import FleetKeys
@@ -28,8 +27,6 @@ from nufleet.shared.wire.messages import (
     GoalRequest,
     GoalResult,
     InstallRequest,
-    Prediction,
-    PredictRequest,
     Refusal,
     ReleaseRequest,
     RemovePriorRequest,
@@ -116,7 +113,7 @@ class Fleet:
             if not self.watch(robot).wait_until(lambda w: w.alive, timeout_s=left_s):
                 there = ", ".join(self.robots()) or "none"
                 raise RobotLostError(
-                    f"robot {robot} did not appear within {timeout_s:g} s; robots there: {there}"
+                    f"robot {robot} did not appear within {timeout_s:g} s; robots present: {there}"
                 )
 
     def is_alive(self, orchestrator_id: str) -> bool:
@@ -164,7 +161,7 @@ class Fleet:
         except NoReplyError as error:
             raise NoReplyError(
                 f"robot {robot} does not answer: is its agent running? "
-                "`nufleet fleet status` shows who is there"
+                "`nufleet fleet status` lists the robots that are there"
             ) from error
 
     def describe_all(self, robots: tuple[str, ...]) -> dict[str, Description]:
@@ -239,20 +236,6 @@ class Fleet:
         request = RemovePriorRequest(sender=self.orchestrator_id, epoch=self.epoch(robot))
         self._ask(robot, "prior/remove", request, Done)
 
-    def predict(self, robot: str, sha256: str, inputs: FloatArray) -> FloatArray:
-        """Evaluate an experience that a robot holds.
-
-        Args:
-            robot: Name of the robot.
-            sha256: SHA-256 digest of the experience file, in hexadecimal.
-            inputs: Inputs ξ of the inverse model, shape (m, inputs).
-
-        Returns:
-            Outputs γ of the inverse model in the axis's unit per s, shape (m,).
-        """
-        request = PredictRequest(sha256=sha256, inputs=inputs)
-        return self._ask(robot, "predict", request, Prediction).gamma
-
     def stop(self, robot: str, reason: str) -> None:
         """Stop a robot; return once it confirms the stop, and raise if it does not."""
         request = StopRequest(sender=self.orchestrator_id, reason=reason)
@@ -290,11 +273,15 @@ class Fleet:
         try:
             reply = decode(replies[0], expected, Refusal)
         except MalformedMessageError as error:
-            raise type(error)(f"robot {robot} answered {leaf!r} with no answer: {error}") from error
+            raise type(error)(
+                f"robot {robot} sent an invalid reply to {leaf!r}: {error}"
+            ) from error
         if isinstance(reply, Refusal):
             raise RefusedError(reply.code, reply.reason, robot)
         if not isinstance(reply, expected):
-            raise MalformedMessageError(f"robot {robot} answered with {type(reply).__name__}")
+            raise MalformedMessageError(
+                f"robot {robot} sent an unexpected reply of type {type(reply).__name__}"
+            )
         return reply
 
     # Network threads.
@@ -337,7 +324,7 @@ class Fleet:
     def _robot_of(self, key: str) -> str | None:
         robot = self._keys.robot_of(key)
         if robot is None:
-            _log.warning("ignoring %r, which names no robot", key)
+            _log.warning("ignoring %r, which is not a robot's key", key)
         return robot
 
 
@@ -346,7 +333,7 @@ def _no_reply(robot: str, leaf: str, request: Message, waited_s: float | None) -
     goal_id = getattr(request, "goal_id", None)
     asked = repr(leaf) if goal_id is None else f"{leaf!r} about goal {goal_id}"
     if waited_s is None:
-        return f"robot {robot} is not there, or went away when it was asked {asked}"
+        return f"robot {robot} is not there, or disappeared while {asked} waited for its reply"
     return (
         f"robot {robot} did not answer {asked} within {waited_s:g} s; it may be cut off or frozen"
     )

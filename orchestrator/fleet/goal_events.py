@@ -50,7 +50,9 @@ class Refused:
     """The robot answered a question with a refusal."""
 
     question: Question
+    """Question that was answered."""
     error: RefusedError
+    """The robot's refusal."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,9 @@ class Unanswered:
     """A question remained without an answer: none arrived in time, or it cannot be decoded."""
 
     question: Question
+    """Question that remained open."""
     error: NufleetError
+    """Reason why there is no answer."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +111,9 @@ class Ask:
     """A question to be put to the robot; exactly one of its answers must come back as an event."""
 
     question: Question
+    """Question to put."""
     goal_id: str
+    """Id of the goal that the question is about."""
 
 
 @dataclass(frozen=True)

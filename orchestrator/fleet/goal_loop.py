@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from types import TracebackType
 
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.fleet.goal_events import (
@@ -80,12 +79,7 @@ class GoalLoop:
         self._thread.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._inbox.put(None)
         self._thread.join()
         self._askers.shutdown(wait=False, cancel_futures=True)
@@ -137,7 +131,7 @@ class GoalLoop:
             try:
                 job()
             except Exception as error:  # noqa: BLE001 - no robot may fly on alone for it
-                _log.exception("pursuing goals")
+                _log.exception("the pursuit of goals failed")
                 self._crash = self._crash or error
                 self._interrupt()
         for run in self._running.values():
@@ -243,5 +237,5 @@ class _Run:
             _log.info("%s: asking again", error)
             return Unanswered(ask.question, error)
         except Exception as error:  # noqa: BLE001 - a question always has an end
-            _log.exception("asking %s about %s", robot, ask.goal_id)
+            _log.exception("a request to %s about %s failed", robot, ask.goal_id)
             return Unanswered(ask.question, NufleetError(f"asking {robot}: {error!r}"))

@@ -91,7 +91,7 @@ class Pursuit:
         Args:
             robot: Name of the robot.
             goal_id: Id of the goal.
-            sighting: What is known of the robot now.
+            sighting: Present knowledge of the robot.
             now_s: Current time in s, on the same clock as all later times.
             taken_before: Whether the robot accepted this goal from an earlier orchestrator. If so,
                 the goal is never sent again; only its result is requested.
@@ -105,7 +105,6 @@ class Pursuit:
         self._heard_s = sighting.heard_s
         self._lost_s = now_s
         self._lost = ""
-        self._running_id: str | None = None
         self._progress = 0.0
         self._abandoned = list(abandoned)
         self._rest_patience_s = REST_PATIENCE_S if self._abandoned else REFUSAL_PATIENCE_S
@@ -203,7 +202,6 @@ class Pursuit:
                 self._note_refusal(question, error, now_s)
 
     def _note_state(self, state: RobotState) -> None:
-        self._running_id = state.goal_id
         if state.goal_id == self.goal_id:
             self._progress = state.progress
         elif self._taken:
@@ -276,15 +274,15 @@ class Pursuit:
             self._give_up(RobotLostError(self._silent(now_s)))
         elif cancelled_s is not None and now_s >= cancelled_s + REST_PATIENCE_S:
             reason = (
-                f"robot {self.robot} was told to end {self.goal_id} and is not at rest after "
-                f"{REST_PATIENCE_S:g} s; stop it, and see whether its driver hangs"
+                f"robot {self.robot} was told to end {self.goal_id} but is not at rest after "
+                f"{REST_PATIENCE_S:g} s; stop it, and check whether its driver hangs"
             )
             self._give_up(RobotLostError(reason))
         elif self._may_be_overdue and overdue.is_late(self._progress, now_s):
             # The robot is still heard, so it can be brought to rest before it is given up.
             self._given_up = RobotLostError(
                 f"robot {self.robot} is overdue with {self.goal_id}: for {overdue.grace_s:.0f} s "
-                f"it got no further than {overdue.progress:.0%}; see whether its agent hangs"
+                f"it got no further than {overdue.progress:.0%}; check whether its agent hangs"
             )
         if self._taken and now_s >= self._heard_s + HEARTBEAT_LOST_S:
             # The robot's states do not arrive, but its answers may.
@@ -314,7 +312,7 @@ class Pursuit:
             self.ended = Ended(error=self._given_up, interrupted=self._interrupted)
         else:
             lost = self._lost or (
-                f"robot {self.robot} had taken {self.goal_id}; its agent may have restarted since"
+                f"robot {self.robot} had accepted {self.goal_id}, but its agent may have restarted"
             )
             self.ended = Ended(error=RobotLostError(f"{lost}: {error.reason}"))
 

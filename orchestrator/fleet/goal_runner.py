@@ -17,7 +17,7 @@ from nufleet.shared.wire.motions import Motion
 _log = logging.getLogger(__name__)
 
 
-class Interrupted(Exception):  # noqa: N818 - not an error: somebody asked for the end
+class Interrupted(Exception):  # noqa: N818 - not an error: the end was requested
     """The motions were asked to end before they were complete."""
 
 
@@ -109,7 +109,7 @@ class GoalRunner:
         return Errand(robot, request, accepted, ended, taken_before, abandoned)
 
     def run(self, robot: str, goal_id: str, motion: Motion) -> GoalResult:
-        """Run a motion on a robot and return its result, whatever the outcome of the motion.
+        """Run a motion on a robot and return its result, also if the motion failed.
 
         Args:
             robot: Name of the robot that is to move.

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import IO
 
 from nufleet.shared.errors import EndpointInUseError, NufleetError
@@ -30,7 +29,7 @@ itself.
 """
 
 ROUTER = "router"
-LANDING = "landing: the robots of this fleet are coming to rest, and then it ends by itself"
+LANDING = "landing: the robots of this fleet are coming to rest, then this process ends by itself"
 
 _log = logging.getLogger(__name__)
 
@@ -62,12 +61,7 @@ class FleetProcesses:
     def __enter__(self) -> FleetProcesses:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
     def start_router(self, endpoint: str, *, timeout_s: float = 20.0) -> None:
@@ -129,10 +123,6 @@ class FleetProcesses:
             if child.process.poll() is not None
         ]
 
-    def pids(self) -> dict[str, int]:
-        """Return the process id of each child, by its role."""
-        return {child.what: child.process.pid for child in self._children}
-
     def stop(self) -> None:
         """End all processes, agents first, so that robots come to rest while the router still runs.
 
@@ -181,7 +171,7 @@ def _end(children: list[_Child]) -> None:
             child.process.wait(max(0.0, deadline - time.monotonic()))
         except subprocess.TimeoutExpired:
             _log.warning(
-                "%s did not end within %g s and is killed; its robots may not be at rest",
+                "%s did not end within %g s and was killed; its robots may not be at rest",
                 child.what,
                 GRACE_S,
             )

@@ -91,11 +91,11 @@ class FleetChoice:
         """Choose the fleet that an earlier run reached.
 
         Args:
-            reach: How that run reached it.
+            reach: Stored way in which that run reached it.
 
         Raises:
             FleetFileError: See `started`.
-            InvalidInputError: The file is that of another fleet now.
+            InvalidInputError: The file now describes another fleet.
         """
         if reach.fleet_file is None:
             return cls(reach)
@@ -142,8 +142,8 @@ class FleetChoice:
         if reach.fleet_file is None or self.file is None:
             if reach.connect.endswith(f"#{HIDDEN}"):
                 raise InvalidInputError(
-                    f"the run reached its fleet at {reach.connect}, and what may be secret there "
-                    "was not stored; name the whole endpoint with --connect"
+                    f"the run reached its fleet at {reach.connect}, and the secret part of this "
+                    "endpoint was not stored; give the whole endpoint with --connect"
                 )
             return running_fleet(reach.connect, reach.fleet_name, robots=robots, wait_s=wait_s)
         console.print(f"starting a router and {len(self.file.robots)} robots of {reach.fleet_file}")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nufleet.orchestrator.flight_labels import flight_label, path_label
+from nufleet.orchestrator.flights.labels import flight_label, path_label
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.paths.files import read_drawing
@@ -43,8 +43,8 @@ def tracking_limits(spec: RobotSpec, robot: str) -> TrackingLimits:
     """Return a robot's tracking limits; raises InvalidInputError when it does not track."""
     if spec.tracking is None:
         raise InvalidInputError(
-            f"robot {robot} has no tracking limits in its spec: it cannot track; choose another "
-            "robot, or give its driver's spec `tracking`"
+            f"robot {robot} has no tracking limits in its spec and cannot track; choose another "
+            "robot, or add `tracking` to the spec of its driver"
         )
     return spec.tracking
 
@@ -92,7 +92,7 @@ def _check_workspace(path: FloatArray, position_max: float, unit: str) -> None:
     if furthest > position_max:
         percent = math.floor(100 * position_max / furthest)
         raise InvalidInputError(
-            f"it goes {furthest:.3g} {unit} from the origin, outside the workspace of "
+            f"it reaches {furthest:.3g} {unit} from the origin, outside the workspace of "
             f"±{position_max:g} {unit}: move it, or make it at most {percent} % as large (--scale)"
         )
 
@@ -115,7 +115,7 @@ def read_drawings(drawings: Sequence[str]) -> dict[str, FloatArray]:
         if file.stem in points:
             raise InvalidInputError(
                 f"two drawings are called {file.stem}: name each once, or rename one, so that "
-                "their flights can be told apart"
+                "their flights can be distinguished"
             )
         points[file.stem] = read_drawing(file)
     return points

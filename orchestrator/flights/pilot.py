@@ -10,7 +10,7 @@ import numpy as np
 
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.fleet.goal_runner import GoalRunner, Interrupted
-from nufleet.orchestrator.flight_labels import NO_PRIOR
+from nufleet.orchestrator.flights.labels import NO_PRIOR
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import MalformedMessageError, RobotError, RobotLostError
 from nufleet.shared.experience.layout import InverseLayout
@@ -236,7 +236,9 @@ class Pilot:
                 taken_back=None,
             )
         if not isinstance(details, TrackingDetails):
-            raise MalformedMessageError(f"robot {robot} returned a path without its details")
+            raise MalformedMessageError(
+                f"robot {robot} returned the flight of a path without its details"
+            )
         return PathFlight(
             robot=robot,
             label=label,

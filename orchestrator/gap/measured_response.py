@@ -132,7 +132,7 @@ def band_distance(
     if not low < high:
         raise BandError(
             f"nothing to compare: the responses are known from {described[0]} and from"
-            f" {described[1]}{asked}; these do not overlap: measure both over one band"
+            f" {described[1]}{asked}; these do not overlap: measure both over the same band"
         )
     measured = [r.omega_rad_s for r in (first, second) if isinstance(r, MeasuredResponse)]
     omega = np.unique(np.concatenate([*measured, [low, high]]))

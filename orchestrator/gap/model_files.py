@@ -60,8 +60,11 @@ class TransferMatrixFile(Strict):
     """A matrix of transfer functions num[i][j]/den[i][j] from input j to output i."""
 
     num: Annotated[tuple[tuple[Polynomial, ...], ...], Field(min_length=1, max_length=64)]
+    """Coefficients of the numerators, from the highest power down, by output and input."""
     den: Annotated[tuple[tuple[Polynomial, ...], ...], Field(min_length=1, max_length=64)]
+    """Coefficients of the denominators, in the same order."""
     dt: NonNegative = 0.0
+    """Sample time in s; 0 in continuous time."""
 
     def model(self) -> StateSpace:
         """Return the model that the file describes."""
@@ -72,10 +75,15 @@ class StateSpaceFile(Strict):
     """A state-space model with A, B, C and D as lists of rows, and the sample time `dt` in s."""
 
     a: Rows = Field(alias="A")
+    """Rows of A, shape (states, states)."""
     b: Rows = Field(alias="B")
+    """Rows of B, shape (states, inputs)."""
     c: Rows = Field(alias="C")
+    """Rows of C, shape (outputs, states)."""
     d: Rows = Field(alias="D", min_length=1)
+    """Rows of D, shape (outputs, inputs)."""
     dt: NonNegative = 0.0
+    """Sample time in s; 0 in continuous time."""
 
     @model_validator(mode="after")
     def _rectangular(self) -> StateSpaceFile:
@@ -99,9 +107,13 @@ class FrequencyResponseFile(Strict):
     """
 
     omega_rad_s: Annotated[tuple[NonNegative, ...], Field(min_length=2, max_length=1_000_000)]
+    """Frequencies in rad/s, ascending."""
     real: Column
+    """Real part of z at each frequency."""
     imag: Column
+    """Imaginary part of z at each frequency."""
     variance: Annotated[tuple[NonNegative, ...], Field(max_length=1_000_000)] | None = None
+    """Variance E|ẑ − z|² at each frequency; None if it is unknown."""
 
     @model_validator(mode="after")
     def _columns_agree(self) -> FrequencyResponseFile:

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Literal
 
-from pydantic import Field
 from rich.markup import escape
 from rich.table import Table
 
 from nufleet.orchestrator.gap.measured_response import MeasuredResponse, band_distance
 from nufleet.orchestrator.gap.model_files import ModelFileError, read_model
-from nufleet.shared.distance.nu_gap import NuGap, chordal_peak_in_band, nu_gap
+from nufleet.shared.distance.nu_gap import ComputedFrom, NuGap, chordal_peak_in_band, nu_gap
+from nufleet.shared.distance.rational_gap import rational_nu_gap
 from nufleet.shared.distance.stability_margin import stability_guarantee, stability_margin
+from nufleet.shared.models.realization import TransferFunction
 from nufleet.shared.models.transfer_models import StateSpace
-from nufleet.shared.strict import Strict
+from nufleet.shared.strict import Document, Strict
 
 
 class WindingCondition(Strict):
@@ -61,15 +61,13 @@ class ControllerReport(Strict):
     """Lower bound of the second margin that follows from the ν-gap."""
 
 
-class GapReport(Strict):
+class GapReport(Document):
     """The document of `nufleet gap --json`.
 
     A frequency is null where it is infinite. `nu_gap` is null where a response was measured: there
     is then no ν-gap, only `chordal_max_in_band`.
     """
 
-    schema_version: Literal[1] = Field(default=1, alias="schema")
-    """Version of this document's format."""
     first: str
     """File of the first model or response."""
     second: str
@@ -82,6 +80,9 @@ class GapReport(Strict):
     """Frequency of that distance in rad/s."""
     winding_condition: WindingCondition | None = None
     """Winding condition of two models."""
+    computed_from: ComputedFrom | None = None
+    """Representation that the ν-gap was computed from: the polynomials of two transfer functions,
+    or the matrices of two state-space models."""
     guarantee: str | None = None
     """Guarantee that the ν-gap gives, in words."""
     chordal_max_in_band: float | None = None
@@ -125,7 +126,7 @@ def gap_report(
         return GapReport(
             first=str(first), second=str(second), chordal_max_in_band=found.value, band=band
         )
-    gap = nu_gap(p1, p2)
+    gap = _nu_gap(p1, p2)
     in_band = None if band_rad_s is None else chordal_peak_in_band(p1, p2, band_rad_s)
     return GapReport(
         first=str(first),
@@ -140,6 +141,7 @@ def gap_report(
             poles_on_axis=gap.poles_on_axis,
             reason=gap.reason,
         ),
+        computed_from=gap.computed_from,
         guarantee=gap.guarantee,
         chordal_max_in_band=None if in_band is None else in_band.value,
         band=None
@@ -154,6 +156,17 @@ def gap_report(
     )
 
 
+def _nu_gap(first: StateSpace, second: StateSpace) -> NuGap:
+    """Return the ν-gap, from the polynomials themselves if both models are transfer functions."""
+    if (
+        isinstance(first, TransferFunction)
+        and isinstance(second, TransferFunction)
+        and first.dt_s == second.dt_s
+    ):
+        return rational_nu_gap(first.num, first.den, second.num, second.den, first.dt_s)
+    return nu_gap(first, second)
+
+
 def gap_table(report: GapReport) -> Table:
     """Return the report as a table of two columns."""
     title = escape(f"{report.first} and {report.second}")
@@ -165,7 +178,8 @@ def gap_table(report: GapReport) -> Table:
         )
         table.add_row("largest chordal distance", f"{report.chordal_peak:.6f} at {omega}")
         table.add_row("why", report.winding_condition.reason)
-        table.add_row("promises", report.guarantee)
+        table.add_row("guarantee", report.guarantee)
+        table.add_row("computed from", f"the {report.computed_from} of both models")
     else:
         table.add_row("ν-gap", "unknown: it needs models, and at least one response was measured")
     if report.band is not None:
@@ -173,7 +187,7 @@ def gap_table(report: GapReport) -> Table:
         spread = f" ± {deviation:.2g}" if deviation else ""
         if report.band.band_asked_rad_s not in (None, report.band.band_rad_s):
             asked = "{:.6g} to {:.6g}".format(*report.band.band_asked_rad_s)
-            table.add_row("not the whole band", f"of {asked} rad/s only a part was measured")
+            table.add_row("not the whole band", f"only a part of {asked} rad/s was measured")
         table.add_row(
             f"largest chordal distance from {report.band.band_rad_s[0]:.6g}"
             f" to {report.band.band_rad_s[1]:.6g} rad/s",
@@ -190,10 +204,10 @@ def _add_controller(table: Table, found: ControllerReport) -> None:
         said = f"{margin:.6f}" if margin > 0 else "0: it does not stabilise it"
         table.add_row(escape(f"margin of {found.controller} with the {ordinal}"), said)
     table.add_row(
-        "the ν-gap alone promises",
+        "the ν-gap alone guarantees",
         f"a margin of at least {found.margin_second_at_least:.6f} with the second"
         if found.guaranteed
-        else "nothing: it is not below the margin with the first",
+        else "no margin: it is not below the margin with the first",
     )
 
 

@@ -89,7 +89,9 @@ class Damaged:
     """A run whose folder cannot be read, and the reason."""
 
     folder: Path
+    """Folder of the run."""
     reason: str
+    """Reason why it cannot be read."""
 
 
 def read_run(folder: Path) -> Run:
@@ -103,7 +105,7 @@ def read_run(folder: Path) -> Run:
     if kind not in KINDS:
         raise InvalidInputError(
             f"{folder / CONFIGURATION}: a run of kind {kind!r}; expected {', '.join(KINDS)}. Was "
-            "it written by a newer nufleet?"
+            "it written by a newer version of nufleet?"
         )
     stamp = _STAMP.match(folder.name)
     began = None
@@ -172,7 +174,7 @@ def _evaluated(result: EvaluationResult) -> str:
 def _reduction(result: EvaluationResult) -> str:
     first = next(source for source in result.sources if source.robot == result.selected)
     if first.reduction_percent is None:
-        return "not all paths were finished with it"
+        return "not all paths were flown to the end with it"
     return f"{first.reduction_percent:.0f} % less error than the baseline"
 
 

@@ -45,8 +45,8 @@ def run_responses(
             found = _stored(repository, study_id_of(folder))
             if not found:
                 raise InvalidInputError(
-                    f"{folder.name} holds no responses, and {repository.name} none of it either; "
-                    "name its repository with --repository"
+                    f"{folder.name} holds no responses, and neither does {repository.name}; "
+                    "name the repository of the run with --repository"
                 )
     return found
 

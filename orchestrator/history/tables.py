@@ -54,7 +54,7 @@ def _ranking(record: RunRecord) -> Iterator[RenderableType]:
         yield f"[yellow]{said_of(robot, stored, datetime.now(UTC))}[/]"
     yield from verdict_parts(result)
     for robot, reason in record.dropped.items():
-        yield f"[red]without {robot}: {reason}[/]"
+        yield f"[red]{robot} was left out: {reason}[/]"
 
 
 def flights_table(flights: tuple[FlightRecord, ...]) -> Table:
@@ -67,7 +67,7 @@ def flights_table(flights: tuple[FlightRecord, ...]) -> Table:
     table.add_column("")
     for flight in flights:
         rms = "not finished" if flight.rms_m is None else f"{1000 * flight.rms_m:.1f}"
-        event = flight.failure or (flight.taken_back and f"taken back: {flight.taken_back}") or ""
+        event = flight.failure or (flight.taken_back and f"withdrawn: {flight.taken_back}") or ""
         table.add_row(
             *(flight.target, flight.drawing, flight.inverse, f"{flight.speed_m_s:g}", rms, event)
         )
@@ -79,7 +79,7 @@ def experiences_table(result: TrainResult) -> Table:
     table = Table(title="experiences on offer", title_justify="left")
     for heading in ("robot", "architecture"):
         table.add_column(heading)
-    for heading in ("horizon, s", "relative degree", "error held back", "s"):
+    for heading in ("horizon, s", "relative degree", "validation error", "training, s"):
         table.add_column(heading, justify="right")
     for one in result.experiences:
         manifest = one.manifest

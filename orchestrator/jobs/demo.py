@@ -40,7 +40,7 @@ class DemoCommand:
     runs_root: Path
     """Folder that holds the folders of all runs."""
     quadrotors: bool = False
-    """Whether the fleet is that of simulated quadrotors instead of the linear one."""
+    """Whether the fleet consists of simulated quadrotors instead of linear robots."""
     seed: int = 0
     """Seed of the study, the learning flights and the networks."""
     live: bool = False

@@ -88,5 +88,5 @@ def error_text(flight: PathFlight, unit: str) -> str:
     event = flight.details.taken_back
     if event is not None:
         when_s = event.sample * flight.sample_time_s
-        text += f"  [yellow]prior taken back at {when_s:.1f} s: {event.reason}[/]"
+        text += f"  [yellow]prior withdrawn at {when_s:.1f} s: {event.reason}[/]"
     return text

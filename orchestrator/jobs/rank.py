@@ -141,7 +141,7 @@ def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:
     if command.band_rad_s is not None:
         check_band(command.band_rad_s)
     if command.reuse_days is not None and command.algorithm != "adaptive":
-        raise InvalidInputError("--reuse is that of --algorithm adaptive, not of paper")
+        raise InvalidInputError("--reuse requires --algorithm adaptive")
     request = RankRequest(
         target=choice.target(command.target),
         sources=command.sources,
@@ -162,7 +162,7 @@ def _drawing(command: RankCommand) -> TimedPath | None:
     if command.trajectory is not None:
         return read_motion(command.trajectory, command.speed_m_s)
     if command.speed_m_s is not None:
-        raise InvalidInputError("--speed is that of a trajectory: name one with --trajectory")
+        raise InvalidInputError("--speed requires --trajectory")
     return None
 
 

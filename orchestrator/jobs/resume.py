@@ -143,7 +143,7 @@ def _open_study(path: Path, repository: Repository) -> StudyRecord:
     if study.status is StudyStatus.COMPLETE:
         raise InvalidInputError(f"{path.name} is complete: `nufleet runs show {path.name}`")
     if study.status is StudyStatus.FAILED:
-        raise InvalidInputError(f"{path.name} could not go on: {study.reason}; begin anew")
+        raise InvalidInputError(f"{path.name} has failed: {study.reason}; start a new study")
     return study
 
 

@@ -189,7 +189,7 @@ def _stop(targets: list[_Target], reason: str, told: Callable[[_Target, str | No
         except NufleetError as error:
             return str(error)
         except Exception as error:  # noqa: BLE001 - one robot's trouble must not hide the others'
-            _log.exception("stopping %r", target.robot)
+            _log.exception("the stop of %r failed", target.robot)
             return f"an unexpected error: {error!r}"
         return None
 

@@ -16,7 +16,7 @@ from nufleet.orchestrator.evaluation.fly_target import flight_record
 from nufleet.orchestrator.evaluation.results import FlightRecord
 from nufleet.orchestrator.experience.learning import know_itself
 from nufleet.orchestrator.fleet.reach import FleetChoice
-from nufleet.orchestrator.flight_labels import BASELINE, MIXTURE, NO_PRIOR, OWN
+from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 from nufleet.orchestrator.flights.legs import Leg, legs_of, read_drawings
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
 from nufleet.orchestrator.flights.start_weights import mixture_of

@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Literal
 
 import click
-from pydantic import Field
 from rich.console import Console
 
 from nufleet.orchestrator.conduct.preflight import check_names, check_robots
@@ -29,7 +27,7 @@ from nufleet.orchestrator.study.verdict import Verdict
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.experience.manifest import ExperienceManifest
-from nufleet.shared.strict import Digest, Strict
+from nufleet.shared.strict import Digest, Document, Strict
 
 
 @dataclass(frozen=True)
@@ -73,11 +71,9 @@ class Companion(Strict):
     """Place that it was taken from."""
 
 
-class TransferResult(Strict):
+class TransferResult(Document):
     """What `nufleet transfer --json` prints; only the target is set if its priors were removed."""
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    """Version of this document's layout."""
     target: str
     """Name of the robot that flies with the experience from now on."""
     source: str | None = None
@@ -94,10 +90,6 @@ class TransferResult(Strict):
     """Time at which its robot had learned it, in ISO 8601 and UTC; None if it is not known."""
     companions: tuple[Companion, ...] = ()
     """Further experiences, which the target mixes with this one."""
-
-    def document(self) -> str:
-        """Return the JSON that other programs read."""
-        return self.model_dump_json(by_alias=True)
 
 
 def transfer_and_print(command: TransferCommand) -> None:

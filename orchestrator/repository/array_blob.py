@@ -61,9 +61,9 @@ def _data(blob: bytes, code: bytes, shape: tuple[int, ...], what: str) -> bytes:
     if blob[: len(head)] != head or len(blob) != start + size_bytes:
         raise DamagedRecordError(
             f"{what}: expected {code.rstrip(bytes(1)).decode()} of shape {shape}, "
-            f"found {len(blob)} bytes that are something else"
+            f"found {len(blob)} bytes of different content"
         )
     (crc,) = _CRC.unpack_from(blob, len(head))
     if zlib.crc32(blob[start:], zlib.crc32(head)) != crc:
-        raise DamagedRecordError(f"{what}: the data do not agree with their checksum")
+        raise DamagedRecordError(f"{what}: the data do not match their checksum")
     return blob[start:]

@@ -57,10 +57,10 @@ _SQLITE_CLASSES: _Classes = (
     ("SQLITE_IOERR", RepositoryUnreachableError),
 )
 _ADVICE = {
-    RepositoryFullError: "make room and resume the run",
+    RepositoryFullError: "free some space and resume the run",
     RepositoryReadOnlyError: "make it writable, or choose another repository",
     RepositoryBusyError: "another process holds it; try again when it has ended",
-    RepositoryUnreachableError: "check the address, and that its server runs",
+    RepositoryUnreachableError: "check the address, and that its server is running",
 }
 
 
@@ -87,7 +87,7 @@ def parse_url(address: str) -> URL:
         url = make_url(address) if ":" in address else URL.create("sqlite", database=address)
     except (ArgumentError, ValueError):
         # The message shows neither the address nor the cause: both may contain a password.
-        raise RepositoryUrlError(f"the repository's address is no URL; {expected}") from None
+        raise RepositoryUrlError(f"the repository's address is not a URL; {expected}") from None
     if "@" in (url.host or ""):
         raise RepositoryUrlError(
             f"the repository's address has more than one @; write %40 for one in a password, or "

@@ -88,7 +88,5 @@ class LeaseLostError(RepositoryError):
     """A lease expired or was taken over; `robot` must no longer be commanded."""
 
     def __init__(self, robot: str, owner: str, epoch: int, reason: str) -> None:
-        super().__init__(
-            f"{owner} does not own robot {robot} under epoch {epoch} any more: {reason}"
-        )
+        super().__init__(f"{owner} no longer owns robot {robot} under epoch {epoch}: {reason}")
         self.robot = robot

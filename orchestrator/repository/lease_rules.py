@@ -107,14 +107,14 @@ def acquired(
     if above_epoch > EPOCH_BELIEVED_MAX:
         raise EpochOutOfRangeError(
             f"robot {stored.robot} was commanded under epoch {above_epoch}, which no repository "
-            "gives out; find out who sent it, end the robot's agent, and make the robot forget its "
-            f"owner: nufleet agent FLEET --robot {stored.robot} --forget-owner"
+            "issues; find out which orchestrator sent it, end the robot's agent, and make the "
+            f"robot forget its owner: nufleet agent FLEET --robot {stored.robot} --forget-owner"
         )
     epoch = max(stored.epoch, above_epoch) + 1
     if epoch > EPOCH_MAX:
         raise EpochOutOfRangeError(
-            f"this repository gave robot {stored.robot} out under epoch {stored.epoch}, and none "
-            "above it is obeyed; begin another with --repository"
+            f"this repository issued epoch {stored.epoch} for robot {stored.robot}, and robots "
+            "accept none above it; start a new repository with --repository"
         )
     if held is not None and held not in silent:
         if held.owner != owner:
@@ -128,7 +128,7 @@ def check_held(stored: StoredLease, lease: Lease) -> None:
     """Check that a lease has not been taken over; raises LeaseLostError with the reason."""
     reason = None
     if (stored.owner, stored.epoch) != (lease.owner, lease.epoch):
-        reason = f"{stored.owner or 'nobody'} owns it under epoch {stored.epoch}"
+        reason = f"{stored.owner or 'no orchestrator'} owns it under epoch {stored.epoch}"
     elif stored.released:
         reason = "it was released"
     if reason is not None:

@@ -189,10 +189,15 @@ class Lease:
     """A lease: `owner` owns the robot under `epoch` until release, or `term_s` without renewal."""
 
     fleet: str
+    """Name of the fleet."""
     robot: str
+    """Name of the robot."""
     owner: str
+    """Id of the owner."""
     epoch: int
+    """Epoch of the lease."""
     term_s: float
+    """Time in s for which the lease holds without being renewed."""
 
 
 @dataclass(frozen=True)
@@ -218,5 +223,8 @@ class LastLease:
     """The last lease of a robot; a `silent` owner neither renewed it in time nor released it."""
 
     owner: str
+    """Id of the last owner."""
     epoch: int
+    """Epoch of its lease."""
     silent: bool
+    """Whether the owner let the lease expire without releasing it."""

@@ -41,8 +41,9 @@ def migrate(database: Database, migrations: Path = MIGRATIONS) -> None:
             return
         if found is not None and found not in known:
             raise SchemaVersionError(
-                f"repository {database.name} has schema version {found}, this nufleet knows "
-                f"versions up to {newest}; install the nufleet that wrote it, or a newer one"
+                f"repository {database.name} has schema version {found}, but this version of "
+                f"nufleet knows none above {newest}; install the version that wrote it, or a "
+                "newer one"
             )
         config.attributes["connection"] = connection
         command.upgrade(config, "head")

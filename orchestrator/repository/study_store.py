@@ -263,8 +263,8 @@ def _intend(connection: Connection, intent: TrialIntent) -> TrialRecord:
     known = _locked(connection, intent.goal_id)
     if known is None:
         raise RecordConflictError(
-            f"study {intent.study_id} has an attempt {intent.attempt} of {intent.robot} in "
-            f"iteration {intent.iteration} already, under another id than {intent.goal_id}"
+            f"study {intent.study_id} already has an attempt {intent.attempt} of {intent.robot} in "
+            f"iteration {intent.iteration}, under an id other than {intent.goal_id}"
         )
     check_same_intent(known, intent)
     _update(connection, intent.goal_id, epoch=intent.epoch)
@@ -338,7 +338,9 @@ def _keep(
     who = {"study": study_id, "name": known.intent.robot}
     robot = connection.execute(_DESCRIBED, who).mappings().one_or_none()
     if robot is None:
-        raise UnknownRecordError(f"robot {known.intent.robot} of study {study_id} is not described")
+        raise UnknownRecordError(
+            f"no description of robot {known.intent.robot} of study {study_id} is stored"
+        )
     measured = {
         "goal_id": goal_id,
         "fleet": robot["fleet"],

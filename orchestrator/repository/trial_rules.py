@@ -24,7 +24,7 @@ def check_same_intent(known: TrialRecord, intent: TrialIntent) -> None:
     check_epoch(known, intent.epoch)
     if replace(known.intent, epoch=intent.epoch) != intent:
         raise RecordConflictError(
-            f"goal {intent.goal_id} is stored already, with another test, robot or place"
+            f"goal {intent.goal_id} is already stored, with a different test, robot or place"
         )
 
 
@@ -68,5 +68,5 @@ def is_new_end(known: TrialRecord, status: TrialStatus) -> bool:
     if known.status is status:
         return False
     raise TrialEndedError(
-        f"goal {known.intent.goal_id} has ended as {known.status} and cannot be {status} any more"
+        f"goal {known.intent.goal_id} has ended as {known.status} and can no longer be {status}"
     )

@@ -41,7 +41,7 @@ class ConsoleObserver:
         for robot, reason in report.dropped.items():
             if robot not in self._dropped:
                 self._dropped.add(robot)
-                self._console.print(f"  [red]going on without {robot}: {reason}[/]")
+                self._console.print(f"  [red]continuing without {robot}: {reason}[/]")
         for outcome in outcomes.values():
             if isinstance(outcome, Measured):
                 for warning in outcome.response.quality.warnings:
@@ -53,11 +53,11 @@ class ConsoleObserver:
         for robot, reason in report.eliminated.items():
             if robot not in self._eliminated:
                 self._eliminated.add(robot)
-                self._console.print(f"  {robot} is not tested any more: {reason}")
+                self._console.print(f"  {robot} is no longer tested: {reason}")
         for finding in report.findings:
             self._console.print(f"  [yellow]{finding}[/]")
         if report.confidence is not None:
-            self._console.print(f"  right with probability {report.confidence:.3f}")
+            self._console.print(f"  probability of a correct selection: {report.confidence:.3f}")
         if report.stopped_because is not None:
             self._console.print(f"  done: {report.stopped_because}")
 

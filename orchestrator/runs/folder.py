@@ -36,7 +36,16 @@ _PACKAGES = ("nufleet", "eclipse-zenoh", "numpy", "scipy", "numba", "pydantic", 
 
 
 class RunFolder:
-    """Writes one run's folder; close it (or leave its `with`) so that the samples are complete."""
+    """Writes one run's folder; close it (or leave its `with`) so that the samples are complete.
+
+    Examples:
+        >>> with tempfile.TemporaryDirectory() as root:
+        ...     with RunFolder(Path(root), "lab") as run:
+        ...         run.write_configuration({"kind": "rank", "target": "drone-7"})
+        ...     found = find_run(Path(root), "latest")
+        ...     found == run.path, sorted(path.name for path in found.iterdir())
+        (True, ['config.json'])
+    """
 
     def __init__(
         self, root: Path, name: str, *, now: datetime | None = None, goes_on: bool = False
@@ -175,8 +184,8 @@ def find_run(root: Path, run: str) -> Path:
         if (candidate / CONFIGURATION).is_file():
             return candidate
     raise InvalidInputError(
-        f"no run {run!r}: expected a run's folder, its name in {root}, or `latest`; "
-        "`nufleet runs list` shows what there is"
+        f"no run {run!r}: expected the folder of a run, its name in {root}, or `latest`; "
+        "`nufleet runs list` shows all runs"
     )
 
 
@@ -221,4 +230,4 @@ def _create(root: Path, name: str) -> Path:
             f"the run's folder cannot be created in {root}: {error.strerror}; "
             "choose another place with --runs"
         ) from error
-    raise InvalidInputError(f"{root} holds too many runs named {name}")
+    raise InvalidInputError(f"{root} contains too many runs named {name}")

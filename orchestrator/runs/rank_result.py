@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
 from nufleet.orchestrator.runs.response_record import ResponseRecord
 from nufleet.orchestrator.study.interface import SourceEstimate
 from nufleet.orchestrator.study.verdict_document import TransferVerdict
-from nufleet.shared.strict import NonNegative, Strict
+from nufleet.shared.strict import Document, NonNegative, Strict
 
 Count = Annotated[int, Field(ge=0)]
 
@@ -27,7 +27,7 @@ class StoredResponses(Strict):
     """Ids of the studies that measured them."""
 
 
-class RankResult(Strict):
+class RankResult(Document):
     """The document that `nufleet rank --json` prints: the ranking and its cost.
 
     With a `trajectory` the best source is the one that is expected to leave the smallest error on
@@ -35,8 +35,6 @@ class RankResult(Strict):
     `confidence`, `eliminated` and `stopped_because`.
     """
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    """Version of this document's format."""
     target: str
     """Name of the target."""
     band_rad_s: tuple[float, float]

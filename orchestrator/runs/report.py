@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from nufleet.orchestrator.figures import COLOURS, new_figure, plain, save
+from nufleet.orchestrator.runs.figures import COLOURS, new_figure, plain, save
 from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord
 from nufleet.orchestrator.runs.verdict_table import verdict_markdown
 from nufleet.orchestrator.study.interface import Curve
@@ -104,8 +104,8 @@ def _certainty(result: RankResult) -> list[str]:
         return []
     why = f": {result.stopped_because}" if result.stopped_because else ""
     out = [f"- {source}: {reason}" for source, reason in (result.eliminated or {}).items()]
-    told = ["", f"Right with probability {result.confidence:.3f}{why}."]
-    return [*told, "", "Out of the contest:", "", *out] if out else told
+    told = ["", f"Probability of a correct selection: {result.confidence:.3f}{why}."]
+    return [*told, "", "Eliminated sources:", "", *out] if out else told
 
 
 def write_report(folder: Path, record: RunRecord) -> None:
@@ -122,7 +122,7 @@ def write_report(folder: Path, record: RunRecord) -> None:
         "",
         (
             f"Selected source: **{result.selected}**, after {result.robot_time_s:.0f} robot-seconds"
-            f" and {record.wall_time_s:.1f} s on the clock."
+            f" and {record.wall_time_s:.1f} s of wall time."
         ),
         *_certainty(result),
         "",
@@ -136,9 +136,9 @@ def write_report(folder: Path, record: RunRecord) -> None:
             f"| {estimate.omega_rad_s:.3f} | {estimate.tests} "
             f"| {'' if exact is None else f'{exact.psi:.4f}'} |"
         )
-    lines += [f"\nWithout {robot}: {reason}" for robot, reason in record.dropped.items()]
+    lines += [f"\n{robot} was left out: {reason}" for robot, reason in record.dropped.items()]
     lines += [
-        f"\n{robot} did not fly: {stored.tests} stored tests stand for it, measured from "
+        f"\n{robot} did not fly: {stored.tests} stored tests were used, measured from "
         f"{stored.measured_from} to {stored.measured_to}."
         for robot, stored in (result.stored or {}).items()
     ]

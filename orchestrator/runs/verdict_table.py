@@ -11,7 +11,7 @@ from nufleet.orchestrator.runs.rank_result import RankResult
 from nufleet.orchestrator.study.verdict import Verdict
 from nufleet.orchestrator.study.verdict_document import Bounds, TransferVerdict
 
-HEADINGS = ("source", "error left", "without transfer", "ψ*", "verdict")
+HEADINGS = ("source", "remaining error", "without transfer", "ψ*", "verdict")
 COLOURS = {
     Verdict.TRANSFER: "green",
     Verdict.DO_NOT_TRANSFER: "red",
@@ -22,7 +22,7 @@ COLOURS = {
 def verdict_title(result: RankResult) -> str:
     """Return a title that names the transfers and the motion."""
     low, high = result.band_rad_s
-    motion = f"a motion of equal size at all frequencies from {low:g} to {high:g} rad/s"
+    motion = f"a motion of equal size at every frequency from {low:g} to {high:g} rad/s"
     return f"transfer to {result.target}, on {result.trajectory or motion}"
 
 

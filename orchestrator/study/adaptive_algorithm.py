@@ -146,7 +146,7 @@ class AdaptiveStudy:
             if name in responses:
                 self._robots[name].learn(responses[name], self._rng)
             else:
-                self._lose(name, failed.get(name, "it gave no response"))
+                self._lose(name, failed.get(name, "it returned no response"))
         sources = self._remaining()
         # Distances are compared over the band that is tested; a motion reaches far below it.
         draw = ResponseModel.draw if self._spectrum is None else draw_resting
@@ -163,7 +163,7 @@ class AdaptiveStudy:
         stopped = self._stop(belief, leader, confidence)
         self._next = {} if stopped else self._choose(belief, draws, leader, hopeless)
         if not self._next and stopped is None:
-            stopped = f"no test that is left tells more; P(correct selection) = {confidence:.3f}"
+            stopped = f"no further test would help; P(correct selection) = {confidence:.3f}"
         return Report(
             iteration=question.iteration,
             omega_rad_s=question.omega_rad_s,
@@ -191,7 +191,7 @@ class AdaptiveStudy:
             self._dropped[name] = reason
         if not self._remaining():
             lost = "; ".join(f"{source}: {why}" for source, why in self._dropped.items())
-            raise StudyError(f"every source is gone: {lost}")
+            raise StudyError(f"no source is left: {lost}")
 
     def _stop(self, belief: SelectionBelief, leader: str, confidence: float) -> str | None:
         if confidence >= 1 - self._settings.delta:
@@ -204,7 +204,9 @@ class AdaptiveStudy:
                 f"{confidence:.3f}"
             )
         if self._asked >= self._plan.iterations:
-            return f"all {self._asked} rounds are used up; P(correct selection) = {confidence:.3f}"
+            return (
+                f"all {self._asked} rounds have been used; P(correct selection) = {confidence:.3f}"
+            )
         return None
 
     def _choose(

@@ -27,7 +27,8 @@ from nufleet.shared.distance.chordal import chordal_distance, chordal_variance
 from nufleet.shared.errors import StudyError
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
-from nufleet.shared.gaussian_process.exact import Batch, Bounds, Hyperparameters, fit, posterior
+from nufleet.shared.gaussian_process.exact import fit, posterior
+from nufleet.shared.gaussian_process.problem import Batch, Bounds, Hyperparameters
 
 GRID_POINTS = 1001
 
@@ -112,7 +113,7 @@ class PaperStudy:
         if question is None:
             raise ValueError("nothing was asked")
         if self._plan.target not in responses:
-            reason = failed.get(self._plan.target, "it gave no response")
+            reason = failed.get(self._plan.target, "it returned no response")
             raise StudyError(f"the target {self._plan.target} cannot be tested: {reason}")
         self._open = None
         for robot, response in responses.items():
@@ -122,7 +123,7 @@ class PaperStudy:
         sampled_psi: dict[str, float] = {}
         for source in self._remaining():
             if source not in responses:
-                self._dropped[source] = failed.get(source, "it gave no response")
+                self._dropped[source] = failed.get(source, "it returned no response")
                 continue
             at_source = responses[source]
             psi = float(chordal_distance(at_target.z, at_source.z)[0])
@@ -133,7 +134,7 @@ class PaperStudy:
             self._samples[source].append((omega, psi, float(variance[0])))
         if not self._remaining():
             lost = "; ".join(f"{source}: {reason}" for source, reason in self._dropped.items())
-            raise StudyError(f"every source is gone: {lost}")
+            raise StudyError(f"no source is left: {lost}")
         curves, improvements = self._believe()
         ranking = tuple(sorted((_estimate(curve) for curve in curves), key=lambda e: e.psi))
         psi_stars = {estimate.robot: estimate.psi for estimate in ranking}

@@ -79,7 +79,7 @@ class SelectionBelief:
 
     @cached_property
     def loss(self) -> FloatArray:
-        """The quantity that the best source minimises, ψ* or the error; (sources, samples)."""
+        """Quantity that the best source minimises, ψ* or the error, shape (sources, samples)."""
         return self.psi_star if self.errors is None else self.errors.total
 
     def decisive_omega_rad_s(self, source: str) -> float:

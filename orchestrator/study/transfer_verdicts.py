@@ -101,16 +101,16 @@ def _gaps(source: RobotKnowledge, target: RobotKnowledge) -> Iterator[str]:
         bands.append((float(omega.min()), float(omega.max())))
         if bands[-1][0] == bands[-1][1]:
             yield (
-                f"{known.robot}: it was tested at {bands[-1][0]:.4g} rad/s only: elsewhere nothing "
-                "but what is usual is known of it; test it at more frequencies"
+                f"{known.robot} was tested at {bands[-1][0]:.4g} rad/s only: at other frequencies "
+                "its response is guessed from typical robots; test it at more frequencies"
             )
     low, high = max(low for low, _ in bands), min(high for _, high in bands)
     if low > high:
         (low_s, high_s), (low_t, high_t) = bands
         yield (
-            f"{source.robot}: it was tested from {low_s:.4g} to {high_s:.4g} rad/s and "
-            f"{target.robot} from {low_t:.4g} to {high_t:.4g} rad/s: how far apart they are is "
-            "measured nowhere; test both over one band"
+            f"{source.robot} was tested from {low_s:.4g} to {high_s:.4g} rad/s and "
+            f"{target.robot} from {low_t:.4g} to {high_t:.4g} rad/s: their distance is not "
+            "measured at any frequency; test both over the same band"
         )
 
 

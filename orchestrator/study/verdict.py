@@ -178,7 +178,7 @@ def _judge(
     leaves = f"; {' and '.join(parts)}" if parts else ""
     low, median, high = (100 * float(x) for x in (reduction.low, reduction.median, reduction.high))
     if below + above > OUTSIDE_MAX:
-        return Verdict.NEED_MORE_TESTS, f"too much of it has not been tested{leaves}"
+        return Verdict.NEED_MORE_TESTS, f"too much of the motion is outside the tested band{leaves}"
     # Both ends of the interval must lie on one side of 0, so that the verdict never contradicts the
     # numbers in its reason.
     if helps >= 1 - delta and low > 0:

@@ -89,7 +89,7 @@ class TrackingSamplesEvent:
     """Name of the robot."""
     flight: str
     """Name of the flight: the prior and then the path, such as "source-1 · clover · 0.6 m/s"; see
-    `flight_labels`. A new flight begins with another name, or after a pause."""
+    `flights.labels`. A new flight begins with another name, or after a pause."""
     axes: tuple[str, ...]
     """Names of the robot's axes."""
     unit: str

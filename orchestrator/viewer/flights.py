@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nufleet.orchestrator.flight_labels import BASELINE, prior_and_path
+from nufleet.orchestrator.flights.labels import BASELINE, prior_and_path
 from nufleet.orchestrator.viewer.events import TrackingSamplesEvent
 from nufleet.shared.arrays import FloatArray
 
@@ -119,7 +119,7 @@ class Outcomes:
         priors = list(dict.fromkeys(prior for row in self._of.values() for prior in row))
         several = len({robot for robot, _ in self._of}) > 1
         lines = [
-            f"**RMS tracking error** in m{self._unit}, by who gave the prior (\\* taken back)",
+            f"**RMS tracking error** in m{self._unit}, by source of the prior (\\* withdrawn)",
             "",
             f"| | {' | '.join(priors)} |",
             "|:---" + "|---:" * len(priors) + "|",

@@ -56,7 +56,7 @@ def tracking(shown: Shown, log: rrb.View) -> rrb.Container:
 def _paths() -> rrb.View:
     return rrb.Spatial2DView(
         origin=f"/{PLOT}",
-        name="Path: wanted (thin), flown now (bright) and before",
+        name="Path: desired (thin), current flight (bright), earlier flights",
         background=GROUND,
         visual_bounds=rrb.VisualBounds2D(
             x_range=[-16.0, WIDTH + 58.0], y_range=[-14.0, HEIGHT + 20.0]
@@ -66,7 +66,7 @@ def _paths() -> rrb.View:
 
 def _position(shown: Shown) -> rrb.View:
     return _series(
-        f"Position [{shown.unit}]: wanted (grey) and flown",
+        f"Position [{shown.unit}]: desired (grey) and actual",
         "/tracking",
         ["/tracking/desired/**", "/tracking/actual/**"],
     )
@@ -74,7 +74,7 @@ def _position(shown: Shown) -> rrb.View:
 
 def _error(shown: Shown) -> rrb.View:
     return _series(
-        f"Tracking error |e| [m{shown.unit}], by who gave the prior",
+        f"Tracking error |e| [m{shown.unit}], by source of the prior",
         "/tracking/error",
         ["/tracking/error/**", "/tracking/taken_back/error/**"],
         # The view of the paths already lists the names in their colours.
@@ -98,7 +98,7 @@ def _inverse(axis: str, unit: str) -> rrb.View:
 
 def _share() -> rrb.View:
     return _series(
-        "Share of the correction that acts (× the guard took the prior back)",
+        "Share of the correction that acts (× the guard withdrew the prior)",
         "/tracking/share",
         ["/tracking/share/**", "/tracking/taken_back/share/**"],
         axis_y=rrb.ScalarAxis(range=(-0.1, 1.1), zoom_lock=True),
@@ -212,7 +212,7 @@ def _surrogates() -> rrb.View:
 def _estimates() -> rrb.View:
     return rrb.TimeSeriesView(
         origin="/psi/worst",
-        name="Worst ψ over the band, as believed after each round (± 1σ)",
+        name="Worst ψ over the band, as estimated after each round (± 1σ)",
         axis_x=rrb.TimeAxis(view_range=EVERYTHING),
         plot_legend=rrb.PlotLegend(visible=False),
         background=rrb.archetypes.PlotBackground(color=GROUND),
@@ -226,7 +226,7 @@ def _ranking() -> rrb.View:
 def _tests() -> rrb.View:
     return rrb.TimeSeriesView(
         origin="/tests",
-        name="Running tests: references (grey) and responses",
+        name="Tests in progress: references (grey) and responses",
         plot_legend=rrb.PlotLegend(visible=False),
         background=rrb.archetypes.PlotBackground(color=GROUND),
         time_ranges=rrb.VisibleTimeRange(

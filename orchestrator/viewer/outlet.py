@@ -145,9 +145,9 @@ class Outlet:
                 in_hand = 0
             sink.close()
         except NufleetError as error:
-            log.warning("the viewer's %s failed: %s; the study goes on", self.name, error)
+            log.warning("the viewer's %s failed: %s; the study continues", self.name, error)
         except Exception:
-            log.exception("the viewer's %s failed; the study goes on", self.name)
+            log.exception("the viewer's %s failed; the study continues", self.name)
         finally:
             self._die(in_hand)
 

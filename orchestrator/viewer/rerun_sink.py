@@ -67,7 +67,7 @@ class RerunSink:
         def check() -> None:
             # Rerun itself silently drops all data once the server is gone.
             if not alive():
-                raise NufleetError("the viewer's server is gone")
+                raise NufleetError("the server of the viewer has ended")
 
         stream = _stream(run_id)
         stream.set_sinks(rr.GrpcSink(url), default_blueprint=layout(STUDY))
@@ -75,7 +75,7 @@ class RerunSink:
         try:
             stream.flush(timeout_sec=CONNECT_S)
         except RuntimeError as error:
-            raise NufleetError(f"the viewer's server does not answer: {error}") from error
+            raise NufleetError(f"the server of the viewer does not answer: {error}") from error
         return sink
 
     def write(self, events: Sequence[ViewerEvent]) -> None:
@@ -87,7 +87,7 @@ class RerunSink:
                 draw()
             except Exception:
                 # An event that cannot be drawn must not cost the study the rest of its recording.
-                log.exception("the viewer cannot draw something")
+                log.exception("the viewer could not draw an event")
         self._lay_out()
 
     def _lay_out(self) -> None:

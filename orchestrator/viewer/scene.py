@@ -64,7 +64,7 @@ class Scene:
                 self._tracking.add(event)
             case TakenBackEvent():
                 self._tracking.add(event)
-                text = f"{event.flight}: prior taken back: {event.reason}"
+                text = f"{event.flight}: prior withdrawn: {event.reason}"
                 self._log.say(event.t_s, "warning", text)
             case MessageEvent():
                 self._log.say(event.t_s, event.level, event.text)

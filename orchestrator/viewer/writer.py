@@ -7,7 +7,6 @@ import time
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 
 from nufleet.orchestrator.viewer.events import ViewerEvent
 from nufleet.orchestrator.viewer.outlet import Outlet, Sink
@@ -128,7 +127,7 @@ class RerunWriter:
             if not outlet.join(deadline - time.monotonic()):
                 complete = False
                 log.warning(
-                    "the viewer's %s is stuck; what it has not written is lost", outlet.name
+                    "the viewer's %s is stuck; the events it has not written are lost", outlet.name
                 )
                 _leave_behind()
         return complete
@@ -137,12 +136,7 @@ class RerunWriter:
         self.open()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property

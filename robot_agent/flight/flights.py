@@ -278,7 +278,7 @@ def learner_for(
     prior = next((p for p in memory.priors if p.sha256 == motion.prior_sha256), None)
     if prior is None:
         if motion.layout is None:
-            raise RobotError("the robot has no prior any more")
+            raise RobotError("the robot no longer has a prior")
         process = OnlineGp(motion.layout, (None,) * len(axes), window=window)
         return Learner(motion.layout, process)
     layout = prior.manifest.layout

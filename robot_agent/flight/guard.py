@@ -107,6 +107,8 @@ class Guard:
         self._settings, self._unit, self._sample_time_s = chosen, unit, sample_time_s
         samples = baseline_squares.shape[1]
         noisy = noise_variance * np.arange(1, samples + 1)
+        # Σ_{j ≤ k} (|b_j|² + σ²): the sum of squares that the baseline's error b_j, measured with
+        # noise of variance σ², is expected to reach at sample k.
         sums = np.cumsum(baseline_squares, axis=1) + noisy
         self._allowed = np.quantile(sums, chosen.low, axis=0)
         whole = float(self._allowed[-1])
@@ -127,6 +129,8 @@ class Guard:
         self._recent = np.zeros(window)
         restless = samples_in(chosen.restless_window_s, 3)
         self._accelerations = np.zeros(restless)
+        # |n_{k+1} − 2 n_k + n_{k−1}|² / T⁴, the squared acceleration of the needed correction n,
+        # averaged over the same window as that of the correction flown.
         pulls = (np.diff(needed, 2, axis=0) ** 2).sum(axis=1) / sample_time_s**4
         needed_max = math.sqrt(_smooth(pulls, restless).max()) if len(pulls) else 0.0
         self._acceleration_max = max(acceleration_max, chosen.restless_ratio * needed_max)

@@ -88,7 +88,9 @@ class Memory:
                 make_private_folder(folder)
                 self._read(folder)
             except OSError as error:
-                raise MemoryFolderError(f"{folder}: {error.strerror}; see to the disk") from error
+                raise MemoryFolderError(
+                    f"{folder}: {error.strerror}; free or repair the disk"
+                ) from error
 
     @property
     def experiences(self) -> tuple[Kept, ...]:
@@ -243,23 +245,23 @@ class Memory:
     def _read(self, folder: Path) -> None:
         for name in (*_ARCHITECTURES, *_PRIORS):
             path = folder / f"{name}{_SUFFIX}"
-            payload = _stored(path, EXPERIENCE_BYTES_MAX, "then train or transfer anew")
+            payload = _stored(path, EXPERIENCE_BYTES_MAX, "then train or transfer again")
             if payload is not None:
                 try:
                     self._kept[name] = _checked(payload, digest(payload))
                 except MalformedMessageError as error:
                     raise MemoryFolderError(
-                        f"{path} cannot be read: {error}; remove it, then train or transfer anew"
+                        f"{path} cannot be read: {error}; remove it, then train or transfer again"
                     ) from error
         path = folder / f"{_OWN}{_SUFFIX}"
-        records = _stored(path, _OWN_BYTES_MAX, "the robot learns it again from its next motions")
+        records = _stored(path, _OWN_BYTES_MAX, "the robot relearns it from its next motions")
         if records is not None:
             try:
                 self._records = _RECORDS.validate_json(records)
             except ValidationError as error:
                 raise MemoryFolderError(
                     f"{path} cannot be read: {describe_validation(error)}; remove it, the robot "
-                    "learns it again from its next motions"
+                    "relearns it from its next motions"
                 ) from error
 
 
@@ -273,7 +275,7 @@ def _stored(path: Path, bytes_max: int, remedy: str) -> bytes | None:
     sha256, data = stored[:_SHA256_BYTES], stored[_SHA256_BYTES:]
     if sha256 != bytes.fromhex(digest(data)):
         raise MemoryFolderError(
-            f"{path} is damaged: it is not what was stored there; remove it, {remedy}"
+            f"{path} is damaged: its content is not what was stored; remove it, {remedy}"
         )
     return data
 

@@ -15,8 +15,8 @@ from nufleet.robot_agent.flight.inverse_model import InverseModel
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.experience.layout import InverseLayout
-from nufleet.shared.gaussian_process.exact import Bounds, FitStatus, Hyperparameters
 from nufleet.shared.gaussian_process.online import OnlineFit
+from nufleet.shared.gaussian_process.problem import Bounds, FitStatus, Hyperparameters
 
 WINDOW_POINTS = 50
 """Number of latest pairs that the process is fitted to (paper, Section VI-C)."""

@@ -149,9 +149,9 @@ def check_explained(evidence: Evidence, spec: RobotSpec, axis: AxisSpec, noise_s
     left = believe(basis_of(spec), evidence).noise_std
     if left > max(_UNEXPLAINED_MAX * moved, _NOISE_RATIO * noise_std):
         raise InvalidInputError(
-            f"axis {axis.name} did {left:.3g} {axis.unit} RMS that is no answer to "
-            f"its reference of {moved:.3g} {axis.unit} RMS within the settling time: see to its "
-            "sensor, or give a longer settling time"
+            f"axis {axis.name} moved by {left:.3g} {axis.unit} RMS that its reference of "
+            f"{moved:.3g} {axis.unit} RMS within the settling time does not explain: check its "
+            "sensor, or state a longer settling time"
         )
 
 
@@ -185,8 +185,8 @@ def settle(records: Mapping[str, AxisRecord], spec: RobotSpec) -> Settled:
         old, new = (_fitting(evidence, basis) for evidence in (record.settled, record.new))
         if new is not None and not _answers(believe(basis, new), new):
             findings.append(
-                f"axis {axis.name}: its last motions show no answer to their references, and are "
-                "left out; see to its sensor"
+                f"axis {axis.name}: the references of its last motions do not explain what it did, "
+                "so these motions are left out: check its sensor"
             )
             new = None
         if old is not None and new is not None:

@@ -67,7 +67,7 @@ def plan_flight(
             _check_path(motion, spec, limits, robot)
             if motion.inverse != "baseline" and not (motion.guarded or allow_unguarded):
                 reason = (
-                    "it may not fly with a learned inverse and without a guard: ask for a guarded "
+                    "it may not fly with a learned inverse and without a guard: request a guarded "
                     "flight, or set allow_unguarded = true for it in its fleet file"
                 )
                 raise RefusedError("unguarded", reason, robot)
@@ -93,7 +93,7 @@ def _tracking_limits(spec: RobotSpec, robot: str) -> TrackingLimits:
 def _check_path(motion: Tracking, spec: RobotSpec, limits: TrackingLimits, robot: str) -> None:
     desired = motion.desired
     if desired.shape[1] != len(spec.axes):
-        reason = f"a path of {desired.shape[1]} columns for {len(spec.axes)} axes"
+        reason = f"the path has {desired.shape[1]} columns, the robot has {len(spec.axes)} axes"
         raise RefusedError("trajectory", reason, robot)
     try:
         check_trajectory(desired, spec.sample_time_s, limits)
@@ -114,8 +114,8 @@ def _check_inverse(
         _check_priors(motion, spec, state_names, memory, robot)
     if motion.guarded and memory.own_model(spec).model is None:
         reason = (
-            "what its baseline does is not known yet, so nothing could guard the flight; it learns "
-            "that from any completed motion: a frequency test, a path, or a rich flight"
+            "it has no model of its baseline yet, so the flight could not be guarded; it learns "
+            "one from any completed motion: a frequency test, a path, or a rich flight"
         )
         raise RefusedError("no-baseline", reason, robot)
 
@@ -125,7 +125,7 @@ def _check_priors(
 ) -> None:
     held = {prior.sha256: prior.manifest for prior in memory.priors}
     if not held:
-        reason = "no experience was transferred to it; see `nufleet transfer`"
+        reason = "no experience has been transferred to it; use `nufleet transfer`"
         raise RefusedError("no-prior", reason, robot)
     asked = [each.sha256 for each in motion.mixture]
     if motion.prior_sha256 is not None:
@@ -133,9 +133,9 @@ def _check_priors(
     if any(sha256 not in held for sha256 in asked):
         sources = ", ".join(manifest.robot for manifest in held.values())
         reason = (
-            f"its prior is another one, of {sources}; transfer it again"
+            f"its prior is a different one, from {sources}; transfer it again"
             if len(held) == 1
-            else f"its priors are others, of {sources}; transfer them again"
+            else f"its priors are different ones, from {sources}; transfer them again"
         )
         raise RefusedError("other-prior", reason, robot)
     for sha256 in asked:
@@ -143,7 +143,7 @@ def _check_priors(
             # The prior fitted when it was installed, but the robot's settings may have changed.
             changed = misfit(held[sha256], spec, state_names, axis)
             if changed is not None:
-                reason = f"its prior does not fit it any more: {changed}; transfer another"
+                reason = f"its prior no longer fits it: {changed}; transfer a different one"
                 raise RefusedError("misfit", reason, robot)
     try:
         CombinedLayout([held[sha256].layout for sha256 in asked])
@@ -171,10 +171,15 @@ def _check_layout(
     layout: InverseLayout, spec: RobotSpec, state_names: tuple[str, ...], robot: str
 ) -> None:
     if abs(layout.sample_time_s - spec.sample_time_s) > 1e-9 * spec.sample_time_s:
-        reason = f"a layout of {layout.sample_time_s:g} s; its sample is {spec.sample_time_s:g} s"
+        reason = (
+            f"the layout has a sample time of {layout.sample_time_s:g} s, the robot one of "
+            f"{spec.sample_time_s:g} s"
+        )
         raise RefusedError("layout", reason, robot)
     needed = layout.measured_states
     if state_names[: len(needed)] != needed:
-        measured = ", ".join(state_names) or "its output alone"
-        reason = f"a layout of {', '.join(needed)}; it measures {measured}"
+        reason = (
+            f"the layout needs the states {', '.join(needed)}; the robot measures "
+            f"{', '.join(state_names) or 'its output alone'}"
+        )
         raise RefusedError("layout", reason, robot)

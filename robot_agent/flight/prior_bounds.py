@@ -60,13 +60,13 @@ def out_of_bounds(inverse: InverseModel, layout: InverseLayout, spec: RobotSpec)
     with np.errstate(over="ignore", invalid="ignore"):
         gamma = inverse(inputs)
     if not np.isfinite(gamma).all():
-        return "its answers on paths that the robot may fly are not finite"
+        return "its outputs on paths that the robot may fly are not finite"
     largest, most = float(np.abs(gamma).max()), gamma_max(layout, limits)
     if largest > most:
         return (
-            f"its answers reach {largest:.3g} unit/s on paths that the robot may fly, and no "
-            f"correction within its bounds needs more than {most:.3g}: it is no inverse of such "
-            "a robot"
+            f"its outputs reach {largest:.3g} unit/s on paths that the robot may fly, and no "
+            f"correction within its bounds needs more than {most:.3g}: it is not an inverse of "
+            "such a robot"
         )
     return None
 

@@ -55,7 +55,7 @@ def rich_references(spec: RobotSpec, duration_s: float, rng: np.random.Generator
     """
     limits = spec.tracking
     if limits is None:
-        raise RobotError("a robot without tracking limits makes no rich flight")
+        raise RobotError("a robot without tracking limits cannot fly a rich flight")
     top = min(spec.omega_max_rad_s, max(_OMEGA_MAX_RAD_S, 3 * spec.omega_min_rad_s))
     # A slower robot needs the same number of periods, hence longer pieces with softer ends, to stay
     # within its band.
@@ -130,7 +130,7 @@ def fly_record(robot: Robot, references: FloatArray) -> FlightRecord:
         output = robot.step(reference)
         states[k] = observed if observed.shape[1] else output[:, np.newaxis]
         if not np.isfinite(states[k]).all():
-            raise RobotError(f"the sensor returned a number that is not finite at sample {k}")
+            raise RobotError(f"the sensor returned a value that is not finite at sample {k}")
     robot.rest()
     return FlightRecord(references, states)
 

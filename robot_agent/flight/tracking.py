@@ -198,7 +198,7 @@ def track(
                 f"{', '.join(robot.state_names) or 'none'}"
             )
     elif learner is None and guard is not None:
-        raise InvalidInputError("a guard watches over a learner; the baseline needs none")
+        raise InvalidInputError("a guard monitors a learner; the baseline does not need one")
     robot.run(approach(robot.spec, desired[0], limits))
     flight = _Flight(robot, desired, limits, learner, guard, fallback, watch)
     failure: str | None = None
@@ -291,7 +291,7 @@ class _Flight:
             begin_s = time.perf_counter()
             correction, reference = None, wanted
             if observed is not None and not np.isfinite(observed).all():
-                return f"the sensor returned a number that is not finite at sample {k}"
+                return f"the sensor returned a value that is not finite at sample {k}"
             if self._learner is not None and observed is not None:
                 if self._guard is not None:
                     sent = self._reference[self._span + k - 1] - self._desired[max(0, k - 1)]
@@ -309,7 +309,7 @@ class _Flight:
             except Halted:
                 return STOPPED
             if not np.isfinite(self._actual[k]).all():
-                return f"the sensor returned a number that is not finite at sample {k}"
+                return f"the sensor returned a value that is not finite at sample {k}"
             self._done = k + 1
             if self._watch is not None:
                 self._watch(k, wanted, self._actual[k], correction, float(self._share[k]))

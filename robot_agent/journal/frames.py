@@ -64,7 +64,9 @@ def encode_frame(salt: bytes, number: int, payload: bytes) -> bytes:
         ValueError: The payload is too long.
     """
     if len(payload) > MAX_PAYLOAD_BYTES:
-        raise ValueError(f"a record of {len(payload)} bytes; at most {MAX_PAYLOAD_BYTES} fit")
+        raise ValueError(
+            f"the record has {len(payload)} bytes; at most {MAX_PAYLOAD_BYTES} are possible"
+        )
     head = _HEAD.pack(_MARK, number, len(payload))
     head += _check(salt, head, _HEAD_CHECK_BYTES)
     return head + payload + _check(salt, head + payload, _CHECK_BYTES)
@@ -101,7 +103,7 @@ def scan(data: bytes) -> Scan:
                 sound = False
             break
         sound, position = False, following
-    damage = None if sound else f"what is behind byte {sound_bytes} was altered"
+    damage = None if sound else f"the content after byte {sound_bytes} was altered"
     return Scan(salt, tuple(payloads), number, sound_bytes, torn_bytes, damage)
 
 

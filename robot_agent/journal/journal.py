@@ -21,7 +21,7 @@ import threading
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType, TracebackType
+from types import MappingProxyType
 
 import numpy as np
 
@@ -116,7 +116,9 @@ class Journal:
                 lost = self._end_what_ran()
                 self._sweep()
             except OSError as error:
-                raise JournalError(f"{folder}: {error.strerror}; see to the disk") from error
+                raise JournalError(
+                    f"{folder}: {error.strerror}; free or repair the disk"
+                ) from error
             self._closing = opened.pop_all()
         self.remembrance = Remembrance(
             goals=Goals(MappingProxyType({k: g.goal for k, g in self._ledger.goals.items()})),
@@ -129,12 +131,7 @@ class Journal:
     def __enter__(self) -> Journal:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -171,7 +168,7 @@ class Journal:
             sha256, size_bytes = self._store_result(result)
         except (OSError, MalformedMessageError) as error:
             _log.warning(
-                "%s: the result of %s is not kept: %s", self._folder, result.goal_id, error
+                "%s: the result of %s cannot be kept: %s", self._folder, result.goal_id, error
             )
         self._append(
             Ended(
@@ -222,7 +219,7 @@ class Journal:
                 except OSError as error:
                     self._ledger.owner = forgotten
                     raise JournalError(
-                        f"{self._folder}: {error.strerror}; see to the disk"
+                        f"{self._folder}: {error.strerror}; free or repair the disk"
                     ) from error
         return forgotten
 
@@ -239,7 +236,7 @@ class Journal:
             problem = "its file was altered or cut off"
         except (OSError, MalformedMessageError) as error:
             problem = str(error)
-        _log.warning("%s: the result of %s is gone: %s", self._folder, goal_id, problem)
+        _log.warning("%s: the result of %s is lost: %s", self._folder, goal_id, problem)
         return None
 
     # Opening.
@@ -253,7 +250,7 @@ class Journal:
         except BlockingIOError as error:
             raise JournalInUseError(
                 f"{self._folder} is in use: another agent serves this robot; end one of them, "
-                "or if they are two robots give each a folder of its own with --state"
+                "or, if there are two robots, give each its own folder with --state"
             ) from error
 
     def _read(self) -> tuple[LogFile, str | None]:
@@ -268,7 +265,7 @@ class Journal:
             return continue_log(path, found), None
         damage = f"{path}: {found.damage}"
         _log.error("%s; the robot is stopped, and the file is kept as %s", damage, DAMAGED_LOG)
-        reason = f"{damage[:1500]}; see to the robot, then release it"
+        reason = f"{damage[:1500]}; inspect the robot, then release it"
         self._ledger.apply(Stopped(sender="journal", reason=reason))
         damaged, part = self._folder / DAMAGED_LOG, self._incoming / "log.damaged"
         os.close(replace_privately(damaged, data, part))
@@ -347,7 +344,7 @@ def lost_result(known: LedgerGoal) -> GoalResult:
         ValueError: The goal was not running.
     """
     if known.plan is None:
-        raise ValueError(f"goal {known.goal.goal_id} does not run")
+        raise ValueError(f"goal {known.goal.goal_id} is not running")
     nothing = np.empty(0) if isinstance(known.plan, ExcitationPlan) else np.empty((0, 0))
     return GoalResult(
         goal_id=known.goal.goal_id,

@@ -34,6 +34,8 @@ class Accepted(Strict):
     """A goal was accepted, and its motion may have begun at any time after."""
 
     kind: Literal["accepted"] = "accepted"
+    """Discriminator of the record's type."""
+
     goal_id: Identifier
     """Id of the goal."""
 
@@ -54,6 +56,8 @@ class Ended(Strict):
     """A goal's motion is over."""
 
     kind: Literal["ended"] = "ended"
+    """Discriminator of the record's type."""
+
     goal_id: Identifier
     """Id of the goal."""
 
@@ -71,6 +75,8 @@ class Remembered(Strict):
     """A goal that has ended, as one record of a compacted journal."""
 
     kind: Literal["remembered"] = "remembered"
+    """Discriminator of the record's type."""
+
     goal_id: Identifier
     """Id of the goal."""
 
@@ -94,13 +100,17 @@ class Acknowledged(Strict):
     """The results of these goals arrived at the orchestrator."""
 
     kind: Literal["acknowledged"] = "acknowledged"
+    """Discriminator of the record's type."""
     goal_ids: Annotated[tuple[Identifier, ...], Field(max_length=64)]
+    """Ids of the goals whose results arrived."""
 
 
 class Stopped(Strict):
     """The robot was stopped; it stays stopped until a release."""
 
     kind: Literal["stopped"] = "stopped"
+    """Discriminator of the record's type."""
+
     sender: Identifier
     """Name of the sender of the stop."""
 
@@ -112,13 +122,17 @@ class Released(Strict):
     """The stop was ended; the robot may move again."""
 
     kind: Literal["released"] = "released"
+    """Discriminator of the record's type."""
     sender: Identifier
+    """Name of the sender of the release."""
 
 
 class Owned(Strict):
     """An orchestrator took command of the robot under an epoch; lower epochs are over."""
 
     kind: Literal["owned"] = "owned"
+    """Discriminator of the record's type."""
+
     owner: Identifier
     """Name of the orchestrator."""
 
@@ -141,8 +155,9 @@ def decode_record(payload: bytes) -> Record:
         return _RECORD.validate_json(payload)
     except ValidationError as error:
         raise JournalError(
-            f"the journal holds a record of another nufleet ({describe_validation(error)}); "
-            "install the one that wrote it, or move the journal away once the robot was seen to"
+            "the journal holds a record of a different version of nufleet "
+            f"({describe_validation(error)}); install the version that wrote it, or inspect the "
+            "robot and then move the journal away"
         ) from error
 
 

@@ -48,14 +48,15 @@ class LogFile:
                 log stores nothing more.
         """
         if self._in_doubt is not None:
-            raise JournalError(f"{self._path} takes no more records: {self._in_doubt}")
+            raise JournalError(f"{self._path} accepts no more records: {self._in_doubt}")
         frame = encode_frame(self._salt, self._number + 1, payload)
         try:
             private_files.write_all(self._descriptor, frame)
         except OSError as error:
             self._restore()
             raise JournalError(
-                f"{self._path}: {error.strerror}; see to the disk, nothing is accepted until then"
+                f"{self._path}: {error.strerror}; free or repair the disk; no goals are accepted "
+                "until then"
             ) from error
         try:
             os.fdatasync(self._descriptor)

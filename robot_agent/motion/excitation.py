@@ -116,8 +116,8 @@ def _check_band(excitation: Excitation, spec: RobotSpec, robot: str) -> None:
             raise RefusedError(
                 "omega-out-of-band",
                 f"a tone of {omega:.6g} rad/s is below the band, which begins at "
-                f"{spec.omega_min_rad_s:.6g} rad/s; one period would take "
-                f"{2 * math.pi / omega:.4g} s, and at 0 rad/s it never ends",
+                f"{spec.omega_min_rad_s:.6g} rad/s; one period of it would take "
+                f"{2 * math.pi / omega:.4g} s",
                 robot,
             )
         if omega > spec.omega_max_rad_s:
@@ -155,7 +155,8 @@ def _too_long(duration_s: float, spec: RobotSpec, robot: str) -> RefusedError:
     return RefusedError(
         "duration",
         f"the test would take {duration_s:.4g} s, and the robot moves for at most "
-        f"{spec.duration_max_s:.4g} s; ask for fewer segments, higher or less close tones",
+        f"{spec.duration_max_s:.4g} s; request fewer segments, or tones that are higher or further "
+        "apart",
         robot,
     )
 
@@ -172,6 +173,6 @@ def _check_motion(
             raise RefusedError(
                 code,
                 f"the reference of axis {axis.name} would reach {code} {value:.6g} {unit}, and its "
-                f"limit is {limit:.6g} {unit}; leave the amplitude out and the robot chooses one",
+                f"limit is {limit:.6g} {unit}; omit the amplitude to let the robot choose it",
                 robot,
             )

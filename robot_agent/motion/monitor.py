@@ -102,18 +102,18 @@ def rest_failure(spec: RobotSpec, measured: FloatArray, first: FloatArray) -> st
         The reason for a person to read; None when the motion may begin.
     """
     if not np.isfinite(measured).all():
-        return "the sensor returned a number that is not finite before the motion began"
+        return "the sensor returned a value that is not finite before the motion began"
     noise = measured.std(axis=0, ddof=1)
     away = np.abs(measured.mean(axis=0) - first)
     for i, axis in enumerate(spec.axes):
         most = rest_error_max(spec, axis) + REST_DEVIATIONS * float(noise[i])
         if away[i] > most:
             return (
-                f"it was not begun: axis {axis.name} rests at {measured[:, i].mean():.3g} "
-                f"{axis.unit}, at most {most:.3g} {axis.unit} from its first reference, "
-                f"{first[i]:.3g} {axis.unit}, are allowed, and the reference would jump; a robot "
-                "has to rest at reference 0: bring it back there (its driver's `rest` should), "
-                "then ask again"
+                f"the motion did not start: axis {axis.name} rests at {measured[:, i].mean():.3g} "
+                f"{axis.unit}; at most {most:.3g} {axis.unit} from its first reference, "
+                f"{first[i]:.3g} {axis.unit}, are allowed, since the reference would jump; a robot "
+                "has to rest at reference 0: bring it back there (the `rest` method of its driver "
+                "should), then request the motion again"
             )
     return None
 
@@ -158,7 +158,7 @@ class Monitor:
         ]
         if good < len(outputs):
             at = self._samples + good
-            reason = f"the sensor returned a number that is not finite at sample {at}"
+            reason = f"the sensor returned a value that is not finite at sample {at}"
             failures.append(Failure(good, reason))
         self._samples += good
         found = [failure for failure in failures if failure is not None]
@@ -267,12 +267,12 @@ class _AxisMonitor:
         name, unit = self._axis.name, self._axis.unit
         if leapt:
             return (
-                f"the output of axis {name} leaps from {good:.4g} to {output:.4g} {unit} faster "
-                "than the robot can move: spikes, noise, or a sensor that lost its place"
+                f"the output of axis {name} jumps from {good:.4g} to {output:.4g} {unit} faster "
+                "than the robot can move: spikes, noise, or a sensor that lost its position"
             )
         return (
             f"the output of axis {name}, {output:.4g} {unit}, does not follow its reference: it is "
-            "far from all that was asked within the last settling time"
+            "far from every reference of the last settling time"
         )
 
     def _far(self, reference: float, output: float) -> bool:

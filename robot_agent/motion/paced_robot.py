@@ -15,7 +15,7 @@ CHUNK_SAMPLES = 256
 """Samples that an unpaced simulation plays between two checks of the switch."""
 
 
-class Halted(Exception):  # noqa: N818 - not an error: somebody asked for the end
+class Halted(Exception):  # noqa: N818 - not an error: the end was requested
     """The switch was thrown before the next sample."""
 
 

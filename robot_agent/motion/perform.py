@@ -111,7 +111,7 @@ def _bring_to_rest(robot: Robot) -> str | None:
     except RobotError as error:
         return f"could not come to rest: {error}"
     except Exception as error:  # noqa: BLE001 - a driver's mistake, as above
-        _log.exception("a robot did not come to rest")
+        _log.exception("a robot could not come to rest")
         return f"could not come to rest: {error!r}"
     return None
 

@@ -41,7 +41,7 @@ JournalError or MalformedMessageError."""
 
 A = TypeVar("A")
 _log = logging.getLogger(__name__)
-SHUTTING_DOWN = Refusal(code="shutting-down", reason="this agent is ending")
+SHUTTING_DOWN = Refusal(code="shutting-down", reason="this agent is shutting down")
 
 
 class Endpoint:
@@ -101,12 +101,12 @@ class Endpoint:
             # and the query answered without it.
             _reply(request, partial(urgent, b"" if too_large else request.payload))
         elif request.is_wildcard:
-            _send(request, Refusal(code="wildcard", reason="ask each robot on a key of its own"))
+            _send(request, Refusal(code="wildcard", reason="ask each robot on its own key"))
         elif leaf not in self._handlers:
             reason = f"this robot does not serve {leaf[:200]!r}"
             _send(request, Refusal(code="unknown-key", reason=reason))
         elif too_large:
-            reason = f"{request.size_bytes} bytes; at most {most} are taken"
+            reason = f"the request has {request.size_bytes} bytes; at most {most} are accepted"
             _send(request, Refusal(code="too-large", reason=reason))
         else:
             refusal = self._enqueue(request)
@@ -120,7 +120,7 @@ class Endpoint:
             size_bytes = request.size_bytes
             too_long = self._waiting_bytes + size_bytes > MAX_WAITING_BYTES
             if too_long or self._waiting.full():
-                return Refusal(code="overloaded", reason="too many requests wait here")
+                return Refusal(code="overloaded", reason="too many requests are waiting")
             self._waiting_bytes += size_bytes
             self._waiting.put_nowait(request)
         return None
@@ -154,7 +154,7 @@ def _answered(ask: Callable[[], A]) -> A | Refusal:
     except CancelledError:
         return SHUTTING_DOWN
     except Exception as error:  # noqa: BLE001 - one bad request must not end the agent
-        _log.exception("answering a request")
+        _log.exception("a request could not be answered")
         return Refusal(code="internal-error", reason=repr(error))
 
 

@@ -57,6 +57,6 @@ class Heartbeat:
             try:
                 self._publisher.put(encode(self._state()))
             except NufleetError as error:
-                _log.warning("a heartbeat was not sent: %s", error)
+                _log.warning("a heartbeat could not be sent: %s", error)
             if not closing:
                 self._changed.wait(HEARTBEAT_S)

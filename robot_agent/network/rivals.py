@@ -43,7 +43,7 @@ class Rivals:
         if state.boot_id == self._boot_id:
             return
         if self.refusal() is None:
-            _log.error("%s is served by another agent too, %s", self._robot, state.boot_id)
+            _log.error("another agent also serves %s: %s", self._robot, state.boot_id)
         self._heard = (state.boot_id, self._clock())
 
     def refusal(self) -> Refusal | None:
@@ -53,5 +53,5 @@ class Rivals:
             return None
         return Refusal(
             code="two-agents",
-            reason=f"agent process {heard[0]} serves {self._robot} too; end one of them",
+            reason=f"agent process {heard[0]} also serves {self._robot}; end one of the two",
         )

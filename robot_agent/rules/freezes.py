@@ -44,8 +44,8 @@ class Freezes:
                 return None
         return Refusal(
             code="frozen",
-            reason="this agent was frozen until a moment ago and has not heard yet who is there; "
-            "ask again",
+            reason="this agent was frozen until a moment ago and does not know yet which "
+            "orchestrators are alive; ask again",
         )
 
     def _note(self, now_s: float) -> None:

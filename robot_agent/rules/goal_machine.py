@@ -88,10 +88,10 @@ def recognise(goals: Goals, *, goal_id: str, digest: str) -> Accepted | Refusal 
     if known is None:
         return None
     if _is_forgone(known):
-        return Refusal(code="cancelled", reason=f"goal {goal_id} was cancelled before it came")
+        return Refusal(code="cancelled", reason=f"goal {goal_id} was cancelled before it arrived")
     if known.digest != digest:
         return Refusal(
-            code="goal-id-reused", reason=f"goal {goal_id} is known with another content"
+            code="goal-id-reused", reason=f"goal {goal_id} is known with different content"
         )
     return Accepted(known, new=False)
 
@@ -104,7 +104,7 @@ def cancel(goals: Goals, goal_id: str) -> Refusal | None:
     known = goals.known.get(goal_id)
     if known is None or known.outcome is None or _is_forgone(known):
         return None
-    return Refusal(code="goal-ended", reason=f"goal {goal_id} has ended already: {known.outcome}")
+    return Refusal(code="goal-ended", reason=f"goal {goal_id} has already ended: {known.outcome}")
 
 
 def end(goals: Goals, goal_id: str, outcome: Outcome) -> Goals:

@@ -11,7 +11,7 @@ KEPT_RESULTS = 32
 """Largest number of unacknowledged results that are kept; the oldest are dropped first."""
 
 KEPT_RESULT_BYTES = 256 * 2**20
-"""Largest total size of their samples in bytes; the newest result is kept whatever its size."""
+"""Largest total size of their samples in bytes; the newest result is always kept."""
 
 
 class KeptResults:

@@ -43,7 +43,7 @@ def refusal_to_command(
             # A sender without a lease has no place in the order of epochs; it gives way to a live
             # orchestrator with a lease.
             if held_alive and sender.owner != held.owner:
-                return _stale(held, "take a lease to follow it")
+                return _stale(held, "take a lease to command it next")
         elif sender.epoch < held.epoch:
             return _stale(held, f"epoch {sender.epoch} is over")
         elif sender.epoch == held.epoch and sender.owner != held.owner and held_alive:
@@ -52,13 +52,14 @@ def refusal_to_command(
     if sender.epoch > highest and sender != held:
         return Refusal(
             code="epoch-jump",
-            reason=f"{sender.owner} sent epoch {sender.epoch}, and none above {highest} is obeyed "
-            "here; if its repository is right, make the robot forget its owner: "
+            reason=f"{sender.owner} sent epoch {sender.epoch}, and this robot accepts none above "
+            f"{highest}; if the repository is right, make the robot forget its owner: "
             "nufleet agent FLEET --robot NAME --forget-owner",
         )
     if takes_over(held, sender) and moving_for not in (None, sender.owner):
         return Refusal(
-            code="busy", reason=f"it moves for {moving_for}, who is alive; take it over at rest"
+            code="busy",
+            reason=f"it is moving for {moving_for}, which is alive; take over when it is at rest",
         )
     return None
 

@@ -126,7 +126,7 @@ def refusal_to_start(state: Supervision, *, owner: str, owner_alive: bool) -> Re
     if state.fault is not None:
         return Refusal(
             code="fault",
-            reason=f"see to the robot, then release it: {state.fault}",
+            reason=f"inspect the robot, then release it: {state.fault}",
         )
     if state.stop is not None:
         return Refusal(
@@ -138,7 +138,7 @@ def refusal_to_start(state: Supervision, *, owner: str, owner_alive: bool) -> Re
     if not owner_alive:
         return Refusal(
             code="owner-not-alive",
-            reason=f"{owner} has no liveliness token, so nobody would notice if it died",
+            reason=f"{owner} has no liveliness token, so its death would not be noticed",
         )
     return None
 

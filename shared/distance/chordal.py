@@ -32,6 +32,12 @@ def chordal_distance(z_1: ComplexArray, z_2: ComplexArray) -> FloatArray:
 
     Returns:
         Chordal distances, of the broadcast shape.
+
+    Examples:
+        Two responses in quadrature, and the two poles of the sphere:
+
+        >>> chordal_distance(np.array([1.0, 0.0j]), np.array([1.0j, complex(np.inf)])).round(4)
+        array([0.7071, 1.    ])
     """
     (finite_1, pole_1), (finite_2, pole_2) = _finite_part(z_1), _finite_part(z_2)
     # hypot gives √(1 + |z|²) without overflow. The distance from z to the pole is 1 / √(1 + |z|²).
@@ -49,6 +55,12 @@ def riemann_sphere(z: ComplexArray) -> FloatArray:
 
     Args:
         z: Responses, any shape.
+
+    Examples:
+        >>> riemann_sphere(np.array([0.0, 1.0, complex(np.inf)]))
+        array([[0. , 0. , 0. ],
+               [0.5, 0. , 0.5],
+               [0. , 0. , 1. ]])
     """
     finite, pole = _finite_part(z)
     h = np.hypot(1.0, np.abs(finite))
@@ -67,9 +79,9 @@ def chordal_variance(
 
     Args:
         z_1: Estimated responses of one robot, any shape.
-        variance_1: σ₁² = E|ẑ₁ − z₁|², the same shape.
+        variance_1: Variance σ₁² = E|ẑ₁ − z₁|², of the same shape.
         z_2: Estimated responses of the other robot, the same shape.
-        variance_2: σ₂² = E|ẑ₂ − z₂|², the same shape.
+        variance_2: Variance σ₂² = E|ẑ₂ − z₂|², of the same shape.
 
     Returns:
         Variances of the chordal distances, the same shape.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from nufleet.shared.models.transfer_models import ModelError, StateSpace, requir
 
 ACCURACY = 1e-9
 """Largest amount by which the supremum may exceed the value returned, apart from rounding."""
+
+ComputedFrom = Literal["polynomials", "matrices"]
 
 
 @dataclass(frozen=True)
@@ -44,12 +47,14 @@ class NuGap:
     """Numbers of poles on the axis, η₀(P₁) and η₀(P₂)."""
     reason: str
     """Explanation in words, for people."""
+    computed_from: ComputedFrom
+    """Representation of the models that the ν-gap was computed from."""
 
     @property
     def guarantee(self) -> str:
         """The guarantee that δ_ν gives for every controller, in words."""
         if self.value >= 1.0:
-            return "nothing: no stability margin is larger than 1"
+            return "none: no stability margin is larger than 1"
         return (
             "every controller that stabilises the first model with a margin above"
             f" {math.ceil(self.value * 1e4) / 1e4:.4f} also stabilises the second"
@@ -71,6 +76,17 @@ def nu_gap(first: StateSpace, second: StateSpace) -> NuGap:
     Raises:
         ModelError: signals or sample times differ, or a model has a hidden unstable mode.
         PeakSearchError: the models are too badly scaled for the search.
+
+    Examples:
+        Twice the gain is a small step, an unstable pole is the largest possible one:
+
+        >>> from nufleet.shared.models.realization import transfer_function
+        >>> slow = transfer_function([1.0], [1.0, 1.0])
+        >>> gap = nu_gap(slow, transfer_function([2.0], [1.0, 1.0]))
+        >>> round(gap.value, 4), gap.winding_ok
+        (0.3333, True)
+        >>> nu_gap(slow, transfer_function([1.0], [1.0, -1.0])).value
+        1.0
     """
     require_same_shape(first, second)
     for position, model in (("first", first), ("second", second)):
@@ -92,19 +108,25 @@ def nu_gap(first: StateSpace, second: StateSpace) -> NuGap:
         excess,
         (first.poles_unstable, second.poles_unstable),
         (first.poles_on_axis, second.poles_on_axis),
+        "matrices",
     )
 
 
 def verdict(
-    peak: Peak, excess: int, poles_unstable: tuple[int, int], poles_on_axis: tuple[int, int]
+    peak: Peak,
+    excess: int,
+    poles_unstable: tuple[int, int],
+    poles_on_axis: tuple[int, int],
+    computed_from: ComputedFrom,
 ) -> NuGap:
     """Return the ν-gap that follows from sup ψ and from the sum in the winding condition.
 
     Args:
         peak: sup ψ and the frequency that attains it.
         excess: Sum wno det(I + P₂*P₁) + η(P₁) − η(P₂) − η₀(P₂); meaningless if sup ψ is 1.
-        poles_unstable: η(P₁) and η(P₂).
-        poles_on_axis: η₀(P₁) and η₀(P₂).
+        poles_unstable: Numbers of unstable poles, η(P₁) and η(P₂).
+        poles_on_axis: Numbers of poles on the axis, η₀(P₁) and η₀(P₂).
+        computed_from: Representation of the models that these numbers were computed from.
     """
     orthogonal = peak.value >= 1.0 - ACCURACY
     ok = excess == 0 and not orthogonal
@@ -124,6 +146,7 @@ def verdict(
         poles_unstable=poles_unstable,
         poles_on_axis=poles_on_axis,
         reason=reason,
+        computed_from=computed_from,
     )
 
 

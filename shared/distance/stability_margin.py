@@ -85,8 +85,8 @@ def stability_guarantee(margin: float, nu_gap: float) -> StabilityGuarantee:
     """Return the guarantee for P₂ with C that follows from a margin and a ν-gap (Vinnicombe 2001).
 
     Args:
-        margin: b_{P₁,C} in [0, 1].
-        nu_gap: δ_ν(P₁, P₂) in [0, 1].
+        margin: Stability margin b_{P₁,C} in [0, 1].
+        nu_gap: The ν-gap δ_ν(P₁, P₂) in [0, 1].
     """
     if nu_gap >= margin:
         return StabilityGuarantee(holds=False, margin_at_least=0.0)

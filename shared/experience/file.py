@@ -67,7 +67,7 @@ def decode_experience(payload: bytes, sha256: str | None = None) -> Experience:
     """
     if len(payload) > EXPERIENCE_BYTES_MAX:
         raise MalformedMessageError(
-            f"an experience of {len(payload)} bytes, at most {EXPERIENCE_BYTES_MAX} are taken"
+            f"an experience of {len(payload)} bytes; at most {EXPERIENCE_BYTES_MAX} are accepted"
         )
     if sha256 is not None and digest(payload) != sha256:
         raise MalformedMessageError(
@@ -108,13 +108,13 @@ def _manifest(payload: bytes) -> ExperienceManifest:
             f"the experience's manifest: {where}: {first['msg']}"
         ) from error
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise MalformedMessageError("a file without an experience's manifest") from error
+        raise MalformedMessageError("the file has no manifest of an experience") from error
 
 
 def _check_arrays(manifest: ExperienceManifest, arrays: dict[str, Weights]) -> None:
     expected = manifest.shapes
     if set(arrays) != set(expected):
-        raise MalformedMessageError("the network's arrays are not those of its manifest")
+        raise MalformedMessageError("the arrays of the network do not match its manifest")
     for name, shape in expected.items():
         array = arrays[name]
         if array.dtype != np.float32 or array.shape != shape:
@@ -122,4 +122,4 @@ def _check_arrays(manifest: ExperienceManifest, arrays: dict[str, Weights]) -> N
                 f"{name} must be float32 of shape {shape}, got {array.dtype} {array.shape}"
             )
         if not np.isfinite(array).all():
-            raise MalformedMessageError(f"{name} holds a number that is not finite")
+            raise MalformedMessageError(f"{name} contains a value that is not finite")

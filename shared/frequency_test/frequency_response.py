@@ -132,20 +132,20 @@ def estimate_frequency_response(
     first = plan.first_measured_sample
     end = first + plan.segments * plan.segment_samples
     if min(len(reference), len(response)) < end:
-        text = f"the test ended early: {len(response)} samples, and measuring ends at sample {end}"
+        text = f"the test ended early: {len(response)} samples, but measuring ends at sample {end}"
         return _failed(omegas, plan, "ended-early", text)
     u, y = reference[first:end], response[first:end]
     for name, signal in (("reference", u), ("output", y)):
         bad = np.flatnonzero(~np.isfinite(signal))
         if len(bad):
-            text = f"the {name} holds {len(bad)} samples that are not finite"
+            text = f"the {name} contains {len(bad)} samples that are not finite"
             return _failed(omegas, plan, "not-finite", text)
     # Scaled to 1, so that no square overflows, however far the robot has moved.
     u_scale, y_scale = float(np.max(np.abs(u))), float(np.max(np.abs(y)))
     if u_scale == 0.0:
         return _failed(omegas, plan, "no-reference", "the reference is zero throughout")
     if y_scale > GAIN_MAX * u_scale:
-        text = f"the output reaches {y_scale:.2g} at a reference of {u_scale:.2g}: it ran away"
+        text = f"the output reaches {y_scale:.2g} with a reference of {u_scale:.2g}: it ran away"
         return _failed(omegas, plan, "unexplained", text)
     return _estimate(_Samples(u / u_scale, y / (y_scale or 1.0), u_scale, y_scale), omegas, plan)
 

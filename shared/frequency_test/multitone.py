@@ -78,12 +78,3 @@ def schroeder_phases(weights: FloatArray) -> FloatArray:
     """
     power = weights**2 / np.sum(weights**2)
     return np.asarray(-2 * np.pi * np.concatenate([[0.0], np.cumsum(np.cumsum(power))[:-1]]))
-
-
-def crest_factor(signal: FloatArray) -> float:
-    """Return the ratio of a signal's largest magnitude to its root mean square.
-
-    Args:
-        signal: Samples in any unit, shape (samples,).
-    """
-    return float(np.max(np.abs(signal)) / np.sqrt(np.mean(signal**2)))

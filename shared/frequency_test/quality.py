@@ -101,7 +101,7 @@ def unexplained(reference_rms: float, measured: FloatArray, residual: FloatArray
         return Finding(
             code="unexplained",
             text=f"the tones explain only {100 * max(0.0, r_squared):.0f} % of the output, and the "
-            "rest is larger than the reference: the robot did something else",
+            "rest is larger than the reference: the robot did not follow the test",
         )
     if r_squared < R_SQUARED_REPORTED:
         return Finding(
@@ -131,7 +131,7 @@ def disturbed(residual: FloatArray, tones: FloatArray, segments: int) -> Finding
         return None
     return Finding(
         code="disturbed",
-        text=f"segment {worst + 1} of {segments} departs from the others by {100 * share:.0f} % of "
+        text=f"segment {worst + 1} of {segments} differs from the others by {100 * share:.0f} % of "
         "the response: something disturbed the robot",
     )
 
@@ -168,7 +168,7 @@ def unsettled(segment_z: ComplexArray, omega_rad_s: FloatArray) -> Finding | Non
     return Finding(
         code="unsettled" if worst > UNSETTLED_CHORDAL else "settling",
         text=f"the response at {worst_omega:.4g} rad/s still changes by {worst:.2g} (chordal) "
-        "while it is measured: settle longer",
+        "while it is measured: allow more time to settle",
     )
 
 
@@ -231,8 +231,8 @@ def uncertain(
         geodesic_rad: Radius of the disc around z, as an angle on the sphere, shape (tones,).
     """
     for code, bad, text in (
-        ("no-response", silent, "no response stands out of the noise at"),
-        ("uncertain", geodesic_rad > UNCERTAINTY_MAX_RAD, "the noise leaves z all but unknown at"),
+        ("no-response", silent, "no response exceeds the noise at"),
+        ("uncertain", geodesic_rad > UNCERTAINTY_MAX_RAD, "the noise leaves z nearly unknown at"),
     ):
         if bad.any():
             where = ", ".join(f"{omega:.4g}" for omega in omega_rad_s[bad][:8])

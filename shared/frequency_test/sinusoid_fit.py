@@ -124,7 +124,7 @@ def fit_sinusoids(
     gram = grams.sum(axis=0)
     eigenvalues = np.linalg.eigvalsh(gram)
     if eigenvalues[-1] > CONDITION_MAX * eigenvalues[0]:
-        raise UnresolvableError("the frequencies cannot be told apart in signals of this length")
+        raise UnresolvableError("signals of this length cannot resolve the frequencies")
     factor = cho_factor(gram)
     theta = cho_solve(factor, moments)
     scatter_factor, scatter_degrees = _scatter(factor, grams)
@@ -230,7 +230,7 @@ def _scatter(factor: tuple[FloatArray, bool], grams: FloatArray) -> tuple[FloatA
     diagonal = np.diag(inverse)
     variance = diagonal[:frequencies] + diagonal[frequencies : 2 * frequencies]
     if np.any(expected <= SCATTER_MIN * variance):
-        raise UnresolvableError("the signals are too short to tell their noise from the tones")
+        raise UnresolvableError("the signals are too short to separate their noise from the tones")
     return np.asarray(variance / expected), np.asarray(total**2 / squares)
 
 

@@ -109,7 +109,7 @@ def suspicions(tested: Tested) -> Iterator[Suspicion]:
         yield Suspicion(
             Finding(
                 code="too-many-spikes" if many else "spikes",
-                text=f"{_share(spikes)} of the samples are spikes that leave all others",
+                text=f"{_share(spikes)} of the samples are spikes far away from all others",
             ),
             tested.phasor_error(spikes),
         )
@@ -118,8 +118,8 @@ def suspicions(tested: Tested) -> Iterator[Suspicion]:
         yield Suspicion(
             Finding(
                 code="late-samples",
-                text="the noise grows with the speed, as if samples were late by anything up to "
-                f"{2e3 * math.sqrt(3) * late_s:.2g} ms",
+                text="the noise grows with the speed, as if samples were delayed by varying times "
+                f"of up to {2e3 * math.sqrt(3) * late_s:.2g} ms",
             ),
             math.sqrt(3) * late_s * tested.omega_rad_s * tested.amplitudes,
         )

@@ -244,7 +244,7 @@ def _likelihood(
             work.factor[i, j] = 0.0
     if not _cholesky(work.factor, n, n * _EPSILON):
         return np.inf
-    # ½ log|K| = Σ log U_ii and ½ yᵀα = ½ |z|².
+    # f = ½ yᵀα + ½ log|K| + ½ n log 2π, where ½ log|K| = Σ log U_ii and ½ yᵀα = ½ |z|².
     f = n * _HALF_LOG_2PI
     for i in range(n):
         f += math.log(work.factor[i, i]) + 0.5 * work.factor[i, n] * work.factor[i, n]
@@ -646,6 +646,7 @@ def _minimise(
         ratio = (value - attempt + rounding) / (predicted + rounding)
         radius = _next_radius(radius, ratio, length)
         stale = True
+        # A decrease far below the prediction is accepted too; the next region is smaller then.
         if ratio > 1e-4:
             value = attempt
             for i in range(3):

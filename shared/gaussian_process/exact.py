@@ -23,20 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.gaussian_process.problem import Batch, Bounds, FitStatus, Hyperparameters
-
-__all__ = [
-    "Batch",
-    "BatchFit",
-    "Bounds",
-    "FitStatus",
-    "Hyperparameters",
-    "fit",
-    "log_marginal_likelihood",
-    "posterior",
-    "posterior_weights",
-    "warm_up",
-]
+from nufleet.shared.gaussian_process.problem import Batch, Bounds, Hyperparameters
 
 _PROBLEMS_WORTH_A_THREAD = 32
 """Number of problems per thread below which starting another thread costs more than it saves."""

@@ -177,7 +177,7 @@ class Batch:
         sizes = [[len(a) for a in arrays] for arrays in (inputs, targets, known_noise_variance)]
         if not sizes[0] or sizes[0] != sizes[1] or sizes[0] != sizes[2]:
             raise ValueError(
-                "inputs, targets and known noise must have equal lengths, and problems"
+                "inputs, targets and known noise must have equal lengths, and at least one problem"
             )
         return cls(
             np.concatenate([x[:, None] if x.ndim == 1 else x for x in inputs]),

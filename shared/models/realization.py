@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
@@ -22,7 +23,17 @@ BALANCE_GAIN = 0.95
 Polynomial = Sequence[float] | NDArray[np.floating]
 
 
-def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> StateSpace:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TransferFunction(StateSpace):
+    """A model with one input and one output that is realised from the fraction num/den."""
+
+    num: FloatArray
+    """Coefficients of the numerator, from the highest power of s or z down."""
+    den: FloatArray
+    """Coefficients of the denominator, in the same order."""
+
+
+def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> TransferFunction:
     """Return a realisation of num/den with deg(den) states, in controllable canonical form, scaled.
 
     Args:
@@ -34,6 +45,14 @@ def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> St
     Raises:
         ModelError: the fraction is improper or undefined, or a coefficient is not finite, also
             after division by the denominator's first.
+
+    Examples:
+        The model 1/(s + 2), and a delay of one sample at 100 Hz:
+
+        >>> transfer_function([1.0], [1.0, 2.0]).modes
+        array([-2.+0.j])
+        >>> transfer_function([1.0], [1.0, 0.0], dt_s=0.01).states
+        1
     """
     numerator = np.trim_zeros(np.atleast_1d(np.asarray(num, dtype=np.float64)), "f")
     denominator = np.trim_zeros(np.atleast_1d(np.asarray(den, dtype=np.float64)), "f")
@@ -41,11 +60,12 @@ def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> St
         raise ModelError("the coefficients of a transfer function must be finite")
     if not denominator.size:
         raise ModelError("the denominator of a transfer function is zero")
+    fraction = {"num": numerator, "den": denominator}
     order = denominator.size - 1
     if numerator.size > order + 1:
         raise ModelError(
             f"improper transfer function: the numerator has degree {numerator.size - 1},"
-            f" the denominator {order}; it must not be lower"
+            f" the denominator {order}; the denominator must not have the lower degree"
         )
     padded = np.concatenate([np.zeros(order + 1 - numerator.size), numerator])
     # All poles of a model sampled fast are near z = 1, where a companion matrix in z − 1 resolves
@@ -67,12 +87,13 @@ def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> St
     scale = _balance(companion)
     b = np.zeros((order, 1))
     b[:1, 0] = 1.0
-    return StateSpace(
+    return TransferFunction(
         companion * scale / scale[:, None] + shift * np.eye(order),
         b / scale[:, None],
         (padded[1:] - padded[0] * monic[1:])[None, :] * scale,
         padded[:1, None],
         dt_s,
+        **fraction,
     )
 
 
@@ -123,6 +144,13 @@ def transfer_matrix(
     Raises:
         ModelError: `num` and `den` have different or ragged shapes, or a fraction cannot be
             realised, see `transfer_function`.
+
+    Examples:
+        One output of two inputs, 1/(s + 1) and 2/(s + 2):
+
+        >>> model = transfer_matrix([[[1.0], [2.0]]], [[[1.0, 1.0], [1.0, 2.0]]])
+        >>> model.outputs, model.inputs, model.states
+        (1, 2, 2)
     """
     from scipy.linalg import block_diag
 

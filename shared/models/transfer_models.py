@@ -9,7 +9,6 @@ import numpy as np
 
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.models.linear_model import LinearModel
 
 # A pole this close to the axis, relative to its magnitude, makes the response itself too large to
 # compute with. The graph is then computed as a null space, which such a pole does not disturb.
@@ -30,6 +29,16 @@ class StateSpace:
 
     All entries are real and finite; the number of states n may be 0. Raises ModelError if the
     shapes disagree or an entry is not finite.
+
+    Examples:
+        A double integrator in continuous time:
+
+        >>> import numpy as np
+        >>> a = np.array([[0.0, 1.0], [0.0, 0.0]])
+        >>> b, c = np.array([[0.0], [1.0]]), np.array([[1.0, 0.0]])
+        >>> model = StateSpace(a, b, c, np.zeros((1, 1)))
+        >>> model.states, model.poles_unstable, model.poles_on_axis
+        (2, 0, 2)
     """
 
     a: FloatArray
@@ -163,21 +172,6 @@ class StateSpace:
     @cached_property
     def _poles_near_axis(self) -> bool:
         return bool((np.abs(self.instability) < NEAR_AXIS).any())
-
-
-def state_space(model: LinearModel) -> StateSpace:
-    """Return a robot's discrete-time closed-loop model as a state-space model with n states.
-
-    Args:
-        model: Model of one axis, from reference to output.
-    """
-    return StateSpace(
-        np.asarray(model.a),
-        np.asarray(model.b)[:, None],
-        np.asarray(model.c)[None, :],
-        np.array([[model.d]]),
-        model.sample_time_s,
-    )
 
 
 def require_same_shape(first: StateSpace, second: StateSpace) -> None:

@@ -38,7 +38,7 @@ def import_points(path: Path) -> FloatArray:
         text = path.read_text(encoding="utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidInputError(
-            f"{path}: cannot be read: {error}; expected a table of x and y, or an SVG"
+            f"{path}: cannot be read: {error}; expected a table of x and y, or an SVG file"
         ) from error
     points = np.array(_rows(text, str(path)), dtype=np.float64).reshape(-1, 2)
     check_path(points, str(path))
@@ -79,7 +79,7 @@ def _columns(cells: list[str], where: str) -> tuple[tuple[int, int], bool]:
     if len(cells) == 2:
         return (0, 1), not _is_number(names[0])
     raise InvalidInputError(
-        f"{where}: {len(cells)} columns; name those of the drawing x and y in a first line"
+        f"{where}: {len(cells)} columns; add a first line that names two of them x and y"
     )
 
 

@@ -20,6 +20,10 @@ def find_drawing(path_or_name: str) -> Path:
 
     Raises:
         InvalidInputError: there is neither such a file nor such a name.
+
+    Examples:
+        >>> find_drawing("clover").suffix
+        '.csv'
     """
     path = Path(path_or_name)
     if path.exists():
@@ -27,7 +31,7 @@ def find_drawing(path_or_name: str) -> Path:
     installed = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
     if path_or_name not in installed:
         names = ", ".join(sorted(installed)) or "none"
-        raise InvalidInputError(f"{path}: there is no such drawing; known by name: {names}")
+        raise InvalidInputError(f"{path}: no such drawing; known by name: {names}")
     found: Path = installed[path_or_name].load()
     return found
 

@@ -75,16 +75,23 @@ def resized(
 
     Raises:
         InvalidInputError: both sizes are given, or the drawing has no extent in that direction.
+
+    Examples:
+        >>> corner = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
+        >>> resized(corner, width_m=0.5)
+        array([[0. , 0. ],
+               [0.5, 0. ],
+               [0.5, 1. ]])
     """
     if width_m is not None and height_m is not None:
-        raise InvalidInputError("give a width or a height: the other follows")
+        raise InvalidInputError("give either a width or a height: the other follows from it")
     width, height = np.ptp(points, axis=0)
     scale = 1.0
     for wanted, extent, name in ((width_m, width, "wide"), (height_m, height, "high")):
         if wanted is not None:
             if extent == 0:
                 raise InvalidInputError(
-                    f"the drawing is a line and not {name}: say its size in the other direction"
+                    f"the drawing is a line and not {name}: give its size in the other direction"
                 )
             scale = wanted / float(extent)
     result = scale * points

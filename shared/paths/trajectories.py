@@ -40,7 +40,7 @@ def check_path(points: FloatArray, name: str) -> None:
         raise InvalidInputError(f"{name}: at most {POINTS_MAX} points, got {len(points)}")
     if not np.isfinite(points).all():
         row = int(np.argmin(np.isfinite(points).all(axis=1)))
-        raise InvalidInputError(f"{name}: point {row + 1} holds a number that is not finite")
+        raise InvalidInputError(f"{name}: point {row + 1} contains a number that is not finite")
     if len(points) < 2 or not (points != points[0]).any():
         raise InvalidInputError(f"{name}: a path needs at least two different points")
 
@@ -64,7 +64,7 @@ def check_trajectory(desired: FloatArray, sample_time_s: float, limits: Tracking
     furthest = float(np.abs(desired).max())
     if furthest > (1 + 1e-9) * limits.position_max:
         raise InvalidInputError(
-            f"the trajectory goes {furthest:.3g} from the origin, outside the workspace of "
+            f"the trajectory reaches {furthest:.3g} from the origin, outside the workspace of "
             f"±{limits.position_max:g}"
         )
     speeds, accelerations = speeds_and_accelerations(desired, sample_time_s)
@@ -123,6 +123,15 @@ def travel(
     Raises:
         InvalidInputError: the points are not a path, the speed or acceleration is not positive, or
             the trajectory would take too long.
+
+    Examples:
+        A straight line of 1 m, at 0.5 m/s and with 1 m/s² at most, for a robot that runs at 50 Hz:
+
+        >>> desired = travel(np.array([[0.0, 0.0], [1.0, 0.0]]), 0.5, 1.0, 0.02)
+        >>> desired[0], desired[-1]
+        (array([0., 0.]), array([1., 0.]))
+        >>> round(float(np.abs(np.diff(desired, axis=0)).max()) / 0.02, 3)
+        0.5
     """
     check_path(points, "the path")
     if not (0 < speed < math.inf and 0 < acceleration_max < math.inf):
@@ -132,7 +141,8 @@ def travel(
     time_s = _arrival(path, along, speed, _MARGIN * acceleration_max / math.sqrt(2))
     if time_s[-1] / sample_time_s > POINTS_MAX:
         raise InvalidInputError(
-            f"at {speed:g} the path takes {time_s[-1]:.0f} s, too long: choose a higher speed"
+            f"at {speed:g} the path takes {time_s[-1]:.0f} s, which is too long: choose a higher "
+            "speed"
         )
     samples = math.ceil(time_s[-1] / sample_time_s) + 1
     travelled = _interpolated(np.arange(samples) * sample_time_s, time_s, path)

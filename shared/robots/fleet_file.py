@@ -72,6 +72,10 @@ def find_fleet_file(path_or_name: str) -> Path:
 
     Raises:
         FleetFileError: there is neither such a file nor such a name.
+
+    Examples:
+        >>> find_fleet_file("paper_linear").name
+        'paper_linear.toml'
     """
     path = Path(path_or_name)
     if path.exists():
@@ -79,7 +83,7 @@ def find_fleet_file(path_or_name: str) -> Path:
     installed = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
     if path_or_name not in installed:
         names = ", ".join(sorted(installed))
-        raise FleetFileError(f"{path}: there is no such fleet file; known by name: {names}")
+        raise FleetFileError(f"{path}: no such fleet file; known by name: {names}")
     found: Path = installed[path_or_name].load()
     return found
 
@@ -93,6 +97,13 @@ def read_fleet_file(path: Path) -> FleetFile:
     Raises:
         FleetFileError: the file cannot be read or is wrong; the message names the file, the field
             and the expected value.
+
+    Examples:
+        >>> fleet = read_fleet_file(find_fleet_file("paper_linear"))
+        >>> list(fleet.robots)
+        ['target', 'source-1', 'source-2', 'source-3']
+        >>> fleet.study.target, fleet.study.band_rad_s
+        ('target', (0.05, 10.0))
     """
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8"))

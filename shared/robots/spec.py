@@ -12,7 +12,15 @@ from nufleet.shared.strict import Name, NonNegative, Positive, Strict
 
 
 class AxisSpec(Strict):
-    """One axis of a robot's baseline loop, with the limits on the *reference* of a test."""
+    """One axis of a robot's baseline loop, with the limits on the *reference* of a test.
+
+    Examples:
+        >>> axis = AxisSpec(
+        ...     name="x", unit="m", amplitude_max=0.3, velocity_max=0.6, acceleration_max=1.6
+        ... )
+        >>> axis.velocity_max
+        0.6
+    """
 
     name: Name
     """Name of the axis."""
@@ -45,7 +53,25 @@ class TrackingLimits(Strict):
 
 
 class RobotSpec(Strict):
-    """A robot's description, available even while the robot is disconnected."""
+    """A robot's description, available even while the robot is disconnected.
+
+    Examples:
+        >>> axis = AxisSpec(
+        ...     name="x", unit="m", amplitude_max=0.3, velocity_max=0.6, acceleration_max=1.6
+        ... )
+        >>> spec = RobotSpec(
+        ...     kind="my-drone",
+        ...     axes=(axis,),
+        ...     sample_time_s=0.02,
+        ...     omega_min_rad_s=0.1,
+        ...     omega_max_rad_s=6.0,
+        ...     duration_max_s=300.0,
+        ...     settling_time_s=4.0,
+        ...     simulated=False,
+        ... )
+        >>> spec.axis("x").unit
+        'm'
+    """
 
     kind: Name
     """Kind of robot; experiences can be transferred only between robots of one kind."""

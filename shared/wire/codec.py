@@ -211,7 +211,9 @@ def decode(payload: bytes, *expected: type[M], max_bytes: int = MAX_MESSAGE_BYTE
     except ValidationError as error:
         raise MalformedMessageError(f"{header.type}: {describe_validation(error)}") from error
     if arrays.unclaimed:
-        raise MalformedMessageError(f"{header.type}: the frame holds an array of no field")
+        raise MalformedMessageError(
+            f"{header.type}: the frame holds an array that belongs to no field"
+        )
     return message
 
 
@@ -221,7 +223,7 @@ def _parse_header(raw: bytes) -> _Header:
         if protocol != PROTOCOL_VERSION:
             raise ProtocolVersionError(
                 f"the message speaks protocol version {protocol}, this side speaks "
-                f"{PROTOCOL_VERSION}; install the same nufleet on both"
+                f"{PROTOCOL_VERSION}; install the same version of nufleet on both"
             )
         return _Header.model_validate_json(raw)
     except ValidationError as error:

@@ -217,10 +217,10 @@ class GoalResult(Message):
     def _samples_agree(self) -> GoalResult:
         samples = _samples(self.reference, self.response)
         if (self.reference.ndim == 1) != isinstance(self.plan, ExcitationPlan):
-            raise ValueError("a test has one column, a flight one for each axis")
+            raise ValueError("a test has one-dimensional samples, a flight one column per axis")
         whole = self.plan.samples
         if samples > whole or (self.outcome is Outcome.COMPLETED and samples != whole):
-            raise ValueError(f"{samples} samples of a {self.outcome} plan of {whole}")
+            raise ValueError(f"{samples} samples do not fit a {self.outcome} plan of {whole}")
         return self
 
     @property
@@ -231,7 +231,7 @@ class GoalResult(Message):
             MalformedMessageError: the goal was another motion.
         """
         if not isinstance(self.plan, ExcitationPlan):
-            raise MalformedMessageError(f"{self.goal_id} is no frequency test")
+            raise MalformedMessageError(f"{self.goal_id} is not a frequency test")
         return self.plan
 
 
@@ -273,22 +273,6 @@ class RemovePriorRequest(Message):
     """Orchestrator that sends the request."""
     epoch: Epoch = 0
     """Epoch of its lease on the robot."""
-
-
-class PredictRequest(Message):
-    """Request to evaluate an experience; answered by `Prediction`."""
-
-    sha256: Digest
-    """SHA-256 of the experience's file."""
-    inputs: Float64Array
-    """Inputs ξ, shape (m, inputs), in the units of its manifest."""
-
-
-class Prediction(Message):
-    """Output of an experience at the requested inputs."""
-
-    gamma: Float64Array
-    """γ in unit/s, shape (m,)."""
 
 
 class StopRequest(Message):
@@ -387,7 +371,7 @@ class TrackingTelemetry(Message):
     def _samples_agree(self) -> TrackingTelemetry:
         shapes = {a.shape for a in (self.actual, self.prior, self.mean, self.variance)}
         if shapes != {self.desired.shape} or self.desired.shape[:1] != self.share.shape:
-            raise ValueError(f"arrays of different shapes: {self.desired.shape} and {shapes}")
+            raise ValueError(f"the arrays differ in shape: {self.desired.shape} and {shapes}")
         check_weights(self.experts, self.weights, len(self.desired))
         return self
 
@@ -396,7 +380,7 @@ def _samples(reference: FloatArray, response: FloatArray) -> int:
     """Return the number of samples of two arrays; raise ValueError unless their shapes agree."""
     if reference.ndim > 2 or reference.shape != response.shape:
         raise ValueError(
-            "reference and response must have one shape, (samples,) or (samples, axes), "
+            "reference and response must have the same shape, (samples,) or (samples, axes), "
             f"got {reference.shape} and {response.shape}"
         )
     return len(reference)

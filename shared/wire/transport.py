@@ -186,8 +186,8 @@ class Session:
         def on_query(query: zenoh.Query) -> None:
             try:
                 handler(Request(query))
-            except Exception:  # noqa: BLE001 - whoever asked must not wait for a handler's mistake
-                _log.exception("a query on %s has no answer", query.key_expr)
+            except Exception:  # noqa: BLE001 - the sender must not wait for a handler's mistake
+                _log.exception("a query on %s could not be answered", query.key_expr)
                 query.drop()  # type: ignore[no-untyped-call]
 
         return self._declared(
@@ -208,7 +208,7 @@ class Session:
         """
         replies = self.ask_all(key, payload, timeout_s=timeout_s)
         if not replies:
-            raise NoReplyError(f"no answer on {key} within {timeout_s:g} s")
+            raise NoReplyError(f"no reply on {key} within {timeout_s:g} s")
         return replies[0]
 
     def ask_all(self, key: str, payload: bytes, *, timeout_s: float) -> list[bytes]:
@@ -375,7 +375,7 @@ class Session:
             for reply in self._session.get(f"@/{zid}/router", timeout=5.0):
                 if reply.ok is not None:
                     return list(json.loads(reply.ok.payload.to_string())["locators"])
-        raise TransportError("the router does not say where it listens")
+        raise TransportError("the router does not report the endpoints on which it listens")
 
     def _declared(self, key_expr: str, declare: Callable[[], D]) -> D:
         with _transport_errors(f"declaring {key_expr}"):
@@ -491,8 +491,8 @@ def _reach(
             if over or (given_up is not None and given_up.is_set()):
                 raise NoRouterError(
                     f"no router answers at {without_secrets(connect)}: start one with "
-                    "`nufleet router` or `nufleet fleet up FLEET.toml`, or name another with "
-                    "--connect"
+                    "`nufleet router` or `nufleet fleet up FLEET.toml`, or give another address "
+                    "with --connect"
                 ) from error
 
 
@@ -507,7 +507,7 @@ def _on_sample(handler: OnSample, max_bytes: int) -> Callable[[zenoh.Sample], No
 def _bounded(payload: zenoh.ZBytes, max_bytes: int, what: str) -> bytes:
     """Return a copy of a payload, or empty bytes, without copying, if it is too long."""
     if len(payload) > max_bytes:
-        _log.warning("%d bytes were %s; at most %d are taken", len(payload), what, max_bytes)
+        _log.warning("%d bytes were %s; at most %d are accepted", len(payload), what, max_bytes)
         return b""
     return payload.to_bytes()
 

@@ -49,8 +49,8 @@ class Arm(SimulatedRobot):
         if lost.any():
             k = int(np.argmax(lost))
             raise RobotError(
-                f"{self._name} lost its reference {k * SAMPLE_TIME_S:.2f} s into its motion: "
-                f"{error_rad[k]:.2f} rad apart; drive it more gently"
+                f"{self._name} stopped following its reference {k * SAMPLE_TIME_S:.2f} s into its "
+                f"motion: the error is {error_rad[k]:.2f} rad; drive it more gently"
             )
         return np.concatenate([before, after])
 

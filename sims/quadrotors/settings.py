@@ -29,10 +29,12 @@ LINK_TICKS = 32
 class MellingerVehicle(Strict):
     """A Crazyflie with the firmware's Mellinger controller on board, whose gains yield forces.
 
-    As in real flight, the controller assumes its built-in mass whatever `mass_kg` is.
+    As in real flight, the controller assumes its built-in mass, independently of `mass_kg`.
     """
 
     controller: Literal["mellinger"]
+    """Discriminator of the vehicle's type."""
+
     airframe: Literal["cf2x_L250", "cf2x_P250", "cf2x_T350", "cf21B_500"]
     """Name of crazyflow's identified parameters."""
 
@@ -59,6 +61,8 @@ class AttitudeVehicle(Strict):
     """
 
     controller: Literal["offboard_pd"]
+    """Discriminator of the vehicle's type."""
+
     mass_kg: Positive
     """Mass of the vehicle."""
 

@@ -11,7 +11,7 @@ from nufleet.shared.paths.trajectories import check_trajectory
 
 
 class Clock:
-    """Time that passes when somebody sleeps or takes some."""
+    """Time that passes only when the code under test sleeps or takes some."""
 
     def __init__(self) -> None:
         self.now_s = 100.0

@@ -1,4 +1,4 @@
-"""A fleet of real processes for each test; whatever is left of it afterwards fails the test."""
+"""A fleet of real processes for each test; a process left over afterwards fails the test."""
 
 from __future__ import annotations
 

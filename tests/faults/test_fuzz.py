@@ -1,4 +1,4 @@
-"""Whatever bytes arrive, they are refused in words; who takes them lives on and stays small.
+"""All malformed bytes are refused with a reason; their receiver lives on and stays small.
 
 A share of `python -m benchmarks.faults fuzz`, which does it a hundred thousand times.
 """
@@ -9,6 +9,7 @@ import logging
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from polling import PATIENCE_S
 
@@ -41,7 +42,7 @@ settings = { alpha = 1.0, beta = 0.003 }
 
 @pytest.fixture(autouse=True)
 def _quiet() -> None:
-    """A damaged journal is shouted about, a thousand times."""
+    """Suppress the errors that a thousand damaged journals log."""
     logging.getLogger("nufleet.robot_agent.journal.journal").disabled = True
 
 
@@ -104,7 +105,9 @@ def test_a_live_agent_answers_every_request_and_serves_afterwards(tmp_path: Path
             boot_id = fleet.describe("a").boot_id
             rng = np.random.default_rng(3)
             fuzz_agent(session, keys, "a", 300, rng)
-            agent = started.pids()["agent of a"]
+            (agent,) = (
+                child.pid for child in psutil.Process().children() if "agent" in child.cmdline()
+            )
             before = resident_bytes(agent)
             tallies = fuzz_agent(session, keys, "a", 1500, rng)
             # Every key answered, and some requests were valid by chance.

@@ -27,7 +27,7 @@ FOUND_AT = {
     "forgone": 1855,
     "frozen": 4797,
 }
-"""The first seed that misses each fix; `simulate --without FIX` of the benchmark finds it anew."""
+"""The first seed that reveals each missing fix, as `simulate --without FIX` finds it."""
 
 
 @pytest.fixture(autouse=True)

@@ -35,7 +35,7 @@ def test_two_agents_of_one_robot_both_refuse_until_one_has_ended(lab: Lab) -> No
         request = request.model_copy(update={"owner": "nobody"})
         wait_until(lambda: len(refusals()) == 2)
         request = request.model_copy(update={"owner": "asker"})
-        assert all("serves a too; end one of them" in refusal.reason for refusal in refusals())
+        assert all("also serves a; end one of the two" in refusal.reason for refusal in refusals())
     for ask in (lambda: fleet.describe("a"), lambda: fleet.submit("a", request)):
         with pytest.raises(RobotLostError, match="2 agents answer as a: stop all but one of them"):
             ask()

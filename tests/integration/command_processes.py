@@ -44,7 +44,7 @@ def trial_statuses(database: Path) -> list[str]:
 
 
 class Typed:
-    """Types commands into this very process, as `nufleet` runs them, without starting Python anew.
+    """Runs commands in this process, as `nufleet` does, without starting Python again.
 
     For what is refused: what matters is the exit code and what was said.
     """

@@ -48,7 +48,7 @@ SEED = 3
 
 @dataclass(frozen=True)
 class Life:
-    """One orchestrator's: it begins a study, or goes on with it, and may be killed at a commit."""
+    """One orchestrator that begins or resumes a study, and may be killed at a commit."""
 
     study_id: str
     endpoint: str

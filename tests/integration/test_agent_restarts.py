@@ -1,4 +1,4 @@
-"""What an agent that begins anew on the same state folder knows of the life before it."""
+"""What an agent that restarts with the same state folder knows of its predecessor."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ SENSOR_FAULTS: dict[str, tuple[dict[str, Any], str]] = {
         {"kind": "saturated", "low": -9.0, "high": 0.2},
         "cut off at 0.2",
     ),
-    "very noisy": ({"kind": "noisy", "std": 30.0}, "noise|did something else"),
+    "very noisy": ({"kind": "noisy", "std": 30.0}, "noise|did not follow the test"),
     "full of spikes": ({"kind": "spikes", "probability": 0.3, "height": 0.8}, "spikes"),
     "huge spikes": ({"kind": "spikes", "probability": 0.01, "height": 1e6}, "something else|noise"),
     "very late": ({"kind": "late", "late_max": 60}, "noise"),
@@ -113,7 +113,7 @@ def test_a_driver_that_loses_a_sample_fails_the_test_with_the_samples_before(
     lab.agent("a", robot, realtime=50.0)
     orchestrator = lab.orchestrator()
     result = orchestrator.run("a", "g1")
-    assert (result.outcome, result.reason) == (Outcome.FAILED, "the driver got no sample 60")
+    assert (result.outcome, result.reason) == (Outcome.FAILED, "the driver received no sample 60")
     assert len(result.response) == 60
     assert inside(robot)._at_rest()
     assert isinstance(outcome_of(orchestrator, tmp_path, "round"), Measured)
@@ -127,8 +127,8 @@ def test_a_driver_that_breaks_is_a_fault_until_it_is_connected_anew(
     orchestrator = lab.orchestrator()
     outcome = outcome_of(orchestrator, tmp_path, "round")
     assert isinstance(outcome, Failed)
-    assert "see to the robot, then release it" in outcome.reason
-    assert "the driver broke at sample 60" in outcome.reason
+    assert "inspect the robot, then release it" in outcome.reason
+    assert "the driver failed at sample 60" in outcome.reason
     orchestrator.state("a", lambda s: s.status is RobotStatus.FAULT)
     assert inside(robot)._at_rest()
     orchestrator.fleet.release("a")
@@ -165,7 +165,7 @@ def test_a_driver_that_hangs_is_a_fault_until_it_returns(lab: Lab, tmp_path: Pat
     orchestrator.fleet.stop("a", "smoke")
     assert not robot.at_rest
     gate.opened.set()
-    # It returned after all; then the robot was brought to rest and may be connected anew.
+    # It returned after all; then the robot was brought to rest and may be reconnected.
     wait_until(lambda: released(orchestrator))
     assert robot.at_rest
     assert orchestrator.run("a", "g2", settle_s=0.0).outcome is Outcome.COMPLETED

@@ -65,7 +65,7 @@ def test_a_full_disk_ends_a_study_with_its_robots_at_rest_and_it_goes_on_when_th
     with open_repository(database) as repository:
         ballast = small_disk / "ballast"
         ballast.write_bytes(bytes(shutil.disk_usage(small_disk).free - ROOM))
-        with pytest.raises(RepositoryFullError, match="make room and resume the run"):
+        with pytest.raises(RepositoryFullError, match="free some space and resume the run"):
             live(Life("small", lab.endpoint, database, "orchestrator-2"))
         wait_until(lambda: all(robot.at_rest for robot in robots.values()))
         trials = repository.studies.trials("small")

@@ -109,7 +109,7 @@ def test_a_malformed_request_on_any_key_gets_a_refusal_and_the_agent_lives(
         if "protocol" in kind:
             assert "protocol version 0" in reply.reason
     state = orchestrator.state("a", lambda s: s.status is RobotStatus.STOPPED)
-    # Whoever sent that to the stop key wanted the robot to stop, however badly they said so.
+    # The sender of that to the stop key wanted the robot to stop, however badly it was said.
     assert "malformed stop" in state.reason
     assert_well(orchestrator, robot, "g")
 
@@ -202,7 +202,7 @@ def test_puts_of_many_megabytes_cost_an_agent_no_memory_and_a_stop_among_them_st
             stranger.put_urgent(KEYS.robot("a", "state"), long)
             stranger.put_urgent(KEYS.robot("a", "stop"), long)
         orchestrator.state("a", lambda s: s.status is RobotStatus.STOPPED)
-        # Whoever reads what follows has read what came before it.
+        # An agent that reads this message has read the earlier ones.
         asked(orchestrator.session, "describe", encode(DescribeRequest()))
         assert tracemalloc.get_traced_memory()[1] < 4 * 2**20
     finally:

@@ -51,7 +51,7 @@ class Scene:
         return sum(robot.motions for robot in self.robots.values())
 
     def check(self, study_id: str, undisturbed: object, motions: int, tests: int = TESTS) -> None:
-        """What holds of every study that is complete, whatever happened on the way."""
+        """Check what holds for every complete study, no matter what happened on the way."""
         study = self.repository.studies.study(study_id)
         trials = self.repository.studies.trials(study_id)
         assert study.status is StudyStatus.COMPLETE

@@ -137,7 +137,7 @@ def test_training_leaves_an_experience_on_the_robot_and_in_the_run(
     chosen = manifest.layout.horizon_samples
     (mine,) = (t for t in one["horizon_trials"] if t["horizon_samples"] == chosen)
     assert mine["rms_error"] <= 1.05 * min(flown)
-    # Nobody flies with what was only tried.
+    # No robot flies with a prior that was only tried.
     assert lab.describe("source-2").prior is None
 
 
@@ -370,7 +370,7 @@ def test_numbers_and_names_that_cannot_be_right_are_refused_before_a_fleet_is_re
         ("nan.csv", "x_m,y_m\n0,0\nnan,1\n1,1\n", "nan"),
         ("one.csv", "x_m,y_m\n0.5,0.5\n", "two different points"),
         ("other.csv", "time,speed\n0,0\n1,1\n", "the first line must be x_m,y_m"),
-        ("image.png", "\x89PNG", "a drawing is a .csv or .svg file"),
+        ("image.png", "\x89PNG", "a drawing must be a .csv or .svg file"),
     ],
 )
 def test_what_is_no_drawing_is_refused_before_a_fleet_is_reached(
@@ -491,5 +491,5 @@ def test_a_memory_that_was_altered_on_the_disk_is_not_served(
     )
     assert done.returncode == 1
     assert str(damaged) in done.stderr
-    assert "remove it, then train or transfer anew" in done.stderr
+    assert "remove it, then train or transfer again" in done.stderr
     assert "Traceback" not in done.stderr

@@ -1,4 +1,4 @@
-"""A robot has the prior in the end that it had before, whatever came between."""
+"""A robot has the same prior afterwards as before, no matter what happened in between."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_a_robot_that_is_gone_does_not_hide_why_the_flights_ended(
 
     with pytest.raises(RobotError, match="it flew away"):
         lose()
-    assert "the prior of target is not the one that it had" in caplog.text
+    assert "the former prior of target could not be restored" in caplog.text
 
 
 # What goes wrong while a robot learns names the robot.

@@ -101,14 +101,14 @@ def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(tmp_path:
     assert set(document["verdicts"]) == {"source-1", "source-2", "source-3"}
     assert document["stopped_because"] in adaptive.stderr
     report = (tmp_path / document["run"] / "report.md").read_text(encoding="utf-8")
-    assert f"Right with probability {document['confidence']:.3f}: source-2" in report
+    assert f"Probability of a correct selection: {document['confidence']:.3f}: source-2" in report
     assert all(f"- {source}: " in report for source in document["eliminated"])
     paper = json.loads(nufleet(*arguments, "--algorithm", "paper", cwd=tmp_path).stdout)
     assert "confidence" not in paper
     assert document["robot_time_s"] < paper["robot_time_s"] / 4
     refused = nufleet(*arguments, "--algorithm", "paper", "--reuse", cwd=tmp_path)
     assert refused.returncode == 2
-    assert "--reuse is that of --algorithm adaptive" in refused.stderr
+    assert "--reuse requires --algorithm adaptive" in refused.stderr
     again = nufleet(*arguments, "--reuse", cwd=tmp_path)
     reusing = json.loads(again.stdout)
     assert set(reusing["stored"]) == {"source-1", "source-2", "source-3"}
@@ -157,7 +157,7 @@ def test_the_demo_ranks_as_rank_does_however_robots_share_processes(tmp_path: Pa
         path.name for path in run.iterdir()
     }
     assert "closed form" in alone.stderr
-    assert "what the transfer did" in alone.stderr
+    assert "effect of the transfer" in alone.stderr
     assert " view " in alone.stderr
 
 
@@ -177,7 +177,7 @@ MOMENTS: dict[str, Callable[[int, Path], bool]] = {
 
 @pytest.mark.parametrize("moment", MOMENTS)
 def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, moment: str) -> None:
-    state = str(tmp_path / "its own")  # by which whoever it starts is known
+    state = str(tmp_path / "its own")  # by which the processes that it starts are found
     ranking = subprocess.Popen(
         [*NUFLEET, "rank", "--fleet", str(FLEET), "--realtime", "1"],
         cwd=tmp_path,
@@ -205,11 +205,11 @@ def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, moment: s
         (["--band", "10", "0.1"], 2, "reversed"),
         (["--band", "1", "1"], 2, "empty"),
         (["--band", "0", "10"], 2, "period is infinite"),
-        (["--band", "0.05", "90"], 2, "outside what robot target can be tested at"),
+        (["--band", "0.05", "90"], 2, "exceeds the range in which robot target can be tested"),
         (["--axis", "yaw"], 2, "no axis 'yaw'; it has x"),
         (["--iterations", "0"], 2, "--iterations"),
-        (["--trajectory", "no-such-drawing"], 2, "there is no such drawing"),
-        (["--speed", "0.5"], 2, "name one with --trajectory"),
+        (["--trajectory", "no-such-drawing"], 2, "no such drawing"),
+        (["--speed", "0.5"], 2, "--speed requires --trajectory"),
     ],
 )
 def test_a_request_that_cannot_be_right_is_refused_with_the_reason(
@@ -335,7 +335,7 @@ def test_a_running_fleet_is_shown_ranked_stopped_and_released(
             "source-1",
             "source-3",
         ]
-        assert "going on without source-2" in without.stderr
+        assert "continuing without source-2" in without.stderr
         assert nufleet("release", "source-2", *join, cwd=tmp_path).returncode == 0
         assert nufleet("stop", "nobody", *join, cwd=tmp_path).returncode == 1
     finally:

@@ -84,7 +84,7 @@ def under_way(database: Path) -> bool:
 
 @contextmanager
 def under_way_when(database: Path, *arguments: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
-    """A ranking of which some tests are done; whatever is left of it afterwards is killed."""
+    """A ranking of which some tests are done; processes left over afterwards are killed."""
     with begun(*arguments, cwd=cwd) as process:
         try:
             wait_until(
@@ -144,7 +144,7 @@ def test_ctrl_c_says_how_to_go_on_and_a_fleet_of_its_own_is_started_again(
     assert interrupted.returncode == 130
     run = the_run(tmp_path / "here")
     assert f"runs resume {run.name} --runs here" in said
-    # Nobody has to wait: it gave its robots back.
+    # Its successor need not wait: it gave its robots back.
     with open_repository(str(database)) as repository:
         assert not repository.leases.held(f"lab/{run.name.lower()}")
     go_on = ("rank", "--resume", run.name, "--runs", "here")

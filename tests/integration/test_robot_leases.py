@@ -93,7 +93,7 @@ def test_who_keeps_another_repository_is_told_who_commands_a_robot_until_that_on
 def test_a_living_owner_is_left_its_robot_however_far_the_epochs_of_another_repository_are(
     lab: Lab, tmp_path: Path, ahead: int
 ) -> None:
-    """Epochs of two repositories cannot be compared: also the very same one is another's."""
+    """Epochs of two repositories cannot be compared, even if they are equal."""
     lab.agent("a", PuppetRobot())
     first, second = lab.orchestrator("first"), lab.orchestrator("second")
     with (
@@ -160,7 +160,7 @@ def test_an_owner_whose_lease_ran_out_by_a_clock_that_was_set_forward_is_left_it
         lease(repository, first)  # never entered: it is about to renew it
         monkeypatch.setattr(Database, "now_s", lambda *asked: right(*asked) + 3600.0)
         assert not repository.leases.held("lab")
-        with pytest.raises(RobotOwnedError, match=r"owned by first \(epoch 1\), who is alive"):
+        with pytest.raises(RobotOwnedError, match=r"owned by first \(epoch 1\), which is alive"):
             lease(repository, second)
         first.session.close()
         wait_until(lambda: not second.fleet.is_alive("first"))
@@ -193,7 +193,7 @@ def test_a_robot_whose_owner_falls_silent_rests_and_is_taken_over_within_the_lea
     lab.agent("a", robot, realtime=1.0)
     silent, heir = lab.orchestrator("silent"), lab.orchestrator("heir")
     with open_repository(f"{tmp_path}/nufleet.sqlite") as repository:
-        lease(repository, silent)  # never entered: nobody renews it
+        lease(repository, silent)  # never entered, hence never renewed
         request = silent.request("g", **SLOW)
         epoch = silent.fleet.epoch("a")
         silent.fleet.submit("a", request.model_copy(update={"epoch": epoch}))

@@ -1,4 +1,4 @@
-"""Whoever asks for a stop gets one, whatever the words, the names and the other robots are like."""
+"""A stop that is asked for happens, regardless of its reason, its names and other robots."""
 
 from __future__ import annotations
 
@@ -83,11 +83,11 @@ def test_a_stop_of_all_stops_every_fleet_at_the_router(lab: Lab) -> None:
         assert sorted(done.stderr.splitlines()) == ["lab/a is stopped", "other/b is stopped"]
         stopped(orchestrator, "a")
         nufleet(lab, "release", "a", "--fleet-name", "lab")
-        # Of one fleet alone, if one says which.
+        # Only one fleet is stopped if it is named.
         done = nufleet(lab, "stop", "--all", "--fleet-name", "other")
         assert (done.returncode, done.stderr) == (0, "b is stopped\n")
         orchestrator.state("a", lambda s: s.status is RobotStatus.IDLE)
-        # A robot is stopped by its name in whatever fleet it is.
+        # A robot is stopped by its name, no matter which fleet it belongs to.
         done = nufleet(lab, "stop", "a")
         assert (done.returncode, done.stderr) == (0, "lab/a is stopped\n")
         stopped(orchestrator, "a")

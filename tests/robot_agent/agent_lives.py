@@ -94,7 +94,7 @@ def result_of(motion: Assignment) -> GoalResult:
 
 
 class Lives:
-    """A robot whose agent dies and begins anew; checks at every step what was promised before.
+    """A robot whose agent dies and restarts; checks earlier promises at every step.
 
     In the model None says that a process died before it was known: either may be so. `known` says
     of each goal how it ended; one that is there without an end runs. `forgone` are those that were
@@ -143,13 +143,13 @@ class Lives:
             else:
                 self.known[goal_id] = outcome
         self.perhaps.clear()
-        # A cancel that nobody was told of may be on disk.
+        # A cancel that was never confirmed may be on disk.
         self.forgone |= {g for g in self.perhaps_forgone if self._refusal(g) == "result-gone"}
         self.perhaps_forgone.clear()
         self.check()
 
     def check(self) -> None:
-        """Whatever was promised holds."""
+        """Check that every promise holds."""
         assert max(self.motions.values(), default=0) <= 1
         for goal_id, outcome in self.known.items():
             if goal_id in self.acknowledged:

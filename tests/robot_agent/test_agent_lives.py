@@ -1,4 +1,4 @@
-"""What a robot promised it keeps over the deaths of its agent, wherever they come."""
+"""A robot keeps its promises when its agent dies at any moment."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_killed_at_any_write_an_agent_keeps_what_it_said_and_goes_on(
 ) -> None:
     writes = writes_of_the_story(tmp_path / "whole")
     assert writes > 10
-    for fatal in range(1, writes):  # the first write makes a journal, of which nobody was told
+    for fatal in range(1, writes):  # the first write makes a journal, which was not reported yet
         with killing_disk() as disk:
             disk.kill_at(fatal, moment)
             lives = Lives(tmp_path / f"killed-{fatal}")

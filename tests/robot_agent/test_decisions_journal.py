@@ -84,7 +84,7 @@ def test_a_goal_that_cannot_be_stored_is_refused_and_forgotten(
             assert motion is None
             assert isinstance(answer, Refusal)
             assert answer.code == "journal"
-            assert "No space left on device; see to the disk" in answer.reason
+            assert "No space left on device; free or repair the disk" in answer.reason
             assert decisions.state().status is RobotStatus.IDLE
             unknown = decisions.result("a")
             assert isinstance(unknown, Refusal)
@@ -100,7 +100,7 @@ def test_the_robot_is_free_again_though_the_end_of_its_goal_could_not_be_stored(
         with monkeypatch.context() as disk:
             disk.setattr(private_files, "write_all", full)
             decisions.ended(result, None)
-            assert "the end of a is not stored" in caplog.text
+            assert "the end of a could not be stored" in caplog.text
             assert decisions.result("a") == result
             assert refused(decisions, "b") == "journal"
         begun(decisions, "b")
@@ -142,7 +142,7 @@ def test_a_stop_that_comes_while_a_release_is_stored_stays(
         assert refusal is not None
         assert refusal.code == "stopped"
         assert refused(decisions, "a") == "stopped"
-        decisions.store_stop()  # as whoever took that stop does next
+        decisions.store_stop()  # as the handler of that stop does next
     with agent_on(tmp_path) as decisions:
         assert refused(decisions, "a") == "stopped"
         assert decisions.release("carol") is None
@@ -188,7 +188,7 @@ def test_a_damaged_journal_leaves_the_robot_stopped_with_the_reason(tmp_path: Pa
         state = decisions.state()
         assert state.status is RobotStatus.STOPPED
         assert "was altered" in state.reason
-        assert "see to the robot, then release it" in state.reason
+        assert "inspect the robot, then release it" in state.reason
         assert decisions.release("alice") is None
         assert decisions.state().status is RobotStatus.IDLE
 
@@ -199,7 +199,7 @@ def test_a_goal_that_was_lost_is_said_to_be_at_once(tmp_path: Path) -> None:
     with agent_on(tmp_path) as decisions:
         state = decisions.state()
         assert (state.goal_id, state.last_goal_id) == (None, "a")
-        assert state.reason == "the agent before this one ended during a"
+        assert state.reason == "the previous agent process ended during a"
         result = decisions.result("a")
         assert isinstance(result, GoalResult)
         assert (result.outcome, result.plan) == (Outcome.LOST, plan)
@@ -231,7 +231,7 @@ def test_a_cancel_that_cannot_be_stored_is_confirmed_by_none_that_follows(
             for _ in range(2):
                 with pytest.raises(JournalError, match="No space left"):
                     decisions.cancel("a", Commander("o"))
-            assert refused(decisions, "a") == "cancelled"  # of this process nobody has to fear it
+            assert refused(decisions, "a") == "cancelled"  # of this process it is not a danger
         assert decisions.cancel("a", Commander("o")) is None
     with agent_on(tmp_path) as decisions:
         assert refused(decisions, "a") == "cancelled"

@@ -106,7 +106,7 @@ def test_a_stop_that_cannot_be_stored_halts_and_says_so_and_the_next_one_tries_a
         answer = stops.asked(STOP).result(PATIENCE_S)
         assert isinstance(answer, Refusal)
         assert answer.code == "journal"
-        assert "it was halted, but the stop would not outlast its agent" in answer.reason
+        assert "it was halted, but the stop will not outlast its agent" in answer.reason
         assert "No space left" in answer.reason
     assert stops.asked(STOP).result(PATIENCE_S) == Done()
     assert stored_stop(tmp_path, journal) == "alice: smoke"

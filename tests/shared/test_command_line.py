@@ -42,7 +42,7 @@ def test_a_full_disk_is_one_line_that_names_the_file(
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "runs/results.json.part")
     assert end_of(monkeypatch, full) == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert "No space left on device (runs/results.json.part); make room" in line
+    assert "No space left on device (runs/results.json.part); free some space" in line
 
 
 def test_an_error_of_the_system_that_nobody_foresaw_is_not_hidden(

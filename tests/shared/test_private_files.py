@@ -1,4 +1,4 @@
-"""What is written privately is whole, follows no link and is nobody else's to read."""
+"""A private file is written whole, through no link, and only its user can read it."""
 
 from __future__ import annotations
 

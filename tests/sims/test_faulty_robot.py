@@ -155,7 +155,7 @@ def test_a_driver_that_gets_no_sample_says_so_after_those_before() -> None:
 
 
 def test_a_driver_that_breaks_raises_what_no_driver_should() -> None:
-    with pytest.raises(OSError, match="broke at sample 7"):
+    with pytest.raises(OSError, match="failed at sample 7"):
         faulty({"kind": "crash", "way": "raises", "from_sample": 7}).run(REFERENCES)
 
 

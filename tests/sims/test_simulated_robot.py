@@ -1,4 +1,4 @@
-"""A simulated robot rests, refuses and fails the same way whatever simulator is inside."""
+"""A simulated robot rests, refuses and fails in the same way with any simulator inside."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_after_a_failure_nothing_moves_until_the_robot_is_connected_anew() -> No
     with pytest.raises(RobotError, match="left its rail"):
         cart.run(np.full((50, 1), 4.0))
     for act in (lambda: cart.step(np.zeros(1)), cart.rest, cart.observe):
-        with pytest.raises(RobotError, match="connected anew: the cart left its rail"):
+        with pytest.raises(RobotError, match="reconnected: the cart left its rail"):
             act()
     cart.connect()
     assert abs(cart.observe()[0, 0]) < 0.01

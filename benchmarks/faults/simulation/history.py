@@ -85,8 +85,8 @@ class History:
         interrupted_s = self.interrupted.get(owner)
         if interrupted_s is not None and now_s > interrupted_s:
             raise Violation(
-                f"{now_s:.3f}: {robot} begins {goal_id} for {owner}, which was interrupted so long "
-                f"ago that nothing can be on its way since {interrupted_s:.3f}"
+                f"{now_s:.3f}: {robot} begins {goal_id} for {owner}, which was interrupted, and "
+                f"nothing can have been in transit since {interrupted_s:.3f}"
             )
         silent_s = self.silent_after.get((robot, owner))
         if silent_s is not None and now_s > silent_s:

@@ -162,5 +162,5 @@ class Leasing:
         if known.owner == self._process.name:
             raise Violation(
                 f"{self._process.world.now_s:.3f}: {self._process.name} loses its leases, and "
-                f"nobody took them: {error}"
+                f"none was taken over: {error}"
             )

@@ -178,7 +178,7 @@ class SimulatedOrchestrator:
         self._conduct.take(name, TokenBack() if alive else TokenLost())
 
     def asked(self, question: str, body: Any, answer: OnAnswer) -> None:
-        raise AssertionError("nobody asks an orchestrator")
+        raise AssertionError("an orchestrator receives no requests")
 
     def heard(self, robot: str, state: RobotState) -> None:
         """Receive a robot's state; ignore one older than the last of the same agent process."""

@@ -296,7 +296,7 @@ class SimulatedAgent:
         raise AssertionError(question)
 
     def _described(self) -> Description:
-        held = self.decisions.commander or Commander("nobody", 0)
+        held = self.decisions.commander or Commander("none", 0)
         return Description.model_construct(
             robot=self._robot.name,
             boot_id=self.boot_id,

@@ -193,7 +193,7 @@ class Paths:
             if flight.taken_back_s is not None:
                 self._stream.log(
                     f"{METRES}/taken_back",
-                    labels_2d(places[-1:], ["prior taken back"], colours[-1:]),
+                    labels_2d(places[-1:], ["prior withdrawn"], colours[-1:]),
                 )
         finally:
             self._stream.reset_time()
@@ -228,7 +228,7 @@ class Paths:
 
 
 def _result(flight: Flight, so_far: str = "") -> str:
-    taken_back = "" if flight.taken_back_s is None else ", taken back"
+    taken_back = "" if flight.taken_back_s is None else ", withdrawn"
     return f"{flight.prior}  {flight.rms_error * 1e3:.1f}{so_far}{taken_back}"
 
 

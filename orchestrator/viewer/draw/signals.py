@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from nufleet.orchestrator.flight_labels import NO_PRIOR
+from nufleet.orchestrator.flights.labels import NO_PRIOR
 from nufleet.orchestrator.viewer.draw.outline import outline
 from nufleet.orchestrator.viewer.draw.palette import ALARM, REFERENCE, Colour, Palette
 from nufleet.orchestrator.viewer.events import TrackingSamplesEvent
@@ -144,7 +144,7 @@ class Signals:
             if path not in self._styled:
                 self._styled.add(path)
                 style = rr.SeriesPoints(
-                    colors=[ALARM], markers=["cross"], marker_sizes=[5.0], names=["taken back"]
+                    colors=[ALARM], markers=["cross"], marker_sizes=[5.0], names=["withdrawn"]
                 )
                 self._stream.log(path, style, static=True)
             self._send(path, flight.time_s[k : k + 1], np.array([value]), np.array([0]))

@@ -19,7 +19,7 @@ def claim_recording(path: Path) -> Path:
             return path
     except FileExistsError:
         raise InvalidInputError(
-            f"{path} exists already; name another file for the recording"
+            f"{path} already exists; name a different file for the recording"
         ) from None
     except OSError as error:
         raise InvalidInputError(

@@ -99,17 +99,17 @@ def _when_listening(
 ) -> None:
     while True:
         if process.poll() is not None:
-            raise _viewer_error(output, "it ended at once")
+            raise _viewer_error(output, "it ended immediately")
         try:
             with socket.create_connection((LOCALHOST, port), timeout=1.0):
                 return
         except OSError:
-            _wait(deadline, "it does not listen")
+            _wait(deadline, "it is not listening")
 
 
 def _when_loaded(viewer: ViewerClient, deadline: float) -> ViewerState:
     while (state := viewer.get_state()).loading or not (state.recordings and state.views):
-        _wait(deadline, "the recording is not loaded")
+        _wait(deadline, "the recording has not been loaded")
     return state
 
 
@@ -127,7 +127,7 @@ def _when_still(viewer: ViewerClient, deadline: float) -> bytes:
     """
     before = viewer.take_screenshot()
     while True:
-        _wait(deadline, "the picture does not come to rest")
+        _wait(deadline, "the picture is still changing")
         now = viewer.take_screenshot()
         if now == before:
             return now

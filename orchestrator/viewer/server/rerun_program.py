@@ -26,7 +26,7 @@ def rerun_program() -> Path:
     for name in ("rerun", "Rerun.app/Contents/MacOS/Rerun"):
         if (folder / name).exists():
             return folder / name
-    raise NufleetError(f"the Rerun viewer is missing: there is none in {folder}")
+    raise NufleetError(f"the Rerun viewer is missing: it is not in {folder}")
 
 
 def rerun_environment() -> dict[str, str]:

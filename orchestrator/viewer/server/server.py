@@ -8,7 +8,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from types import TracebackType
 from typing import IO
 from urllib.parse import quote, urlsplit
 
@@ -122,7 +121,7 @@ class ViewerServer:
             try:
                 self._process.wait(timeout_s)
             except subprocess.TimeoutExpired:
-                log.warning("the viewer's server did not end; killing it")
+                log.warning("the server of the viewer did not end; killing it")
                 self._process.kill()
                 self._process.wait()
         self._process = None
@@ -134,12 +133,7 @@ class ViewerServer:
         self.open()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property

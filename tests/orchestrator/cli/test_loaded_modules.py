@@ -58,7 +58,7 @@ def loaded_by(workplace: Path, *arguments: str) -> tuple[set[str], str]:
 @pytest.mark.parametrize(
     ("arguments", "prints", "also_unneeded"),
     [
-        (("gap", "first.json", "second.json"), "promises", {"scipy"}),
+        (("gap", "first.json", "second.json"), "guarantee", {"scipy"}),
         (("gap", "first.json", "measured.csv"), "lower bound", {"scipy"}),
         (("view",), "no display", {"scipy", "numpy", "rich"}),
         (("runs", "list"), "source-1 for target", {"scipy"}),

@@ -1,4 +1,4 @@
-"""Studies kept so that they can be made again."""
+"""Studies stored so that they can be replayed."""
 
 from __future__ import annotations
 

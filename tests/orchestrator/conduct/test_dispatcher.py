@@ -136,7 +136,7 @@ def test_an_interrupted_round_leaves_every_robot_at_rest(slow_lab: Lab) -> None:
             lambda w: w.state is not None and w.state.goal_id is None, timeout_s=PATIENCE_S
         )
         assert slow_lab.robots[name].at_rest
-    # It goes on with another attempt: that somebody pressed Ctrl-C is not the robots' failure.
+    # It continues with another attempt: Ctrl-C is not a failure of the robots.
     assert [t.interrupted for t in slow_lab.studies.trials(STUDY)] == [True, True, True]
     following = slow_lab.open_tests(r1=long_test, r2=long_test, r3=long_test)
     assert [(t.attempt, t.failures) for t in following] == [(2, 0)] * 3

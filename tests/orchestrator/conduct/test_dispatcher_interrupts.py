@@ -1,4 +1,4 @@
-"""Rounds that somebody or something ends, and robots that are not heard for a while."""
+"""Rounds that are interrupted, and robots that are not heard for a while."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_a_goal_that_its_agent_died_of_moves_nothing_after_an_interrupt(
         lab.fleet.wait_for(("r9",), timeout_s=PATIENCE_S)
         owner = lab.fleet.orchestrator_id
         late = GoalRequest(goal_id=test.goal_id, owner=owner, epoch=lab.epoch, motion=TEST)
-        with pytest.raises(RefusedError, match="cancelled before it came"):
+        with pytest.raises(RefusedError, match="cancelled before it arrived"):
             lab.fleet.submit("r9", late)
     assert robot.motions == 0
 

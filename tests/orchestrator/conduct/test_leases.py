@@ -33,7 +33,7 @@ def repository(tmp_path: Path) -> Iterator[Repository]:
 
 @pytest.fixture
 def set_clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
-    """Sets the repository's clock by so many seconds."""
+    """Sets the repository's clock forward by a number of seconds."""
     right, off_s = Database.now_s, [0.0]
 
     def set_by(seconds: float) -> None:
@@ -103,7 +103,7 @@ def test_waiting_for_an_owner_that_lives_ends_with_who_it_is(
 def test_the_robots_of_an_owner_that_died_are_had_once_its_lease_has_run_out(
     repository: Repository, set_clock: Callable[[float], None]
 ) -> None:
-    hold(repository, "a")  # never entered: nobody renews it
+    hold(repository, "a")  # never entered, hence never renewed
     told: list[str] = []
 
     def has_run_out(held: LeaseHeldError) -> None:
@@ -150,7 +150,7 @@ def test_the_robots_of_a_dead_owner_are_had_within_a_term_after_the_clock_was_se
     patient: bool,
 ) -> None:
     monkeypatch.setattr(held_leases, "TERM_S", 1.0)
-    hold(repository, "a")  # never entered: nobody renews it
+    hold(repository, "a")  # never entered, hence never renewed
     set_clock(-3600.0)
     told: list[LeaseHeldError] = []
     asked_s = time.monotonic()
@@ -183,7 +183,7 @@ def test_who_lost_its_robots_is_interrupted_and_told_why(
             raise Interrupted
 
     with hold(repository, "a") as leases:
-        with pytest.raises(LeaseLostError, match="a does not own robot r1 under epoch 1"):
+        with pytest.raises(LeaseLostError, match="a no longer owns robot r1 under epoch 1"):
             work(leases)
         # What begins only now is interrupted at once.
         late = threading.Event()

@@ -72,7 +72,9 @@ def test_a_robot_without_the_axis_is_named_with_the_axes_it_has() -> None:
 
 def test_axes_in_different_units_are_not_compared() -> None:
     fleet = {"target": describe("target"), "source": describe("source", unit="rad")}
-    with pytest.raises(InvalidInputError, match=r"source is in rad, of the target target in m"):
+    with pytest.raises(
+        InvalidInputError, match=r"source is in rad, that of the target target in m"
+    ):
         check_plan(plan(), fleet)
 
 

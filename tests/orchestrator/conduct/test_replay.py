@@ -1,4 +1,4 @@
-"""A study cut off after any store goes on to the same trials and the same ranking."""
+"""A study cut off after any store continues to the same trials and the same ranking."""
 
 from __future__ import annotations
 
@@ -264,7 +264,7 @@ def test_only_a_goal_that_was_accepted_is_known_to_be_taken(
         at = resume("run-1", study(), trials)
         for test in () if at.open is None else at.open.tests:
             status = None if test.record is None else test.record.status
-            # What is taken is asked about and never sent again, whatever agent serves its robot.
+            # An accepted goal is asked about but never sent again, whichever agent serves it.
             assert (test.accepted_by == "boot-1") is (status is TrialStatus.ACCEPTED)
             seen.add(status)
     assert seen == {None, TrialStatus.INTENDED, TrialStatus.ACCEPTED}
@@ -291,7 +291,7 @@ def test_a_changed_response_is_refused_where_the_study_would_ask_something_else(
     other = next(t.response for t in cuts[-1] if t.intent.goal_id == "run-1.1.source-2.1")
     assert other is not None
     trials = changed(cuts, "run-1.1.target.1", response=replace(other, z=other.z + 0.5))
-    with pytest.raises(ResumeError, match=r"iteration|asks"):
+    with pytest.raises(ResumeError, match=r"iteration|requests"):
         resume("run-1", study(), trials)
 
 

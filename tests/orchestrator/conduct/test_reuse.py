@@ -51,7 +51,7 @@ def test_a_source_with_responses_is_known_and_the_target_is_tested_all_the_same(
 ) -> None:
     reuse = find(measured)
     assert reuse.known == {"near": ("run-adaptive.1.near.1",)}
-    assert reuse.unusable == {"far": "nothing of it is stored"}
+    assert reuse.unusable == {"far": "none is stored"}
 
 
 def test_part_of_a_band_is_covered_by_tests_of_the_whole(measured: Archive) -> None:
@@ -63,7 +63,7 @@ def test_part_of_a_band_is_covered_by_tests_of_the_whole(measured: Archive) -> N
 
 def test_a_robot_that_has_changed_or_was_measured_long_ago_flies(measured: Archive) -> None:
     altered = SPEC.model_copy(update={"settling_time_s": 2 * SPEC.settling_time_s})
-    assert "not what it was" in find(measured, specs={**SPECS, "near": altered}).unusable["near"]
+    assert "has changed" in find(measured, specs={**SPECS, "near": altered}).unusable["near"]
     assert f"{datetime.now(UTC):%Y-}" in find(measured, days=-1.0).unusable["near"]
 
 
@@ -80,7 +80,7 @@ def test_a_result_says_who_did_not_fly_and_how_old_the_data_are(measured: Archiv
     assert stored["near"].studies == ("run-adaptive",)
     later = datetime.now(UTC) + timedelta(hours=5)
     said = said_of("near", stored["near"], later)
-    assert said.startswith("near did not fly: 1 stored test stands for it, measured 5 h ago")
+    assert said.startswith("near did not fly: 1 stored test was used, measured 5 h ago")
     assert said.endswith("(run-adaptive)")
 
 
@@ -92,4 +92,4 @@ def test_ages_are_in_units_that_can_be_read() -> None:
         studies=("a", "b"),
     )
     said = said_of("near", stored, datetime(2030, 1, 5, 12, tzinfo=UTC))
-    assert "4 stored tests stand for it, measured 30 min to 4 days ago (a, b)" in said
+    assert "4 stored tests were used, measured 30 min to 4 days ago (a, b)" in said

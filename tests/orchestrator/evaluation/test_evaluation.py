@@ -14,7 +14,7 @@ from scipy.stats import kendalltau
 
 from nufleet.orchestrator.evaluation.fly_target import Psi, flight_record
 from nufleet.orchestrator.evaluation.results import EvaluationResult
-from nufleet.orchestrator.flight_labels import BASELINE, NO_PRIOR
+from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR
 from nufleet.orchestrator.flights.legs import Leg
 from nufleet.shared.wire.motions import TakenBack
 

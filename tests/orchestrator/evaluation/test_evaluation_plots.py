@@ -14,20 +14,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nufleet.orchestrator.evaluation.plots import fig4, fig7, paths, scatter
+from nufleet.orchestrator.evaluation.results import StudyEstimates
 from nufleet.orchestrator.evaluation.summaries import (
+    by_source,
     mean_kendall_tau,
     pooled_kendall_tau,
     reduction,
-    second_and_last,
 )
 from nufleet.orchestrator.evaluation.values import (
     FlightError,
     FlownPath,
-    StudyEstimate,
     TransferPair,
 )
-from nufleet.orchestrator.figures import label_places, prior_colours
-from nufleet.orchestrator.flight_labels import flight_label, path_label, prior_and_path
+from nufleet.orchestrator.flights.labels import flight_label, path_label, prior_and_path
+from nufleet.orchestrator.runs.figures import label_places, prior_colours
 from nufleet.shared.errors import InvalidInputError
 
 SOURCES = ("source-1", "source-2", "source-3")
@@ -35,12 +35,19 @@ PRIORS = ("baseline", "none", *SOURCES)
 ERROR_M = dict(zip(PRIORS, (0.27, 0.30, 0.09, 0.10, math.inf), strict=True))
 
 
-def estimates() -> list[StudyEstimate]:
+def estimates(study: int, iteration: int) -> dict[str, float]:
+    return {source: 0.1 * n + 0.01 * study / iteration for n, source in enumerate(SOURCES, start=1)}
+
+
+def studies() -> list[StudyEstimates]:
     return [
-        StudyEstimate(study, iteration, source, 0.1 * n + 0.01 * study / iteration)
+        StudyEstimates(
+            seed=study,
+            iterations=5 + study % 2,
+            second=estimates(study, 2),
+            last=estimates(study, 5 + study % 2),
+        )
         for study in range(12)
-        for iteration in (1, 2, 5 + study % 2)
-        for n, source in enumerate(SOURCES, start=1)
     ]
 
 
@@ -83,7 +90,7 @@ def as_bytes(colour: str) -> tuple[int, ...]:
 
 def test_estimates_of_every_source_are_drawn(tmp_path: Path) -> None:
     png = tmp_path / "fig4.png"
-    fig4(png, estimates(), {"source-1": 0.1})
+    fig4(png, studies())
     expected = prior_colours(SOURCES)
     assert {as_bytes(expected[source]) for source in SOURCES} <= colours_in(png)
 
@@ -119,7 +126,7 @@ def test_pairs_are_drawn_even_where_a_flight_was_not_finished(tmp_path: Path) ->
 def test_nothing_to_draw_is_said(tmp_path: Path) -> None:
     png = tmp_path / "none.png"
     for draw in (
-        lambda: fig4(png, [StudyEstimate(0, 1, "source-1", 0.1)]),
+        lambda: fig4(png, []),
         lambda: fig7(png, []),
         lambda: paths(png, []),
         lambda: scatter(png, pairs()[:1]),
@@ -129,11 +136,11 @@ def test_nothing_to_draw_is_said(tmp_path: Path) -> None:
     assert not png.exists()
 
 
-def test_every_study_has_a_last_iteration_of_its_own() -> None:
-    second, last = second_and_last(estimates())
-    assert {source: len(values) for source, values in second.items()} == dict.fromkeys(SOURCES, 12)
-    assert last["source-2"] == [0.2 + 0.01 * study / (5 + study % 2) for study in range(12)]
-    assert second["source-1"] == [0.1 + 0.01 * study / 2 for study in range(12)]
+def test_every_study_contributes_one_estimate_of_each_source_that_it_kept() -> None:
+    found = by_source(study.last for study in studies())
+    assert {source: len(values) for source, values in found.items()} == dict.fromkeys(SOURCES, 12)
+    assert found["source-2"] == [0.2 + 0.01 * study / (5 + study % 2) for study in range(12)]
+    assert by_source([{"a": 0.1, "b": 0.2}, {"b": 0.3}]) == {"a": [0.1], "b": [0.2, 0.3]}
 
 
 def test_the_reduction_is_averaged_over_paths_as_in_table_i() -> None:

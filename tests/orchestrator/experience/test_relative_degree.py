@@ -75,5 +75,5 @@ def test_a_robot_answers_from_the_sample_in_which_it_first_moves_the_wrong_way(
 
 
 def test_a_robot_that_does_not_answer_has_no_relative_degree() -> None:
-    with pytest.raises(StudyError, match="did not answer"):
+    with pytest.raises(StudyError, match="did not respond"):
         measured(LaggedRobot((10_000, 1), noise_std_m=0.001), 0)

@@ -101,7 +101,7 @@ def test_data_that_cannot_be_learned_from_are_refused() -> None:
     good = data()
     still = np.ones_like(good.inputs)
     for inputs, gamma, message in [
-        (good.inputs[:900], good.gamma[:900], "points are needed"),
+        (good.inputs[:900], good.gamma[:900], "let the robot fly for longer"),
         (np.where(good.inputs > 7, np.nan, good.inputs), good.gamma, "not finite"),
         (still, good.gamma, "do not vary"),
         (good.inputs, np.zeros_like(good.gamma), "do not vary"),

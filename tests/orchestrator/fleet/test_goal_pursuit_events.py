@@ -1,4 +1,4 @@
-"""Whatever happens to a goal, in whatever order: the promises that every sequence must keep."""
+"""The promises that every sequence of events of a goal must keep."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ SIGNS: tuple[Event, ...] = (
 
 @dataclass
 class Answer:
-    """An answer to one of the open questions, as the numbers choose; or one that nobody asked."""
+    """An answer to one of the open questions, as the numbers choose, or to none of them."""
 
     question: int
     kind: int

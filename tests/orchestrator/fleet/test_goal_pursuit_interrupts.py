@@ -160,6 +160,6 @@ def test_one_that_does_not_come_to_rest_is_given_up_and_named() -> None:
         goal.happens(refused(FETCH, "not-finished"))
         goal.beats(0.5, state())
     assert 1000.0 + REST_PATIENCE_S <= goal.now_s <= 1001.0 + REST_PATIENCE_S
-    assert f"was told to end {GOAL} and is not at rest" in goal.error
+    assert f"was told to end {GOAL} but is not at rest" in goal.error
     assert goal.ended is not None
     assert (goal.ended.interrupted, goal.ended.abandoned) == (True, (GOAL,))

@@ -33,7 +33,7 @@ def test_the_secrets_of_an_endpoint_and_of_a_repository_are_in_no_configuration(
 
 def test_an_endpoint_whose_secrets_were_not_stored_has_to_be_named_again() -> None:
     stored = Reach.model_validate_json(Reach(connect=ENDPOINT).model_dump_json())
-    with pytest.raises(InvalidInputError, match="name the whole endpoint with --connect"):
+    with pytest.raises(InvalidInputError, match="give the whole endpoint with --connect"):
         FleetChoice.again(stored).connection(Console(quiet=True))
 
 

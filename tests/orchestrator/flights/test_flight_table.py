@@ -1,4 +1,4 @@
-"""Every sample of every flight is in the table, and it is complete whatever happened."""
+"""Every sample of every flight is in the table, which is complete however the flights ended."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ def never_opened() -> Repository:
 
 
 def measured_of(robot: str) -> list[FrequencyResponse]:
-    """Two tests of a robot at different frequencies, and one more at the second's."""
+    """Two tests of a robot at different frequencies, and a third at the second frequency."""
     first = a_test(robot).response
     second = replace(first, omega_rad_s=2 * first.omega_rad_s, z=0.5 * first.z)
     return [first, second, replace(second, z=0.6 * first.z)]

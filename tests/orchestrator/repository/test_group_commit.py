@@ -52,7 +52,7 @@ def store_all(begun: Repository, gate: Gate, stale: int | None = None) -> list[F
             )
             for number in range(1, THREADS + 1)
         ]
-        # Whoever came first took its own work, and all that was there by then.
+        # The first thread took its own work, and all that had arrived by then.
         wait_until(lambda: sum(gate.batches) + len(gate.group._jobs) == THREADS)
         gate.opened.set()
     return futures

@@ -27,7 +27,7 @@ ROUNDS = 20
 
 
 class Clock:
-    """The clock of a database, which is right until it is set by so many seconds."""
+    """The clock of a database, which is right until it is set forward by some seconds."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self._off_s, right = 0.0, Database.now_s
@@ -113,7 +113,7 @@ def test_the_highest_epoch_that_is_believed_leaves_room_above_it(repository: Rep
 
 def test_a_repository_whose_epochs_are_used_up_says_so() -> None:
     stored = StoredLease(FLEET, "r1", "a", EPOCH_MAX, 8.0, 0.0)
-    with pytest.raises(EpochOutOfRangeError, match="begin another with --repository"):
+    with pytest.raises(EpochOutOfRangeError, match="start a new repository with --repository"):
         acquired(stored, owner="b", term_s=8.0, above_epoch=0, now_s=1.0)
 
 

@@ -244,7 +244,7 @@ def in_a_small_filesystem(folder: Path, scenario: str) -> str:
 def test_a_full_disk_stores_no_intent_and_keeps_what_was_stored(tmp_path: Path) -> None:
     said = in_a_small_filesystem(tmp_path, "full")
     assert said.startswith("RepositoryFullError")
-    assert "make room" in said
+    assert "free some space" in said
 
 
 def test_a_file_system_that_cannot_be_written_is_an_error_on_opening(tmp_path: Path) -> None:

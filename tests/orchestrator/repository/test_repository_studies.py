@@ -235,9 +235,9 @@ def test_a_goal_cannot_be_accepted_by_two_agent_processes(begun: Repository) -> 
 
 def test_a_goal_id_means_one_test(begun: Repository) -> None:
     begun.studies.intend(intent())
-    with pytest.raises(RecordConflictError, match="another test"):
+    with pytest.raises(RecordConflictError, match="a different test"):
         begun.studies.intend(replace(intent(), excitation=LONGER))
-    with pytest.raises(RecordConflictError, match="under another id"):
+    with pytest.raises(RecordConflictError, match="under an id other than"):
         begun.studies.intend(replace(intent(), goal_id="another"))
 
 

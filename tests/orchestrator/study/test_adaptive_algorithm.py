@@ -141,7 +141,7 @@ def test_it_does_not_claim_what_noise_hides() -> None:
     assert last.confidence is not None
     assert last.confidence < 0.95
     assert last.stopped_because is not None
-    assert "rounds are used up" in last.stopped_because
+    assert "rounds have been used" in last.stopped_because
 
 
 def test_asking_twice_is_one_question() -> None:

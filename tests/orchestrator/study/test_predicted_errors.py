@@ -1,4 +1,4 @@
-"""Errors predicted for paths, against closed forms, and how they stand beside what was flown."""
+"""Errors predicted for paths, compared with closed forms and with flights."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from random_loops import BAND, SPEC, Loop
 from nufleet.orchestrator.evaluation.fly_target import Psi, summarise
 from nufleet.orchestrator.evaluation.pairs import compare_pairs
 from nufleet.orchestrator.evaluation.results import EvaluationResult, FlightRecord
-from nufleet.orchestrator.flight_labels import BASELINE, NO_PRIOR
+from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR
 from nufleet.orchestrator.study.predicted_errors import PredictedRms, predict_rms
 from nufleet.orchestrator.study.tone_choice import first_look
 from nufleet.shared.arrays import FloatArray

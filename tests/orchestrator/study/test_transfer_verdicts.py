@@ -103,7 +103,7 @@ def test_robots_of_any_pace_are_judged_without_a_warning(
     rng, specs = np.random.default_rng(0), dict.fromkeys(fleet, spec)
     study: Study = PaperStudy(plan, rng)
     if algorithm == "adaptive":
-        # It goes on until the last round, in which tests that were told already are added to.
+        # It continues to the last round, which adds to earlier tests.
         impatient = AdaptiveSettings(delta=1e-9, epsilon=0.0)
         study = AdaptiveStudy(plan, specs, rng, settings=impatient)
     while (question := study.ask()) is not None:
@@ -201,7 +201,7 @@ NOISE = 0.005
 def judged_from(
     at_target: Excitation, at_sources: Excitation, motion: DesiredMotion | None, seed: int = 1
 ) -> Judgement:
-    """Judge by stored tests, whatever was played on each robot."""
+    """Judge by stored tests, with different tones on each robot."""
     rng = np.random.default_rng(seed)
     played = {name: at_target if name == "target" else at_sources for name in FLEET}
     stored = {name: [FLEET[name].answer(played[name], NOISE, rng)] for name in FLEET}
@@ -219,8 +219,8 @@ def test_of_tests_on_disjoint_bands_no_verdict_is_wrong_and_the_gap_is_said(
     assert found.verdicts["worse"].verdict is not Verdict.TRANSFER
     low, high = at_sources[0], at_sources[-1]
     assert any(
-        f"near: it was tested from {low:.4g} to {high:.4g} rad/s" in finding
-        and "test both over one band" in finding
+        f"near was tested from {low:.4g} to {high:.4g} rad/s" in finding
+        and "test both over the same band" in finding
         for finding in found.findings
     )
 
@@ -233,8 +233,8 @@ def test_one_frequency_decides_nothing_and_asks_for_more(
     found = judged_from(tones(2.0), tones(*at_sources), motion)
     assert found.verdicts["near"].verdict is Verdict.NEED_MORE_TESTS
     assert found.verdicts["worse"].verdict is not Verdict.TRANSFER
-    assert "target: it was tested at 2 rad/s only" in " ".join(found.findings)
-    assert any(f.startswith(f"near: it was tested at {at_sources[0]:g}") for f in found.findings)
+    assert "target was tested at 2 rad/s only" in " ".join(found.findings)
+    assert any(f.startswith(f"near was tested at {at_sources[0]:g}") for f in found.findings)
 
 
 def test_a_stored_test_without_any_finite_estimate_is_refused_by_name() -> None:

@@ -17,9 +17,9 @@ from nufleet.orchestrator.viewer.shown import COMPARED_S, Shown
 from nufleet.orchestrator.viewer.writer import RerunWriter
 
 STUDY_VIEWS = {"Ranking", "Robots", "Log", "Responses on the Riemann sphere"}
-FLIGHT_VIEWS = {"Tracking", "Flights", "Log", "Tracking error |e| [mm], by who gave the prior"}
-PATHS = "Path: wanted (thin), flown now (bright) and before"
-POSITION = "Position [m]: wanted (grey) and flown"
+FLIGHT_VIEWS = {"Tracking", "Flights", "Log", "Tracking error |e| [mm], by source of the prior"}
+PATHS = "Path: desired (thin), current flight (bright), earlier flights"
+POSITION = "Position [m]: desired (grey) and actual"
 
 
 def laid_out(path: Path, *events: ViewerEvent) -> list[set[str]]:

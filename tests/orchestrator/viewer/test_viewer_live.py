@@ -1,4 +1,4 @@
-"""Live viewers: they see the study, and whatever becomes of them, the study goes on."""
+"""Live viewers see the study, and the study continues even if they fail."""
 
 from __future__ import annotations
 

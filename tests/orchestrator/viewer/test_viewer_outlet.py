@@ -88,7 +88,7 @@ def test_offering_never_waits_for_a_sink_that_is_stuck(gated: GatedSink) -> None
     outlet = started(lambda: gated)
     outlet.offer(state_event("s1", 0.0))
     assert gated.entered.wait(PATIENCE_S)
-    # Its gate is shut all along: whoever waited for it would not come back.
+    # Its gate stays shut: a call that waited for it would not return.
     for k in range(20_000):
         outlet.offer(state_event("s1", 0.1 * k))
     outlet.ask_to_close()

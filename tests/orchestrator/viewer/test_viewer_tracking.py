@@ -146,14 +146,14 @@ def test_the_place_where_the_prior_was_taken_back_is_marked(tmp_path: Path) -> N
     event = flight()
     path = record(tmp_path / "run.rrd", *parts(event, 100), taken_back(3.0))
     labels = column(path, "/tracking/plot/path/taken_back", "Points2D:labels")
-    assert labels[-1] == ["prior taken back"]
+    assert labels[-1] == ["prior withdrawn"]
     places = column(path, "/tracking/plot/path/taken_back", "Points2D:positions")
     np.testing.assert_allclose(places[-1][0], event.actual[150], rtol=1e-5)  # type: ignore[index]
     for signal, value in (("share", 1.0), ("error", LATE_MM)):
         times_s, values = scalars(path, f"/tracking/taken_back/{signal}/target")
         assert (times_s[0], values[0]) == pytest.approx((3.0, value))
     assert column(path, "/log", "TextLog:text") == [
-        ["    3.0 s  s1 · circle · 0.6 m/s: prior taken back: it was worse"]
+        ["    3.0 s  s1 · circle · 0.6 m/s: prior withdrawn: it was worse"]
     ]
     assert column(path, "/log", "TextLog:level") == [["WARN"]]
 
@@ -170,7 +170,7 @@ def test_a_mark_waits_for_the_samples_that_it_stands_at(tmp_path: Path) -> None:
 def test_the_next_flight_carries_no_mark_of_the_last(tmp_path: Path) -> None:
     path = record(tmp_path / "run.rrd", flight(), taken_back(3.0), flight("s2", t_s=15.0))
     assert column(path, "/tracking/plot/path/taken_back", "Clear:is_recursive")[-1] == [False]
-    assert "taken back" in names(path)
+    assert "withdrawn" in names(path)
 
 
 def test_lines_are_broken_between_flights(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Flights along a circle, made up: whoever gives the prior, the robot is a little late."""
+"""Invented flights along a circle: with any prior, the robot is a little late."""
 
 from __future__ import annotations
 

@@ -148,7 +148,7 @@ def test_each_flight_begins_with_a_process_of_its_own() -> None:
 
 def test_a_prior_that_is_gone_is_an_error_of_the_robot() -> None:
     motion = Tracking(desired=PATH[:, :1], inverse="prior", prior_sha256="0" * 64)
-    with pytest.raises(RobotError, match="no prior any more"):
+    with pytest.raises(RobotError, match="no longer has a prior"):
         learner_for(motion, double_integrator(), Memory(None), None)
 
 

@@ -168,7 +168,7 @@ def test_a_model_that_obeys_its_share_never_costs_a_tenth_more_than_the_baseline
 
 
 def taken_back_at(correction: FloatArray, needed: FloatArray) -> int | None:
-    """When a correction that grows as fast as it may is taken back, before any error shows."""
+    """When a correction that grows as fast as it may is withdrawn, before any error shows."""
     guard = Guard(
         KNOWN,
         0.0,
@@ -189,7 +189,7 @@ def test_a_correction_is_taken_back_while_its_way_back_is_still_short() -> None:
     wrong, needed = np.array([0.5, 0.0]), np.array([0.02, 0.0])
     sample = taken_back_at(wrong, needed)
     assert sample is not None
-    # The sum over the way back, against the budget: c³/3 − c² n = 0.05 v T Σ|e|².
+    # The sum over the removal, against the budget: c³/3 − c² n = 0.05 v T Σ|e|².
     whole = float((baseline() ** 2).sum())
     size = SPEED_MAX * STEP_S * np.arange(SAMPLES)
     cost = (size**3 / 3 - size**2 * 0.02) / (SPEED_MAX * STEP_S)

@@ -223,7 +223,7 @@ def test_a_file_of_another_version_is_refused_although_it_is_whole(tmp_path: Pat
     other = OWN.replace(b'"schema_version', b'"schema_vorsion')
     path.unlink()
     (tmp_path / f"{PRIOR}.learned").write_bytes(bytes.fromhex(digest(other)) + other)
-    with pytest.raises(MemoryFolderError, match="train or transfer anew"):
+    with pytest.raises(MemoryFolderError, match="train or transfer again"):
         Memory(tmp_path)
 
 

@@ -12,7 +12,7 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 from nufleet.robot_agent.flight.online_gp import BOUNDS, START, OnlineGp, Outcome
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.experience.layout import InverseLayout
-from nufleet.shared.gaussian_process.exact import Bounds
+from nufleet.shared.gaussian_process.problem import Bounds
 
 LAYOUT = InverseLayout(
     architecture="state", states=("position", "velocity"), sample_time_s=0.02, horizon_samples=5

@@ -200,7 +200,7 @@ def test_a_robot_that_fails_on_its_way_leaves_a_record_of_what_it_flew() -> None
 def test_a_sensor_that_goes_blind_ends_the_flight_at_rest() -> None:
     robot = LaggedRobot(blind_at=25 + 60)
     flight = track(robot, 0.5 * np.repeat(PATH, 2, axis=1), LIMITS, _two_axes())
-    assert flight.failure == "the sensor returned a number that is not finite at sample 60"
+    assert flight.failure == "the sensor returned a value that is not finite at sample 60"
     assert np.isfinite(flight.reference).all()
     assert robot.rests == 1
 
@@ -231,7 +231,7 @@ def test_what_breaks_a_limit_is_refused_before_anything_moves() -> None:
             0.5 * flat,
             None,
             Guard(flat.T[:1] ** 2, 0.0, 0.02, 2.0, flat, correction_speed_max=1.0),
-            "baseline needs none",
+            "baseline does not need one",
         ),
     ]
     for desired, asked, guard, message in wrong:

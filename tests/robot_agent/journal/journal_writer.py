@@ -17,7 +17,7 @@ def say(what: str) -> None:
 
 
 def live(folder: Path, life: str) -> None:
-    """Accept goals, end them, stop and release, until somebody ends this process."""
+    """Accept goals, end them, stop and release, until this process is killed."""
     journal = Journal(folder)
     say("open")
     number = 0

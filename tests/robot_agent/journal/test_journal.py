@@ -123,7 +123,7 @@ def test_a_goal_that_was_cancelled_before_it_came_moves_nothing_in_any_later_lif
             assert isinstance(refusal, Refusal)
             assert refusal.code == "cancelled"
             assert (journal.remembrance.lost, journal.result("g1")) == ((), None)
-            journal.owned("orchestrator-1", 3)  # and the log is written anew
+            journal.owned("orchestrator-1", 3)  # and the log is rewritten
             journal.owned("orchestrator-1", 4)
 
 
@@ -218,7 +218,7 @@ def test_a_journal_of_a_newer_nufleet_is_left_alone(tmp_path: Path) -> None:
     salt = bytes(16)
     data = file_head(salt) + encode_frame(salt, 1, b'{"kind": "flown to the moon"}')
     (tmp_path / LOG).write_bytes(data)
-    with pytest.raises(JournalError, match="another nufleet"):
+    with pytest.raises(JournalError, match="a different version of nufleet"):
         Journal(tmp_path)
     assert (tmp_path / LOG).read_bytes() == data
 
@@ -424,7 +424,7 @@ def test_an_owner_that_the_disk_does_not_let_go_is_said_and_stays(
         journal.owned("o-1", 3)
         with monkeypatch.context() as broken:
             broken.setattr("os.fsync", failing)
-            with pytest.raises(JournalError, match="see to the disk"):
+            with pytest.raises(JournalError, match="free or repair the disk"):
                 journal.forget_owner()
     with Journal(tmp_path) as journal:
         assert journal.remembrance.owner == Owned(owner="o-1", epoch=3)
@@ -452,7 +452,7 @@ def test_a_journal_writes_through_no_link(tmp_path: Path, name: str) -> None:
     else:
         victim.write_bytes(b"somebody's")
         log = bytearray((folder / LOG).read_bytes())
-        log[-1] ^= 1  # so that it is written anew, and what was found is kept
+        log[-1] ^= 1  # so that it is rewritten, and its content is kept
         (folder / LOG).write_bytes(log)
         (folder / name).unlink(missing_ok=True)
     before = victim.read_bytes()

@@ -90,7 +90,7 @@ def test_a_record_that_was_taken_out_or_put_twice_is_noticed() -> None:
 
 @given(payload=st.binary(max_size=20))
 def test_a_record_inside_a_record_is_not_believed(payload: bytes) -> None:
-    # Somebody may put the bytes of another journal's record into a reason.
+    # A reason may contain the bytes of another journal's record.
     forged = encode_frame(bytes(16), 2, b"forged")
     data = bytearray(journal([forged + payload, b"next"]))
     assert scan(bytes(data)).payloads == (forged + payload, b"next")

@@ -76,7 +76,7 @@ def test_a_record_comes_back_as_it_was_written(record: Record) -> None:
 
 @pytest.mark.parametrize("payload", [b"", b"{}", b'{"kind": "flown"}', b"\xff", b"[1"])
 def test_a_record_of_another_nufleet_is_refused(payload: bytes) -> None:
-    with pytest.raises(JournalError, match="another nufleet"):
+    with pytest.raises(JournalError, match="a different version of nufleet"):
         decode_record(payload)
 
 

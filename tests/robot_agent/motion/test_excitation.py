@@ -158,7 +158,7 @@ def test_a_tone_outside_the_band_is_refused(omega: float) -> None:
 
 def test_a_tone_near_zero_is_refused_with_the_length_of_its_period() -> None:
     excitation = Excitation(axis="x", tones=tones_at(0.001))
-    with pytest.raises(RefusedError, match="one period would take 6283 s"):
+    with pytest.raises(RefusedError, match="one period of it would take 6283 s"):
         plan_excitation(excitation, spec_with(), "r1")
 
 

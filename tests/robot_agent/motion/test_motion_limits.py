@@ -1,4 +1,4 @@
-"""Whatever a robot is and is asked for: references keep to its limits.
+"""References keep to the limits, for any robot and any request.
 
 Real motions on recording robots: what is looked at is what a driver sees, from the rest before the
 first sample to the rest after the last.
@@ -40,7 +40,7 @@ ROUNDING = 1 + 1e-6
 
 
 def path_of(spec: RobotSpec, rng: np.random.Generator) -> FloatArray:
-    """A path that begins anywhere in the workspace; refused ones are none of these tests'."""
+    """A path that begins anywhere in the workspace; refused paths are tested elsewhere."""
     limits = spec.tracking
     assert limits is not None
     points = 0.8 * limits.position_max * rng.uniform(-1, 1, (4, len(spec.axes)))

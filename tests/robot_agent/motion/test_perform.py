@@ -1,4 +1,4 @@
-"""Playing a motion: from rest to rest, whatever the robot does meanwhile."""
+"""Performing a motion from rest to rest, no matter what the robot does meanwhile."""
 
 from __future__ import annotations
 
@@ -263,7 +263,7 @@ def test_a_sensor_that_is_not_finite_fails_the_motion_with_the_samples_before(
     robot.measure = measure
     result = played(robot, realtime=realtime)
     assert result.outcome is Outcome.FAILED
-    assert result.reason == f"the sensor returned a number that is not finite at sample {bad}"
+    assert result.reason == f"the sensor returned a value that is not finite at sample {bad}"
     assert len(result.samples.reference) == bad
     assert result.fault is None
 

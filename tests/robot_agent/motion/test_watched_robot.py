@@ -25,7 +25,7 @@ class Clock:
 
 
 class Stuck:
-    """A puppet that is inside one call until it is let go."""
+    """A puppet that stays inside one call until it is released."""
 
     def __init__(self, call: str, realtime: float | None) -> None:
         self.inside, self.let_go = threading.Event(), threading.Event()

@@ -1,4 +1,4 @@
-"""What waits at a robot is bounded in number and in bytes, and whoever is turned away is told."""
+"""Requests that wait at a robot are bounded in number and bytes; others are refused."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def goes_on() -> Iterator[threading.Event]:
 
 @pytest.fixture
 def session(goes_on: threading.Event) -> Iterator[Session]:
-    """Of an endpoint whose worker is stuck in the first request until it goes on."""
+    """An endpoint whose worker is stuck in the first request until it is released."""
 
     def slow(_payload: bytes) -> Message:
         assert goes_on.wait(PATIENCE_S)

@@ -93,7 +93,7 @@ def _submitted(run: Run, goal_id: str, digest: str, owner: str) -> Run:
     goals, answer = submit(run.goals, goal_id=goal_id, owner=owner, digest=digest)
     known = dict(run.digests).get(goal_id)
     if known is not None or goal_id in run.forgone:
-        assert goals == run.goals  # heard of before: whatever the answer, nothing changes
+        assert goals == run.goals  # known before: nothing changes, regardless of the answer
         assert recognise(run.goals, goal_id=goal_id, digest=digest) == answer
     if goal_id in run.forgone:
         assert isinstance(answer, Refusal)

@@ -26,7 +26,7 @@ def answer(held: Commander | None, sender: Commander, alive: bool, moving: str |
         assert refusal.reason.startswith(f"{held.owner} commands it under epoch {held.epoch}; ")
     else:
         assert moving is not None
-        assert refusal.reason.startswith(f"it moves for {moving}, who is alive")
+        assert refusal.reason.startswith(f"it is moving for {moving}, which is alive")
     return refusal.code
 
 
@@ -91,7 +91,9 @@ def test_an_epoch_that_jumps_is_refused_and_one_that_rises_is_not() -> None:
     refusal = refusal_to_command(held, Commander("b", jump + 1), held_alive=False, moving_for=None)
     assert refusal is not None
     assert refusal.code == "epoch-jump"
-    assert refusal.reason.startswith(f"b sent epoch {jump + 1}, and none above {jump} is obeyed")
+    assert refusal.reason.startswith(
+        f"b sent epoch {jump + 1}, and this robot accepts none above {jump};"
+    )
     assert "--forget-owner" in refusal.reason
 
 

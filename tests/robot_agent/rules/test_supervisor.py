@@ -75,7 +75,7 @@ STEPS = [(state, event) for state in STATES for event in EVENTS if can_happen(st
 
 
 def test_all_states_are_looked_at() -> None:
-    # Stopped by nobody, alice or bob; no fault or one of two; at rest, or moving for one of two
+    # Not stopped, or by alice or bob; no fault or one of two; at rest, or moving for one of two
     # owners, which a robot with a fault never does.
     assert len(STATES) == 3 * 3 + 3 * 2
 

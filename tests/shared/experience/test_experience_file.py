@@ -147,7 +147,7 @@ def test_a_file_that_is_too_large_is_refused() -> None:
 
 def test_a_safetensors_file_of_something_else_is_refused() -> None:
     other = safetensors.numpy.save({"a": np.zeros(3, np.float32)})
-    with pytest.raises(MalformedMessageError, match="without an experience's manifest"):
+    with pytest.raises(MalformedMessageError, match="no manifest of an experience"):
         decode_experience(other)
 
 
@@ -165,7 +165,7 @@ def test_a_network_that_is_not_the_one_of_its_manifest_is_refused() -> None:
         ("bias_0", np.zeros(6, np.float32), "shape"),
         ("bias_0", np.zeros(5), "float64"),
         ("bias_0", np.full(5, np.nan, np.float32), "not finite"),
-        ("more", np.zeros(5, np.float32), "not those of its manifest"),
+        ("more", np.zeros(5, np.float32), "do not match its manifest"),
     ]:
         payload = safetensors.numpy.save(
             {**good.arrays, name: np.asarray(array)},

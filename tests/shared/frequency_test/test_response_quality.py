@@ -84,7 +84,7 @@ def test_a_sample_that_is_not_finite_makes_a_test_unusable(bad: float, which: st
     signals[which][plan.first_measured_sample + 7] = bad
     measured = estimate_frequency_response(signals["reference"], signals["output"], plan)
     assert reasons(measured) == {"not-finite"}
-    assert str(measured.quality) == f"the {which} holds 1 samples that are not finite"
+    assert str(measured.quality) == f"the {which} contains 1 samples that are not finite"
     assert np.isnan(measured.z).all()
     assert np.isinf(measured.variance).all()
 
@@ -228,7 +228,7 @@ def test_a_robot_that_mostly_moves_of_its_own_accord_is_no_response() -> None:
 
     measured = verdict_on(oscillate)
     assert "unexplained" in reasons(measured)
-    assert "the robot did something else" in str(measured.quality)
+    assert "the robot did not follow the test" in str(measured.quality)
 
 
 @many_tones
@@ -291,7 +291,7 @@ def test_a_transient_is_reported_from_one_thousandth_on_and_fails_a_test_from_on
     slightly = verdict_on(decaying(0.01, 1.0), omegas_rad_s)
     assert slightly.quality.usable
     assert "settling" in warnings(slightly)
-    assert "settle longer" in str(slightly.quality)
+    assert "allow more time to settle" in str(slightly.quality)
     assert verdict_on(decaying(1e-4, 1.0), omegas_rad_s).quality.warnings == ()
 
 

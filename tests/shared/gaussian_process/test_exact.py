@@ -15,16 +15,13 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.gaussian_process.exact import (
-    Batch,
-    Bounds,
-    FitStatus,
-    Hyperparameters,
     fit,
     log_marginal_likelihood,
     posterior,
     posterior_weights,
     warm_up,
 )
+from nufleet.shared.gaussian_process.problem import Batch, Bounds, FitStatus, Hyperparameters
 
 WIDE = Bounds((1e-4, 1e3), (1e-2, 1e3), (1e-6, 1e2))
 START = Hyperparameters(0.1, 0.5, 0.002)

@@ -6,15 +6,9 @@ import numpy as np
 import pytest
 
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.gaussian_process.exact import (
-    Batch,
-    Bounds,
-    FitStatus,
-    Hyperparameters,
-    fit,
-    posterior,
-)
+from nufleet.shared.gaussian_process.exact import fit, posterior
 from nufleet.shared.gaussian_process.online import OnlineFit
+from nufleet.shared.gaussian_process.problem import Batch, Bounds, FitStatus, Hyperparameters
 
 START = Hyperparameters(0.1, 0.5, 0.002)
 BOUNDS = Bounds((1e-4, 1e2), (1e-2, 1e2), (1e-6, 1.0))

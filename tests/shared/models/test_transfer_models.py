@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from random_models import random_state_space
+from random_models import random_state_space, state_space
 from scipy import signal
 
 from nufleet.shared.models.linear_model import LinearModel
@@ -13,7 +13,6 @@ from nufleet.shared.models.transfer_models import (
     ModelError,
     StateSpace,
     require_same_shape,
-    state_space,
 )
 
 ONE = np.ones((1, 1))

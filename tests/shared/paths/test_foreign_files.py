@@ -45,8 +45,8 @@ def test_tables_are_understood_however_they_are_written(tmp_path: Path, text: st
     [
         ("0,1\n2,x\n", "line 2: expected numbers for x and y, got '2,x'"),
         ("0,1\n2\n", "line 2: expected numbers"),
-        ("1,2,3\n4,5,6\n", "line 1: 3 columns; name those of the drawing x and y"),
-        ("0,1\nnan,3\n", "point 2 holds a number that is not finite"),
+        ("1,2,3\n4,5,6\n", "line 1: 3 columns; add a first line that names two of them x and y"),
+        ("0,1\nnan,3\n", "point 2 contains a number that is not finite"),
         ("x,y\n0,1\n", "two different points"),
         ("", "two different points"),
         ("\n".join("1,2" for _ in range(POINTS_MAX + 1)), "more than 100000 points"),

@@ -39,5 +39,5 @@ def test_another_distribution_can_add_a_drawing_by_name(distribution: Path) -> N
 
 
 def test_an_unknown_drawing_is_named_with_those_there_are(distribution: Path) -> None:
-    with pytest.raises(InvalidInputError, match=r"spral: there is no such drawing; .*spiral"):
+    with pytest.raises(InvalidInputError, match=r"spral: no such drawing; .*spiral"):
         find_drawing("spral")

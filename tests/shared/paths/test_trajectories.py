@@ -79,7 +79,7 @@ def test_points_that_repeat_do_not_change_the_trajectory() -> None:
     [
         (np.zeros((1, 2)), "two different points"),
         (np.zeros((5, 2)), "two different points"),
-        (np.array([[0.0, 0.0], [np.nan, 1.0]]), "point 2 holds a number that is not finite"),
+        (np.array([[0.0, 0.0], [np.nan, 1.0]]), "point 2 contains a number that is not finite"),
         (np.zeros(4), "one row per point"),
         (np.zeros((100_001, 2)), "at most 100000 points"),
     ],

@@ -224,7 +224,7 @@ def test_a_crash_is_found_told_and_ended_by_connecting_anew(
     robot = fresh(name)
     with pytest.raises(RobotError, match=rf"{name} crashed .* s into its motion: height"):
         robot.run(sinusoid(60.0, 5.4, 1.0))
-    with pytest.raises(RobotError, match="connected anew"):
+    with pytest.raises(RobotError, match="reconnected"):
         robot.rest()
     robot.connect()
     assert np.abs(robot.observe()[:, 0]).max() < 0.02

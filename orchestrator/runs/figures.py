@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nufleet.orchestrator.flight_labels import BASELINE, MIXTURE, NO_PRIOR, OWN
+from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 from nufleet.shared.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -64,9 +64,9 @@ def label_places(points: FloatArray, sizes: FloatArray, area: tuple[float, float
     Each in turn takes, of places all around its point, the one that covers least.
 
     Args:
-        points: in the units of the screen, shape (n, 2).
-        sizes: widths and heights of the labels, shape (n, 2).
-        area: width and height of what may be written on, from the origin on.
+        points: Places to label, in the units of the screen, shape (n, 2).
+        sizes: Widths and heights of the labels, shape (n, 2).
+        area: Width and height of the area for labels, whose corner is the origin.
     """
     taken = np.empty((0, 4))
     marks = np.column_stack([points - _LABEL_GAP / 2, points + _LABEL_GAP / 2])
