@@ -81,7 +81,7 @@ class Row:
 
 
 def path(drawing: str, speed_m_s: float, seconds: float) -> FloatArray:
-    """Return x of a drawing flown back and forth for exactly this time: the log ends in mid-flight."""
+    """Return x of a drawing flown back and forth for this time: the log ends in mid-flight."""
     points = read_drawing(find_drawing(drawing))
     once = travel(points, speed_m_s, ACCELERATION_M_S2, SAMPLE_TIME_S)[:, 0]
     samples = round(seconds / SAMPLE_TIME_S)

@@ -125,8 +125,9 @@ def transfer(
 
     Args:
         target: Name of the robot that receives the experience.
-        source: Name of the source, `best` for the best of the latest ranking, or `none` to remove
-            the target's prior; None when `file` is given.
+        source: Name of the source, several names separated by commas or `all` for a mixture, `best`
+            for the best of the latest ranking, or `none` to remove the target's priors; None when
+            `file` is given.
         file: File of an experience; None to take one from a source.
         architecture: Architecture of the experience; None for the only one there is.
         connect: Endpoint of the running fleet.

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from nufleet.robot_agent.flight.inverse_model import NetworkInverse
 from nufleet.robot_agent.flight.memory import Kept, Memory
 from nufleet.robot_agent.flight.prior_bounds import out_of_bounds
 from nufleet.robot_agent.robot import Robot
 from nufleet.robot_agent.rules.ownership import Commander
-from nufleet.shared.errors import RefusedError
+from nufleet.shared.errors import InvalidInputError, RefusedError
+from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.experience.file import decode_experience
 from nufleet.shared.experience.manifest import misfit
 from nufleet.shared.wire.codec import Message
@@ -49,10 +51,9 @@ class ExperienceService:
         """Return an offer of each experience learned on this robot."""
         return tuple(offer_of(kept) for kept in self._memory.experiences)
 
-    def prior(self) -> ExperienceOffer | None:
-        """Return the prior that the robot flies with; None without one."""
-        kept = self._memory.prior
-        return None if kept is None else offer_of(kept)
+    def priors(self) -> tuple[ExperienceOffer, ...]:
+        """Return the priors that the robot flies with, the first of which it takes by itself."""
+        return tuple(offer_of(kept) for kept in self._memory.priors)
 
     def fetch(self, request: FetchRequest) -> Message:
         """Return the file of a stored experience; raises RefusedError for an unknown digest."""
@@ -64,11 +65,13 @@ class ExperienceService:
         return self._installed(request, self._memory.keep_experience, own=True)
 
     def install_prior(self, request: InstallRequest) -> Message:
-        """Store another robot's experience as the prior to fly with."""
-        return self._installed(request, self._memory.keep_prior, own=False)
+        """Store another robot's experience as the prior to fly with, or as one of several."""
+        return self._installed(
+            request, partial(self._memory.keep_prior, beside=request.beside), own=False
+        )
 
     def remove_prior(self, request: RemovePriorRequest) -> Message:
-        """Remove the prior; the robot flies without one from now on."""
+        """Remove all priors; the robot flies without one from now on."""
         refusal = self._change(Commander(request.sender, request.epoch))
         if refusal is not None:
             return refusal
@@ -92,6 +95,15 @@ class ExperienceService:
             reason = misfit(manifest, self._robot.spec, self._robot.state_names, axis)
             if reason is not None:
                 return Refusal(code="misfit", reason=f"the experience does not fit: {reason}")
+        if request.beside and not own:
+            try:
+                CombinedLayout([*(p.manifest.layout for p in self._memory.priors), manifest.layout])
+            except InvalidInputError as error:
+                return Refusal(
+                    code="misfit",
+                    reason=f"the experience of {manifest.robot} cannot fly beside the priors that "
+                    f"it holds: {error}",
+                )
         if not own:
             inverse = NetworkInverse(experience)
             reason = out_of_bounds(inverse, manifest.layout, self._robot.spec)

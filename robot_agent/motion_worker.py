@@ -13,6 +13,7 @@ import numpy as np
 from nufleet.robot_agent.decisions import Assignment, Decisions
 from nufleet.robot_agent.flight.flights import learn, performance_of
 from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.flight.mixture_learner import experts_of
 from nufleet.robot_agent.flight.online_gp import Correction
 from nufleet.robot_agent.motion.excitation import reference_of
 from nufleet.robot_agent.motion.perform import AxisMotion, Performance, Played, Samples, perform
@@ -200,8 +201,9 @@ class MotionWorker:
                 if correction is None
                 else (correction.prior, correction.mean, correction.variance)
             )
+            weights = np.empty(0) if correction is None else correction.weights
             rows = (row[np.newaxis] for row in (desired, actual, *learned))
-            telemetry.add(sample, *rows, np.array([share]))
+            telemetry.add(sample, *rows, np.array([share]), weights[np.newaxis])
 
         plan, motion = assignment.plan, assignment.motion
         if isinstance(motion, Excitation):
@@ -239,6 +241,7 @@ class MotionWorker:
                 ),
                 clock=time.monotonic,
             )
+        experts = experts_of(assignment.motion, self._memory)
         return TelemetryBatcher(
             self._tracking,
             lambda first, signals: TrackingTelemetry(
@@ -251,6 +254,8 @@ class MotionWorker:
                 mean=signals[3],
                 variance=signals[4],
                 share=signals[5],
+                experts=experts,
+                weights=signals[6] if experts else None,
             ),
             clock=time.monotonic,
         )

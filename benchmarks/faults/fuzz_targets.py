@@ -54,7 +54,14 @@ from nufleet.shared.wire.messages import (
     Telemetry,
     TrackingTelemetry,
 )
-from nufleet.shared.wire.motions import Motion, RichFlight, RichFlightDetails, StepTest, Tracking
+from nufleet.shared.wire.motions import (
+    Motion,
+    RichFlight,
+    RichFlightDetails,
+    StepTest,
+    Tracking,
+    Weighted,
+)
 
 PLAN = ExcitationPlan(
     axis="x",
@@ -124,6 +131,9 @@ def example_messages() -> list[Message]:
         StepTest(axis="x"),
         RichFlight(duration_s=20.0, seed=3),
         Tracking(desired=FLIGHT, inverse="zero-prior", layout=LAYOUT),
+        Tracking(
+            desired=FLIGHT, inverse="mixture", mixture=(Weighted(sha256="0" * 64, weight=0.5),)
+        ),
     )
     states = RichFlightDetails(state_names=("position",), states=FLIGHT.reshape(40, 2, 1))
     path = dict.fromkeys(("desired", "actual", "prior", "mean", "variance"), FLIGHT)

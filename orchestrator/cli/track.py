@@ -48,14 +48,14 @@ from nufleet.orchestrator.cli.types import PositiveNumber
 )
 @click.option(
     "--inverse",
-    type=click.Choice(["auto", "prior", "own", "zero-prior", "baseline"]),
+    type=click.Choice(["auto", "prior", "mixture", "own", "zero-prior", "baseline"]),
     default="auto",
     show_default=True,
     help=(
         "Inverse model in front of the robot's own controller: the prior that was transferred to "
-        "it, its model of itself from all that it has flown (`own`), a model learned online from "
-        "nothing, or none (`baseline`). `auto` takes the prior if there is one, otherwise the "
-        "baseline."
+        "it, a mixture of all that were, its model of itself from all that it has flown (`own`), a "
+        "model learned online from nothing, or none (`baseline`). `auto` takes the mixture if "
+        "there are several priors, the prior if there is one, otherwise the baseline."
     ),
 )
 @click.option(

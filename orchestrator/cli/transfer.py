@@ -20,10 +20,11 @@ from nufleet.orchestrator.cli.options import (
 @click.option("--target", required=True, metavar="NAME", help="Robot that gets the experience.")
 @click.option(
     "--source",
-    metavar="NAME|best|none",
+    metavar="NAME,...|all|best|none",
     help=(
-        "Robot whose experience is transferred; `best` is the one that the latest ranking for this "
-        "target selected; `none` removes the target's prior."
+        "Robot whose experience is transferred; several, or `all` that have one, become a mixture; "
+        "`best` is the one that the latest ranking for this target selected; `none` removes the "
+        "target's priors."
     ),
 )
 @click.option(
@@ -48,6 +49,7 @@ def transfer(**options: Any) -> None:
 
     \b
     nufleet transfer --target drone-7 --source best
+    nufleet transfer --target drone-7 --source all
     nufleet transfer --target drone-7 --file runs/.../experiences/drone-3-state.safetensors
     """
     if (options["source"] is None) == (options["file"] is None):

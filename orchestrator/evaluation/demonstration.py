@@ -82,6 +82,7 @@ def demonstrate(
         architecture,
         guarded=True,
         observers=observers,
+        psi={estimate.robot: estimate.psi for estimate in (best, worst)},
     )
     result = DemoResult(
         ranking=ranking,
@@ -113,6 +114,11 @@ def demo_table(result: EvaluationResult) -> Table:
             _milli(source.rms_m),
             _percent(source.reduction_percent),
             style="bold green" if place == 0 else None,
+        )
+    if result.mixture is not None:
+        mixed = result.mixture
+        table.add_row(
+            "both, weighed in flight", "", _milli(mixed.rms_m), _percent(mixed.reduction_percent)
         )
     none = result.no_prior
     table.add_row(

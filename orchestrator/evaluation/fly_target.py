@@ -25,17 +25,19 @@ from nufleet.orchestrator.evaluation.summaries import kendall_tau
 from nufleet.orchestrator.experience.learning import pick_up
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.prior_custody import prior_put_back
-from nufleet.orchestrator.experience.transfer import transfer
+from nufleet.orchestrator.experience.transfer import transfer, transfer_several
 from nufleet.orchestrator.fleet.client import Fleet
-from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR, OWN
+from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 from nufleet.orchestrator.flights.legs import Leg
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
+from nufleet.orchestrator.flights.start_weights import mixture_of
 from nufleet.orchestrator.study.predicted_errors import PredictedRms
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RefusedError
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Description
+from nufleet.shared.wire.motions import MIXTURE_MAX
 
 NO_OWN_MODEL = ("no-own-model", "vague-own-model")
 """Codes of the refusals of a robot that knows too little of itself for a path."""
@@ -72,8 +74,9 @@ def fly_target(
     *,
     guarded: bool,
     observers: Sequence[FlightObserver],
+    psi: Mapping[str, float] | None = None,
 ) -> tuple[FlightRecord, ...]:
-    """Fly a target along all legs: own model, baseline, zero prior, then each source's experience.
+    """Fly a target along all legs: own model, baseline, zero prior, every source, their mixture.
 
     Its own model is flown first, since every flight adds to it: on the first path it rests on the
     tests alone. A path that the target's model of itself is too vague for is not flown with it.
@@ -90,6 +93,8 @@ def fly_target(
         architecture: Architecture of the sources' experiences to transfer.
         guarded: Whether the guard may withdraw a prior in flight.
         observers: Callbacks for the beginning and the end of each flight.
+        psi: Estimated distance of the sources, from which the mixture's weights start; None to
+            start from equal ones.
 
     Returns:
         One record per flight, in the order in which they were flown.
@@ -130,6 +135,10 @@ def fly_target(
                 fly_legs(NO_PRIOR, partial(pilot.zero_prior, robot, layout=layout, guarded=guarded))
             with_prior = partial(pilot.with_prior, robot, sha256=given.sha256, guarded=guarded)
             fly_legs(source, with_prior)
+        mixed = sources[:MIXTURE_MAX]
+        transfer_several(fleet, library, mixed, target, architecture)
+        mixture = mixture_of(fleet.describe(robot).priors, psi)
+        fly_legs(MIXTURE, partial(pilot.with_mixture, robot, mixture=mixture, guarded=guarded))
     return tuple(flights)
 
 
@@ -167,6 +176,7 @@ def flight_record(
         taken_back=None if event is None else event.reason,
         failure=flight.failure,
         deadline_misses=flight.deadline_misses,
+        weights=flight.mean_weights,
         own_flight_s=own_flight_s,
         predicted_rms_m=None if predicted is None else predicted.rms,
         predicted_low_m=None if predicted is None else predicted.low,
@@ -203,7 +213,9 @@ def summarise(
         ascending order of ψ̂*, and the first of them is the one selected.
     """
     order = sorted(psi, key=lambda source: psi[source].mean)
-    of = {name: _inverse_result(flights, name) for name in (BASELINE, NO_PRIOR, OWN, *order)}
+    of = {
+        name: _inverse_result(flights, name) for name in (BASELINE, NO_PRIOR, OWN, MIXTURE, *order)
+    }
     sources = tuple(
         SourceResult(
             robot=source,
@@ -225,6 +237,7 @@ def summarise(
             predicted_rms_m=None if predicted is None else predicted.without,
         ),
         no_prior=of[NO_PRIOR],
+        mixture=of[MIXTURE] if any(flight.inverse == MIXTURE for flight in flights) else None,
         own=of[OWN] if any(flight.inverse == OWN for flight in flights) else None,
         sources=sources,
         selected=order[0],

@@ -52,6 +52,8 @@ def evaluation_table(result: EvaluationResult) -> Table:
     table.add_row("none", "", "", "", *_cells(result.no_prior))
     if result.own is not None:
         table.add_row("own", "", "", "", *_cells(result.own))
+    if result.mixture is not None:
+        table.add_row("mixture", "", "", "", *_cells(result.mixture))
     for place, source in enumerate(result.sources):
         table.add_row(
             source.robot,

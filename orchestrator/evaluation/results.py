@@ -12,14 +12,17 @@ from nufleet.shared.strict import Document, NonNegative, Strict
 EVALUATION = "evaluation.json"
 
 
+Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
 class FlightRecord(Strict):
     """One flight along a drawing."""
 
     target: str
     """Name of the robot that flew."""
     inverse: str
-    """Name of the source that gave the prior, `none` for a zero prior, `own` for the target's model
-    of itself, or `baseline`."""
+    """Name of the source that gave the prior, `none` for a zero prior, `mixture` for one of all
+    sources, `own` for the target's model of itself, or `baseline`."""
     drawing: str
     """Name of the drawing."""
     speed_m_s: NonNegative
@@ -32,6 +35,9 @@ class FlightRecord(Strict):
     """Why the path was not finished; None when it was."""
     deadline_misses: Annotated[int, Field(ge=0)]
     """Number of references that took longer to choose than a sample lasts."""
+    weights: dict[str, Fraction] | None = None
+    """Mean weight of every source in a mixture over the flight, and of `none`; None without a
+    mixture. The weights of every sample are in the flights' table."""
     own_flight_s: NonNegative | None = None
     """Duration of the motions that the target's model of itself rested on before the flight; that
     of its least known axis. None if unknown."""
@@ -99,6 +105,8 @@ class EvaluationResult(Document):
     """Errors of online learning that begins with a zero prior."""
     own: InverseResult | None = None
     """Errors with the target's model of itself; None when it was not flown."""
+    mixture: InverseResult | None = None
+    """Errors with a mixture of all sources' experiences; None when it was not flown."""
     sources: tuple[SourceResult, ...]
     """Errors with each source's experience, in ascending order of ψ̂*."""
     selected: str

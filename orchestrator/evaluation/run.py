@@ -112,6 +112,7 @@ def run_evaluation(
         plan.architecture,
         guarded=plan.guarded,
         observers=observers,
+        psi={source: psi[source].mean for source in order},
     )
     pilot.acknowledge_all()
     result = summarise(

@@ -21,7 +21,12 @@ _log = logging.getLogger(__name__)
 
 
 def install(
-    fleet: Fleet, robot: str, slot: Literal["experience", "prior"], payload: bytes
+    fleet: Fleet,
+    robot: str,
+    slot: Literal["experience", "prior"],
+    payload: bytes,
+    *,
+    beside: bool = False,
 ) -> ExperienceOffer:
     """Install an experience on a robot and read it back.
 
@@ -30,6 +35,7 @@ def install(
         robot: Name of the robot.
         slot: `experience` for one that the robot offers to others, `prior` for one it flies with.
         payload: Content of the experience's file.
+        beside: Whether a prior joins those that the robot holds; otherwise it takes their place.
 
     Returns:
         The robot's description of the experience that it now holds.
@@ -39,7 +45,7 @@ def install(
         MalformedMessageError: The robot does not hold the bytes that were sent.
     """
     sha256 = digest(payload)
-    offer = fleet.install(robot, slot, payload, sha256)
+    offer = fleet.install(robot, slot, payload, sha256, beside=beside)
     if offer.sha256 != sha256 or fleet.fetch(robot, sha256) != payload:
         raise MalformedMessageError(f"robot {robot} does not hold what was installed on it")
     return offer
@@ -47,11 +53,11 @@ def install(
 
 @contextmanager
 def prior_put_back(fleet: Fleet, pilot: Pilot, description: Description) -> Iterator[None]:
-    """Restore, on leaving the context, the prior that a robot holds on entering it, if any.
+    """Restore, on leaving the context, the priors that a robot holds on entering it, if any.
 
-    The prior is also restored when the body fails or is interrupted. A robot that is flying then is
-    brought to rest first, and the body's error is the one that is raised; a failure to restore the
-    prior is logged.
+    The priors are also restored when the body fails or is interrupted. A robot that is flying then
+    is brought to rest first, and the body's error is the one that is raised; a failure to restore
+    the priors is logged.
 
     Args:
         fleet: Client of the robot's fleet.
@@ -59,13 +65,13 @@ def prior_put_back(fleet: Fleet, pilot: Pilot, description: Description) -> Iter
         description: Current description of the robot, which says whether it holds a prior.
     """
     robot = description.robot
-    before = None if description.prior is None else fleet.fetch(robot, description.prior.sha256)
+    before = [fleet.fetch(robot, prior.sha256) for prior in description.priors]
 
     def put_back() -> None:
-        if before is None:
+        if not before:
             fleet.remove_prior(robot)
-        else:
-            install(fleet, robot, "prior", before)
+        for place, payload in enumerate(before):
+            install(fleet, robot, "prior", payload, beside=place > 0)
 
     try:
         yield

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -10,10 +11,12 @@ from nufleet.orchestrator.experience.library import ExperienceLibrary, Place
 from nufleet.orchestrator.experience.prior_custody import install
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.shared.errors import InvalidInputError, MalformedMessageError
+from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.experience.file import EXPERIENCE_BYTES_MAX, decode_experience
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.experience.manifest import ExperienceManifest, Needs, misfit, unmet
 from nufleet.shared.wire.messages import Description
+from nufleet.shared.wire.motions import MIXTURE_MAX
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,50 @@ def transfer(
     return _installed(fleet, target, known.read(), known.place, reason, known.learned_at)
 
 
+def transfer_several(
+    fleet: Fleet,
+    library: ExperienceLibrary,
+    sources: Sequence[str],
+    target: Description,
+    architecture: Architecture | None = None,
+) -> tuple[Transferred, ...]:
+    """Transfer the experiences of several sources, for a mixture that the target flies with.
+
+    All of them are found, read and checked before the first is sent.
+
+    Args:
+        fleet: Client of the fleet that the target belongs to.
+        library: Experiences of the fleet's robots.
+        sources: Names of the sources, at least one; the mixture has the layout of the first.
+        target: Description of the robot that flies with them from now on.
+        architecture: Architecture of the experiences; None takes the only one that a source has.
+
+    Returns:
+        The experiences that the target now holds, in the order of the sources.
+
+    Raises:
+        InvalidInputError: There is none or there are several of a source, one does not fit the
+            target, or they cannot be mixed.
+        DamagedRecordError: A stored experience was altered.
+        MalformedMessageError: An experience was altered on its way.
+        RefusedError: The target refuses an experience.
+    """
+    if len(sources) > MIXTURE_MAX:
+        raise InvalidInputError(
+            f"{len(sources)} sources, of which a robot mixes at most {MIXTURE_MAX}: name fewer"
+        )
+    found = [library.find(source, architecture) for source in sources]
+    payloads = [known.read() for known, _ in found]
+    manifests = [decode_experience(payload).manifest for payload in payloads]
+    for manifest in manifests:
+        check_fit(manifest, target)
+    CombinedLayout([manifest.layout for manifest in manifests])
+    return tuple(
+        _installed(fleet, target, payload, known.place, reason, known.learned_at, beside=place > 0)
+        for place, ((known, reason), payload) in enumerate(zip(found, payloads, strict=True))
+    )
+
+
 def read_experience(path: Path) -> bytes:
     """Return the bytes of an experience's file, as `nufleet train` leaves it in a run's folder.
 
@@ -112,10 +159,12 @@ def _installed(
     place: Place,
     reason: str,
     learned_at: datetime | None,
+    *,
+    beside: bool = False,
 ) -> Transferred:
     manifest = decode_experience(payload).manifest
     check_fit(manifest, target)
-    installed = install(fleet, target.robot, "prior", payload)
+    installed = install(fleet, target.robot, "prior", payload, beside=beside)
     return Transferred(
         manifest.robot, target.robot, installed.sha256, manifest, place, reason, learned_at
     )

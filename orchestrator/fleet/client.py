@@ -207,6 +207,8 @@ class Fleet:
         slot: Literal["experience", "prior"],
         payload: bytes,
         sha256: str,
+        *,
+        beside: bool = False,
     ) -> ExperienceOffer:
         """Install an experience on a robot.
 
@@ -216,17 +218,21 @@ class Fleet:
                 its references.
             payload: Content of the experience file.
             sha256: SHA-256 digest of the payload, in hexadecimal.
+            beside: Whether a prior joins those that the robot holds; otherwise it takes their
+                place.
 
         Returns:
             The offer under which the robot now holds the experience.
         """
         sender, epoch = self.orchestrator_id, self.epoch(robot)
-        request = InstallRequest(sender=sender, epoch=epoch, sha256=sha256, payload=payload)
+        request = InstallRequest(
+            sender=sender, epoch=epoch, sha256=sha256, payload=payload, beside=beside
+        )
         leaf = f"{slot}/install"
         return self._ask(robot, leaf, request, ExperienceOffer, timeout_s=RESULT_TIMEOUT_S)
 
     def remove_prior(self, robot: str) -> None:
-        """Remove a robot's prior."""
+        """Remove all priors of a robot."""
         request = RemovePriorRequest(sender=self.orchestrator_id, epoch=self.epoch(robot))
         self._ask(robot, "prior/remove", request, Done)
 

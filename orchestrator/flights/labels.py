@@ -8,6 +8,8 @@ BASELINE = "baseline"
 NO_PRIOR = "none"
 """Instead of a source: an online process with a zero prior."""
 
+MIXTURE = "mixture"
+"""Instead of a source: a mixture of the experiences of several, weighed in flight."""
 OWN = "own"
 """Instead of a source: the robot's model of itself, inverted along the whole path."""
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.fleet.goal_runner import GoalRunner, Interrupted
+from nufleet.orchestrator.flights.labels import NO_PRIOR
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import MalformedMessageError, RobotError, RobotLostError
 from nufleet.shared.experience.layout import InverseLayout
@@ -21,6 +22,7 @@ from nufleet.shared.wire.motions import (
     StepTest,
     Tracking,
     TrackingDetails,
+    Weighted,
 )
 
 _log = logging.getLogger(__name__)
@@ -53,6 +55,22 @@ class PathFlight:
             return math.inf
         away = self.actual - self.details.desired
         return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
+
+    @property
+    def weights(self) -> dict[str, FloatArray]:
+        """Weight of every source in a mixture and of `none`, each of shape (samples,); empty
+        without a mixture."""
+        if self.details.weights is None:
+            return {}
+        names = (*self.details.experts, NO_PRIOR)
+        return dict(zip(names, self.details.weights.T, strict=True))
+
+    @property
+    def mean_weights(self) -> dict[str, float] | None:
+        """Mean of each of the weights over the flight; None without a mixture or samples."""
+        if not self.weights or not len(self.actual):
+            return None
+        return {name: float(weight.mean()) for name, weight in self.weights.items()}
 
     @property
     def deadline_misses(self) -> int:
@@ -160,6 +178,31 @@ class Pilot:
         """
         motion = Tracking(
             desired=desired, inverse="prior", prior_sha256=sha256, guarded=guarded, learn=learn
+        )
+        return self._path(robot, motion, label)
+
+    def with_mixture(
+        self,
+        robot: str,
+        desired: FloatArray,
+        label: str,
+        mixture: tuple[Weighted, ...],
+        *,
+        guarded: bool = True,
+        learn: bool = True,
+    ) -> PathFlight:
+        """Fly a path with a mixture of the priors that were installed on the robot.
+
+        Args:
+            robot: Name of the robot that flies.
+            desired: Desired positions in the unit of the robot's axes, shape (samples, axes).
+            label: Name of the flight; see `flight_label`.
+            mixture: Priors that the robot is expected to hold, and their weights at the start.
+            guarded: Whether the guard may withdraw the mixture in flight.
+            learn: Whether the weights adapt and the online Gaussian process learns in flight.
+        """
+        motion = Tracking(
+            desired=desired, inverse="mixture", mixture=mixture, guarded=guarded, learn=learn
         )
         return self._path(robot, motion, label)
 

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nufleet.orchestrator.flights.pilot import PathFlight
+from nufleet.shared.arrays import FloatArray
 
 if TYPE_CHECKING:
+    import pyarrow
     import pyarrow.parquet
 
 FLIGHTS = "flights.parquet"
@@ -39,7 +41,8 @@ class FlightTable:
 
         Positions are in the unit of the axes; `prior`, `mean` and `variance` describe γ, in that
         unit per second (the variance in its square). `share` is the fraction of the correction that
-        acted, in [0, 1].
+        acted, in [0, 1]. `weights` holds the weight of every source in a mixture and of `none`, by
+        name; it is null without a mixture.
 
         Args:
             flight: Flight to append.
@@ -69,8 +72,23 @@ class FlightTable:
                     "mean": details.mean[:, column],
                     "variance": details.variance[:, column],
                     "share": details.share,
+                    "weights": _maps(flight.weights, samples),
                 }
             )
             if self._writer is None:
                 self._writer = pq.ParquetWriter(self.path, table.schema, compression="zstd")
             self._writer.write_table(table)
+
+
+def _maps(weights: dict[str, FloatArray], samples: int) -> pyarrow.Array:
+    """Return one map from name to weight for each sample, or as many nulls without weights."""
+    import pyarrow as pa
+
+    kind = pa.map_(pa.string(), pa.float64())
+    if not weights:
+        return pa.nulls(samples, kind)
+    columns = np.stack(list(weights.values()), axis=1)
+    rows = np.arange(samples + 1, dtype=np.int32) * len(weights)
+    return pa.MapArray.from_arrays(
+        rows, pa.array(list(weights) * samples, pa.string()), pa.array(columns.ravel())
+    )

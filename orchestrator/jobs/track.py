@@ -16,9 +16,11 @@ from nufleet.orchestrator.evaluation.fly_target import flight_record
 from nufleet.orchestrator.evaluation.results import FlightRecord
 from nufleet.orchestrator.experience.learning import know_itself
 from nufleet.orchestrator.fleet.reach import FleetChoice
-from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR, OWN
+from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 from nufleet.orchestrator.flights.legs import Leg, legs_of, read_drawings
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
+from nufleet.orchestrator.flights.start_weights import mixture_of
+from nufleet.orchestrator.history.rankings import Ranking, latest_ranking
 from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.terminal import stderr_console
@@ -27,7 +29,7 @@ from nufleet.shared.errors import InvalidInputError, RobotError
 from nufleet.shared.experience.layout import HORIZON_SAMPLES_MAX, InverseLayout
 from nufleet.shared.wire.messages import Description
 
-InverseChoice = Literal["auto", "prior", "own", "zero-prior", "baseline"]
+InverseChoice = Literal["auto", "prior", "mixture", "own", "zero-prior", "baseline"]
 """Inverse models to fly with."""
 
 
@@ -48,7 +50,8 @@ class TrackCommand:
     scale: float
     """Factor on the points of the drawings."""
     inverse: InverseChoice
-    """Inverse to fly with; `auto` takes the robot's prior if it has one, else its baseline."""
+    """Inverse to fly with; `auto` takes a mixture if the robot has several priors, its prior if it
+    has one, else its baseline."""
     horizon_s: float
     """Horizon of the inverse model that is learned from a zero prior."""
     learn: bool
@@ -94,11 +97,12 @@ def track(command: TrackCommand, console: Console) -> TrackResult:
     drawings = read_drawings(command.drawings)
     with FlyingRun(Storage(command.runs_root, command.repository), console) as run:
         choice = FleetChoice.running(command.connect, command.fleet_name)
-        fleet, _, there = run.reach(choice)
+        fleet, name, there = run.reach(choice)
         check_robots((command.target,), there)
         target = fleet.describe(command.target)
         legs = legs_of(drawings, (command.speed,), target, scale=command.scale)
-        inverse = _inverse(command, target)
+        ranking = latest_ranking(command.runs_root, run.repository.studies, name, command.target)
+        inverse = _inverse(command, target, ranking)
         run.fly("track", {target.robot: target}, live=command.live)
         run.configure({"kind": "track", **asdict(command)})
         _learn_first(inverse, command, run)
@@ -113,7 +117,7 @@ class _Inverse:
     """An inverse to fly paths with."""
 
     name: str
-    """Source of the prior, BASELINE, NO_PRIOR or OWN."""
+    """Source of the prior, BASELINE, NO_PRIOR, OWN or MIXTURE."""
     corrects: bool
     """Whether it corrects the references of the baseline controller."""
     fly: Callable[[Pilot, FloatArray, str], PathFlight]
@@ -140,12 +144,12 @@ def _learn_first(inverse: _Inverse, command: TrackCommand, run: FlyingRun) -> No
         know_itself(run.connection.fleet, run.pilot, command.target, seed=0, say=run.console.print)
 
 
-def _inverse(command: TrackCommand, target: Description) -> _Inverse:
+def _inverse(command: TrackCommand, target: Description, ranking: Ranking | None) -> _Inverse:
     """Return the inverse to fly with; raises InvalidInputError when the target does not have it."""
     robot, guarded = target.robot, command.guarded
     wanted = command.inverse
     if wanted == "auto":
-        wanted = "baseline" if target.prior is None else "prior"
+        wanted = ("baseline", "prior", "mixture")[min(2, len(target.priors))]
     if wanted == "baseline":
         return _Inverse(BASELINE, False, lambda pilot, *path: pilot.baseline(robot, *path))
     if wanted == "own":
@@ -162,6 +166,16 @@ def _inverse(command: TrackCommand, target: Description) -> _Inverse:
         raise InvalidInputError(
             f"{robot} has no prior; give it one with `nufleet transfer --target {robot} "
             "--source best`"
+        )
+    if wanted == "mixture":
+        psi = None if ranking is None else {one.robot: one.psi for one in ranking.result.ranking}
+        mixture = mixture_of(target.priors, psi)
+        return _Inverse(
+            MIXTURE,
+            True,
+            lambda pilot, *path: pilot.with_mixture(
+                robot, *path, mixture, guarded=guarded, learn=command.learn
+            ),
         )
     return _Inverse(
         prior.manifest.robot,

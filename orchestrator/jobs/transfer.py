@@ -12,10 +12,14 @@ from rich.console import Console
 from nufleet.orchestrator.conduct.preflight import check_names, check_robots
 from nufleet.orchestrator.conduct.reuse import age_text
 from nufleet.orchestrator.experience.library import ExperienceLibrary, Place
-from nufleet.orchestrator.experience.transfer import Transferred, read_experience, transfer_file
-from nufleet.orchestrator.experience.transfer import transfer as transfer_experience
+from nufleet.orchestrator.experience.transfer import (
+    Transferred,
+    read_experience,
+    transfer_file,
+    transfer_several,
+)
 from nufleet.orchestrator.fleet.reach import FleetChoice
-from nufleet.orchestrator.history.rankings import latest_ranking
+from nufleet.orchestrator.history.rankings import Ranking, latest_ranking
 from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.terminal import stderr_console
@@ -23,7 +27,7 @@ from nufleet.orchestrator.study.verdict import Verdict
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.experience.manifest import ExperienceManifest
-from nufleet.shared.strict import Digest, Document
+from nufleet.shared.strict import Digest, Document, Strict
 
 
 @dataclass(frozen=True)
@@ -37,8 +41,9 @@ class TransferCommand:
     target: str
     """Name of the robot that receives the experience."""
     source: str | None
-    """Name of the source, `best` for the best of the latest ranking, or `none` to remove the prior
-    of the target; None when a file is given."""
+    """Name of the source, several names separated by commas, `all` for every source that has an
+    experience, `best` for the best of the latest ranking, or `none` to remove the priors of the
+    target; None when a file is given."""
     file: Path | None
     """File of an experience; None to take one from a source."""
     architecture: Architecture | None
@@ -55,8 +60,19 @@ class TransferCommand:
         return FleetChoice.running(self.connect, self.fleet_name)
 
 
+class Companion(Strict):
+    """An experience that was transferred beside the first, for a mixture."""
+
+    source: str
+    """Name of the robot that learned it."""
+    sha256: Digest
+    """Hash of the experience's file."""
+    taken_from: Place
+    """Place that it was taken from."""
+
+
 class TransferResult(Document):
-    """What `nufleet transfer --json` prints; only the target is set if its prior was removed."""
+    """What `nufleet transfer --json` prints; only the target is set if its priors were removed."""
 
     target: str
     """Name of the robot that flies with the experience from now on."""
@@ -72,6 +88,8 @@ class TransferResult(Document):
     """Phrase that says why it was taken from there."""
     learned_at: str | None = None
     """Time at which its robot had learned it, in ISO 8601 and UTC; None if it is not known."""
+    companions: tuple[Companion, ...] = ()
+    """Further experiences, which the target mixes with this one."""
 
 
 def transfer_and_print(command: TransferCommand) -> None:
@@ -97,34 +115,55 @@ def transfer(command: TransferCommand, console: Console) -> TransferResult:
         fleet, name, there = run.reach(command.fleet())
         check_robots((command.target,), there)
         target = fleet.describe(command.target)
-        source = None if command.source == "none" else _source(command, run)
+        library = ExperienceLibrary(fleet, run.repository.robots, name)
+        sources = () if command.source == "none" else _sources(command, run, there, library)
         run.take({command.target: target})
+        given: tuple[Transferred, ...]
         if payload is not None:
-            given = transfer_file(fleet, payload, target)
-        elif source is not None:
-            library = ExperienceLibrary(fleet, run.repository.robots, name)
-            given = transfer_experience(fleet, library, source, target, command.architecture)
+            given = (transfer_file(fleet, payload, target),)
+        elif sources:
+            given = transfer_several(fleet, library, sources, target, command.architecture)
         else:
             fleet.remove_prior(command.target)
             console.print(f"{command.target} flies without a prior from now on")
             return TransferResult(target=command.target)
-    _print(console, given)
+    for each in given:
+        _print(console, each)
+    if len(given) > 1:
+        console.print(
+            f"{command.target} can mix these {len(given)} from now on: "
+            f"`nufleet track --target {command.target} --inverse mixture`"
+        )
     return _result(given)
 
 
-def _source(command: TransferCommand, run: Opening) -> str | None:
-    """Return the name of the source, which may be away; None without one."""
-    if command.source != "best":
-        if command.source is not None:
-            check_names(command.target, (command.source,), (command.target, command.source))
-        return command.source
+def _sources(
+    command: TransferCommand, run: Opening, there: tuple[str, ...], library: ExperienceLibrary
+) -> tuple[str, ...]:
+    """Return the names of the sources, which may be away; empty for a file."""
+    if command.source is None:
+        return ()
+    if command.source == "best":
+        return (_best(command, run),)
+    if command.source == "all":
+        return _all(command, run, there, library)
+    sources = tuple(command.source.split(","))
+    check_names(command.target, sources, (command.target, *sources))
+    return sources
+
+
+def _ranking(command: TransferCommand, run: Opening) -> Ranking | None:
     fleet = run.connection.name
-    found = latest_ranking(command.runs_root, run.repository.studies, fleet, command.target)
+    return latest_ranking(command.runs_root, run.repository.studies, fleet, command.target)
+
+
+def _best(command: TransferCommand, run: Opening) -> str:
+    found = _ranking(command, run)
     if found is None:
         raise InvalidInputError(
-            f"no ranking of {command.target} of fleet {fleet} in {command.runs_root} or in "
-            f"{run.repository.name}: rank its sources first with `nufleet rank --target "
-            f"{command.target}`, or name a source"
+            f"no ranking of {command.target} of fleet {run.connection.name} in "
+            f"{command.runs_root} or in {run.repository.name}: rank its sources first with "
+            f"`nufleet rank --target {command.target}`, or name a source"
         )
     leader = found.result.ranking[0]
     run.console.print(
@@ -135,6 +174,29 @@ def _source(command: TransferCommand, run: Opening) -> str | None:
     if verdict is not None and verdict.verdict is not Verdict.TRANSFER:
         run.console.print(f"[yellow]the tests say: {verdict.verdict}: {verdict.reason}[/]")
     return found.result.selected
+
+
+def _all(
+    command: TransferCommand, run: Opening, there: tuple[str, ...], library: ExperienceLibrary
+) -> tuple[str, ...]:
+    """Return every source that has an experience, those of the latest ranking first."""
+    found = _ranking(command, run)
+    ranked = [] if found is None else [source.robot for source in found.result.ranking]
+    names = [name for name in dict.fromkeys((*ranked, *sorted(there))) if name != command.target]
+    usable = []
+    for name in names:
+        try:
+            library.find(name, command.architecture)
+        except InvalidInputError as error:
+            run.console.print(f"[yellow]without {name}: {error}[/]")
+        else:
+            usable.append(name)
+    if not usable:
+        raise InvalidInputError(
+            f"no robot of fleet {run.connection.name} besides {command.target} has an experience "
+            "to transfer; train some with `nufleet train`"
+        )
+    return tuple(usable)
 
 
 def _print(console: Console, given: Transferred) -> None:
@@ -154,7 +216,8 @@ def _learned(learned_at: datetime | None) -> str:
     return f"learned {age_text(datetime.now(UTC) - learned_at)} ago"
 
 
-def _result(given: Transferred) -> TransferResult:
+def _result(several: tuple[Transferred, ...]) -> TransferResult:
+    given, *others = several
     return TransferResult(
         target=given.target,
         source=given.source,
@@ -165,4 +228,8 @@ def _result(given: Transferred) -> TransferResult:
         learned_at=None
         if given.learned_at is None
         else given.learned_at.isoformat(timespec="seconds"),
+        companions=tuple(
+            Companion(source=each.source, sha256=each.sha256, taken_from=each.place)
+            for each in others
+        ),
     )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR, OWN
+from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 from nufleet.shared.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C564B", "#7F7F7F")
 """The colour-blind-safe palette of Okabe and Ito, and two more."""
 
-WITHOUT_SOURCE = {BASELINE: "#3C3C3C", NO_PRIOR: "#9C8FBF", OWN: "#8A6D3B"}
+WITHOUT_SOURCE = {BASELINE: "#3C3C3C", NO_PRIOR: "#9C8FBF", OWN: "#8A6D3B", MIXTURE: "#2F8F6F"}
 
 DPI = 130
 

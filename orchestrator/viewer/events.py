@@ -109,6 +109,10 @@ class TrackingSamplesEvent:
     work."""
     share: FloatArray
     """Fraction of the correction that acted, in [0, 1], shape (n,)."""
+    experts: tuple[str, ...] = ()
+    """Names of the sources in a mixture; empty without one."""
+    weights: FloatArray | None = None
+    """Weight of each of them and, last, of none, shape (n, experts + 1); None without a mixture."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -110,4 +110,6 @@ def _event(
         mean=signals.mean,
         variance=signals.variance,
         share=signals.share,
+        experts=signals.experts,
+        weights=signals.weights,
     )

@@ -43,7 +43,7 @@ def tracking(shown: Shown, log: rrb.View) -> rrb.Container:
         rrb.Vertical(*places, _error(shown), row_shares=[*[64 / len(places)] * len(places), 36]),
         rrb.Vertical(
             *inverse,
-            _share(),
+            rrb.Tabs(_weights(), _share()) if shown.mixed else _share(),
             _flights(),
             log,
             row_shares=[*[52 / len(inverse)] * len(inverse), 11, 20, 17],
@@ -101,6 +101,16 @@ def _share() -> rrb.View:
         "Share of the correction that acts (× the guard withdrew the prior)",
         "/tracking/share",
         ["/tracking/share/**", "/tracking/taken_back/share/**"],
+        axis_y=rrb.ScalarAxis(range=(-0.1, 1.1), zoom_lock=True),
+    )
+
+
+def _weights() -> rrb.View:
+    return _series(
+        "Weights of the mixture, by source",
+        "/tracking/weights",
+        ["/tracking/weights/**"],
+        legend=True,
         axis_y=rrb.ScalarAxis(range=(-0.1, 1.1), zoom_lock=True),
     )
 

@@ -180,5 +180,6 @@ def _array_bytes(event: ViewerEvent) -> int:
         return event.reference.nbytes + event.response.nbytes
     if isinstance(event, TrackingSamplesEvent):
         arrays = (event.desired, event.actual, event.prior, event.mean, event.variance, event.share)
-        return sum(array.nbytes for array in arrays)
+        weights = 0 if event.weights is None else event.weights.nbytes
+        return sum(array.nbytes for array in arrays) + weights
     return 0

@@ -28,6 +28,8 @@ class Shown:
     """Whether a robot with two or more axes tracks."""
     on_line: bool = False
     """Whether a robot with one axis tracks."""
+    mixed: bool = False
+    """Whether a robot tracks with a mixture of experiences."""
     since_s: float = 0.0
     """Beginning of the first flight on the viewer's clock."""
     long: bool = False
@@ -37,13 +39,16 @@ class Shown:
         """Note that the recording holds tests or rounds of a study."""
         self._add("ranking")
 
-    def tracking(self, axes: tuple[str, ...], unit: str, begin_s: float) -> None:
+    def tracking(
+        self, axes: tuple[str, ...], unit: str, begin_s: float, *, mixed: bool = False
+    ) -> None:
         """Note the beginning of a flight along a path.
 
         Args:
             axes: Names of the robot's axes.
             unit: Unit of these axes.
             begin_s: Beginning of the flight on the viewer's clock.
+            mixed: Whether its prior is a mixture.
         """
         if "tracking" not in self.kinds:
             self.since_s = begin_s
@@ -53,6 +58,7 @@ class Shown:
         self.unit = unit
         self.in_plane |= len(axes) > 1
         self.on_line |= len(axes) == 1
+        self.mixed |= mixed
 
     def _add(self, kind: Kind) -> None:
         if kind not in self.kinds:

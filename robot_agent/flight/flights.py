@@ -10,6 +10,7 @@ import numpy as np
 from nufleet.robot_agent.flight.forecast import Forecast, forecast_of
 from nufleet.robot_agent.flight.guard import Guard
 from nufleet.robot_agent.flight.memory import Memory, MemoryFolderError
+from nufleet.robot_agent.flight.mixture_learner import experts_of, mixture_learner
 from nufleet.robot_agent.flight.online_gp import WINDOW_POINTS, OnlineGp
 from nufleet.robot_agent.flight.own_model import check_explained, evidence_in
 from nufleet.robot_agent.flight.rich_flight import (
@@ -219,6 +220,8 @@ class _Path:
             step_time_s=record.step_time_s,
             dropped_pairs=record.dropped_pairs,
             taken_back=record.taken_back,
+            experts=experts_of(self._motion, self._memory),
+            weights=record.weights if self._motion.mixture else None,
             predicted=self._predicted,
             findings=self._findings,
         )
@@ -270,7 +273,9 @@ def learner_for(
         return Ahead(forecast.correction)
     window = WINDOW_POINTS if motion.learn else 0
     axes = robot.spec.axes
-    prior = memory.prior if motion.inverse == "prior" else None
+    if motion.mixture:
+        return mixture_learner(motion, tuple(axis.name for axis in axes), memory, window)
+    prior = next((p for p in memory.priors if p.sha256 == motion.prior_sha256), None)
     if prior is None:
         if motion.layout is None:
             raise RobotError("the robot no longer has a prior")

@@ -37,6 +37,25 @@ class NetworkInverse:
             for i in range(layers)
         ]
 
+    @property
+    def shape(self) -> tuple[tuple[int, ...], ...]:
+        """Shape of every layer's weights, (inputs of the layer, outputs of the layer)."""
+        return tuple(weight.shape for weight, _ in self._layers)
+
+    def folded(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Return weights and bias of every layer, with the standardisation of both ends in them.
+
+        Without the ends, γ = max(0, … max(0, ξ W_0 + b_0) …) W + b computes the same numbers.
+        """
+        layers = list(self._layers)
+        weight, bias = layers[0]
+        scaled = weight / self._scale[:, np.newaxis]
+        layers[0] = scaled, bias - self._mean @ scaled
+        weight, bias = layers[-1]
+        mean, scale = self._output
+        layers[-1] = weight * scale, bias * scale + mean
+        return layers
+
     def __call__(self, inputs: FloatArray) -> FloatArray:
         """Return γ, shape (m,), in unit/s, for inputs in the layout's order, (m, inputs)."""
         activity = (inputs - self._mean) / self._scale

@@ -28,8 +28,10 @@ from nufleet.shared.models.error_belief import Evidence
 from nufleet.shared.private_files import make_private_folder, synchronise_folder, write_privately
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.strict import Name, describe_validation
+from nufleet.shared.wire.motions import MIXTURE_MAX
 
 PRIOR = "prior"
+_PRIORS = (PRIOR, *(f"{PRIOR}-{place}" for place in range(1, MIXTURE_MAX)))
 _OWN = "own"
 _SUFFIX = ".learned"
 _SHA256_BYTES = 32
@@ -62,7 +64,8 @@ class Kept:
 class Memory:
     """The learned models of one robot; usable from many threads.
 
-    The robot offers one experience of its own for each architecture, and flies with one prior.
+    The robot offers one experience of its own for each architecture, and flies with one prior or
+    with a mixture of several.
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -97,9 +100,14 @@ class Memory:
 
     @property
     def prior(self) -> Kept | None:
-        """Experience that was transferred to the robot; None without one."""
+        """Experience that was transferred to the robot, the first of several; None without one."""
+        return next(iter(self.priors), None)
+
+    @property
+    def priors(self) -> tuple[Kept, ...]:
+        """All experiences that were transferred to the robot, in their order."""
         with self._lock:
-            return self._kept.get(PRIOR)
+            return tuple(self._kept[name] for name in _PRIORS if name in self._kept)
 
     @property
     def flown_s(self) -> Mapping[str, float]:
@@ -149,31 +157,57 @@ class Memory:
         kept = _checked(payload, sha256)
         return self._keep(kept.manifest.layout.architecture, kept)
 
-    def keep_prior(self, payload: bytes, sha256: str) -> Kept:
-        """Store the prior that the robot flies with; same arguments as `keep_experience`.
+    def keep_prior(self, payload: bytes, sha256: str, *, beside: bool = False) -> Kept:
+        """Store a prior that the robot flies with.
+
+        Args:
+            payload: Content of the experience's file.
+            sha256: Digest of the payload, in hexadecimal.
+            beside: True if it joins the priors that there are, in place of an earlier one of the
+                same source; False if it takes the place of all.
 
         Raises:
             MalformedMessageError: The payload is not an experience with that digest.
-            MemoryFolderError: The prior cannot be stored.
+            MemoryFolderError: The prior cannot be stored, or there is no room beside the others.
         """
-        return self._keep(PRIOR, _checked(payload, sha256))
+        kept = _checked(payload, sha256)
+        if not beside:
+            # The others go first: a crash in between must not leave them beside the new one.
+            self._forget(_PRIORS[1:])
+            return self._keep(PRIOR, kept)
+        source = kept.manifest.robot
+        with self._lock:
+            same = (
+                n for n in _PRIORS if n in self._kept and self._kept[n].manifest.robot == source
+            )
+            free = (n for n in _PRIORS if n not in self._kept)
+            name = next(same, None) or next(free, None)
+        if name is None:
+            raise MemoryFolderError(f"it holds {MIXTURE_MAX} priors, which is the most it can")
+        return self._keep(name, kept)
 
     def forget_prior(self) -> None:
-        """Remove the prior; the robot flies without one from now on.
+        """Remove all priors; the robot flies without one from now on.
 
         Raises:
-            MemoryFolderError: The stored prior cannot be removed.
+            MemoryFolderError: A stored prior cannot be removed.
         """
+        self._forget(_PRIORS)
+
+    def _forget(self, names: tuple[str, ...]) -> None:
         with self._lock:
-            if self._folder is not None:
-                try:
-                    (self._folder / f"{PRIOR}{_SUFFIX}").unlink(missing_ok=True)
-                    synchronise_folder(self._folder)
-                except OSError as error:
-                    raise MemoryFolderError(
-                        f"{self._folder}: the prior cannot be removed: {error.strerror}"
-                    ) from error
-            self._kept.pop(PRIOR, None)
+            for name in names:
+                if name not in self._kept:
+                    continue
+                if self._folder is not None:
+                    try:
+                        (self._folder / f"{name}{_SUFFIX}").unlink(missing_ok=True)
+                        synchronise_folder(self._folder)
+                    except OSError as error:
+                        raise MemoryFolderError(
+                            f"{self._folder}: the prior cannot be removed: {error.strerror}"
+                        ) from error
+                del self._kept[name]
 
     def learn(self, evidence: Mapping[str, Evidence]) -> None:
         """Store what a motion shows about some axes, by their names.
@@ -209,7 +243,7 @@ class Memory:
             raise MemoryFolderError(f"{whole} cannot be written: {error.strerror}") from error
 
     def _read(self, folder: Path) -> None:
-        for name in (*_ARCHITECTURES, PRIOR):
+        for name in (*_ARCHITECTURES, *_PRIORS):
             path = folder / f"{name}{_SUFFIX}"
             payload = _stored(path, EXPERIENCE_BYTES_MAX, "then train or transfer again")
             if payload is not None:

@@ -6,13 +6,14 @@ robot's inverse dynamics as its prior mean).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
 
 from nufleet.robot_agent.flight.inverse_model import InverseModel
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.gaussian_process.online import OnlineFit
 from nufleet.shared.gaussian_process.problem import Bounds, FitStatus, Hyperparameters
@@ -63,6 +64,10 @@ class Correction:
     outcomes: tuple[Outcome, ...]
     """Outcome of every axis's process."""
 
+    weights: FloatArray = field(default_factory=lambda: np.empty(0))
+    """Weight of every expert of a mixture and, last, of none, shape (experts + 1,); the sum is 1.
+    Empty for a single prior."""
+
     @property
     def gamma(self) -> FloatArray:
         """Output γ of the inverse model, shape (axes,), in unit/s."""
@@ -82,7 +87,7 @@ class OnlineGp:
 
     def __init__(
         self,
-        layout: InverseLayout,
+        layout: InverseLayout | CombinedLayout,
         priors: tuple[InverseModel | None, ...],
         *,
         window: int = WINDOW_POINTS,
@@ -111,6 +116,8 @@ class OnlineGp:
         self._eased = np.zeros(len(priors))
         self._ease = 1.0 / (1.0 + layout.gp_ease_samples)
         self.dropped = 0
+        self.weights = np.empty(0)
+        """Weights of a mixture, of which a single prior has none."""
 
     @property
     def hyperparameters(self) -> tuple[Hyperparameters, ...]:
@@ -137,6 +144,19 @@ class OnlineGp:
             [self._inputs[axis][keep:], self._layout.gp_inputs(row)]
         )
         self._residuals[axis] = np.concatenate([self._residuals[axis][keep:], [[residual]]])
+
+    def window(self, axis: int) -> FloatArray:
+        """Return the process's own inputs of an axis's pairs, oldest first, shape (pairs, d)."""
+        return self._inputs[axis]
+
+    def relearn(self, axis: int, residuals: FloatArray) -> None:
+        """Replace what the prior leaves of an axis's pairs, for a prior that has changed.
+
+        Args:
+            axis: Index of the axis.
+            residuals: γ less the prior of each pair in the window, oldest first, shape (pairs,).
+        """
+        self._residuals[axis] = residuals[:, np.newaxis]
 
     def correct(self, inputs: FloatArray) -> Correction:
         """Refit every axis and return γ at the inputs.

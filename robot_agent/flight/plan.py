@@ -10,6 +10,7 @@ from nufleet.robot_agent.flight.own_model import basis_of
 from nufleet.robot_agent.flight.rich_flight import rich_references, step_references
 from nufleet.robot_agent.flight.tracking import approach
 from nufleet.shared.errors import InvalidInputError, RefusedError
+from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.experience.manifest import misfit
 from nufleet.shared.paths.trajectories import check_trajectory
@@ -110,25 +111,44 @@ def _check_inverse(
     elif motion.inverse == "own":
         _check_own_model(motion, spec, memory, robot)
     else:
-        prior = memory.prior
-        if prior is None:
-            reason = "no experience has been transferred to it; use `nufleet transfer`"
-            raise RefusedError("no-prior", reason, robot)
-        if prior.sha256 != motion.prior_sha256:
-            reason = f"its prior is a different one, from {prior.manifest.robot}; transfer it again"
-            raise RefusedError("other-prior", reason, robot)
-        for axis in prior.manifest.axes:
-            # The prior fitted when it was installed, but the robot's settings may have changed.
-            changed = misfit(prior.manifest, spec, state_names, axis)
-            if changed is not None:
-                reason = f"its prior no longer fits it: {changed}; transfer a different one"
-                raise RefusedError("misfit", reason, robot)
+        _check_priors(motion, spec, state_names, memory, robot)
     if motion.guarded and memory.own_model(spec).model is None:
         reason = (
             "it has no model of its baseline yet, so the flight could not be guarded; it learns "
             "one from any completed motion: a frequency test, a path, or a rich flight"
         )
         raise RefusedError("no-baseline", reason, robot)
+
+
+def _check_priors(
+    motion: Tracking, spec: RobotSpec, state_names: tuple[str, ...], memory: Memory, robot: str
+) -> None:
+    held = {prior.sha256: prior.manifest for prior in memory.priors}
+    if not held:
+        reason = "no experience has been transferred to it; use `nufleet transfer`"
+        raise RefusedError("no-prior", reason, robot)
+    asked = [each.sha256 for each in motion.mixture]
+    if motion.prior_sha256 is not None:
+        asked = [motion.prior_sha256]
+    if any(sha256 not in held for sha256 in asked):
+        sources = ", ".join(manifest.robot for manifest in held.values())
+        reason = (
+            f"its prior is a different one, from {sources}; transfer it again"
+            if len(held) == 1
+            else f"its priors are different ones, from {sources}; transfer them again"
+        )
+        raise RefusedError("other-prior", reason, robot)
+    for sha256 in asked:
+        for axis in held[sha256].axes:
+            # The prior fitted when it was installed, but the robot's settings may have changed.
+            changed = misfit(held[sha256], spec, state_names, axis)
+            if changed is not None:
+                reason = f"its prior no longer fits it: {changed}; transfer a different one"
+                raise RefusedError("misfit", reason, robot)
+    try:
+        CombinedLayout([held[sha256].layout for sha256 in asked])
+    except InvalidInputError as error:
+        raise RefusedError("misfit", f"its priors do not fit together: {error}", robot) from error
 
 
 def _check_own_model(motion: Tracking, spec: RobotSpec, memory: Memory, robot: str) -> None:

@@ -15,11 +15,13 @@ from typing import Protocol
 import numpy as np
 
 from nufleet.robot_agent.flight.guard import Guard
+from nufleet.robot_agent.flight.mixture_process import MixtureProcess
 from nufleet.robot_agent.flight.online_gp import Correction, OnlineGp
 from nufleet.robot_agent.motion.paced_robot import Halted
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError, RobotError
+from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.paths.trajectories import check_trajectory, travel
 from nufleet.shared.robots.spec import RobotSpec, TrackingLimits
@@ -62,6 +64,9 @@ class TrackingRecord:
 
     variance: FloatArray
     """Variance of `mean`, shape (samples, axes), in unit²/s²."""
+
+    weights: FloatArray
+    """Weights of a mixture, shape (samples, experts + 1), none's last; (samples, 0) without one."""
 
     share: FloatArray
     """Share of the correction that the guard let act, shape (samples,), from 0 to 1."""
@@ -123,11 +128,11 @@ class Watch(Protocol):
 class Learner:
     """An inverse model in front of the robot."""
 
-    layout: InverseLayout
+    layout: InverseLayout | CombinedLayout
     """Inputs and output of the inverse model."""
 
-    process: OnlineGp
-    """Online process on top of the prior, new for each flight."""
+    process: OnlineGp | MixtureProcess
+    """Online process on top of the prior or of a mixture of priors, new for each flight."""
 
     pair_spacing_s: float = PAIR_SPACING_S
     """Time between the pairs that the process learns from, in seconds."""
@@ -253,12 +258,12 @@ class _Flight:
         self._learn_every = 1
         # The output of a robot without states is known only once it has been sent a reference.
         self._late = 0 if robot.state_names else 1
-        states = 1
+        states, experts = 1, 0
         if isinstance(learner, Learner):
             layout = learner.layout
             self._back, self._ahead = layout.back_samples, layout.horizon_samples
             self._span = layout.span_samples
-            states = len(layout.states)
+            states, experts = len(layout.states), len(learner.process.weights)
             spacing = round(learner.pair_spacing_s / robot.spec.sample_time_s)
             self._learn_every = max(1, spacing)
         self._path = np.pad(desired, ((self._back, self._ahead + 1), (0, 0)), mode="edge")
@@ -274,6 +279,7 @@ class _Flight:
         self._variance, self._actual = np.zeros((samples, axes)), np.zeros((samples, axes))
         self._share, self._step_time_s = np.ones(samples), np.zeros(samples)
         self._limited = np.zeros(samples, dtype=bool)
+        self._weights = np.zeros((samples, experts))
         self._fading: FloatArray | None = None
         self._done = 0
 
@@ -338,7 +344,7 @@ class _Flight:
         )
         correction = process.correct(query)
         self._prior[k], self._mean[k] = correction.prior, correction.mean
-        self._variance[k] = correction.variance
+        self._variance[k], self._weights[k] = correction.variance, correction.weights
         wished = layout.reference(correction.gamma, previous, path)
         return correction, self._bounded(k, wished, previous)
 
@@ -383,6 +389,7 @@ class _Flight:
             prior=self._prior[done],
             mean=self._mean[done],
             variance=self._variance[done],
+            weights=self._weights[done],
             share=self._share[done],
             limited=self._limited[done],
             step_time_s=self._step_time_s[done],

@@ -10,6 +10,7 @@ Learning* (2006), ch. 2 and 5.
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -199,6 +200,44 @@ def posterior(
 
     _share_out(posterior_range, problems, threads)
     return mean, variance
+
+
+def posterior_weights(
+    inputs: FloatArray, hyperparameters: Hyperparameters, query: FloatArray
+) -> tuple[FloatArray, float]:
+    """Return how the posterior mean at one point is made up of the targets of one problem.
+
+    The mean is aᵀy with a = K⁻¹k (Rasmussen & Williams, eq. 2.25), so that one factorisation serves
+    any number of targets at the same inputs.
+
+    Args:
+        inputs: Inputs of the problem, shape (n, d).
+        hyperparameters: One set, with a noise variance above 0.
+        query: Point to predict at, shape (d,), in the inputs' unit.
+
+    Returns:
+        The weights a, shape (n,), and the variance at the point without noise.
+    """
+    signal, lengthscale, noise = (
+        float(np.ravel(value)[0])
+        for value in (
+            hyperparameters.signal_variance,
+            hyperparameters.lengthscale,
+            hyperparameters.noise_variance,
+        )
+    )
+    points = np.concatenate([inputs, query[np.newaxis]])
+    # |x − x'|² = |x|² + |x'|² − 2 x·x', from the query, so that near points lose few digits.
+    apart = (points - query) * (math.sqrt(3.0) / lengthscale)
+    squares = np.einsum("ij,ij->i", apart, apart)
+    products = apart[:-1] @ apart.T
+    scaled = np.sqrt(np.maximum(squares[:-1, np.newaxis] + squares - 2.0 * products, 0.0))
+    covariance = signal * (1.0 + scaled) * np.exp(-scaled)
+    between = covariance[:, -1]
+    known = covariance[:, :-1]
+    known[np.diag_indices(len(inputs))] += noise
+    weights = np.linalg.solve(known, between)
+    return weights, max(0.0, signal - float(between @ weights))
 
 
 def warm_up() -> None:

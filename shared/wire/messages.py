@@ -14,7 +14,13 @@ from nufleet.shared.frequency_test.excitation import ExcitationPlan
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.strict import Digest, Identifier, Name, NonNegative, Reason
 from nufleet.shared.wire.codec import Bytes, Float64Array, Message
-from nufleet.shared.wire.motions import FlightDetails, Motion, MotionPlan
+from nufleet.shared.wire.motions import (
+    MIXTURE_MAX,
+    FlightDetails,
+    Motion,
+    MotionPlan,
+    check_weights,
+)
 
 Count = Annotated[int, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -94,6 +100,8 @@ class Description(Message):
     """Experiences that the robot learned itself."""
     prior: ExperienceOffer | None = None
     """Experience that was transferred to the robot."""
+    companions: Annotated[tuple[ExperienceOffer, ...], Field(max_length=MIXTURE_MAX - 1)] = ()
+    """Further ones that were transferred, for a mixture with the prior."""
     own_flight_s: dict[Name, NonNegative] = Field(default_factory=dict)
     """Duration of the motions that tell the robot of each of its axes. A robot that knows nothing
     of itself cannot guard a flight."""
@@ -101,6 +109,11 @@ class Description(Message):
     """Orchestrator that last commanded the robot under a lease."""
     epoch: Epoch = 0
     """Epoch of that lease; requests with a lower epoch are refused."""
+
+    @property
+    def priors(self) -> tuple[ExperienceOffer, ...]:
+        """All experiences that were transferred to the robot, in their order."""
+        return () if self.prior is None else (self.prior, *self.companions)
 
     @property
     def baseline_known(self) -> bool:
@@ -249,10 +262,12 @@ class InstallRequest(Message):
     """SHA-256 of the payload."""
     payload: Bytes
     """The experience's file."""
+    beside: bool = False
+    """True if a prior joins those that the robot holds; False if it takes their place."""
 
 
 class RemovePriorRequest(Message):
-    """Request to remove a robot's prior."""
+    """Request to remove all priors of a robot."""
 
     sender: Identifier
     """Orchestrator that sends the request."""
@@ -347,12 +362,17 @@ class TrackingTelemetry(Message):
     """Posterior variance of γ, shape (n, axes), in (unit/s)²."""
     share: Float64Array
     """Fraction of the correction that acted, shape (n,)."""
+    experts: tuple[Name, ...] = ()
+    """Sources of the experiences in a mixture; empty without one."""
+    weights: Float64Array | None = None
+    """Weight of each of them and, last, of no experience, shape (n, experts + 1)."""
 
     @model_validator(mode="after")
     def _samples_agree(self) -> TrackingTelemetry:
         shapes = {a.shape for a in (self.actual, self.prior, self.mean, self.variance)}
         if shapes != {self.desired.shape} or self.desired.shape[:1] != self.share.shape:
             raise ValueError(f"the arrays differ in shape: {self.desired.shape} and {shapes}")
+        check_weights(self.experts, self.weights, len(self.desired))
         return self
 
 

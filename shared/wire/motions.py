@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from nufleet.shared.arrays import FloatArray
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
 from nufleet.shared.strict import Digest, Name, NonNegative, Positive, Reason, Strict
@@ -38,6 +39,19 @@ class RichFlight(Strict):
     """Seed of the random generator that draws the references."""
 
 
+MIXTURE_MAX = 16
+"""Largest number of experiences in a mixture, and of priors that a robot holds."""
+
+
+class Weighted(Strict):
+    """A transferred experience in a mixture."""
+
+    sha256: Digest
+    """SHA-256 of the experience, to be checked by the robot."""
+    weight: Annotated[float, Field(gt=0, lt=1)]
+    """Probability before the flight that it is the right one."""
+
+
 class Tracking(Strict):
     """Request to follow a path, with or without a learned inverse before the baseline controller.
 
@@ -49,14 +63,18 @@ class Tracking(Strict):
     """Discriminator among the motions a robot can be asked for."""
     desired: Float64Array
     """Path to follow, shape (samples, axes), one row per sample of the robot, in the axes' unit."""
-    inverse: Literal["baseline", "zero-prior", "prior", "own"]
+    inverse: Literal["baseline", "zero-prior", "prior", "mixture", "own"]
     """Module in front of the baseline controller: none; a process that starts without experience; a
-    process whose prior mean is the experience that was transferred to the robot; or the robot's
-    model of itself, inverted along the whole path."""
+    process whose prior mean is one experience that was transferred to the robot; one whose prior
+    mean is a mixture of several, weighed in flight; or the robot's model of itself, inverted along
+    the whole path."""
     layout: InverseLayout | None = None
     """Inputs and output of a process with a zero prior; None for the other inverses."""
     prior_sha256: Digest | None = None
     """SHA-256 of the transferred experience, to be checked by the robot; None without a prior."""
+    mixture: Annotated[tuple[Weighted, ...], Field(max_length=MIXTURE_MAX)] = ()
+    """Transferred experiences of a mixture, which takes the layout of the first. What their weights
+    leave to 1 is the weight of no experience. Empty for the other inverses."""
     guarded: bool = True
     """True if the flight falls back to the baseline once it does worse than the baseline would."""
     learn: bool = True
@@ -70,6 +88,12 @@ class Tracking(Strict):
             raise ValueError("a layout belongs to the inverse 'zero-prior', and only to that")
         if (self.prior_sha256 is not None) != (self.inverse == "prior"):
             raise ValueError("prior_sha256 belongs to the inverse 'prior', and only to that")
+        if bool(self.mixture) != (self.inverse == "mixture"):
+            raise ValueError("experiences with weights belong to the inverse 'mixture', and only")
+        if len({each.sha256 for each in self.mixture}) < len(self.mixture):
+            raise ValueError("an experience is in the mixture twice")
+        if sum(each.weight for each in self.mixture) >= 1:
+            raise ValueError("the weights of a mixture leave nothing to flying without experience")
         return self
 
 
@@ -161,6 +185,25 @@ class TrackingDetails(Strict):
     for a robot that knows nothing of itself."""
     findings: tuple[Reason, ...] = ()
     """What the flight showed of the robot's model of itself: that the robot has changed, say."""
+    experts: tuple[Name, ...] = ()
+    """Sources of the experiences in a mixture; empty without one."""
+    weights: Float64Array | None = None
+    """Weight of each of them and, last, of no experience, shape (samples, experts + 1); None
+    without a mixture."""
+
+    @model_validator(mode="after")
+    def _weights_agree(self) -> TrackingDetails:
+        check_weights(self.experts, self.weights, len(self.desired))
+        return self
+
+
+def check_weights(experts: tuple[str, ...], weights: FloatArray | None, samples: int) -> None:
+    """Raise ValueError unless there is a weight per sample for every expert and for none."""
+    shape = None if weights is None else weights.shape
+    if shape != ((samples, len(experts) + 1) if experts else None):
+        raise ValueError(
+            f"weights of shape {shape} for {samples} samples of {len(experts)} experts"
+        )
 
 
 FlightDetails = Annotated[RichFlightDetails | TrackingDetails, Field(discriminator="kind")]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR, OWN
+from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 
 Colour = tuple[int, int, int]
 
@@ -28,9 +28,14 @@ GROUND: Colour = (16, 18, 22)
 ALARM: Colour = (235, 90, 90)
 """Colour of marks where the guard acted."""
 
-_NO_SOURCE: dict[str, Colour] = {BASELINE: TARGET, NO_PRIOR: (176, 166, 200), OWN: (196, 164, 98)}
-"""Colours of the target's flights without a source: with its own controller alone, and with online
-learning from a zero prior."""
+_NO_SOURCE: dict[str, Colour] = {
+    BASELINE: TARGET,
+    NO_PRIOR: (176, 166, 200),
+    OWN: (196, 164, 98),
+    MIXTURE: (150, 220, 200),
+}
+"""Colours of the target's flights without a source of their own: with its own controller alone,
+with online learning from a zero prior, with its model of itself, and with a mixture."""
 
 # Palette of Okabe and Ito (2008) for a dark background: lighter blue, and no black.
 _BASE: tuple[Colour, ...] = (

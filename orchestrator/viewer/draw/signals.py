@@ -8,8 +8,9 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from nufleet.orchestrator.flights.labels import NO_PRIOR
 from nufleet.orchestrator.viewer.draw.outline import outline
-from nufleet.orchestrator.viewer.draw.palette import ALARM, REFERENCE, Palette
+from nufleet.orchestrator.viewer.draw.palette import ALARM, REFERENCE, Colour, Palette
 from nufleet.orchestrator.viewer.events import TrackingSamplesEvent
 from nufleet.orchestrator.viewer.flights import Flight
 from nufleet.shared.arrays import FloatArray
@@ -44,6 +45,7 @@ class Signals:
             if any(event.variance.any() for event in new):
                 self._draw_inverse(flight, time_s, new)
                 self._draw_share(flight, time_s, new)
+                self._draw_weights(flight, time_s, new)
         self._mark(flight)
 
     def end(self, flight: Flight) -> None:
@@ -116,6 +118,19 @@ class Signals:
         kept = np.unique(np.concatenate([[0, len(share) - 1], change, change + 1]))
         self._send(path, time_s, share, kept)
 
+    def _draw_weights(
+        self, flight: Flight, time_s: FloatArray, new: list[TrackingSamplesEvent]
+    ) -> None:
+        """Draw the weight of every source in a mixture and of none, in the sources' colours."""
+        parts = [event.weights for event in new if event.weights is not None]
+        if len(parts) < len(new):
+            return
+        weights = np.concatenate(parts)
+        for column, name in enumerate((*new[0].experts, NO_PRIOR)):
+            path = f"tracking/weights/{flight.robot}/{name}"
+            self._line(flight, path, name, 1.5, colour=self._palette.of_prior(name))
+            self._send(path, time_s, weights[:, column], _kept(weights[:, column], flight))
+
     def _mark(self, flight: Flight) -> None:
         """Mark where the guard withdrew the prior, once the samples have arrived."""
         at_s = flight.taken_back_s
@@ -135,9 +150,17 @@ class Signals:
             self._send(path, flight.time_s[k : k + 1], np.array([value]), np.array([0]))
 
     def _line(
-        self, flight: Flight, path: str, name: str, width: float, *, grey: bool = False
+        self,
+        flight: Flight,
+        path: str,
+        name: str,
+        width: float,
+        *,
+        grey: bool = False,
+        colour: Colour | None = None,
     ) -> None:
-        """Set the style of a line, and its colour for this flight."""
+        """Set the style of a line, and its colour for this flight, that of its prior if None."""
+        colour = REFERENCE if grey else colour or self._palette.of_prior(flight.prior)
         if path not in self._styled:
             self._styled.add(path)
             style = rr.SeriesLines.from_fields(
@@ -150,9 +173,7 @@ class Signals:
             self._stream.send_columns(
                 path,
                 indexes=[rr.TimeColumn("t", duration=[flight.time_s[0]])],
-                columns=rr.SeriesLines.columns(
-                    colors=[REFERENCE if grey else self._palette.of_prior(flight.prior)]
-                ),
+                columns=rr.SeriesLines.columns(colors=[colour]),
             )
 
     def _opened(self, flight: Flight, path: str) -> bool:

@@ -54,7 +54,8 @@ class Tracking:
             self._draw_new(flight)
             self._signals.end(flight)
             self._table(flight)
-        self._shown.tracking(event.axes, event.unit, event.t_s)
+        mixed = event.weights is not None
+        self._shown.tracking(event.axes, event.unit, event.t_s, mixed=mixed)
         self._flights[event.robot] = Flight.begun_by(event)
 
     def _draw_new(self, flight: Flight) -> None:

@@ -194,6 +194,7 @@ def test_a_source_has_one_colour_in_all_figures_of_a_fleet() -> None:
     assert prior_colours(["baseline", "b", "a"]) == prior_colours(["a", "b", "none"])
     colours = prior_colours(PRIORS)
     assert len({colours[prior] for prior in PRIORS}) == len(PRIORS)
+    assert len(set(colours.values())) == len(colours)
 
 
 def test_a_label_is_taken_apart_as_it_was_put_together() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from nufleet.orchestrator.flights.table import FLIGHTS, FlightTable
 
 COLUMNS = [
     *("robot", "flight", "axis", "sample", "t_s", "desired", "reference", "actual"),
-    *("prior", "mean", "variance", "share"),
+    *("prior", "mean", "variance", "share", "weights"),
 ]
 
 
@@ -41,6 +42,19 @@ def test_each_sample_of_each_axis_is_one_row_as_it_was_flown(tmp_path: Path) -> 
             ("share", details.share),
         ):
             np.testing.assert_array_equal([row[name] for row in mine], expected)
+
+
+def test_the_weights_of_a_mixture_are_in_every_row_by_source(tmp_path: Path) -> None:
+    single = flight(line(2, 2), line(2, 2))
+    weights = np.array([[0.5, 0.3, 0.2], [0.7, 0.2, 0.1], [0.9, 0.1, 0.0]])
+    mixed = flight(line(3, 2), line(3, 2))
+    details = mixed.details.model_copy(update={"experts": ("a", "b"), "weights": weights})
+    with FlightTable(tmp_path) as table:
+        table.write(single, ("x", "y"))
+        table.write(replace(mixed, details=details), ("x", "y"))
+    rows = pq.read_table(tmp_path / FLIGHTS)["weights"].to_pylist()
+    expected = [list(zip(("a", "b", "none"), row, strict=True)) for row in weights.tolist()]
+    assert rows == [None] * 4 + expected + expected
 
 
 def test_flights_follow_one_another(tmp_path: Path) -> None:

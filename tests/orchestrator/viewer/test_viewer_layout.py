@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import rerun.blueprint as rrb
 from recording_reader import layouts
 from study_events import iteration_event, samples_event, state_event
@@ -63,6 +65,17 @@ def test_every_axis_has_a_view_of_its_inverse_model(tmp_path: Path) -> None:
     _, views = laid_out(tmp_path / "run.rrd", flight(axes=axes, unit="rad"))
     for axis in axes:
         assert f"Inverse model, {axis} [rad/s]: prior (grey) and online GP ± 2σ" in views
+
+
+def test_a_mixture_gets_a_view_of_its_weights(tmp_path: Path) -> None:
+    view = "Weights of the mixture, by source"
+    mixed = replace(
+        flight("mixture", samples=50), experts=("s1",), weights=np.tile([0.7, 0.3], (50, 1))
+    )
+    *_, views = laid_out(tmp_path / "mixed.rrd", mixed)
+    assert view in views
+    *_, views = laid_out(tmp_path / "single.rrd", flight("s1"))
+    assert view not in views
 
 
 def test_the_layout_is_sent_again_only_once_however_many_flights_come(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,21 @@ def test_the_inverse_model_is_recorded_for_every_axis(
         # The band drawn is of one deviation, so it is given two.
         variances = np.array([v for v in column(path, entity, "Measurements:variances") if v])
         np.testing.assert_allclose(variances, 4 * 0.0025)
+
+
+def test_the_weights_of_a_mixture_are_recorded_by_source(tmp_path: Path) -> None:
+    event = flight("mixture", samples=100)
+    toward = np.linspace(0.5, 0.9, 100)
+    weights = np.stack([toward, 0.1 * np.ones(100), 0.9 - toward], axis=1)
+    mixed = replace(event, experts=("s1", "s2"), weights=weights)
+    path = record(tmp_path / "run.rrd", flight("s1", t_s=-5.0, samples=50), mixed)
+    for column_of, name in enumerate(("s1", "s2", "none")):
+        found = scalars(path, f"/tracking/weights/target/{name}")[1]
+        assert (found[0], found[-1]) == pytest.approx(
+            (weights[0, column_of], weights[-1, column_of])
+        )
+    alone = record(tmp_path / "alone.rrd", flight("s1", samples=50))
+    assert not [entity for entity in entities(alone) if "weights" in entity]
 
 
 def test_a_baseline_has_no_inverse_model_to_show(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from learned_things import experience, flown_before, layout
+from pydantic import ValidationError
 from robots_that_learn import LIMITS, LaggedRobot, double_integrator
 
 from nufleet.robot_agent.flight.memory import Memory
@@ -23,7 +24,14 @@ from nufleet.shared.experience.file import digest
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.paths.trajectories import travel
 from nufleet.shared.robots.spec import RobotSpec
-from nufleet.shared.wire.motions import Flight, FlightPlan, RichFlight, StepTest, Tracking
+from nufleet.shared.wire.motions import (
+    Flight,
+    FlightPlan,
+    RichFlight,
+    StepTest,
+    Tracking,
+    Weighted,
+)
 
 ROBOT = double_integrator()
 SPEC = ROBOT.spec
@@ -185,6 +193,57 @@ def test_a_flight_with_a_prior_needs_that_prior() -> None:
     code, reason = refused(with_prior(), known=memory(other, baseline=True))
     assert code == "other-prior"
     assert "from somebody" in reason
+
+
+def mixed(*payloads: bytes, weight: float = 0.3) -> Tracking:
+    mixture = tuple(Weighted(sha256=digest(payload), weight=weight) for payload in payloads)
+    return Tracking(desired=PATH, inverse="mixture", mixture=mixture, guarded=False)
+
+
+def test_a_mixture_flies_with_priors_of_one_architecture_that_the_robot_holds() -> None:
+    longer = experience("longer", layout=layout(horizon_samples=30))
+    known = memory(PRIOR)
+    code, reason = refused(mixed(PRIOR, longer), known=known)
+    assert (code, "from source; transfer it again" in reason) == ("other-prior", True)
+    known.keep_prior(longer, digest(longer), beside=True)
+    assert planned(mixed(PRIOR, longer), known=known).samples == len(PATH)
+    # Each of them can also fly alone.
+    assert planned(with_prior(longer, guarded=False), known=known).samples == len(PATH)
+    state = experience("feedback", "state")
+    known.keep_prior(state, digest(state), beside=True)
+    code, reason = refused(mixed(PRIOR, state), known=known)
+    assert code == "misfit"
+    assert "choose sources of one architecture" in reason
+
+
+def test_a_mixture_is_guarded_as_a_single_prior_is() -> None:
+    with pytest.raises(RefusedError, match="allow_unguarded = true"):
+        planned(mixed(PRIOR), known=memory(PRIOR), allow_unguarded=False)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"mixture": ()}, "experiences with weights belong"),
+        ({"inverse": "baseline"}, "experiences with weights belong"),
+        ({"mixture": 2 * (Weighted(sha256=digest(PRIOR), weight=0.3),)}, "in the mixture twice"),
+        (
+            {
+                "mixture": tuple(
+                    Weighted(sha256=digest(PRIOR)[:-1] + end, weight=0.5) for end in "ab"
+                )
+            },
+            "leave nothing to flying without experience",
+        ),
+    ],
+)
+def test_a_request_for_a_mixture_that_means_nothing_is_none(
+    changed: dict[str, object], words: str
+) -> None:
+    fields = mixed(PRIOR).model_dump(exclude={"desired", "mixture"})
+    fields |= {"desired": PATH, "mixture": (Weighted(sha256=digest(PRIOR), weight=0.3),)} | changed
+    with pytest.raises(ValidationError, match=words):
+        Tracking.model_validate(fields)
 
 
 def test_a_flight_without_a_guard_is_a_setting_of_the_robot() -> None:

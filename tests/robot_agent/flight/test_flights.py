@@ -9,10 +9,12 @@ from robots_that_learn import LIMITS, LaggedRobot, double_integrator
 
 from nufleet.robot_agent.flight.flights import learner_for, performance_of
 from nufleet.robot_agent.flight.memory import Memory, MemoryFolderError
+from nufleet.robot_agent.flight.online_gp import Correction
 from nufleet.robot_agent.flight.tracking import Learner, Watch, approach
 from nufleet.robot_agent.motion.pace import HaltSwitch
 from nufleet.robot_agent.motion.perform import Played, perform
 from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
 from nufleet.shared.experience.file import digest
 from nufleet.shared.paths.trajectories import travel
@@ -23,6 +25,7 @@ from nufleet.shared.wire.motions import (
     RichFlightDetails,
     Tracking,
     TrackingDetails,
+    Weighted,
 )
 
 PATH = travel(np.array([[0.0, 0.0], [0.5, 0.5], [-0.4, 0.2]]), 0.5, 1.0, 0.02)
@@ -149,6 +152,49 @@ def test_a_prior_that_is_gone_is_an_error_of_the_robot() -> None:
         learner_for(motion, double_integrator(), Memory(None), None)
 
 
+def mixture_of(memory: Memory, *payloads: bytes, weight: float = 0.3) -> Tracking:
+    """A flight with a mixture of experiences, which the memory then holds."""
+    for place, payload in enumerate(payloads):
+        memory.keep_prior(payload, digest(payload), beside=place > 0)
+    mixture = tuple(Weighted(sha256=digest(payload), weight=weight) for payload in payloads)
+    return Tracking(desired=PATH, inverse="mixture", mixture=mixture)
+
+
+def test_a_mixture_flies_under_guard_and_keeps_its_weights_over_time() -> None:
+    robot, memory = known_robot()
+    fit = {"axes": ("x", "y"), "robot_kind": "lagged"}
+    priors = [
+        experience(f"source-{h}", layout=layout(sample_time_s=0.02, horizon_samples=h), **fit)
+        for h in (5, 8)
+    ]
+    seen: list[FloatArray] = []
+
+    def watch(
+        sample: int,
+        desired: FloatArray,
+        actual: FloatArray,
+        correction: Correction | None,
+        share: float,
+    ) -> None:
+        assert correction is not None
+        seen.append(correction.weights)
+
+    found = details(flown(robot, mixture_of(memory, *priors), memory, watch=watch))
+    assert found.experts == ("source-5", "source-8")
+    assert found.weights is not None
+    assert found.weights.shape == (len(PATH), 3)
+    np.testing.assert_allclose(found.weights[0], [0.3, 0.3, 0.4])
+    np.testing.assert_allclose(found.weights.sum(axis=1), 1.0)
+    assert np.abs(found.weights[-1] - found.weights[0]).max() > 0.01
+    np.testing.assert_array_equal(found.weights, seen)
+
+
+def test_a_mixture_that_is_gone_is_an_error_of_the_robot() -> None:
+    motion = mixture_of(Memory(None), experience())
+    with pytest.raises(RobotError, match="no longer has a prior of the mixture"):
+        learner_for(motion, double_integrator(), Memory(None), None)
+
+
 def known_robot() -> tuple[LaggedRobot, Memory]:
     """A robot that has flown one path, so that it knows itself."""
     robot, memory = LaggedRobot(noise_std_m=1e-3), Memory(None)
@@ -199,6 +245,19 @@ def test_a_robot_that_has_changed_notices_it_by_its_own_prediction() -> None:
     again = flown(changed, OWN, memory)
     assert rms(again) < 0.5 * rms(played)
     assert details(again).findings == ()
+
+
+def test_the_guard_takes_a_mixture_back_as_it_does_a_single_prior() -> None:
+    robot, memory = known_robot()
+    wrong = experience(layout=layout(sample_time_s=0.02), robot_kind="lagged", axes=("x", "y"))
+    motion = mixture_of(memory, wrong, weight=0.9)
+    kept = memory.prior
+    assert kept is not None
+    kept.inverse._layers[0][0][:] = -40.0  # asks for far too much of every point ahead
+    played = flown(robot, motion.model_copy(update={"learn": False}), memory)
+    assert details(played).taken_back is not None
+    baseline = flown(robot, baseline_flight(), memory)
+    assert rms(played) < 1.1 * rms(baseline)
 
 
 def test_a_wrong_prior_gives_way_to_the_robots_model_of_itself() -> None:

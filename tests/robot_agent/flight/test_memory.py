@@ -17,6 +17,7 @@ from nufleet.robot_agent.flight.inverse_model import NetworkInverse
 from nufleet.robot_agent.flight.memory import PRIOR, Memory, MemoryFolderError
 from nufleet.shared.errors import MalformedMessageError
 from nufleet.shared.experience.file import decode_experience, digest
+from nufleet.shared.wire.motions import MIXTURE_MAX
 
 OWN = experience("target", "preview")
 GIVEN = experience("source", "state", seed=1)
@@ -90,6 +91,70 @@ def test_a_prior_that_is_forgotten_stays_forgotten(tmp_path: Path) -> None:
     again = Memory(tmp_path)
     assert again.prior is None
     assert len(again.experiences) == 1
+
+
+def payloads(memory: Memory) -> list[bytes]:
+    return [prior.payload for prior in memory.priors]
+
+
+def test_priors_beside_each_other_keep_their_order_over_a_restart(tmp_path: Path) -> None:
+    memory = filled(tmp_path)
+    others = [experience(f"source-{i}", "state", seed=i) for i in range(2, MIXTURE_MAX + 1)]
+    for payload in others:
+        memory.keep_prior(payload, digest(payload), beside=True)
+    for known in (memory, Memory(tmp_path)):
+        assert payloads(known) == [GIVEN, *others]
+        assert known.prior is not None
+        assert known.prior.payload == GIVEN
+    one_more = experience("late", "state", seed=50)
+    with pytest.raises(MemoryFolderError, match=f"it holds {MIXTURE_MAX} priors"):
+        memory.keep_prior(one_more, digest(one_more), beside=True)
+    # By itself it takes the place of all.
+    memory.keep_prior(one_more, digest(one_more))
+    for known in (memory, Memory(tmp_path)):
+        assert payloads(known) == [one_more]
+
+
+def test_a_crash_while_one_prior_replaces_several_never_mixes_old_and_new(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    memory = filled(tmp_path)
+    other, newer = experience("other", "state", seed=5), experience("newer", "state", seed=6)
+    memory.keep_prior(other, digest(other), beside=True)
+
+    def crash(*_: object) -> None:
+        raise CrashError
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "replace", crash)
+        with pytest.raises(CrashError):
+            memory.keep_prior(newer, digest(newer))
+    assert payloads(Memory(tmp_path)) == [GIVEN]
+    memory = Memory(tmp_path)
+    memory.keep_prior(other, digest(other), beside=True)
+    unlink = Path.unlink
+
+    def crash_at_others(path: Path, missing_ok: bool = False) -> None:
+        if path.name.startswith(f"{PRIOR}-") and path.suffix == ".learned":
+            raise CrashError
+        unlink(path, missing_ok)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "unlink", crash_at_others)
+        with pytest.raises(CrashError):
+            memory.keep_prior(newer, digest(newer))
+    assert payloads(Memory(tmp_path)) == [GIVEN, other]
+
+
+def test_a_newer_experience_of_a_source_takes_the_place_of_its_earlier_one(tmp_path: Path) -> None:
+    memory = filled(tmp_path)
+    other, newer = experience("other", "state", seed=5), experience("source", "state", seed=6)
+    for payload in (other, newer):
+        memory.keep_prior(payload, digest(payload), beside=True)
+    for known in (memory, Memory(tmp_path)):
+        assert payloads(known) == [newer, other]
+    memory.forget_prior()
+    assert payloads(Memory(tmp_path)) == []
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,13 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.gaussian_process.exact import fit, log_marginal_likelihood, posterior, warm_up
+from nufleet.shared.gaussian_process.exact import (
+    fit,
+    log_marginal_likelihood,
+    posterior,
+    posterior_weights,
+    warm_up,
+)
 from nufleet.shared.gaussian_process.problem import Batch, Bounds, FitStatus, Hyperparameters
 
 WIDE = Bounds((1e-4, 1e3), (1e-2, 1e3), (1e-6, 1e2))
@@ -51,6 +57,17 @@ def sklearn_regressor(start: Hyperparameters, bounds: Bounds, **options: Any) ->
         float(start.lengthscale), bounds.lengthscale, nu=1.5
     ) + WhiteKernel(float(start.noise_variance), bounds.noise_variance)
     return GaussianProcessRegressor(kernel, alpha=0.0, **options)
+
+
+@pytest.mark.parametrize(("n", "d"), [(1, 1), (7, 2), (50, 5)])
+def test_the_weights_of_a_posterior_give_the_means_of_any_targets(n: int, d: int) -> None:
+    x, y = wavy(n, d, seed=n)
+    targets = np.stack([y, y**2, np.ones(n)])
+    h, query = Hyperparameters(0.7, 0.4, 0.02), np.full(d, 0.3)
+    mean, variance = posterior(Batch.stacked(x, targets), h, query[np.newaxis])
+    weights, found = posterior_weights(x, h, query)
+    np.testing.assert_allclose(targets @ weights, mean[:, 0], rtol=1e-6, atol=1e-9)
+    assert found == pytest.approx(variance[0, 0], rel=1e-6)
 
 
 @pytest.mark.parametrize(

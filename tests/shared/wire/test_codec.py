@@ -49,7 +49,7 @@ from nufleet.shared.wire.messages import (
     Telemetry,
     TrackingTelemetry,
 )
-from nufleet.shared.wire.motions import RichFlight, StepTest, Tracking
+from nufleet.shared.wire.motions import RichFlight, StepTest, Tracking, Weighted
 
 EVERY_TYPE = tuple(
     kind
@@ -179,6 +179,16 @@ motions = (
     | st.builds(RichFlight, duration_s=st.floats(1, 3600), seed=st.integers(0, 2**40))
     | st.builds(Tracking, desired=flights, inverse=st.just("baseline"), guarded=st.booleans())
     | st.builds(Tracking, desired=flights, inverse=st.just("prior"), prior_sha256=digests)
+    | st.builds(
+        Tracking,
+        desired=flights,
+        inverse=st.just("mixture"),
+        mixture=st.builds(
+            lambda digest, weight: (Weighted(sha256=digest, weight=weight),),
+            digests,
+            st.floats(0.01, 0.99),
+        ),
+    )
 )
 LAYOUT = InverseLayout(
     architecture="state", states=("position",), sample_time_s=0.02, horizon_samples=5
@@ -253,6 +263,8 @@ STRATEGIES: dict[type[Message], st.SearchStrategy[Message]] = {
             mean=array,
             variance=array,
             share=array[:, 0],
+            experts=("source-1",) if array.shape[1] == 2 else (),
+            weights=array if array.shape[1] == 2 else None,
         )
     ),
     FetchRequest: st.builds(FetchRequest, sha256=digests),
