@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import psutil
@@ -19,6 +19,14 @@ from nufleet.shared.wire.messages import GoalRequest, RobotStatus
 
 LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=60.0)
 ROBOTS = ("a", "b", "c")
+
+
+@pytest.fixture(autouse=True)
+def hangup() -> Iterator[None]:
+    """A process that ignores SIGHUP, as under nohup, would have its agents ignore it too."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
 
 
 @pytest.fixture

@@ -200,7 +200,7 @@ def test_a_server_that_dies_is_reported_and_the_recording_goes_on(
             return writer.dropped >= 3
 
         wait_until(missed)
-    assert "server is gone" in caplog.text
+    assert "the server of the viewer has ended" in caplog.text
     assert len(column(path, "/psi/worst/s1", "Measurements:values")) == sent
 
 

@@ -89,7 +89,7 @@ def test_a_pole_that_crosses_the_axis_far_from_the_crossover_fails_the_winding_c
     assert (found.poles_unstable, found.poles_on_axis) == ((0, 1), (0, 0))
     assert found.winding_number == 0
     assert "the winding condition fails: wno 0 + η(P1) 0 − η(P2) 1 − η0(P2) 0 = -1" in found.reason
-    assert "nothing" in found.guarantee
+    assert "none" in found.guarantee
 
 
 def test_the_winding_number_is_that_of_the_contour() -> None:
