@@ -142,7 +142,9 @@ def test_a_late_joiner_sees_the_state_of_every_robot(running_fleet: Orchestrator
 
 
 def test_who_does_not_come_is_named_with_those_who_are_there(running_fleet: Orchestrator) -> None:
-    with pytest.raises(RobotLostError, match=r"robot r9 did not appear .* robots present: r0, r1, r2"):
+    with pytest.raises(
+        RobotLostError, match=r"robot r9 did not appear .* robots present: r0, r1, r2"
+    ):
         running_fleet.fleet.wait_for(("r0", "r9"), timeout_s=0.05)
     with pytest.raises(NoReplyError, match="robot r9 does not answer"):
         running_fleet.fleet.describe("r9")
