@@ -24,6 +24,7 @@ from nufleet.orchestrator.history.rankings import Ranking, latest_ranking
 from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.orchestrator.logs.keeping import keep_flight_responses
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError, RobotError
 from nufleet.shared.experience.layout import HORIZON_SAMPLES_MAX, InverseLayout
@@ -130,6 +131,10 @@ def _flown(run: FlyingRun, target: Description, inverse: _Inverse, leg: Leg) -> 
     known_s = run.connection.fleet.describe(target.robot).least_known_s
     flight = inverse.fly(run.pilot, leg.desired, label)
     kept.ended(flight)
+    # A reference that follows the measured output carries its noise, which would bias a response.
+    if inverse.name in (BASELINE, OWN) and flight.details.taken_back is None:
+        fleet, came_from = run.connection.name, run.folder.path.name
+        keep_flight_responses(run.repository, fleet, target, flight, came_from)
     for finding in flight.details.findings:
         run.console.print(f"[yellow]{target.robot}: {finding}[/]")
     return flight_record(flight, inverse.name, leg, known_s)

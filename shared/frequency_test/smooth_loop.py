@@ -31,6 +31,10 @@ TAPS_MAX = 128
 NOISE_ABOVE = (1.5, 4.0)
 """Frequencies between which the output is taken for noise, as multiples of the highest."""
 
+NOISE_MIN = 1e-5
+"""Least noise assumed, as a share of the output's deviation. A simulated robot may have none, and
+rounding would then decide the regression, which smooth references leave nearly singular."""
+
 _GRID: Mapping[str, tuple[float, ...]] = {
     "noise_ratio": tuple(2.0**power for power in range(-1, 16)),
     "memory": (1.5, 3.0, 6.0, 12.0, 24.0, 48.0, 96.0),
@@ -356,7 +360,7 @@ def _power_above(records: Sequence[Lines], omega_max_rad_s: float) -> float:
         ]
     )
     scale = max(lines.scale for lines in records)
-    return max(float(np.median(powers)) / math.log(2), (1e-7 * scale) ** 2)
+    return max(float(np.median(powers)) / math.log(2), (NOISE_MIN * scale) ** 2)
 
 
 def _below(lines: Lines, omega_rad_s: float) -> Lines:

@@ -20,6 +20,9 @@ from learned_things import experience, layout
 from polling import PATIENCE_S, wait_until
 
 from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.repository.database import default_url
+from nufleet.orchestrator.repository.records import Origin
+from nufleet.orchestrator.repository.repository import open_repository
 from nufleet.shared.experience.file import decode_experience
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.messages import Description, RobotStatus
@@ -216,6 +219,11 @@ def test_a_track_says_and_stores_what_was_flown(
     (baseline,) = alone["flights"]  # type: ignore[misc]
     assert baseline["inverse"] == "baseline"
     assert flights[0]["rms_m"] < 0.2 * baseline["rms_m"]  # type: ignore[operator]
+    # Its reference was fixed in advance, so that the flight is a measurement as well.
+    with open_repository(default_url(lab.folder / "runs")) as repository:
+        (measured,) = repository.flights.responses(lab.name, "target", "x")
+    assert measured.origin is Origin.FLIGHT
+    assert str(measured.study_id).startswith(Path(str(alone["run"])).name)
 
 
 def test_a_robot_that_has_flown_inverts_its_own_loop_and_says_what_to_expect(

@@ -12,6 +12,9 @@ from nufleet.shared.frequency_test.record_response import (
     Stretch,
     estimate_record_response,
 )
+from nufleet.shared.paths.files import read_drawing
+from nufleet.shared.paths.installed import find_drawing
+from nufleet.shared.paths.trajectories import travel
 
 STEP_S = 0.02
 BAND = (0.1, 5.4)
@@ -212,3 +215,19 @@ def test_speed_and_amplitude_of_the_reference_are_told() -> None:
     assert found.response.flight.speed == pytest.approx(0.6, rel=0.1)
     assert found.response.flight.noise_std == pytest.approx(NOISE_M, rel=0.5)
     assert found.response.amplitude == pytest.approx(0.4, rel=0.1)
+
+
+@pytest.mark.parametrize("omega_max_rad_s", [5.0, 50.0])
+@pytest.mark.parametrize("delay", [0, 1, 4])
+def test_a_drawing_followed_without_noise_has_a_response_all_the_same(
+    delay: int, omega_max_rad_s: float
+) -> None:
+    step_s = 0.015
+    reference = travel(read_drawing(find_drawing("clover")), 0.6, 2.0, step_s)[:, 0]
+    output = np.concatenate([np.full(delay, reference[0]), reference[: len(reference) - delay]])
+    found = estimate_record_response(
+        [Stretch(reference, output)], step_s, (0.01, omega_max_rad_s), settling_time_s=5.4
+    )
+    z = np.exp(-1j * found.response.omega_rad_s * delay * step_s)
+    assert found.band_rad_s is not None
+    assert np.all(np.abs(found.response.z - z) < 0.05 + 3 * np.sqrt(found.response.variance))
