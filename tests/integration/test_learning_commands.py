@@ -171,6 +171,7 @@ def test_an_experience_is_handed_over_by_name_from_a_file_and_taken_away(
     gone = typed("transfer", *there, "--source", "none", cwd=lab.folder)
     document = json.loads(gone.stdout)
     assert (document.pop("schema"), document.pop("target")) == (1, "target")
+    assert document.pop("companions") == []
     assert set(document.values()) == {None}
     assert document.keys() >= {"source", "sha256", "taken_from"}
     assert lab.describe().prior is None
@@ -230,10 +231,10 @@ def test_a_robot_that_has_flown_inverts_its_own_loop_and_says_what_to_expect(
     lab: Workplace,
 ) -> None:
     """It has never been tested: what its guard has to know takes half a minute, and is said."""
-    path = ("--target", "source-1", "--trajectory", "clover", "--speed", "0.5")
+    path = ("--target", "slower", "--trajectory", "clover", "--speed", "0.5")
     first = lab.run("track", *path, "--inverse", "own", "--json")
     assert first.returncode == 0, first.stderr
-    assert "source-1 flies for 30 s first" in first.stderr
+    assert "slower flies for 30 s first" in first.stderr
     (own,) = json.loads(first.stdout)["flights"]
     (baseline,) = lab.json("track", *path, "--inverse", "baseline")["flights"]  # type: ignore[misc]
     assert own["inverse"] == "own"
@@ -242,7 +243,7 @@ def test_a_robot_that_has_flown_inverts_its_own_loop_and_says_what_to_expect(
     assert own["predicted_low_m"] <= own["predicted_rms_m"] <= own["predicted_high_m"]
     assert baseline["predicted_rms_m"] == pytest.approx(baseline["rms_m"], rel=0.05)
     more = lab.run("track", *path, "--inverse", "own", "--rich-flight", "15")
-    assert "source-1 flies for 15 s first" in more.stderr
+    assert "slower flies for 15 s first" in more.stderr
 
 
 @pytest.fixture(scope="module")
