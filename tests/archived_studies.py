@@ -12,7 +12,7 @@ from puppet_robot import puppet_spec
 from nufleet.orchestrator.conduct.archive import Archive
 from nufleet.orchestrator.conduct.leases import hold_leases
 from nufleet.orchestrator.conduct.replay import OpenTest
-from nufleet.orchestrator.repository.records import StudyRecord
+from nufleet.orchestrator.repository.records import StudyRecord, TrialEnd, TrialStatus
 from nufleet.orchestrator.repository.repository import open_repository
 from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.shared.frequency_test.excitation import ExcitationPlan
@@ -74,5 +74,5 @@ def measure(archive: Archive, test: OpenTest) -> FrequencyResponse:
         response=np.zeros(plan.samples),
     )
     log.intend([test])
-    log.measured(test, result, response)
+    log.ended(test, TrialEnd(TrialStatus.MEASURED, result=result, response=response))
     return response

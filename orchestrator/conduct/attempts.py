@@ -12,6 +12,7 @@ from typing import Protocol
 
 from nufleet.orchestrator.conduct.replay import OpenTest
 from nufleet.orchestrator.fleet.goal_events import Ended
+from nufleet.orchestrator.repository.records import TrialEnd, TrialStatus
 from nufleet.orchestrator.study.outcomes import Failed, Measured, TestOutcome
 from nufleet.shared.errors import RefusedError
 from nufleet.shared.frequency_test.duration import duration_s
@@ -21,7 +22,7 @@ from nufleet.shared.frequency_test.frequency_response import (
     estimate_frequency_response,
 )
 from nufleet.shared.robots.spec import RobotSpec
-from nufleet.shared.wire.messages import GoalAccepted, GoalResult, Outcome
+from nufleet.shared.wire.messages import GoalResult, Outcome
 
 ATTEMPTS = 3
 """Number of failed attempts after which a robot is given up in a round."""
@@ -42,34 +43,14 @@ Estimate = Callable[[GoalResult], FrequencyResponse]
 
 
 class Log(Protocol):
-    """Storage of attempts, as `TrialLog` implements it; every method may raise RepositoryError."""
+    """Storage of attempts, as `TrialLog` implements it; `ended` may raise RepositoryError."""
 
     @property
     def study_id(self) -> str:
         """Id of the study to which the attempts belong."""
 
-    def accepted(self, test: OpenTest, accepted: GoalAccepted) -> None:
-        """Store that the robot has accepted a test."""
-
-    def measured(self, test: OpenTest, result: GoalResult, response: FrequencyResponse) -> None:
-        """Store a usable response."""
-
-    def failed(
-        self,
-        test: OpenTest,
-        reason: str,
-        *,
-        retry: Excitation | None,
-        interrupted: bool = False,
-        result: GoalResult | None = None,
-        response: FrequencyResponse | None = None,
-    ) -> None:
-        """Store that an attempt gave no usable response, and the excitation of its retry."""
-
-    def lost(
-        self, test: OpenTest, reason: str, *, retry: Excitation | None, interrupted: bool
-    ) -> None:
-        """Store that the result of an attempt is lost for good."""
+    def ended(self, test: OpenTest, end: TrialEnd) -> None:
+        """Store how an attempt ended, with the data that it gave."""
 
 
 @dataclass(frozen=True)
@@ -135,14 +116,17 @@ class Attempts:
             settled = self._settle_result(test, ended.result, interrupted)
         elif isinstance(ended.error, RefusedError) and ended.error.code != CANCELLED:
             reason = str(ended.error)
-            self._log.failed(test, reason, retry=None)
+            self._log.ended(test, TrialEnd(TrialStatus.FAILED, reason))
             settled = Settled(outcome=self._failed(test, reason))
         else:
             # If the previous orchestrator was killed, its goal may have been cancelled before it
             # arrived, or the fleet it had started may have died with it. Neither is a failure of
             # the robot.
             excuse = isinstance(ended.error, RefusedError) or test.accepted_by is not None
-            settled = self._settle_loss(test, str(ended.error), excuse)
+            retry = _retry(test, test.excitation, excuse)
+            settled = self._followed(
+                test, TrialEnd(TrialStatus.LOST, str(ended.error), retry, excuse)
+            )
         if interrupted and not isinstance(settled.outcome, Measured):
             return Settled()
         return settled
@@ -158,27 +142,22 @@ class Attempts:
         else:
             response = self._estimate(result)
             if response.quality.usable:
-                self._log.measured(test, result, response)
+                end = TrialEnd(TrialStatus.MEASURED, result=result, response=response)
+                self._log.ended(test, end)
                 return Settled(Measured(test.robot, response, result, test.attempt, total_s))
             reason = "; ".join(str(finding) for finding in response.quality.reasons)
             retry = _retry(test, lengthened(test.excitation, result, self._specs[test.robot]))
-        self._log.failed(
-            test, reason, retry=retry, interrupted=excuse, result=result, response=response
+        return self._followed(
+            test, TrialEnd(TrialStatus.FAILED, reason, retry, excuse, result, response)
         )
-        return self._followed(test, reason, retry, excuse)
 
-    def _settle_loss(self, test: OpenTest, reason: str, excuse: bool) -> Settled:
-        retry = _retry(test, test.excitation, excuse)
-        self._log.lost(test, reason, retry=retry, interrupted=excuse)
-        return self._followed(test, reason, retry, excuse)
-
-    def _followed(
-        self, test: OpenTest, reason: str, retry: Excitation | None, excuse: bool
-    ) -> Settled:
-        if retry is None:
-            return Settled(outcome=self._failed(test, reason), failure=reason)
-        following = test.followed_by(self._log.study_id, retry, interrupted=excuse)
-        return Settled(following=following, failure=reason)
+    def _followed(self, test: OpenTest, end: TrialEnd) -> Settled:
+        """Store an end without a usable response, and return the next attempt if there is one."""
+        self._log.ended(test, end)
+        if end.retry is None:
+            return Settled(outcome=self._failed(test, end.reason), failure=end.reason)
+        following = test.followed_by(self._log.study_id, end.retry, interrupted=end.interrupted)
+        return Settled(following=following, failure=end.reason)
 
     def _failed(self, test: OpenTest, reason: str) -> Failed:
         flown_s = self._robot_time_s.get(test.robot, 0.0)

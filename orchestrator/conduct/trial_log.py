@@ -6,9 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 from nufleet.orchestrator.conduct.replay import OpenTest
-from nufleet.orchestrator.repository.records import TrialIntent, TrialRecord
-from nufleet.shared.frequency_test.excitation import Excitation
-from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.orchestrator.repository.records import TrialEnd, TrialIntent, TrialRecord
 from nufleet.shared.wire.messages import GoalAccepted, GoalResult
 
 if TYPE_CHECKING:
@@ -62,48 +60,6 @@ class TrialLog:
         """Store that the robot has accepted a test."""
         self._studies.accepted(accepted, epoch=self.epochs[test.robot])
 
-    def measured(self, test: OpenTest, result: GoalResult, response: FrequencyResponse) -> None:
-        """Store a usable response and the samples it was estimated from."""
-        self._studies.measured(result, response, epoch=self.epochs[test.robot])
-
-    def failed(
-        self,
-        test: OpenTest,
-        reason: str,
-        *,
-        retry: Excitation | None,
-        interrupted: bool = False,
-        result: GoalResult | None = None,
-        response: FrequencyResponse | None = None,
-    ) -> None:
-        """Store that a test gave no usable response, and the excitation of its retry.
-
-        Args:
-            test: The attempt that failed.
-            reason: Reason of the failure.
-            retry: Excitation of the next attempt; None when the robot is given up.
-            interrupted: Whether the attempt ended through no fault of the robot.
-            result: Result that the robot returned, if any.
-            response: Unusable response that was estimated from the result, if any.
-        """
-        self._studies.failed(
-            test.goal_id,
-            reason,
-            retry=retry,
-            epoch=self.epochs[test.robot],
-            result=result,
-            response=response,
-            interrupted=interrupted,
-        )
-
-    def lost(
-        self, test: OpenTest, reason: str, *, retry: Excitation | None, interrupted: bool
-    ) -> None:
-        """Store that the result of a test is lost for good; see `failed`."""
-        self._studies.lost(
-            test.goal_id,
-            reason,
-            retry=retry,
-            epoch=self.epochs[test.robot],
-            interrupted=interrupted,
-        )
+    def ended(self, test: OpenTest, end: TrialEnd) -> None:
+        """Store how a test ended, with the data that it gave."""
+        self._studies.ended(test.goal_id, end, epoch=self.epochs[test.robot])

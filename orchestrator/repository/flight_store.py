@@ -5,16 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import UTC
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 from sqlalchemy import Connection, RowMapping, select
 
 from nufleet.orchestrator.repository.database import Database
-from nufleet.orchestrator.repository.errors import DamagedRecordError, UnknownRecordError
+from nufleet.orchestrator.repository.errors import UnknownRecordError
 from nufleet.orchestrator.repository.records import FlightCircumstances, Origin, ResponseRecord
-from nufleet.orchestrator.repository.rows import frequency_response, response_row
+from nufleet.orchestrator.repository.rows import checked, frequency_response, response_row
 from nufleet.orchestrator.repository.tables import FLIGHT_RESPONSES, ROBOTS
 from nufleet.orchestrator.repository.upsert import insert_new
-from nufleet.shared.strict import describe_validation
 
 _CIRCUMSTANCES = TypeAdapter(FlightCircumstances)
 
@@ -53,9 +52,8 @@ class FlightStore:
                 raise UnknownRecordError(
                     f"robot {record.robot} of fleet {record.fleet} is not described"
                 )
-            return (
-                connection.execute(insert_new(connection, FLIGHT_RESPONSES, values)).rowcount == 1
-            )
+            added = connection.execute(insert_new(connection, FLIGHT_RESPONSES, values))
+            return added.rowcount == 1
 
     def responses(
         self, fleet: str, robot: str, axis: str, *, usable: bool = True
@@ -87,15 +85,9 @@ def flown_response(connection: Connection, response_id: str) -> ResponseRecord |
 
 
 def _record(row: RowMapping) -> ResponseRecord:
-    try:
+    with checked(f"the response {row['goal_id']}"):
         flown = _CIRCUMSTANCES.validate_json(row["circumstances"])
         origin = Origin(row["origin"])
-    except ValidationError as error:
-        raise DamagedRecordError(
-            f"the response {row['goal_id']}: {describe_validation(error)}"
-        ) from error
-    except ValueError as error:
-        raise DamagedRecordError(f"the response {row['goal_id']}: {error}") from error
     return ResponseRecord(
         fleet=row["fleet"],
         robot=row["robot"],

@@ -15,7 +15,7 @@ from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
 from nufleet.shared.frequency_test.frequency_response import Flight, FrequencyResponse
 from nufleet.shared.robots.spec import RobotSpec
-from nufleet.shared.wire.messages import Outcome
+from nufleet.shared.wire.messages import GoalResult, Outcome
 
 
 @dataclass(frozen=True)
@@ -121,6 +121,24 @@ class TrialRecord:
     """Whether the attempt ended with its orchestrator, and so is no failure of the robot."""
     robot_time_s: float = 0.0
     """Time that the robot moved, in s."""
+    response: FrequencyResponse | None = None
+    """Response of a complete test, even if it is not usable."""
+
+
+@dataclass(frozen=True)
+class TrialEnd:
+    """How an attempt at a test ended, with the data that it gave."""
+
+    status: TrialStatus
+    """MEASURED for a usable response, FAILED without one, LOST if its result is lost for good."""
+    reason: str = ""
+    """Reason why the attempt gave no usable response."""
+    retry: Excitation | None = None
+    """Excitation of the next attempt; None if the robot is given up in this round."""
+    interrupted: bool = False
+    """Whether the attempt ended with its orchestrator, and so is no failure of the robot."""
+    result: GoalResult | None = None
+    """Result that the robot returned, with its samples; None if it returned none."""
     response: FrequencyResponse | None = None
     """Response of a complete test, even if it is not usable."""
 

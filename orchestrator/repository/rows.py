@@ -19,6 +19,7 @@ from nufleet.orchestrator.repository.records import (
     StoredExperience,
     StudyRecord,
     StudyStatus,
+    TrialEnd,
     TrialIntent,
     TrialRecord,
     TrialStatus,
@@ -46,7 +47,7 @@ def json_object(value: Mapping[str, JsonValue]) -> str:
 
 def robot_record(row: RowMapping) -> RobotRecord:
     """Return the robot in a row."""
-    with _checked(f"robot {row['robot']}"):
+    with checked(f"robot {row['robot']}"):
         spec = RobotSpec.model_validate_json(row["spec"])
     return RobotRecord(row["fleet"], row["robot"], spec, row["boot_id"])
 
@@ -67,7 +68,7 @@ def study_row(study: StudyRecord) -> dict[str, Any]:
 
 def study_record(row: RowMapping) -> StudyRecord:
     """Return the study in a row."""
-    with _checked(f"study {row['study_id']}"):
+    with checked(f"study {row['study_id']}"):
         return StudyRecord(
             study_id=row["study_id"],
             fleet=row["fleet"],
@@ -84,22 +85,34 @@ def study_record(row: RowMapping) -> StudyRecord:
 def intent_row(intent: TrialIntent) -> dict[str, Any]:
     """Return the row of a trial that is about to be sent."""
     return {
-        "goal_id": intent.goal_id,
-        "study_id": intent.study_id,
-        "iteration": intent.iteration,
-        "robot": intent.robot,
-        "attempt": intent.attempt,
+        **vars(intent),
         "excitation": intent.excitation.model_dump_json(),
-        "epoch": intent.epoch,
         "status": TrialStatus.INTENDED,
         "reason": "",
         "robot_time_s": 0.0,
     }
 
 
+def end_columns(end: TrialEnd) -> dict[str, Any]:
+    """Return the columns of a trial's row that change at its end, but for the time."""
+    columns: dict[str, Any] = {
+        "status": end.status,
+        "reason": end.reason,
+        "retry": None if end.retry is None else end.retry.model_dump_json(),
+        "interrupted": end.interrupted,
+    }
+    if end.result is not None:
+        # The acceptance that would say the first two may never have arrived.
+        columns["boot_id"] = end.result.boot_id
+        columns["plan"] = end.result.plan.model_dump_json()
+        columns["outcome"] = end.result.outcome
+        columns["robot_time_s"] = len(end.result.reference) * end.result.plan.sample_time_s
+    return columns
+
+
 def trial_record(row: RowMapping, response: FrequencyResponse | None) -> TrialRecord:
     """Return the trial in a row."""
-    with _checked(f"trial {row['goal_id']}"):
+    with checked(f"trial {row['goal_id']}"):
         plan, retry, outcome = row["plan"], row["retry"], row["outcome"]
         return TrialRecord(
             intent=TrialIntent(
@@ -126,7 +139,7 @@ def trial_record(row: RowMapping, response: FrequencyResponse | None) -> TrialRe
 def goal_result(row: RowMapping) -> GoalResult:
     """Return the robot's result of the trial in a row, which is joined with its samples."""
     trial, goal_id, shape = trial_record(row, None), row["goal_id"], (int(row["samples"]),)
-    with _checked(f"the result of goal {goal_id}"):
+    with checked(f"the result of goal {goal_id}"):
         return GoalResult.model_validate(
             {
                 "goal_id": goal_id,
@@ -159,7 +172,7 @@ def frequency_response(row: RowMapping) -> FrequencyResponse:
     """Return the response in a row, bit for bit as it was stored."""
     what, shape = f"the response of goal {row['goal_id']}", (int(row["tones"]),)
     degrees = row["degrees"]
-    with _checked(what):
+    with checked(what):
         return FrequencyResponse(
             omega_rad_s=unpack_floats(row["omega_rad_s"], shape, what),
             z=unpack_complex(row["z"], shape, what),
@@ -202,7 +215,7 @@ def experience_row(record: ExperienceRecord) -> dict[str, Any]:
 
 def stored_experience(row: RowMapping) -> StoredExperience:
     """Return the experience in a row without its file."""
-    with _checked(f"experience {row['sha256']} of {row['robot']}"):
+    with checked(f"experience {row['sha256']} of {row['robot']}"):
         return StoredExperience(
             sha256=row["sha256"],
             fleet=row["fleet"],
@@ -237,7 +250,8 @@ def experience_payload(row: RowMapping) -> bytes:
 
 
 @contextmanager
-def _checked(what: str) -> Iterator[None]:
+def checked(what: str) -> Iterator[None]:
+    """Turn an error in what the database returned into a DamagedRecordError that names it."""
     try:
         yield
     except ValidationError as error:

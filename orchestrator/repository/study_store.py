@@ -16,11 +16,13 @@ from nufleet.orchestrator.repository.records import (
     ResponseRecord,
     StudyRecord,
     StudyStatus,
+    TrialEnd,
     TrialIntent,
     TrialRecord,
     TrialStatus,
 )
 from nufleet.orchestrator.repository.rows import (
+    end_columns,
     frequency_response,
     goal_result,
     intent_row,
@@ -47,7 +49,6 @@ from nufleet.orchestrator.repository.trial_rules import (
     is_new_end,
 )
 from nufleet.orchestrator.repository.upsert import insert_new
-from nufleet.shared.frequency_test.excitation import Excitation
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.wire.messages import GoalAccepted, GoalResult
 
@@ -130,38 +131,13 @@ class StudyStore:
 
         self._database.write_together(work)
 
-    def measured(self, result: GoalResult, response: FrequencyResponse, *, epoch: int) -> None:
-        """Store a usable response with its samples; raises TrialEndedError or StaleEpochError."""
-
-        def work(connection: Connection) -> None:
-            known = _known(connection, result.goal_id, epoch)
-            if is_new_end(known, TrialStatus.MEASURED):
-                _end(connection, known, TrialStatus.MEASURED, **_played(result))
-                _keep(connection, known, result, response)
-
-        self._database.write_together(work)
-
-    def failed(
-        self,
-        goal_id: str,
-        reason: str,
-        *,
-        retry: Excitation | None,
-        epoch: int,
-        result: GoalResult | None = None,
-        response: FrequencyResponse | None = None,
-        interrupted: bool = False,
-    ) -> None:
-        """Store that a trial gave no usable response, with the data that it gave nevertheless.
+    def ended(self, goal_id: str, end: TrialEnd, *, epoch: int) -> None:
+        """Store how a trial ended, with the data that it gave.
 
         Args:
             goal_id: Id of the trial's goal.
-            reason: Reason why there is no usable response.
-            retry: Excitation of the robot's next attempt; None when the robot is given up.
-            epoch: Epoch of the lease held by the calling orchestrator.
-            result: Result that the robot returned, if any.
-            response: Response estimated from the result, if the test was complete.
-            interrupted: Whether the trial ended with its orchestrator, not because of its robot.
+            end: The end.
+            epoch: Epoch under which the trial was sent.
 
         Raises:
             TrialEndedError: The trial has ended in another way.
@@ -170,30 +146,10 @@ class StudyStore:
 
         def work(connection: Connection) -> None:
             known = _known(connection, goal_id, epoch)
-            if is_new_end(known, TrialStatus.FAILED):
-                played: dict[str, Any] = {} if result is None else _played(result)
-                played["interrupted"] = interrupted
-                _end(connection, known, TrialStatus.FAILED, reason, retry, **played)
-                if result is not None:
-                    _keep(connection, known, result, response)
-
-        self._database.write_together(work)
-
-    def lost(
-        self,
-        goal_id: str,
-        reason: str,
-        *,
-        retry: Excitation | None,
-        epoch: int,
-        interrupted: bool = False,
-    ) -> None:
-        """Store that the result of a trial is lost for good; see `failed`."""
-
-        def work(connection: Connection) -> None:
-            known = _known(connection, goal_id, epoch)
-            if is_new_end(known, TrialStatus.LOST):
-                _end(connection, known, TrialStatus.LOST, reason, retry, interrupted=interrupted)
+            if is_new_end(known, end.status):
+                _update(connection, goal_id, ended_at=utc_now(), **end_columns(end))
+                if end.result is not None:
+                    _keep(connection, known, end.result, end.response)
 
         self._database.write_together(work)
 
@@ -291,35 +247,6 @@ def _known(connection: Connection, goal_id: str, epoch: int) -> TrialRecord:
 
 def _update(connection: Connection, goal_id: str, **values: Any) -> None:
     connection.execute(_UPDATE, {"id": goal_id, **values})
-
-
-def _end(
-    connection: Connection,
-    known: TrialRecord,
-    status: TrialStatus,
-    reason: str = "",
-    retry: Excitation | None = None,
-    **values: Any,
-) -> None:
-    _update(
-        connection,
-        known.intent.goal_id,
-        status=status,
-        reason=reason,
-        retry=None if retry is None else retry.model_dump_json(),
-        ended_at=utc_now(),
-        **values,
-    )
-
-
-def _played(result: GoalResult) -> dict[str, Any]:
-    """Return the columns of a trial that follow from its result, even without an acceptance."""
-    return {
-        "boot_id": result.boot_id,
-        "plan": result.plan.model_dump_json(),
-        "outcome": result.outcome,
-        "robot_time_s": len(result.reference) * result.plan.sample_time_s,
-    }
 
 
 def _keep(

@@ -27,6 +27,7 @@ from sqlalchemy import (
     TypeDecorator,
     UniqueConstraint,
 )
+from sqlalchemy.schema import SchemaItem
 
 
 class Sentence(TypeDecorator[str]):
@@ -106,50 +107,44 @@ TRIALS = Table(
     UniqueConstraint("study_id", "iteration", "robot", "attempt"),
 )
 
+
+def _response_columns() -> tuple[SchemaItem, ...]:
+    """Return what the tables of responses from tests and from flights have in common."""
+    return (
+        Column("fleet", Text, nullable=False),
+        Column("robot", Text, nullable=False),
+        Column("axis", Text, nullable=False),
+        Column("tones", Integer, nullable=False),
+        Column("omega_rad_s", LargeBinary, nullable=False),
+        Column("z", LargeBinary, nullable=False),
+        Column("variance", LargeBinary, nullable=False),
+        Column("segments", Integer, nullable=False),
+        Column("quality", Text, nullable=False),
+        Column("usable", Boolean, nullable=False),
+        Column("measured_at", DateTime, nullable=False),
+        Column("degrees", LargeBinary),
+        Column("amplitude", Double),
+        ForeignKeyConstraint(["fleet", "robot"], ["robots.fleet", "robots.robot"]),
+        Index(None, "fleet", "robot", "axis"),
+    )
+
+
 RESPONSES = Table(
     "responses",
     METADATA,
     Column("goal_id", Text, ForeignKey("trials.goal_id"), primary_key=True),
-    Column("fleet", Text, nullable=False),
-    Column("robot", Text, nullable=False),
-    Column("axis", Text, nullable=False),
-    Column("tones", Integer, nullable=False),
-    Column("omega_rad_s", LargeBinary, nullable=False),
-    Column("z", LargeBinary, nullable=False),
-    Column("variance", LargeBinary, nullable=False),
-    Column("segments", Integer, nullable=False),
-    Column("quality", Text, nullable=False),
-    Column("usable", Boolean, nullable=False),
-    Column("measured_at", DateTime, nullable=False),
-    Column("degrees", LargeBinary),
-    Column("amplitude", Double),
     Column("kind", Text),
-    ForeignKeyConstraint(["fleet", "robot"], ["robots.fleet", "robots.robot"]),
-    Index(None, "fleet", "robot", "axis"),
+    *_response_columns(),
 )
 
 FLIGHT_RESPONSES = Table(
     "flight_responses",
     METADATA,
     Column("goal_id", Text, primary_key=True),
-    Column("fleet", Text, nullable=False),
-    Column("robot", Text, nullable=False),
-    Column("axis", Text, nullable=False),
     Column("origin", Text, nullable=False),
     Column("came_from", Sentence, nullable=False),
     Column("circumstances", Text, nullable=False),
-    Column("tones", Integer, nullable=False),
-    Column("omega_rad_s", LargeBinary, nullable=False),
-    Column("z", LargeBinary, nullable=False),
-    Column("variance", LargeBinary, nullable=False),
-    Column("segments", Integer, nullable=False),
-    Column("quality", Text, nullable=False),
-    Column("usable", Boolean, nullable=False),
-    Column("measured_at", DateTime, nullable=False),
-    Column("degrees", LargeBinary),
-    Column("amplitude", Double),
-    ForeignKeyConstraint(["fleet", "robot"], ["robots.fleet", "robots.robot"]),
-    Index(None, "fleet", "robot", "axis"),
+    *_response_columns(),
 )
 
 SAMPLES = Table(

@@ -17,6 +17,7 @@ from nufleet.orchestrator.repository.records import (
     LastLease,
     Lease,
     Renewal,
+    TrialEnd,
     TrialIntent,
     TrialRecord,
     TrialStatus,
@@ -27,9 +28,7 @@ from nufleet.orchestrator.repository.trial_rules import (
     is_new_acceptance,
     is_new_end,
 )
-from nufleet.shared.frequency_test.excitation import Excitation
-from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
-from nufleet.shared.wire.messages import GoalAccepted, GoalResult
+from nufleet.shared.wire.messages import GoalAccepted
 
 TERM_S = 8.0
 
@@ -146,55 +145,20 @@ class SimulatedLog:
         if is_new_acceptance(known, accepted.boot_id):
             self._put(replace(known, status=TrialStatus.ACCEPTED, boot_id=accepted.boot_id))
 
-    def measured(self, test: OpenTest, result: GoalResult, response: FrequencyResponse) -> None:
+    def ended(self, test: OpenTest, end: TrialEnd) -> None:
         known = self._known(test)
-        if is_new_end(known, TrialStatus.MEASURED):
+        if is_new_end(known, end.status):
+            result = end.result
             self._put(
                 replace(
                     known,
-                    status=TrialStatus.MEASURED,
-                    boot_id=result.boot_id,
-                    response=response,
-                    outcome=result.outcome,
-                )
-            )
-
-    def failed(
-        self,
-        test: OpenTest,
-        reason: str,
-        *,
-        retry: Excitation | None,
-        interrupted: bool = False,
-        result: GoalResult | None = None,
-        response: FrequencyResponse | None = None,
-    ) -> None:
-        known = self._known(test)
-        if is_new_end(known, TrialStatus.FAILED):
-            self._put(
-                replace(
-                    known,
-                    status=TrialStatus.FAILED,
-                    reason=reason,
-                    retry=retry,
-                    interrupted=interrupted,
+                    status=end.status,
+                    reason=end.reason,
+                    retry=end.retry,
+                    interrupted=end.interrupted,
+                    boot_id=known.boot_id if result is None else result.boot_id,
                     outcome=None if result is None else result.outcome,
-                    response=response,
-                )
-            )
-
-    def lost(
-        self, test: OpenTest, reason: str, *, retry: Excitation | None, interrupted: bool
-    ) -> None:
-        known = self._known(test)
-        if is_new_end(known, TrialStatus.LOST):
-            self._put(
-                replace(
-                    known,
-                    status=TrialStatus.LOST,
-                    reason=reason,
-                    retry=retry,
-                    interrupted=interrupted,
+                    response=end.response,
                 )
             )
 

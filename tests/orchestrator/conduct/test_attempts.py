@@ -21,16 +21,15 @@ from nufleet.orchestrator.conduct.attempts import (
 from nufleet.orchestrator.conduct.replay import OpenTest, goal_id_of
 from nufleet.orchestrator.fleet.goal_events import Ended
 from nufleet.orchestrator.repository.errors import RepositoryError
-from nufleet.orchestrator.repository.records import TrialIntent, TrialRecord, TrialStatus
+from nufleet.orchestrator.repository.records import TrialEnd, TrialIntent, TrialRecord, TrialStatus
 from nufleet.orchestrator.study.outcomes import Failed, Measured
 from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import NoReplyError, NufleetError, RefusedError, RobotLostError
 from nufleet.shared.frequency_test.duration import duration_s
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan, Tone
-from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.robots.spec import RobotSpec
-from nufleet.shared.wire.messages import GoalAccepted, GoalResult, Outcome
+from nufleet.shared.wire.messages import GoalResult, Outcome
 
 STUDY = "study"
 TEST = Excitation(axis="x", tones=(Tone(omega_rad_s=20.0),))
@@ -55,30 +54,14 @@ class InMemory:
     study_id: str = STUDY
     stored: list[Stored] = field(default_factory=list)
 
-    def accepted(self, test: OpenTest, accepted: GoalAccepted) -> None:
-        raise AssertionError("acceptances are stored by others")
-
-    def measured(self, test: OpenTest, result: GoalResult, response: FrequencyResponse) -> None:
-        assert response.quality.usable
-        self.stored.append(Stored("measured", test.goal_id, samples=len(result.response)))
-
-    def failed(
-        self,
-        test: OpenTest,
-        reason: str,
-        *,
-        retry: Excitation | None,
-        interrupted: bool = False,
-        result: GoalResult | None = None,
-        response: FrequencyResponse | None = None,
-    ) -> None:
-        samples = None if result is None else len(result.response)
-        self.stored.append(Stored("failed", test.goal_id, reason, retry, interrupted, samples))
-
-    def lost(
-        self, test: OpenTest, reason: str, *, retry: Excitation | None, interrupted: bool
-    ) -> None:
-        self.stored.append(Stored("lost", test.goal_id, reason, retry, interrupted))
+    def ended(self, test: OpenTest, end: TrialEnd) -> None:
+        if end.status is TrialStatus.MEASURED:
+            assert end.response is not None
+            assert end.response.quality.usable
+        samples = None if end.result is None else len(end.result.response)
+        self.stored.append(
+            Stored(end.status, test.goal_id, end.reason, end.retry, end.interrupted, samples)
+        )
 
 
 def a_test(
@@ -259,7 +242,7 @@ def test_one_that_was_lost_with_the_orchestrator_before_is_excused() -> None:
 
 def test_an_end_that_cannot_be_stored_is_followed_by_nothing() -> None:
     class Full(InMemory):
-        def failed(self, *_: object, **__: object) -> None:
+        def ended(self, *_: object) -> None:
             raise RepositoryError("no room is left")
 
     test = a_test()

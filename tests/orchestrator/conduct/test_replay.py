@@ -12,6 +12,7 @@ from nufleet.orchestrator.conduct.replay import OpenTest, ResumeError, resume
 from nufleet.orchestrator.repository.records import (
     RobotRecord,
     StudyRecord,
+    TrialEnd,
     TrialIntent,
     TrialRecord,
     TrialStatus,
@@ -177,20 +178,11 @@ def store_in(repository: Repository, record: TrialRecord) -> None:
     if record.status is TrialStatus.ACCEPTED:
         accepted = GoalAccepted(goal_id=goal_id, boot_id="boot-1", plan=plan, wall_duration_s=0.0)
         repository.studies.accepted(accepted, epoch=EPOCH)
-    elif record.status is TrialStatus.LOST:
-        repository.studies.lost(goal_id, record.reason, retry=record.retry, epoch=EPOCH)
-    elif record.status is TrialStatus.FAILED:
-        repository.studies.failed(
-            goal_id,
-            record.reason,
-            retry=record.retry,
-            epoch=EPOCH,
-            result=result,
-            response=record.response,
-        )
     else:
-        assert record.response is not None
-        repository.studies.measured(result, record.response, epoch=EPOCH)
+        end = TrialEnd(record.status, record.reason, record.retry)
+        if record.status is not TrialStatus.LOST:
+            end = replace(end, result=result, response=record.response)
+        repository.studies.ended(goal_id, end, epoch=EPOCH)
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nufleet.orchestrator.repository.records import StudyRecord, TrialIntent
+from nufleet.orchestrator.repository.records import StudyRecord, TrialEnd, TrialIntent, TrialStatus
 from nufleet.orchestrator.study.interface import DesiredMotion, StudyPlan
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan, Tone
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
@@ -81,6 +81,10 @@ def response(*reasons: Finding) -> FrequencyResponse:
             reasons=reasons, warnings=(Finding(code="noisy", text="ψ is \x00 uncertain"),)
         ),
     )
+
+
+def measurement(trial: TrialIntent, measured: FrequencyResponse | None = None) -> TrialEnd:
+    return TrialEnd(TrialStatus.MEASURED, result=result(trial), response=measured or response())
 
 
 def identical(a: FrequencyResponse, b: FrequencyResponse) -> bool:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import pytest
 from polling import PATIENCE_S, wait_until
-from repository_records import accepted, intent, response, result
+from repository_records import accepted, intent, measurement
 from sqlalchemy import Connection
 
 from nufleet.orchestrator.repository.database import Database
@@ -144,5 +144,5 @@ def test_a_commit_that_is_interrupted_tells_nobody_that_it_stored_anything(
 def test_a_writer_after_an_error_is_not_held_up_by_it(intended: Repository) -> None:
     with pytest.raises(StaleEpochError):
         intended.studies.accepted(accepted(intent()), epoch=0)
-    intended.studies.measured(result(intent()), response(), epoch=1)
+    intended.studies.ended(intent().goal_id, measurement(intent()), epoch=1)
     assert statuses(intended)[0] is TrialStatus.MEASURED

@@ -24,6 +24,7 @@ from repository_records import (
     accepted,
     identical,
     intent,
+    measurement,
     response,
     result,
 )
@@ -38,6 +39,7 @@ from nufleet.orchestrator.repository.records import (
     ExperienceRecord,
     RobotRecord,
     StudyStatus,
+    TrialEnd,
     TrialRecord,
     TrialStatus,
 )
@@ -133,7 +135,7 @@ def test_a_measured_trial_comes_back_bit_for_bit(
     trial, measured = intent(), replace(response(), **known)
     begun.studies.intend(trial)
     begun.studies.accepted(accepted(trial), epoch=1)
-    begun.studies.measured(result(trial), measured, epoch=1)
+    begun.studies.ended(trial.goal_id, measurement(trial, measured), epoch=1)
     with open_repository(address) as other:
         (record,) = other.studies.trials("run-1")
         back = other.studies.result(trial.goal_id)
@@ -155,7 +157,7 @@ def test_a_measured_trial_comes_back_bit_for_bit(
 
 def test_a_trial_can_be_measured_though_its_acceptance_never_arrived(begun: Repository) -> None:
     begun.studies.intend(intent())
-    begun.studies.measured(result(intent()), response(), epoch=1)
+    begun.studies.ended(intent().goal_id, measurement(intent()), epoch=1)
     (record,) = begun.studies.trials("run-1")
     assert (record.status, record.boot_id, record.plan) == (TrialStatus.MEASURED, "boot-1", PLAN)
 
@@ -164,14 +166,14 @@ def test_an_unusable_test_keeps_its_samples_and_what_its_robot_plays_next(
     begun: Repository,
 ) -> None:
     begun.studies.intend(intent())
-    begun.studies.failed(
-        intent().goal_id,
+    clipped = TrialEnd(
+        TrialStatus.FAILED,
         "clipped",
-        retry=LONGER,
-        epoch=1,
+        LONGER,
         result=result(intent()),
         response=response(UNUSABLE),
     )
+    begun.studies.ended(intent().goal_id, clipped, epoch=1)
     (record,) = begun.studies.trials("run-1")
     assert (record.status, record.reason, record.retry) == (TrialStatus.FAILED, "clipped", LONGER)
     assert not begun.studies.responses(FLEET, "target", "x")
@@ -182,9 +184,8 @@ def test_an_unusable_test_keeps_its_samples_and_what_its_robot_plays_next(
 
 def test_a_motion_that_was_cut_short_keeps_the_samples_it_has(begun: Repository) -> None:
     begun.studies.intend(intent())
-    begun.studies.failed(
-        intent().goal_id, "stopped", retry=None, epoch=1, result=result(intent(), Outcome.ABORTED)
-    )
+    stopped = TrialEnd(TrialStatus.FAILED, "stopped", result=result(intent(), Outcome.ABORTED))
+    begun.studies.ended(intent().goal_id, stopped, epoch=1)
     kept = begun.studies.result(intent().goal_id)
     assert (kept.outcome, len(kept.response)) == (Outcome.ABORTED, 5)
     (record,) = begun.studies.trials("run-1")
@@ -194,10 +195,12 @@ def test_a_motion_that_was_cut_short_keeps_the_samples_it_has(begun: Repository)
 def test_a_trial_that_ended_with_its_orchestrator_says_so(begun: Repository) -> None:
     begun.studies.intend(intent("target"), intent("source"))
     aborted = result(intent("target"), Outcome.ABORTED)
-    begun.studies.failed(
-        aborted.goal_id, "its owner is gone", retry=TEST, epoch=1, result=aborted, interrupted=True
+    failed = TrialEnd(
+        TrialStatus.FAILED, "its owner is gone", TEST, interrupted=True, result=aborted
     )
-    begun.studies.lost("run-1.1.source.1", "gone", retry=TEST, epoch=1, interrupted=True)
+    begun.studies.ended(aborted.goal_id, failed, epoch=1)
+    lost = TrialEnd(TrialStatus.LOST, "gone", TEST, interrupted=True)
+    begun.studies.ended("run-1.1.source.1", lost, epoch=1)
     assert [trial.interrupted for trial in begun.studies.trials("run-1")] == [True, True]
 
 
@@ -208,16 +211,17 @@ def test_storing_the_same_again_changes_nothing(begun: Repository) -> None:
     for _ in range(2):
         begun.studies.accepted(accepted(trial), epoch=1)
     for _ in range(2):
-        begun.studies.measured(result(trial), response(), epoch=1)
+        begun.studies.ended(trial.goal_id, measurement(trial), epoch=1)
     assert [t.status for t in begun.studies.intend(trial)] == [TrialStatus.MEASURED]
     assert [t.status for t in begun.studies.trials("run-1")] == [TrialStatus.MEASURED]
 
 
 def test_the_first_end_of_a_trial_stays(begun: Repository) -> None:
     begun.studies.intend(intent())
-    begun.studies.lost(intent().goal_id, "its agent died", retry=TEST, epoch=1)
+    lost = TrialEnd(TrialStatus.LOST, "its agent died", TEST)
+    begun.studies.ended(intent().goal_id, lost, epoch=1)
     with pytest.raises(TrialEndedError, match="ended as lost"):
-        begun.studies.measured(result(intent()), response(), epoch=1)
+        begun.studies.ended(intent().goal_id, measurement(intent()), epoch=1)
     with pytest.raises(TrialEndedError):
         begun.studies.accepted(accepted(intent()), epoch=1)
     (record,) = begun.studies.trials("run-1")
@@ -250,9 +254,9 @@ def test_an_owner_of_the_past_cannot_write_about_a_trial(begun: Repository) -> N
     with pytest.raises(StaleEpochError):
         begun.studies.accepted(accepted(trial), epoch=1)
     with pytest.raises(StaleEpochError):
-        begun.studies.measured(result(trial), response(), epoch=1)
+        begun.studies.ended(trial.goal_id, measurement(trial), epoch=1)
     with pytest.raises(StaleEpochError):
-        begun.studies.lost(trial.goal_id, "silent", retry=None, epoch=1)
+        begun.studies.ended(trial.goal_id, TrialEnd(TrialStatus.LOST, "silent"), epoch=1)
     (record,) = begun.studies.trials("run-1")
     assert record == TrialRecord(intent(epoch=2), TrialStatus.INTENDED)
 
