@@ -113,8 +113,10 @@ def measure(
             resident = sum(child.memory_info().rss for child in agents)
             threads = sum(child.num_threads() for child in agents)
             own = psutil.Process().memory_info().rss
-    if len(conclusion.ranking) != robots - 1:
-        raise SystemExit(f"only {len(conclusion.ranking)} of {robots - 1} sources were ranked")
+    if len(conclusion.report.ranking) != robots - 1:
+        raise SystemExit(
+            f"only {len(conclusion.report.ranking)} of {robots - 1} sources were ranked"
+        )
     # The first iteration also loads the compiled numerics.
     return {
         "robots": robots,

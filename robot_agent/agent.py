@@ -27,6 +27,7 @@ from nufleet.robot_agent.network.endpoint import (
     MAX_REQUEST_BYTES,
     Answer,
     Endpoint,
+    Handler,
 )
 from nufleet.robot_agent.network.heartbeat import Heartbeat
 from nufleet.robot_agent.network.rivals import Rivals
@@ -192,6 +193,7 @@ class Agent:
         )
         opened.callback(self._motions.close)
         self._looks.append(self._motions.look_after_robot)
+        learned = self._experiences
         endpoint = Endpoint(
             session,
             keys,
@@ -200,14 +202,14 @@ class Agent:
                 "describe": self._describe,
                 "goal": self._take_goal,
                 "cancel": self._cancel,
-                "result": self._result,
+                "result": _decoding(ResultRequest, lambda r: decisions.result(r.goal_id)),
                 "acknowledge": self._acknowledge,
                 "release": self._release,
-                "experience": self._fetch,
-                "experience/install": self._install_experience,
-                "prior": self._fetch,
-                "prior/install": self._install_prior,
-                "prior/remove": self._remove_prior,
+                "experience": _decoding(FetchRequest, learned.fetch),
+                "experience/install": _decoding(InstallRequest, learned.install_experience),
+                "prior": _decoding(FetchRequest, learned.fetch),
+                "prior/install": _decoding(InstallRequest, learned.install_prior),
+                "prior/remove": _decoding(RemovePriorRequest, learned.remove_prior),
             },
             large=("goal", "experience/install", "prior/install"),
             urgent={"stop": stops.asked},
@@ -285,25 +287,10 @@ class Agent:
         sender = Commander(request.sender, request.epoch)
         return self._decisions.cancel(request.goal_id, sender) or Done()
 
-    def _result(self, payload: bytes) -> Answer:
-        return self._decisions.result(_decoded(payload, ResultRequest).goal_id)
-
     def _acknowledge(self, payload: bytes) -> Answer:
         request = _decoded(payload, AcknowledgeRequest)
         sender = Commander(request.sender, request.epoch)
         return self._decisions.acknowledge(request.goal_ids, sender) or Done()
-
-    def _fetch(self, payload: bytes) -> Answer:
-        return self._experiences.fetch(_decoded(payload, FetchRequest))
-
-    def _install_experience(self, payload: bytes) -> Answer:
-        return self._experiences.install_experience(_decoded(payload, InstallRequest))
-
-    def _install_prior(self, payload: bytes) -> Answer:
-        return self._experiences.install_prior(_decoded(payload, InstallRequest))
-
-    def _remove_prior(self, payload: bytes) -> Answer:
-        return self._experiences.remove_prior(_decoded(payload, RemovePriorRequest))
 
     def _release(self, payload: bytes) -> Answer:
         request = _decoded(payload, ReleaseRequest)
@@ -315,3 +302,8 @@ class Agent:
 
 def _decoded(payload: bytes, expected: type[M]) -> M:
     return decode(payload, expected, max_bytes=MAX_LARGE_REQUEST_BYTES)
+
+
+def _decoding(expected: type[M], answer: Callable[[M], Answer]) -> Handler:
+    """Return a handler that decodes a request and answers it."""
+    return lambda payload: answer(_decoded(payload, expected))

@@ -143,3 +143,48 @@ class Robot(ABC):
     @abstractmethod
     def disconnect(self) -> None:
         """Leave the robot at rest and release it; a second call does nothing."""
+
+
+class RobotAround(Robot):
+    """A robot that is another one with something added: passes on every call it does not change."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+
+    @property
+    def spec(self) -> RobotSpec:
+        """Description of the robot inside."""
+        return self._robot.spec
+
+    def connect(self) -> None:
+        """Connect the robot inside."""
+        self._robot.connect()
+
+    def measure_output(self) -> FloatArray:
+        """Measure the output at rest, shape (axes,)."""
+        return self._robot.measure_output()
+
+    def step(self, reference: FloatArray) -> FloatArray:
+        """Follow a reference for one sample; reference and output have shape (axes,)."""
+        return self._robot.step(reference)
+
+    def run(self, references: FloatArray) -> FloatArray:
+        """Follow a whole reference signal; references and outputs have shape (samples, axes)."""
+        return self._robot.run(references)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Names of the states that `observe` measures."""
+        return self._robot.state_names
+
+    def observe(self) -> FloatArray:
+        """Measure the state now, shape (axes, states)."""
+        return self._robot.observe()
+
+    def rest(self) -> None:
+        """Bring the robot to rest."""
+        self._robot.rest()
+
+    def disconnect(self) -> None:
+        """Disconnect the robot inside."""
+        self._robot.disconnect()

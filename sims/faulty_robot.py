@@ -12,11 +12,10 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from nufleet.robot_agent.robot import Robot
+from nufleet.robot_agent.robot import Robot, RobotAround
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import FleetFileError, RobotError
 from nufleet.shared.robots.drivers import load_driver
-from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.strict import Strict, describe_validation
 from nufleet.sims.faults import Crash, DriverFault, DropOut, Fault, Hang
 from nufleet.sims.faulty_sensor import FaultySensor
@@ -55,7 +54,7 @@ class FaultyRobotSettings(Strict):
         return self
 
 
-class FaultyRobot(Robot):
+class FaultyRobot(RobotAround):
     """A robot behind a faulty sensor and driver; coming to rest is not affected by faults."""
 
     def __init__(self, robot: Robot, faults: tuple[Fault, ...], rng: np.random.Generator) -> None:
@@ -66,7 +65,7 @@ class FaultyRobot(Robot):
             faults: Faults, in the order in which they are applied.
             rng: Generator of everything random about the faults.
         """
-        self._robot = robot
+        super().__init__(robot)
         sample_time_s = robot.spec.sample_time_s
         self._sensors: list[FaultySensor] = []
         self._failures: list[tuple[DriverFault, np.random.Generator]] = []
@@ -80,24 +79,10 @@ class FaultyRobot(Robot):
         # Output that `observe` has measured for the current sample; `step` returns the same.
         self._seen: FloatArray | None = None
 
-    @property
-    def spec(self) -> RobotSpec:
-        """Description of the robot inside."""
-        return self._robot.spec
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """Names of the states that the robot inside measures."""
-        return self._robot.state_names
-
     def connect(self) -> None:
         """Connect the robot inside; the count of its motions continues."""
         self._rested()
         self._robot.connect()
-
-    def measure_output(self) -> FloatArray:
-        """Measure the output at rest, shape (axes,), without faults: these begin with a motion."""
-        return self._robot.measure_output()
 
     def observe(self) -> FloatArray:
         """Measure the state, shape (axes, states); only the output passes the faulty sensor."""

@@ -18,10 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from nufleet.robot_agent.robot import Robot
+from nufleet.robot_agent.robot import Robot, RobotAround
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.robots.drivers import load_driver
-from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.strict import NonNegative, Strict
 
 CONNECTED, MOVES, TOLD_TO_REST, RESTS = "connected", "moves", "told to rest", "rests"
@@ -102,7 +101,7 @@ def motions(entries: list[Entry]) -> list[Stretch]:
     return sorted(found, key=lambda stretch: stretch.began_s)
 
 
-class LoggedRobot(Robot):
+class LoggedRobot(RobotAround):
     """A wrapper of another robot that moves it exactly to its origin at the end of each rest.
 
     Equal motions then measure equally: without noise, a test gives the same samples no matter what
@@ -110,7 +109,8 @@ class LoggedRobot(Robot):
     """
 
     def __init__(self, name: str, robot: Robot, settings: LoggedRobotSettings) -> None:
-        self._name, self._robot = name, robot
+        super().__init__(robot)
+        self._name = name
         self._rest_s = settings.rest_s
         self._awaited = None if settings.rest_awaits is None else Path(settings.rest_awaits)
         logbook = Path(settings.logbook)
@@ -119,28 +119,10 @@ class LoggedRobot(Robot):
         self._moving = False
         self._played = 0
 
-    @property
-    def spec(self) -> RobotSpec:
-        """That of the robot inside."""
-        return self._robot.spec
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """Those of the robot inside."""
-        return self._robot.state_names
-
     def connect(self) -> None:
         """Connect the robot inside."""
         self._write(CONNECTED)
         self._robot.connect()
-
-    def measure_output(self) -> FloatArray:
-        """Measure the output at rest."""
-        return self._robot.measure_output()
-
-    def observe(self) -> FloatArray:
-        """Measure the state now."""
-        return self._robot.observe()
 
     def step(self, reference: FloatArray) -> FloatArray:
         """Follow a reference for one sample."""
@@ -167,10 +149,6 @@ class LoggedRobot(Robot):
         self._robot.connect()
         self._moving = False
         self._write(RESTS)
-
-    def disconnect(self) -> None:
-        """Let go of the robot inside."""
-        self._robot.disconnect()
 
     def _write(self, what: str) -> None:
         line = {"time_s": time.monotonic(), "robot": self._name, "pid": os.getpid(), "what": what}

@@ -72,4 +72,4 @@ def run_study(
 
 def ranking_of(conclusion: Conclusion) -> list[tuple[str, float, int]]:
     """Return what two studies without noise must have in common, to the last bit."""
-    return [(one.robot, one.psi, one.tests) for one in conclusion.ranking]
+    return [(one.robot, one.psi, one.tests) for one in conclusion.report.ranking]

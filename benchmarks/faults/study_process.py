@@ -81,7 +81,7 @@ def _run(
             conclusion = conduct(make_study(study, repository.studies), log, dispatcher, story)
         result = {
             "ranking": [list(row) for row in ranking_of(conclusion)],
-            "dropped": dict(conclusion.dropped),
+            "dropped": dict(conclusion.report.dropped),
         }
         repository.studies.end(
             study_id, StudyStatus.COMPLETE, "done", json.loads(json.dumps(result))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 from nufleet.orchestrator.conduct.dispatcher import Dispatcher
 from nufleet.orchestrator.conduct.replay import ToldRound, resume, round_of
 from nufleet.orchestrator.conduct.trial_log import TrialLog
 from nufleet.orchestrator.repository.records import TrialRecord, TrialStatus
-from nufleet.orchestrator.study.interface import Question, Report, SourceEstimate, Study
+from nufleet.orchestrator.study.interface import Question, Report, Study
 from nufleet.orchestrator.study.outcomes import Failed, Measured, TestOutcome
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 
@@ -47,29 +47,12 @@ class RankingObserver(Protocol):
 class Conclusion:
     """The final result of a study."""
 
-    ranking: tuple[SourceEstimate, ...]
-    """Estimates of all remaining sources, best first."""
-    iterations: int
-    """Number of rounds that were completed."""
+    report: Report
+    """Report of the study after its last round."""
     robot_time_s: float
     """Time that all robots together have moved for the study, in s."""
-    dropped: Mapping[str, str]
-    """Reason for each source that the study lost, by source."""
-    responses: Mapping[str, Sequence[FrequencyResponse]] = field(default_factory=dict)
+    responses: Mapping[str, Sequence[FrequencyResponse]]
     """All known responses of each robot, including those from before the study."""
-    confidence: float | None = None
-    """Probability that the selection is right; None from an algorithm that does not estimate it."""
-    eliminated: Mapping[str, str] = field(default_factory=dict)
-    """Reason why a source can no longer win, by source."""
-    findings: tuple[str, ...] = ()
-    """Observations that weaken the confidence."""
-    stopped_because: str | None = None
-    """Reason why the study ended; None from an algorithm that gives none."""
-
-    @property
-    def selected(self) -> str:
-        """The source whose experience is expected to help most."""
-        return self.ranking[0].robot
 
 
 def conduct(
@@ -115,17 +98,7 @@ def conduct(
     dispatcher.acknowledge_all()
     if report is None:
         raise ValueError("a study asks at least one question")
-    return Conclusion(
-        ranking=report.ranking,
-        iterations=report.iteration,
-        robot_time_s=robot_time_s,
-        dropped=report.dropped,
-        responses=study.responses,
-        confidence=report.confidence,
-        eliminated=report.eliminated,
-        findings=report.findings,
-        stopped_because=report.stopped_because,
-    )
+    return Conclusion(report, robot_time_s, study.responses)
 
 
 def _show(told: ToldRound, log: TrialLog, observer: RankingObserver) -> None:

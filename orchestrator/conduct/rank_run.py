@@ -195,8 +195,13 @@ def run_study(
     seed, studies = study.seed, archive.repository.studies
     with archive.conducting(study.study_id, dispatcher.interrupt):
         conclusion = conduct(make_study(study, studies), log, dispatcher, everyone)
+    report = conclusion.report
     judgement = judge_transfers(
-        ready.plan, conclusion.ranking, specs, conclusion.responses, np.random.default_rng(seed)
+        ready.plan,
+        report.ranking,
+        specs,
+        conclusion.responses,
+        np.random.default_rng(seed),
     )
     record = RunRecord(
         result=_result(ready.plan, conclusion, judgement, folder).model_copy(
@@ -205,7 +210,7 @@ def run_study(
         axis=ready.plan.axis,
         seed=seed,
         history=tuple(recorder.history),
-        dropped=dict(conclusion.dropped),
+        dropped=dict(report.dropped),
         closed_form=dict(ready.closed_form),
         wall_time_s=time.monotonic() - began_s,
         responses={
@@ -216,7 +221,7 @@ def run_study(
     folder.write_record(record)
     write_plots(folder.path, record, recorder.curves, _true_psi(ready, recorder.curves))
     write_report(folder.path, record)
-    why = conclusion.stopped_because or f"selected {record.result.selected}"
+    why = report.stopped_because or f"selected {record.result.selected}"
     studies.end(study.study_id, StudyStatus.COMPLETE, why, json.loads(record.result.document()))
     return record
 
@@ -269,26 +274,27 @@ def configuration(ready: ReadyStudy, seed: int) -> dict[str, Any]:
 def _result(
     plan: StudyPlan, conclusion: Conclusion, judgement: Judgement, folder: RunFolder
 ) -> RankResult:
-    ranking = conclusion.ranking
+    report = conclusion.report
+    ranking = report.ranking
     if plan.motion is not None:
         # The paper's algorithm ignores the trajectory, so its selection does not lead the ranking
         # here. The adaptive algorithm, the one with a confidence, has already selected for it.
-        selected = None if conclusion.confidence is None else conclusion.selected
+        selected = None if report.confidence is None else report.selected
         ranking = by_predicted_error(ranking, judgement.verdicts, first=selected)
     return RankResult(
         target=plan.target,
         band_rad_s=plan.band_rad_s,
         selected=ranking[0].robot,
         ranking=ranking,
-        iterations=conclusion.iterations,
+        iterations=report.iteration,
         robot_time_s=conclusion.robot_time_s,
         run=str(folder.path),
-        confidence=conclusion.confidence,
-        eliminated=dict(conclusion.eliminated) if conclusion.confidence is not None else None,
-        stopped_because=conclusion.stopped_because,
+        confidence=report.confidence,
+        eliminated=dict(report.eliminated) if report.confidence is not None else None,
+        stopped_because=report.stopped_because,
         trajectory=None if plan.motion is None else plan.motion.name,
         verdicts=dict(judgement.verdicts),
-        findings=tuple(dict.fromkeys([*conclusion.findings, *judgement.findings])),
+        findings=tuple(dict.fromkeys([*report.findings, *judgement.findings])),
     )
 
 

@@ -70,7 +70,7 @@ def repeat_study(
         kept = archive.repository.studies
         with archive.conducting(begun.study_id, dispatcher.interrupt):
             conclusion = conduct(make_study(begun, kept), log, dispatcher, recorder)
-        kept.end(begun.study_id, StudyStatus.COMPLETE, f"selected {conclusion.selected}")
+        kept.end(begun.study_id, StudyStatus.COMPLETE, f"selected {conclusion.report.selected}")
         for robot, measured in conclusion.responses.items():
             responses.setdefault(robot, []).extend(measured)
         beliefs = recorder.beliefs

@@ -127,25 +127,26 @@ class Fleet:
 
     def observe_telemetry(self, observer: Callable[[str, Telemetry], None]) -> None:
         """Call an observer with the robot's name and every batch of samples that arrives."""
-        if not self._telemetry_observers:
-            key = self._keys.every_robot("telemetry/motion")
-            self._session.subscribe(
-                key,
-                partial(self._on_telemetry, Telemetry, self._telemetry_observers),
-                max_bytes=TELEMETRY_MAX_BYTES,
-            )
-        self._telemetry_observers.append(observer)
+        self._observe("motion", Telemetry, self._telemetry_observers, observer)
 
     def observe_tracking(self, observer: Callable[[str, TrackingTelemetry], None]) -> None:
         """Call an observer with the robot's name and every batch of samples along a path."""
-        if not self._tracking_observers:
-            key = self._keys.every_robot("telemetry/tracking")
+        self._observe("tracking", TrackingTelemetry, self._tracking_observers, observer)
+
+    def _observe(
+        self,
+        leaf: str,
+        kind: type[R],
+        observers: list[Callable[[str, R], None]],
+        observer: Callable[[str, R], None],
+    ) -> None:
+        if not observers:  # nothing is sent to an orchestrator that nobody watches
             self._session.subscribe(
-                key,
-                partial(self._on_telemetry, TrackingTelemetry, self._tracking_observers),
+                self._keys.every_robot(f"telemetry/{leaf}"),
+                partial(self._on_telemetry, kind, observers),
                 max_bytes=TELEMETRY_MAX_BYTES,
             )
-        self._tracking_observers.append(observer)
+        observers.append(observer)
 
     # Requests.
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from nufleet.robot_agent.motion.monitor import Monitor, rest_failure, rest_measurements
-from nufleet.robot_agent.robot import Robot
+from nufleet.robot_agent.robot import Robot, RobotAround
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
-from nufleet.shared.robots.spec import RobotSpec
 
 
-class MonitoredRobot(Robot):
+class MonitoredRobot(RobotAround):
     """Passes every call on to a robot and checks the samples of one motion, from rest to rest.
 
     `noise_std` is the standard deviation of the output at rest, shape (axes,), in the axes' units;
@@ -20,19 +19,9 @@ class MonitoredRobot(Robot):
 
     def __init__(self, robot: Robot) -> None:
         """Prepare for one motion of a robot that is connected and at rest."""
-        self._robot = robot
+        super().__init__(robot)
         self._monitor: Monitor | None = None
         self.noise_std = np.zeros(len(robot.spec.axes))
-
-    @property
-    def spec(self) -> RobotSpec:
-        """Description of the robot."""
-        return self._robot.spec
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """Names of the states that `observe` measures."""
-        return self._robot.state_names
 
     def begin(self, references: FloatArray) -> None:
         """Compare where the robot rests with where its motion begins.
@@ -51,14 +40,6 @@ class MonitoredRobot(Robot):
 
     def connect(self) -> None:
         """Do nothing: the robot is connected already."""
-
-    def measure_output(self) -> FloatArray:
-        """Measure the output at rest, shape (axes,)."""
-        return self._robot.measure_output()
-
-    def observe(self) -> FloatArray:
-        """Measure the state now, shape (axes, states)."""
-        return self._robot.observe()
 
     def step(self, reference: FloatArray) -> FloatArray:
         """Follow a reference for one sample; reference and output have shape (axes,).
@@ -80,10 +61,6 @@ class MonitoredRobot(Robot):
         if len(references):
             self._check(references, outputs)
         return outputs
-
-    def rest(self) -> None:
-        """Bring the robot to rest."""
-        self._robot.rest()
 
     def disconnect(self) -> None:
         """Do nothing: the robot stays connected until the motion worker releases it."""

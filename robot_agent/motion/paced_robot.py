@@ -7,9 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from nufleet.robot_agent.motion.pace import HaltSwitch, Pace
-from nufleet.robot_agent.robot import Robot
+from nufleet.robot_agent.robot import Robot, RobotAround
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.robots.spec import RobotSpec
 
 CHUNK_SAMPLES = 256
 """Samples that an unpaced simulation plays between two checks of the switch."""
@@ -19,7 +18,7 @@ class Halted(Exception):  # noqa: N818 - not an error: the end was requested
     """The switch was thrown before the next sample."""
 
 
-class PacedRobot(Robot):
+class PacedRobot(RobotAround):
     """Passes every call of one motion on to a robot, in time, until the switch is thrown."""
 
     def __init__(
@@ -33,30 +32,13 @@ class PacedRobot(Robot):
             switch: Switch of the motion; once it is thrown, `step` and `run` raise `Halted`.
             on_played: Callback that receives the number of samples played until now.
         """
-        self._robot, self._pace, self._switch = robot, pace, switch
+        super().__init__(robot)
+        self._pace, self._switch = pace, switch
         self._on_played = on_played
         self._played = 0
 
-    @property
-    def spec(self) -> RobotSpec:
-        """Description of the robot."""
-        return self._robot.spec
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """Names of the states that `observe` measures."""
-        return self._robot.state_names
-
     def connect(self) -> None:
         """Do nothing: the robot is connected already."""
-
-    def measure_output(self) -> FloatArray:
-        """Measure the output at rest, shape (axes,)."""
-        return self._robot.measure_output()
-
-    def observe(self) -> FloatArray:
-        """Measure the state now, shape (axes, states)."""
-        return self._robot.observe()
 
     def step(self, reference: FloatArray) -> FloatArray:
         """Follow a reference for one sample when it is due; both have shape (axes,)."""
@@ -69,7 +51,7 @@ class PacedRobot(Robot):
     def run(self, references: FloatArray) -> FloatArray:
         """Follow a whole reference signal; references and outputs have shape (samples, axes)."""
         if not self._pace.free:
-            return super().run(references)
+            return Robot.run(self, references)  # step by step
         outputs = np.empty_like(references)
         for start in range(0, len(references), CHUNK_SAMPLES):
             self._raise_if_halted()
@@ -77,10 +59,6 @@ class PacedRobot(Robot):
             outputs[chunk] = self._robot.run(references[chunk])
             self._count(len(references[chunk]))
         return outputs
-
-    def rest(self) -> None:
-        """Bring the robot to rest."""
-        self._robot.rest()
 
     def disconnect(self) -> None:
         """Do nothing: the robot stays connected until the motion worker releases it."""

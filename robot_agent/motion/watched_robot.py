@@ -10,10 +10,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from nufleet.robot_agent.motion.pace import GAP_MAX_S
-from nufleet.robot_agent.robot import Robot
+from nufleet.robot_agent.robot import Robot, RobotAround
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
-from nufleet.shared.robots.spec import RobotSpec
 
 SLOW_CALL_MAX_S = 60.0
 """Time limit of one call that connects, comes to rest, or simulates as fast as possible."""
@@ -43,7 +42,7 @@ class _Call:
     """Whether it has taken longer than it may."""
 
 
-class WatchedRobot(Robot):
+class WatchedRobot(RobotAround):
     """Passes every call on to a driver, one at a time.
 
     No other thread can end a call. A robot whose driver hangs therefore cannot be brought to rest
@@ -58,22 +57,12 @@ class WatchedRobot(Robot):
             realtime: Multiple of real time at which a simulated robot plays; None when it is not
                 paced.
         """
-        self._robot = robot
+        super().__init__(robot)
         free = realtime is None and robot.spec.simulated
         self._sample_max_s = SLOW_CALL_MAX_S if free else GAP_MAX_S + robot.spec.sample_time_s
         self._busy = threading.Lock()
         self._call: _Call | None = None
         self._looked_s = time.monotonic()
-
-    @property
-    def spec(self) -> RobotSpec:
-        """Description that the driver gives of the robot."""
-        return self._robot.spec
-
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """Names of the states that the driver measures."""
-        return self._robot.state_names
 
     @property
     def hangs(self) -> bool:

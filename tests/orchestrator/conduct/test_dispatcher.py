@@ -57,7 +57,7 @@ def test_a_test_whose_end_was_not_stored_is_sent_again_and_moves_its_robot_once(
     def fails(*_: object) -> None:
         raise RepositoryError("no room is left")
 
-    log.measured = fails  # type: ignore[method-assign]
+    log.ended = fails  # type: ignore[method-assign]
     with pytest.raises(RepositoryError, match="no room"):
         Dispatcher(lab.fleet, log, lab.specs, on_attempt_failed=lambda *a: None).run(
             lab.open_tests(r1=TEST)

@@ -182,7 +182,7 @@ def test_an_acceptance_is_stored_before_the_end_though_storing_it_takes_longer(
 ) -> None:
     ended = asked_about(lab, monkeypatch)
     log, stored = lab.log(), []
-    accepted, measured = log.accepted, log.measured
+    accepted, ended_as = log.accepted, log.ended
 
     def store_slowly(test: OpenTest, *rest: Any) -> None:
         assert ended.wait(PATIENCE_S)
@@ -190,14 +190,14 @@ def test_an_acceptance_is_stored_before_the_end_though_storing_it_takes_longer(
         stored.append("accepted")
 
     def store(test: OpenTest, *rest: Any) -> None:
-        stored.append("measured")
-        measured(test, *rest)
+        stored.append("ended")
+        ended_as(test, *rest)
 
     monkeypatch.setattr(log, "accepted", store_slowly)
-    monkeypatch.setattr(log, "measured", store)
+    monkeypatch.setattr(log, "ended", store)
     dispatcher = Dispatcher(lab.fleet, log, lab.specs, on_attempt_failed=lambda *a: None)
     dispatcher.run(lab.open_tests(r1=TEST))
-    assert stored == ["accepted", "measured"]
+    assert stored == ["accepted", "ended"]
 
 
 # Robots that are not heard.
