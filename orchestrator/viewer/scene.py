@@ -10,6 +10,7 @@ from nufleet.orchestrator.viewer.draw.differences import Differences
 from nufleet.orchestrator.viewer.draw.estimates import Estimates, summary
 from nufleet.orchestrator.viewer.draw.leaders import leading_sources
 from nufleet.orchestrator.viewer.draw.log import Log
+from nufleet.orchestrator.viewer.draw.marks import drawn_at
 from nufleet.orchestrator.viewer.draw.palette import Palette
 from nufleet.orchestrator.viewer.draw.robots import RobotStates
 from nufleet.orchestrator.viewer.draw.samples import TestSamples
@@ -78,14 +79,11 @@ class Scene:
         leaders = leading_sources(event)
         self._palette.assign(event.target, sorted(leaders))
         self._samples.show(event.target, leaders)
-        self._stream.set_time("t", duration=event.t_s)
-        self._stream.set_time("iteration", sequence=event.iteration)
-        try:
+        with drawn_at(self._stream, event.t_s):
+            self._stream.set_time("iteration", sequence=event.iteration)
             self._sphere.draw(event)
             self._differences.draw(event)
             self._surrogates.draw(event)
             self._estimates.draw(event)
-        finally:
-            self._stream.reset_time()
         for text in (summary(event), *event.messages):
             self._log.say(event.t_s, "info", text)

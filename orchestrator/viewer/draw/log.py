@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import rerun as rr
 
-from nufleet.orchestrator.viewer.draw.marks import drawable
+from nufleet.orchestrator.viewer.draw.marks import drawable, send
 from nufleet.orchestrator.viewer.events import MessageLevel
 
 _LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR"}
@@ -18,10 +18,9 @@ class Log:
 
     def say(self, t_s: float, level: MessageLevel, text: str) -> None:
         """Write a sentence to the log, at a time in seconds on the viewer's clock."""
-        self._stream.send_columns(
+        send(
+            self._stream,
             "log",
-            indexes=[rr.TimeColumn("t", duration=[t_s])],
-            columns=rr.TextLog.columns(
-                text=[drawable(f"{t_s:7.1f} s  {text}")], level=[_LEVELS[level]]
-            ),
+            [t_s],
+            rr.TextLog.columns(text=[drawable(f"{t_s:7.1f} s  {text}")], level=[_LEVELS[level]]),
         )

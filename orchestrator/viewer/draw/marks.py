@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 import rerun as rr
 
 from nufleet.orchestrator.viewer.draw.palette import Colour
 from nufleet.shared.arrays import FloatArray
+
+Times = Sequence[float] | FloatArray
+Columns = Iterable[rr.ComponentColumn]
 
 _BLOCKS = (
     (0x20, 0x7E),
@@ -45,33 +50,26 @@ def labels_2d(
     places: Sequence[Sequence[float]] | FloatArray, texts: list[str], colours: list[Colour]
 ) -> rr.Points2D:
     """Return texts at positions of shape (n, 2), with one colour for each or one for all."""
-    return rr.Points2D(
-        np.asarray(places, dtype=np.float64),
-        labels=[drawable(text) for text in texts],
-        colors=colours,
-        radii=[0.0],
-        show_labels=True,
-    )
+    return rr.Points2D(np.asarray(places, dtype=np.float64), **_as_labels(texts, colours))
 
 
 def labels_3d(
     places: Sequence[Sequence[float]] | FloatArray, texts: list[str], colours: list[Colour]
 ) -> rr.Points3D:
     """Return texts at positions of shape (n, 3), with one colour for each or one for all."""
-    return rr.Points3D(
-        np.asarray(places, dtype=np.float64),
-        labels=[drawable(text) for text in texts],
-        colors=colours,
-        radii=[0.0],
-        show_labels=True,
-    )
+    return rr.Points3D(np.asarray(places, dtype=np.float64), **_as_labels(texts, colours))
 
 
-def lines_2d(
-    strips: Sequence[Sequence[Sequence[float] | FloatArray] | FloatArray],
-    colours: list[Colour],
-    width: float,
-) -> rr.LineStrips2D:
+def _as_labels(texts: list[str], colours: list[Colour]) -> dict[str, Any]:
+    labels = [drawable(text) for text in texts]
+    return {"labels": labels, "colors": colours, "radii": [0.0], "show_labels": True}
+
+
+Strips = Sequence[Sequence[Sequence[float] | FloatArray] | FloatArray]
+"""Polylines, each a sequence of points."""
+
+
+def lines_2d(strips: Strips, colours: list[Colour], width: float) -> rr.LineStrips2D:
     """Return polylines in a plane.
 
     Args:
@@ -86,11 +84,7 @@ def lines_2d(
     )
 
 
-def lines_3d(
-    strips: Sequence[Sequence[Sequence[float] | FloatArray] | FloatArray],
-    colours: list[Colour],
-    *widths: float,
-) -> rr.LineStrips3D:
+def lines_3d(strips: Strips, colours: list[Colour], *widths: float) -> rr.LineStrips3D:
     """Return polylines in space.
 
     Args:
@@ -103,3 +97,18 @@ def lines_3d(
         colors=colours,
         radii=screen_points(*widths),
     )
+
+
+@contextmanager
+def drawn_at(stream: rr.RecordingStream, t_s: float) -> Iterator[None]:
+    """Give everything that is logged inside one time on the viewer's clock."""
+    stream.set_time("t", duration=t_s)
+    try:
+        yield
+    finally:
+        stream.reset_time()
+
+
+def send(stream: rr.RecordingStream, path: str, times_s: Times, columns: Columns) -> None:
+    """Log a column of values at the times of each, on the viewer's clock, in one message."""
+    stream.send_columns(path, [rr.TimeColumn("t", duration=times_s)], columns)

@@ -6,7 +6,13 @@ import numpy as np
 import rerun as rr
 
 from nufleet.orchestrator.viewer.draw.axes import WIDTH
-from nufleet.orchestrator.viewer.draw.marks import labels_2d, lines_2d, screen_points
+from nufleet.orchestrator.viewer.draw.marks import (
+    drawn_at,
+    labels_2d,
+    lines_2d,
+    screen_points,
+    send,
+)
 from nufleet.orchestrator.viewer.draw.outline import thinned
 from nufleet.orchestrator.viewer.draw.palette import GROUND, TEXT, WANTED, Colour, Palette, subdued
 from nufleet.orchestrator.viewer.draw.path_axes import METRES, PLOT, draw_axes
@@ -81,13 +87,10 @@ class Paths:
             self._earlier = others[-EARLIER_MAX:]
         else:
             self._earlier, self._longest, self._axes = [], np.empty((0, 2)), None
-        self._stream.set_time("t", duration=flight.time_s[0])
-        try:
+        with drawn_at(self._stream, flight.time_s[0]):
             self._draw_earlier()
             for what in ("actual", "places", "taken_back"):
                 self._stream.log(f"{METRES}/{what}", rr.Clear(recursive=False))
-        finally:
-            self._stream.reset_time()
 
     def _draw_once(self) -> None:
         """Fix the order in which the parts cover one another."""
@@ -106,17 +109,13 @@ class Paths:
             return
         self._longest = flight.desired[:, :2]
         axes = axes_around(self._longest)
-        self._stream.set_time("t", duration=flight.time_s[-1])
-        try:
+        with drawn_at(self._stream, flight.time_s[-1]):
             self._stream.log(
-                f"{METRES}/desired",
-                lines_2d([thinned(self._longest, BODY_POINTS)], [WANTED], 0.5),
+                f"{METRES}/desired", lines_2d([thinned(self._longest, BODY_POINTS)], [WANTED], 0.5)
             )
             if axes != self._axes:
                 self._axes = axes
                 draw_axes(self._stream, axes, flight.axes[:2], flight.unit)
-        finally:
-            self._stream.reset_time()
 
     def _draw_trail(self, flight: Flight, frames: list[int]) -> None:
         """Draw the robot at each frame, with the bright trail behind it."""
@@ -127,10 +126,11 @@ class Paths:
         for frame in frames:
             begin = flight.at(flight.time_s[frame] - TRAIL_S)
             trails.append(thinned(flight.actual[begin : frame + 1, :2], TRAIL_POINTS))
-        self._stream.send_columns(
+        send(
+            self._stream,
             f"{METRES}/trail",
-            indexes=[rr.TimeColumn("t", duration=flight.time_s[frames])],
-            columns=[
+            flight.time_s[frames],
+            [
                 *rr.LineStrips2D.columns(
                     strips=trails,
                     colors=[colour] * len(frames),
@@ -148,10 +148,11 @@ class Paths:
         if not frames:
             return
         colour = subdued(self._palette.of_prior(flight.prior), BODY)
-        self._stream.send_columns(
+        send(
+            self._stream,
             f"{METRES}/actual",
-            indexes=[rr.TimeColumn("t", duration=flight.time_s[frames])],
-            columns=rr.LineStrips2D.columns(
+            flight.time_s[frames],
+            rr.LineStrips2D.columns(
                 strips=[thinned(flight.actual[: frame + 1, :2], BODY_POINTS) for frame in frames],
                 colors=[colour] * len(frames),
                 radii=screen_points(*[1.2] * len(frames)),
@@ -180,8 +181,7 @@ class Paths:
             c if f is flight else subdued(c, EARLIER) for c, f in zip(colours, taken, strict=True)
         ]
         places = np.array([f.actual[f.at(f.taken_back_s or 0.0), :2] for f in taken])
-        self._stream.set_time("t", duration=flight.time_s[-1])
-        try:
+        with drawn_at(self._stream, flight.time_s[-1]):
             self._stream.log(
                 f"{METRES}/places",
                 rr.Points2D(
@@ -195,8 +195,6 @@ class Paths:
                     f"{METRES}/taken_back",
                     labels_2d(places[-1:], ["prior withdrawn"], colours[-1:]),
                 )
-        finally:
-            self._stream.reset_time()
 
     def _whole(self, flight: Flight) -> bool:
         """Return whether a flight went as far along the path as every earlier one."""
@@ -217,14 +215,11 @@ class Paths:
         if not whole:
             rows.append((_result(flight, " so far"), self._palette.of_prior(flight.prior)))
         places = [[WIDTH + 26.0, 8.0 * k] for k in range(len(rows))]
-        self._stream.set_time("t", duration=flight.time_s[-1])
-        try:
+        with drawn_at(self._stream, flight.time_s[-1]):
             self._stream.log(
                 f"{PLOT}/names",
                 labels_2d(places, [text for text, _ in rows], [colour for _, colour in rows]),
             )
-        finally:
-            self._stream.reset_time()
 
 
 def _result(flight: Flight, so_far: str = "") -> str:

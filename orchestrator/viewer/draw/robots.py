@@ -5,6 +5,7 @@ from __future__ import annotations
 import rerun as rr
 
 from nufleet.orchestrator.viewer.draw.log import Log
+from nufleet.orchestrator.viewer.draw.marks import send
 from nufleet.orchestrator.viewer.draw.palette import Colour
 from nufleet.orchestrator.viewer.events import RobotStateEvent
 
@@ -42,10 +43,11 @@ class RobotStates:
             self._draw_changes(robot, events)
 
     def _draw_progress(self, robot: str, events: list[RobotStateEvent]) -> None:
-        self._stream.send_columns(
+        send(
+            self._stream,
             f"progress/{robot}",
-            indexes=[rr.TimeColumn("t", duration=[event.t_s for event in events])],
-            columns=rr.Scalars.columns(scalars=[event.progress for event in events]),
+            [event.t_s for event in events],
+            rr.Scalars.columns(scalars=[event.progress for event in events]),
         )
 
     def _draw_changes(self, robot: str, events: list[RobotStateEvent]) -> None:
@@ -67,8 +69,9 @@ class RobotStates:
                 self._log.say(event.t_s, "warning" if bad else "info", text)
             self._reason[robot] = event.reason
         if changes:
-            self._stream.send_columns(
+            send(
+                self._stream,
                 path,
-                indexes=[rr.TimeColumn("t", duration=[event.t_s for event in changes])],
-                columns=rr.StateChange.columns(state=[event.status for event in changes]),
+                [event.t_s for event in changes],
+                rr.StateChange.columns(state=[event.status for event in changes]),
             )

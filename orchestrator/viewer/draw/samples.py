@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 import rerun as rr
 
+from nufleet.orchestrator.viewer.draw.marks import send
 from nufleet.orchestrator.viewer.draw.outline import outline
 from nufleet.orchestrator.viewer.draw.palette import REFERENCE, Colour, Palette
 from nufleet.orchestrator.viewer.events import TestSamplesEvent
@@ -63,10 +64,11 @@ class TestSamples:
             kept = outline(samples, min(POINTS_MAX, 2 * math.ceil(seconds * POINTS_PER_S / 2)))
             times_s.append(event.t_s + kept * event.sample_time_s)
             values.append(samples[kept])
-        self._stream.send_columns(
+        send(
+            self._stream,
             path,
-            indexes=[rr.TimeColumn("t", duration=np.concatenate(times_s))],
-            columns=rr.Scalars.columns(scalars=np.concatenate(values)),
+            np.concatenate(times_s),
+            rr.Scalars.columns(scalars=np.concatenate(values)),
         )
 
     def show(self, target: str, leaders: Iterable[str]) -> None:

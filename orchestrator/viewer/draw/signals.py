@@ -9,6 +9,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from nufleet.orchestrator.flights.labels import NO_PRIOR
+from nufleet.orchestrator.viewer.draw.marks import send
 from nufleet.orchestrator.viewer.draw.outline import outline
 from nufleet.orchestrator.viewer.draw.palette import ALARM, REFERENCE, Colour, Palette
 from nufleet.orchestrator.viewer.events import TrackingSamplesEvent
@@ -52,11 +53,7 @@ class Signals:
         """End the lines of a flight, so that those of the next one are not joined to them."""
         after_s = float(flight.time_s[-1]) + flight.sample_time_s / 2
         for path in sorted(self._open.pop(flight.robot, set())):
-            self._stream.send_columns(
-                path,
-                indexes=[rr.TimeColumn("t", duration=[after_s])],
-                columns=rr.Clear.columns(is_recursive=[False]),
-            )
+            send(self._stream, path, [after_s], rr.Clear.columns(is_recursive=[False]))
 
     def _draw_error(
         self, flight: Flight, time_s: FloatArray, new: list[TrackingSamplesEvent]
@@ -88,19 +85,20 @@ class Signals:
             path = f"tracking/gp/{axis}/{flight.robot}"
             kept = _kept(mean[:, column], flight)
             first = self._opened(flight, path)
-            self._stream.send_columns(
+            send(
+                self._stream,
                 path,
-                indexes=[rr.TimeColumn("t", duration=time_s[kept])],
-                columns=rr.Measurements.columns(
-                    values=mean[kept, column],
-                    variances=BAND_DEVIATIONS**2 * variance[kept, column],
+                time_s[kept],
+                rr.Measurements.columns(
+                    values=mean[kept, column], variances=BAND_DEVIATIONS**2 * variance[kept, column]
                 ),
             )
             if first:
-                self._stream.send_columns(
+                send(
+                    self._stream,
                     path,
-                    indexes=[rr.TimeColumn("t", duration=[flight.time_s[0]])],
-                    columns=rr.Measurements.columns(
+                    [flight.time_s[0]],
+                    rr.Measurements.columns(
                         colors=[self._palette.of_prior(flight.prior)],
                         widths=[1.5],
                         names=[f"GP {axis} ± 2σ [{flight.unit}/s]"],
@@ -164,17 +162,11 @@ class Signals:
         if path not in self._styled:
             self._styled.add(path)
             style = rr.SeriesLines.from_fields(
-                names=[name],
-                widths=[width],
-                aggregation_policy=rr.components.AggregationPolicy.Off,
+                names=[name], widths=[width], aggregation_policy=rr.components.AggregationPolicy.Off
             )
             self._stream.log(path, style, static=True)
         if self._opened(flight, path):
-            self._stream.send_columns(
-                path,
-                indexes=[rr.TimeColumn("t", duration=[flight.time_s[0]])],
-                columns=rr.SeriesLines.columns(colors=[colour]),
-            )
+            send(self._stream, path, [flight.time_s[0]], rr.SeriesLines.columns(colors=[colour]))
 
     def _opened(self, flight: Flight, path: str) -> bool:
         """Return whether nothing of this signal has been drawn in this flight, and note it."""
@@ -187,11 +179,7 @@ class Signals:
     def _send(
         self, path: str, time_s: FloatArray, values: FloatArray, kept: NDArray[np.intp]
     ) -> None:
-        self._stream.send_columns(
-            path,
-            indexes=[rr.TimeColumn("t", duration=time_s[kept])],
-            columns=rr.Scalars.columns(scalars=values[kept]),
-        )
+        send(self._stream, path, time_s[kept], rr.Scalars.columns(scalars=values[kept]))
 
 
 def _joined(events: list[TrackingSamplesEvent], name: str) -> FloatArray:

@@ -46,16 +46,10 @@ class Sphere:
 
     def begin(self) -> None:
         """Draw the static parts: the sphere, its grid and the labels of the phases."""
-        self._stream.log(
-            "sphere/grid",
-            lines_3d(_grid(), [GRID], 0.6),
-            static=True,
-        )
+        self._stream.log("sphere/grid", lines_3d(_grid(), [GRID], 0.6), static=True)
         around = np.exp(1j * np.linspace(-np.pi, np.pi, 181))
         self._stream.log(
-            "sphere/unit_gain",
-            lines_3d([riemann_sphere(around)], [QUIET], 1.0),
-            static=True,
+            "sphere/unit_gain", lines_3d([riemann_sphere(around)], [QUIET], 1.0), static=True
         )
         body = _body()
         self._stream.log(
@@ -106,8 +100,7 @@ class Sphere:
         known = self._known[robot]
         path = np.array([known[omega] for omega in sorted(known)])
         self._stream.log(
-            f"sphere/response/{robot}",
-            lines_3d([riemann_sphere(_refined(path))], [colour], 0.8),
+            f"sphere/response/{robot}", lines_3d([riemann_sphere(_refined(path))], [colour], 0.8)
         )
 
     def _draw_chords(self, sources: list[str], z: ComplexArray, target: ComplexArray) -> None:

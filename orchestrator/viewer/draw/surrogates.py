@@ -99,8 +99,7 @@ class Surrogates:
         lines += [[[0.0, y], [WIDTH, y]] for y in down]
         frame = [[0.0, 0.0], [0.0, HEIGHT], [WIDTH, HEIGHT]]
         self._stream.log(
-            f"{CAMERA}/grid",
-            lines_2d([*lines, frame], [GRID] * len(lines) + [QUIET], 0.5),
+            f"{CAMERA}/grid", lines_2d([*lines, frame], [GRID] * len(lines) + [QUIET], 0.5)
         )
         labels = [([x, HEIGHT + 6.0], f"{t:g}") for x, t in zip(across, omega_ticks, strict=True)]
         labels += [([-9.0, y], f"{t:g}") for y, t in zip(down, psi_ticks, strict=True)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import rerun as rr
 
+from nufleet.orchestrator.viewer.draw.marks import send
 from nufleet.orchestrator.viewer.draw.palette import Palette
 from nufleet.orchestrator.viewer.draw.paths import Paths
 from nufleet.orchestrator.viewer.draw.signals import Signals
@@ -69,10 +70,11 @@ class Tracking:
     def _table(self, flight: Flight) -> None:
         self._tabled_s = float(flight.time_s[-1])
         self._outcomes.note(flight)
-        self._stream.send_columns(
+        send(
+            self._stream,
             "tracking/flights",
-            indexes=[rr.TimeColumn("t", duration=[self._tabled_s])],
-            columns=rr.TextDocument.columns(
+            [self._tabled_s],
+            rr.TextDocument.columns(
                 text=[self._outcomes.table()], media_type=[rr.MediaType.MARKDOWN]
             ),
         )
