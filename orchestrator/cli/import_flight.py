@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from nufleet.orchestrator.cli.options import (
-    connect_options,
-    fleet_option,
-    json_option,
-    repository_option,
-    runs_option,
-)
+from nufleet.orchestrator.cli.options import connect_options, fleet_option, storage_options
 
 
 @click.command("import")
@@ -52,26 +47,8 @@ from nufleet.orchestrator.cli.options import (
 @click.option("--list", "lists", is_flag=True, help="Only list the signals in FILE.")
 @fleet_option
 @connect_options
-@runs_option
-@repository_option
-@json_option
-def import_flight(
-    log: Path,
-    robot: str | None,
-    axis: str | None,
-    reference: str | None,
-    output: str | None,
-    time: str | None,
-    begin_s: float,
-    end_s: float | None,
-    lists: bool,
-    fleet_file: str | None,
-    connect: str,
-    fleet_name: str | None,
-    runs_root: Path,
-    repository: str | None,
-    as_json: bool,
-) -> None:
+@storage_options
+def import_flight(log: Path, robot: str | None, lists: bool, as_json: bool, **options: Any) -> None:
     """Make a flight that exists into a response of its robot, as if it had been tested.
 
     \b
@@ -96,21 +73,4 @@ def import_flight(
         return
     if robot is None:
         raise click.UsageError("which robot flew? Name it with --robot")
-    import_and_print(
-        ImportCommand(
-            log=log,
-            robot=robot,
-            axis=axis,
-            reference=reference,
-            output=output,
-            time=time,
-            begin_s=begin_s,
-            end_s=end_s,
-            fleet_file=fleet_file,
-            connect=connect,
-            fleet_name=fleet_name,
-            runs_root=runs_root,
-            repository=repository,
-            as_json=as_json,
-        )
-    )
+    import_and_print(ImportCommand(log=log, robot=robot, as_json=as_json, **options))

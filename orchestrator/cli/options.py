@@ -83,6 +83,11 @@ def json_option(command: F) -> F:
     )(command)
 
 
+def storage_options(command: F) -> F:
+    """Add --runs, --repository and --json."""
+    return runs_option(repository_option(json_option(command)))
+
+
 def live_option(command: F) -> F:
     """Add --live."""
     return click.option(

@@ -10,8 +10,8 @@ import click
 from nufleet.orchestrator.cli.options import (
     json_option,
     live_option,
-    repository_option,
     runs_option,
+    storage_options,
     wait_option,
 )
 
@@ -35,9 +35,7 @@ def list_runs(runs_root: Path, as_json: bool) -> None:
 )
 @wait_option("How long to wait for the router and the robots.")
 @live_option
-@runs_option
-@repository_option
-@json_option
+@storage_options
 def resume(**options: Any) -> None:
     """Resume the interrupted run RUN: a folder, its name, or `latest`.
 
@@ -70,23 +68,10 @@ def show(run: str, runs_root: Path, as_json: bool) -> None:
     help="Folder for the files, one per robot.  [default: `responses` in the run's folder]",
 )
 @click.option(
-    "--format",
-    "suffix",
-    type=click.Choice(["json", "csv"]),
-    default="json",
-    show_default=True,
+    "--format", "suffix", type=click.Choice(["json", "csv"]), default="json", show_default=True
 )
-@runs_option
-@repository_option
-@json_option
-def export(
-    run: str,
-    to: Path | None,
-    suffix: str,
-    runs_root: Path,
-    repository: str | None,
-    as_json: bool,
-) -> None:
+@storage_options
+def export(**options: Any) -> None:
     """Write the responses that RUN measured to files: a folder, its name, or `latest`.
 
     Each file holds the response z(ω) of one robot with its variance, from all its usable tests.
@@ -99,4 +84,4 @@ def export(
     """
     from nufleet.orchestrator.jobs.runs import export_and_print
 
-    export_and_print(runs_root, run, to, suffix, repository, as_json=as_json)
+    export_and_print(**options)

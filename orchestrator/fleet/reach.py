@@ -87,6 +87,11 @@ class FleetChoice:
         return cls.again(Reach(connect="", fleet_file=file, realtime=realtime, processes=processes))
 
     @classmethod
+    def given(cls, path: Path | None, endpoint: str, name: str | None) -> FleetChoice:
+        """Choose the fleet of a file, or the running one if there is no file; see both."""
+        return cls.running(endpoint, name) if path is None else cls.started(path)
+
+    @classmethod
     def again(cls, reach: Reach) -> FleetChoice:
         """Choose the fleet that an earlier run reached.
 
@@ -106,6 +111,11 @@ class FleetChoice:
                 f"fleet {file.name} now; restore its name to go on"
             )
         return cls(reach, file)
+
+    @property
+    def name(self) -> str | None:
+        """Name of the fleet; None for the only one that runs at the router."""
+        return self.reach.fleet_name if self.file is None else self.file.name
 
     def target(self, named: str | None) -> str:
         """Return the target: the robot that was named, or the one that the fleet file names.

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Generic, TypeVar
-
-from pydantic import ValidationError
 
 from nufleet.orchestrator.evaluation.flight_documents import (
     DEMONSTRATION,
@@ -22,10 +19,17 @@ from nufleet.orchestrator.evaluation.flight_documents import (
 )
 from nufleet.orchestrator.evaluation.pairs import PAIRS, PairsResult
 from nufleet.orchestrator.evaluation.results import EVALUATION, EvaluationRecord, EvaluationResult
-from nufleet.orchestrator.runs.folder import CONFIGURATION, RESULTS, list_runs, read_record
+from nufleet.orchestrator.runs.folder import (
+    CONFIGURATION,
+    RESULTS,
+    list_runs,
+    read_configuration,
+    read_document,
+    read_record,
+)
 from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.strict import Strict, describe_validation
+from nufleet.shared.strict import Strict
 
 D = TypeVar("D", bound=Strict)
 
@@ -50,14 +54,7 @@ class Kind(Generic[D]):
             InvalidInputError: The file cannot be read or is malformed.
         """
         path = folder / self.document
-        try:
-            return self.type.model_validate_json(path.read_bytes())
-        except FileNotFoundError:
-            return None
-        except OSError as error:
-            raise InvalidInputError(f"{path} cannot be read: {error.strerror}") from error
-        except ValidationError as error:
-            raise InvalidInputError(f"{path}: {describe_validation(error)}") from error
+        return read_document(path, self.type) if path.exists() else None
 
 
 @dataclass(frozen=True)
@@ -100,7 +97,7 @@ def read_run(folder: Path) -> Run:
     Raises:
         InvalidInputError: Its files are not those that a run of this version writes.
     """
-    configuration = _configuration(folder)
+    configuration = read_configuration(folder)
     kind = configuration.get("kind", "rank")
     if kind not in KINDS:
         raise InvalidInputError(
@@ -138,24 +135,11 @@ def latest_ranking(root: Path, fleet: str, target: str) -> tuple[Path, RunRecord
         InvalidInputError: A newer run, which may be that ranking, cannot be read.
     """
     for folder in reversed(list_runs(root)):
-        if (folder / RESULTS).exists() and _configuration(folder).get("fleet") == fleet:
+        if (folder / RESULTS).exists() and read_configuration(folder).get("fleet") == fleet:
             record = read_record(folder)
             if record.result.target == target:
                 return folder, record
     return None
-
-
-def _configuration(folder: Path) -> dict[str, Any]:
-    path = folder / CONFIGURATION
-    try:
-        document = json.loads(path.read_bytes())
-    except OSError as error:
-        raise InvalidInputError(f"{path} cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise InvalidInputError(f"{path}: not JSON: {error}") from error
-    if not isinstance(document, dict):
-        raise InvalidInputError(f"{path}: expected an object")
-    return document
 
 
 def _ranked(result: RankResult) -> str:

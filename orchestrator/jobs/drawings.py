@@ -148,10 +148,7 @@ def _described(console: Console, chosen: RobotOptions) -> tuple[Description, ...
     fleet_file, robots = chosen["fleet_file"], chosen["robots"]
     if fleet_file is None and not robots:
         return ()
-    if fleet_file is None:
-        choice = FleetChoice.running(chosen["connect"], chosen["fleet_name"])
-    else:
-        choice = FleetChoice.started(fleet_file)
+    choice = FleetChoice.given(fleet_file, chosen["connect"], chosen["fleet_name"])
     with choice.connection(console) as (fleet, _, there):
         robots = robots or there
         check_robots(robots, there)

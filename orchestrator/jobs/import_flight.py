@@ -24,7 +24,6 @@ from nufleet.orchestrator.repository.records import Origin, RobotRecord
 from nufleet.orchestrator.repository.repository import Repository
 from nufleet.orchestrator.runs.folder import make_runs_root
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.robots.fleet_file import find_fleet_file, read_fleet_file
 from nufleet.shared.wire.messages import Description
 
 EARLIEST_S = datetime(2000, 1, 1, tzinfo=UTC).timestamp()
@@ -51,8 +50,8 @@ class ImportCommand:
     """Time from the beginning of the log at which to begin."""
     end_s: float | None
     """Time from the beginning of the log at which to end; None for its end."""
-    fleet_file: str | None
-    """Path or name of the fleet file that lists the robot; None for a running or known fleet."""
+    fleet_file: Path | None
+    """Path of the fleet file that lists the robot; None for a running or known fleet."""
     connect: str
     """Endpoint of a running fleet, which is asked about robots that are not known."""
     fleet_name: str | None
@@ -161,15 +160,13 @@ def _robot(
     command: ImportCommand, repository: Repository, console: Console
 ) -> tuple[str, Description]:
     """Return the fleet's name and the robot, as it is stored or else as it describes itself."""
-    file = None if command.fleet_file is None else find_fleet_file(command.fleet_file)
-    name = command.fleet_name if file is None else read_fleet_file(file).name
-    if name is not None:
-        for known in repository.robots.robots(name):
+    choice = FleetChoice.given(command.fleet_file, command.connect, command.fleet_name)
+    if choice.name is not None:
+        for known in repository.robots.robots(choice.name):
             if known.robot == command.robot:
-                return name, Description(robot=known.robot, boot_id=known.boot_id, spec=known.spec)
-    choice = FleetChoice.running(command.connect, command.fleet_name)
-    if file is not None:
-        choice = FleetChoice.started(file)
+                return choice.name, Description(
+                    robot=known.robot, boot_id=known.boot_id, spec=known.spec
+                )
     with choice.connection(console) as (fleet, name, there):
         check_robots((command.robot,), there)
         return name, fleet.describe(command.robot)

@@ -29,6 +29,7 @@ from nufleet.orchestrator.runs.folder import (
     CONFIGURATION,
     find_run,
     list_runs,
+    read_configuration,
     study_id_of,
 )
 from nufleet.orchestrator.runs.rank_result import RunRecord
@@ -103,16 +104,15 @@ def can_reach_again(folder: Path) -> bool:
 
 def reach_of(folder: Path) -> Reach:
     """Return how a run connected to its fleet; raises InvalidInputError when that is not known."""
-    path = folder / CONFIGURATION
+    path, found = folder / CONFIGURATION, read_configuration(folder).get(REACH)
+    if found is None:
+        raise InvalidInputError(
+            f"{path} does not say how the run reached its fleet; it cannot be resumed"
+        )
     try:
-        document = json.loads(path.read_bytes())
-        return Reach.model_validate_json(json.dumps(document[REACH]))
+        return Reach.model_validate_json(json.dumps(found))
     except ValidationError as error:
         raise InvalidInputError(f"{path}: {REACH}: {describe_validation(error)}") from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InvalidInputError(
-            f"{path} does not say how the run reached its fleet: {error!r}; it cannot be resumed"
-        ) from error
 
 
 def _interrupted_run(command: ResumeCommand, repository: Repository) -> Path:

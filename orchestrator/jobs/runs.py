@@ -47,40 +47,30 @@ def show_and_print(runs_root: Path, name: str, *, as_json: bool) -> None:
 
 
 def export_and_print(
-    runs_root: Path,
-    name: str,
+    *,
+    run: str,
     to: Path | None,
     suffix: str,
+    runs_root: Path,
     repository: str | None,
-    *,
     as_json: bool,
 ) -> None:
-    """Export the responses of a run, and print the paths of the files; see `export`.
+    """Write the responses of a run to files, one per robot, and print the paths of the files.
 
     Args:
+        run: Name of the run, path of its folder, or `latest`.
+        to: Folder to write to; None for `responses` in the run's folder.
+        suffix: Suffix of the files, `json` or `csv`, which selects their format.
+        runs_root: Folder that holds the folders of all runs.
+        repository: Address of the repository; None for the one in `runs_root`.
         as_json: Whether to print the paths as JSON on stdout.
     """
-    written = export(runs_root, name, to, suffix, repository)
+    folder = find_run(runs_root, run)
+    responses = run_responses(folder, Storage(runs_root, repository).open)
+    written = export_responses(responses, to or folder / "responses", suffix)
     if as_json:
         paths = {robot: str(path) for robot, path in written.items()}
         click.echo(json.dumps({"schema": 1, "responses": paths}))
         return
     for robot, path in written.items():
         stderr_console().print(f"{robot}: {path}")
-
-
-def export(
-    runs_root: Path, name: str, to: Path | None, suffix: str, repository: str | None
-) -> dict[str, Path]:
-    """Write the responses of a run to files, and return the path of each robot's file, by robot.
-
-    Args:
-        runs_root: Folder that holds the folders of all runs.
-        name: Name of the run, path of its folder, or `latest`.
-        to: Folder to write to; None for `responses` in the run's folder.
-        suffix: Suffix of the files, `json` or `csv`, which selects their format.
-        repository: Address of the repository; None for the one in `runs_root`.
-    """
-    folder = find_run(runs_root, name)
-    responses = run_responses(folder, Storage(runs_root, repository).open)
-    return export_responses(responses, to or folder / "responses", suffix)

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
     from nufleet.orchestrator.runs.rank_result import RunRecord
     from nufleet.orchestrator.study.outcomes import Measured
+
+D = TypeVar("D", bound=Strict)
 
 RECORDING = "run.rrd"
 RESULTS = "results.json"
@@ -160,14 +162,33 @@ def read_record(folder: Path) -> RunRecord:
     from nufleet.orchestrator.runs.rank_result import RunRecord
 
     path = folder / RESULTS
+    if not path.exists():
+        raise InvalidInputError(f"there is no {path}; was the run interrupted?")
+    return read_document(path, RunRecord)
+
+
+def read_document(path: Path, model: type[D]) -> D:
+    """Return the document in a file; raises InvalidInputError when it cannot be read."""
     try:
-        return RunRecord.model_validate_json(path.read_bytes())
+        return model.model_validate_json(path.read_bytes())
     except OSError as error:
-        raise InvalidInputError(
-            f"{path} cannot be read: {error.strerror}; was the run interrupted?"
-        ) from error
+        raise InvalidInputError(f"{path} cannot be read: {error.strerror}") from error
     except ValidationError as error:
         raise InvalidInputError(f"{path}: {describe_validation(error)}") from error
+
+
+def read_configuration(folder: Path) -> dict[str, Any]:
+    """Return the configuration in a run's folder; raises InvalidInputError when there is none."""
+    path = folder / CONFIGURATION
+    try:
+        document = json.loads(path.read_bytes())
+    except OSError as error:
+        raise InvalidInputError(f"{path} cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise InvalidInputError(f"{path}: not JSON: {error}") from error
+    if not isinstance(document, dict):
+        raise InvalidInputError(f"{path}: expected an object")
+    return document
 
 
 def list_runs(root: Path) -> list[Path]:
