@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from dataclasses import asdict
+from typing import Annotated
 
 from pydantic import Field
 
 from nufleet.orchestrator.logs.alignment import Timing
 from nufleet.orchestrator.logs.signals import Channel
 from nufleet.shared.frequency_test.quality import Finding
-from nufleet.shared.strict import Identifier, NonNegative, Positive, Strict
+from nufleet.shared.strict import Document, Identifier, NonNegative, Positive, Strict
 
 Count = Annotated[int, Field(ge=0)]
 
@@ -34,21 +35,12 @@ class SignalReport(Strict):
     @staticmethod
     def of(name: str, timing: Timing) -> SignalReport:
         """Return the report on a signal."""
-        return SignalReport(
-            name=name,
-            samples=timing.samples,
-            interval_s=timing.interval_s,
-            jitter_s=timing.jitter_s,
-            gaps=timing.gaps,
-            disordered=timing.disordered,
-        )
+        return SignalReport(name=name, **asdict(timing))
 
 
-class ImportResult(Strict):
+class ImportResult(Document):
     """The document that `nufleet import --json` prints."""
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    """Version of this document's format."""
     fleet: str
     """Name of the fleet."""
     robot: str
@@ -82,10 +74,6 @@ class ImportResult(Strict):
     findings: tuple[Finding, ...]
     """Observations that weaken the response."""
 
-    def document(self) -> str:
-        """Return the JSON that other programs read."""
-        return self.model_dump_json(by_alias=True)
-
     def lines(self, unit: str) -> Iterator[str]:
         """Yield the result in lines for people; `unit` is the axis's unit."""
         low, high = self.band_rad_s
@@ -112,14 +100,8 @@ class ImportResult(Strict):
         )
 
 
-class ListResult(Strict):
+class ListResult(Document):
     """The document that `nufleet import --list --json` prints."""
 
-    schema_version: Annotated[Literal[1], Field(alias="schema")] = 1
-    """Version of this document's format."""
     signals: tuple[Channel, ...]
     """Signals that the log offers."""
-
-    def document(self) -> str:
-        """Return the JSON that other programs read."""
-        return self.model_dump_json(by_alias=True)

@@ -5,13 +5,23 @@ from __future__ import annotations
 import os
 import sqlite3
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url, text
+from sqlalchemy import (
+    URL,
+    Connection,
+    Engine,
+    RowMapping,
+    Select,
+    create_engine,
+    event,
+    make_url,
+    text,
+)
 from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 
 from nufleet.orchestrator.repository.errors import (
@@ -142,6 +152,16 @@ class Database:
         writing = self._engine.execution_options(**{_WRITES: True})
         with self._named_errors(), writing.begin() as connection:
             yield connection
+
+    def rows(self, query: Select[Any]) -> Sequence[RowMapping]:
+        """Return all rows of a query."""
+        with self.read() as connection:
+            return connection.execute(query).mappings().all()
+
+    def row(self, query: Select[Any]) -> RowMapping | None:
+        """Return the only row of a query; None if it has none."""
+        with self.read() as connection:
+            return connection.execute(query).mappings().one_or_none()
 
     def write_together(self, work: Work) -> None:
         """Run some work in one transaction with the writes of other threads.

@@ -6,7 +6,7 @@ from dataclasses import replace
 from datetime import UTC
 
 from pydantic import TypeAdapter
-from sqlalchemy import Connection, RowMapping, select
+from sqlalchemy import RowMapping, select
 
 from nufleet.orchestrator.repository.database import Database
 from nufleet.orchestrator.repository.errors import UnknownRecordError
@@ -73,14 +73,13 @@ class FlightStore:
             .where(columns.usable == usable)
             .order_by(columns.measured_at, columns.goal_id)
         )
-        with self._database.read() as connection:
-            return tuple(_record(row) for row in connection.execute(query).mappings())
+        return tuple(map(_record, self._database.rows(query)))
 
 
-def flown_response(connection: Connection, response_id: str) -> ResponseRecord | None:
+def flown_response(database: Database, response_id: str) -> ResponseRecord | None:
     """Return the response of a flight or log; None if there is none of that id."""
     query = select(FLIGHT_RESPONSES).where(FLIGHT_RESPONSES.c.goal_id == response_id)
-    row = connection.execute(query).mappings().one_or_none()
+    row = database.row(query)
     return None if row is None else _record(row)
 
 

@@ -32,8 +32,7 @@ class RobotStore:
     def robots(self, fleet: str) -> tuple[RobotRecord, ...]:
         """Return the robots of a fleet, by name."""
         query = select(ROBOTS).where(ROBOTS.c.fleet == fleet).order_by(ROBOTS.c.robot)
-        with self._database.read() as connection:
-            return tuple(robot_record(row) for row in connection.execute(query).mappings())
+        return tuple(map(robot_record, self._database.rows(query)))
 
     def add_experience(self, record: ExperienceRecord) -> str:
         """Store an experience that its robot has learned now, and return its sha256.
@@ -65,8 +64,7 @@ class RobotStore:
         query = select(EXPERIENCES).where(
             EXPERIENCES.c.fleet == fleet, EXPERIENCES.c.sha256 == sha256
         )
-        with self._database.read() as connection:
-            row = connection.execute(query).mappings().one_or_none()
+        row = self._database.row(query)
         if row is None:
             raise UnknownRecordError(f"fleet {fleet} has no experience {sha256}")
         return experience_payload(row)
@@ -78,8 +76,7 @@ class RobotStore:
         if robot is not None:
             query = query.where(EXPERIENCES.c.robot == robot)
         query = query.order_by(EXPERIENCES.c.learned_at.desc(), EXPERIENCES.c.sha256)
-        with self._database.read() as connection:
-            return tuple(stored_experience(row) for row in connection.execute(query).mappings())
+        return tuple(map(stored_experience, self._database.rows(query)))
 
 
 def _describe(connection: Connection, record: RobotRecord) -> None:

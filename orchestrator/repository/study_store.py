@@ -90,8 +90,7 @@ class StudyStore:
     def study(self, study_id: str) -> StudyRecord:
         """Return a study; raises UnknownRecordError."""
         query = select(STUDIES).where(STUDIES.c.study_id == study_id)
-        with self._database.read() as connection:
-            row = connection.execute(query).mappings().one_or_none()
+        row = self._database.row(query)
         if row is None:
             raise UnknownRecordError(f"there is no study {study_id}")
         return study_record(row)
@@ -101,8 +100,7 @@ class StudyStore:
         query = select(STUDIES).order_by(STUDIES.c.begun_at, STUDIES.c.study_id)
         if status is not None:
             query = query.where(STUDIES.c.status == status)
-        with self._database.read() as connection:
-            return tuple(study_record(row) for row in connection.execute(query).mappings())
+        return tuple(map(study_record, self._database.rows(query)))
 
     def intend(self, *intents: TrialIntent) -> tuple[TrialRecord, ...]:
         """Store the intent to send tests, and return the trial of each as it is stored.
@@ -158,7 +156,7 @@ class StudyStore:
         order = (TRIALS.c.iteration, TRIALS.c.robot, TRIALS.c.attempt)
         query = select(TRIALS).where(TRIALS.c.study_id == study_id).order_by(*order)
         measured = select(RESPONSES).join(TRIALS).where(TRIALS.c.study_id == study_id)
-        with self._database.read() as connection:
+        with self._database.read() as connection:  # one transaction, so that both fit together
             rows = connection.execute(query).mappings().all()
             found = connection.execute(measured).mappings().all()
         responses = {row["goal_id"]: frequency_response(row) for row in found}
@@ -174,8 +172,7 @@ class StudyStore:
         join = TRIALS.join(SAMPLES)
         query = select(TRIALS, SAMPLES.c.samples, SAMPLES.c.reference, SAMPLES.c.response)
         query = query.select_from(join).where(TRIALS.c.goal_id == goal_id)
-        with self._database.read() as connection:
-            row = connection.execute(query).mappings().one_or_none()
+        row = self._database.row(query)
         if row is None:
             raise UnknownRecordError(f"no samples of goal {goal_id} are stored")
         return goal_result(row)
@@ -193,20 +190,16 @@ class StudyStore:
         """
         query = _RESPONSES.where(RESPONSES.c.fleet == fleet, RESPONSES.c.robot == robot)
         query = query.where(RESPONSES.c.axis == axis, RESPONSES.c.usable == usable)
-        with self._database.read() as connection:
-            return tuple(response_record(row) for row in connection.execute(query).mappings())
+        return tuple(map(response_record, self._database.rows(query)))
 
     def response(self, goal_id: str) -> ResponseRecord:
         """Return the response of that id, of a goal or a flight; raises UnknownRecordError."""
         query = _RESPONSES.where(RESPONSES.c.goal_id == goal_id)
-        with self._database.read() as connection:
-            row = connection.execute(query).mappings().one_or_none()
-            flown = flown_response(connection, goal_id) if row is None else None
-        if row is not None:
-            return response_record(row)
-        if flown is not None:
-            return flown
-        raise UnknownRecordError(f"no response of goal {goal_id} is stored")
+        row = self._database.row(query)
+        found = flown_response(self._database, goal_id) if row is None else response_record(row)
+        if found is None:
+            raise UnknownRecordError(f"no response of goal {goal_id} is stored")
+        return found
 
 
 _RESPONSES = (

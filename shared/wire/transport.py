@@ -27,7 +27,6 @@ from zenoh.ext import (
 from nufleet.shared.errors import (
     EndpointInUseError,
     InvalidInputError,
-    NoReplyError,
     NoRouterError,
     TransportError,
 )
@@ -193,23 +192,6 @@ class Session:
         return self._declared(
             key_expr, lambda: Declaration(self._session.declare_queryable(key_expr, on_query))
         )
-
-    def ask(self, key: str, payload: bytes, *, timeout_s: float) -> bytes:
-        """Return the one reply to a query on a concrete key.
-
-        Args:
-            key: Key to query.
-            payload: Request, one encoded message.
-            timeout_s: Longest wait for the reply.
-
-        Raises:
-            NoReplyError: no reply arrived in time, or the key is not served.
-            TransportError: Zenoh cannot send the query.
-        """
-        replies = self.ask_all(key, payload, timeout_s=timeout_s)
-        if not replies:
-            raise NoReplyError(f"no reply on {key} within {timeout_s:g} s")
-        return replies[0]
 
     def ask_all(self, key: str, payload: bytes, *, timeout_s: float) -> list[bytes]:
         """Return the replies of all who serve a key; the list may be empty.
