@@ -23,7 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.gaussian_process.problem import Batch, Bounds, Hyperparameters
+from nufleet.shared.gaussian_process.problem import (
+    GRADIENT_TOLERANCE,
+    Batch,
+    Bounds,
+    Hyperparameters,
+)
 
 _PROBLEMS_WORTH_A_THREAD = 32
 """Number of problems per thread below which starting another thread costs more than it saves."""
@@ -54,7 +59,6 @@ def fit(
     starts: Sequence[Hyperparameters],
     bounds: Bounds,
     *,
-    gradient_tolerance: float = 1e-7,
     evaluations_max: int = 500,
     threads: int | None = None,
 ) -> BatchFit:
@@ -67,8 +71,6 @@ def fit(
         starts: Hyperparameters to start the search from, at least one set. The best maximum found
             is kept, and the first one if several are equal.
         bounds: Bounds on the hyperparameters; a start outside is moved to the nearest bound.
-        gradient_tolerance: Projected gradient, in log hyperparameters, at which a search has
-            converged.
         evaluations_max: Limit on likelihood evaluations per problem and start.
         threads: Largest number of threads; None means one per processor.
 
@@ -83,28 +85,14 @@ def fit(
         raise ValueError("fit needs at least one start")
     problems = len(batch)
     first_points = np.stack([start.log(problems) for start in starts])
-    limits = bounds.log()
     theta, outcomes = np.empty((problems, 3)), np.empty((problems, 3))
     counts = np.empty((problems, 2), dtype=np.int64)
+    search = (first_points, bounds.log(), GRADIENT_TOLERANCE, evaluations_max)
 
     from nufleet.shared.gaussian_process import core
 
     def fit_range(first: int, last: int) -> None:
-        core.fit_range(
-            batch.inputs,
-            batch.targets,
-            batch.known_noise_variance,
-            batch.offsets,
-            first,
-            last,
-            first_points,
-            limits,
-            gradient_tolerance,
-            evaluations_max,
-            theta,
-            outcomes,
-            counts,
-        )
+        core.fit_range(*batch.columns, first, last, *search, theta, outcomes, counts)
 
     _share_out(fit_range, problems, threads)
     return BatchFit(Hyperparameters.from_log(theta), *outcomes.T.copy(), *counts.T.copy())
@@ -132,17 +120,8 @@ def log_marginal_likelihood(
 
     problems = len(batch)
     value, gradient = np.empty(problems), np.empty((problems, 3))
-    core.likelihood_range(
-        batch.inputs,
-        batch.targets,
-        batch.known_noise_variance,
-        batch.offsets,
-        0,
-        problems,
-        hyperparameters.log(problems),
-        value,
-        gradient,
-    )
+    theta = hyperparameters.log(problems)
+    core.likelihood_range(*batch.columns, 0, problems, theta, value, gradient)
     return value, gradient
 
 
@@ -185,18 +164,7 @@ def posterior(
     mean, variance = np.empty((problems, len(columns))), np.empty((problems, len(columns)))
 
     def posterior_range(first: int, last: int) -> None:
-        core.posterior_range(
-            batch.inputs,
-            batch.targets,
-            batch.known_noise_variance,
-            batch.offsets,
-            first,
-            last,
-            theta,
-            queries,
-            mean,
-            variance,
-        )
+        core.posterior_range(*batch.columns, first, last, theta, queries, mean, variance)
 
     _share_out(posterior_range, problems, threads)
     return mean, variance

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.gaussian_process.problem import Bounds, Hyperparameters
+from nufleet.shared.gaussian_process.problem import GRADIENT_TOLERANCE, Bounds, Hyperparameters
 
 
 class OnlineFit:
@@ -26,7 +26,6 @@ class OnlineFit:
         outputs: int,
         start: Hyperparameters,
         bounds: Bounds,
-        gradient_tolerance: float = 1e-7,
         evaluations_max: int = 100,
     ) -> None:
         """Allocate memory for windows of up to `capacity` points and load the compiled core.
@@ -37,8 +36,6 @@ class OnlineFit:
             outputs: Number of outputs per point.
             start: Hyperparameters of the first refit, one set for all outputs or one per output.
             bounds: Bounds on the hyperparameters of every output.
-            gradient_tolerance: Projected gradient, in log hyperparameters, at which a refit has
-                converged.
             evaluations_max: Limit on likelihood evaluations per output and refit.
 
         Raises:
@@ -50,13 +47,13 @@ class OnlineFit:
 
         self._core = core
         self._capacity, self._dimension, self._outputs = capacity, dimension, outputs
-        self._bounds = bounds.log()
         self._start = start.log(outputs)
-        self._gradient_tolerance, self._evaluations_max = gradient_tolerance, evaluations_max
+        self._search = (bounds.log(), GRADIENT_TOLERANCE, evaluations_max)
         self._inputs = np.zeros((outputs * capacity, dimension))
         self._targets = np.zeros(outputs * capacity)
-        self._known = np.zeros(outputs * capacity)
         self._offsets = np.zeros(outputs + 1, dtype=np.int64)
+        # No part of the noise is known, so it is zero for every target.
+        self._columns = (self._inputs, self._targets, np.zeros(outputs * capacity), self._offsets)
         self._first_points = np.empty((1, outputs, 3))
         self._theta = self._start.copy()
         self._outcomes = np.zeros((outputs, 3))
@@ -111,21 +108,9 @@ class OnlineFit:
             self._targets[rows] = y[:, output]
             self._offsets[output + 1] = rows.stop
         self._first_points[0] = self._theta
-        self._core.fit_range(
-            self._inputs,
-            self._targets,
-            self._known,
-            self._offsets,
-            0,
-            self._outputs,
-            self._first_points,
-            self._bounds,
-            self._gradient_tolerance,
-            self._evaluations_max,
-            self._theta,
-            self._outcomes,
-            self._counts,
-        )
+        found = (self._theta, self._outcomes, self._counts)
+        starts = self._first_points
+        self._core.fit_range(*self._columns, 0, self._outputs, starts, *self._search, *found)
 
     def predict(self, x_query: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the posterior mean and variance of the outputs, without noise.
@@ -150,16 +135,8 @@ class OnlineFit:
             raise ValueError("x_query must be finite")
         shape = (self._outputs, len(x_query))
         mean, variance = np.empty(shape), np.empty(shape)
+        queries = np.require(x_query.T, np.float64, ["C", "W"])
         self._core.posterior_range(
-            self._inputs,
-            self._targets,
-            self._known,
-            self._offsets,
-            0,
-            self._outputs,
-            self._theta,
-            np.require(x_query.T, np.float64, ["C", "W"]),
-            mean,
-            variance,
+            *self._columns, 0, self._outputs, self._theta, queries, mean, variance
         )
         return mean.T, variance.T

@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from nufleet.shared.arrays import FloatArray
 
+GRADIENT_TOLERANCE = 1e-7
+"""Projected gradient, in log hyperparameters, at which a search has converged."""
+
 
 @dataclass(frozen=True, init=False, eq=False)
 class Hyperparameters:
@@ -152,6 +155,11 @@ class Batch:
 
     def __len__(self) -> int:
         return len(self.offsets) - 1
+
+    @property
+    def columns(self) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]:
+        """All four arrays, in the order in which the compiled core takes them."""
+        return self.inputs, self.targets, self.known_noise_variance, self.offsets
 
     @classmethod
     def ragged(

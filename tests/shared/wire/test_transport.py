@@ -19,7 +19,6 @@ from polling import PATIENCE_S, wait_until
 from nufleet.shared.errors import (
     EndpointInUseError,
     InvalidInputError,
-    NoReplyError,
     NoRouterError,
     NufleetError,
     TransportError,
