@@ -12,7 +12,7 @@ import re
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -189,9 +189,9 @@ class Session:
                 _log.exception("a query on %s could not be answered", query.key_expr)
                 query.drop()  # type: ignore[no-untyped-call]
 
-        return self._declared(
-            key_expr, lambda: Declaration(self._session.declare_queryable(key_expr, on_query))
-        )
+        with _declaring(key_expr):
+            declared = self._session.declare_queryable(key_expr, on_query)
+        return self._kept(Declaration(declared))
 
     def ask_all(self, key: str, payload: bytes, *, timeout_s: float) -> list[bytes]:
         """Return the replies of all who serve a key; the list may be empty.
@@ -232,35 +232,27 @@ class Session:
 
     def state_publisher(self, key: str) -> Publisher:
         """Declare a publisher of a state, whose last value late subscribers receive too."""
-
-        def declare() -> Publisher:
-            return Publisher(
-                declare_advanced_publisher(
-                    self._session,
-                    key,
-                    cache=CacheConfig(max_samples=1),
-                    publisher_detection=True,
-                    congestion_control=zenoh.CongestionControl.DROP,
-                    priority=zenoh.Priority.INTERACTIVE_HIGH,
-                )
+        with _declaring(key):
+            declared = declare_advanced_publisher(
+                self._session,
+                key,
+                cache=CacheConfig(max_samples=1),
+                publisher_detection=True,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.INTERACTIVE_HIGH,
             )
-
-        return self._declared(key, declare)
+        return self._kept(Publisher(declared))
 
     def telemetry_publisher(self, key: str) -> Publisher:
         """Declare a publisher of measurements, some of which may be lost under load."""
-
-        def declare() -> Publisher:
-            return Publisher(
-                self._session.declare_publisher(
-                    key,
-                    congestion_control=zenoh.CongestionControl.DROP,
-                    priority=zenoh.Priority.DATA_LOW,
-                    express=False,
-                )
+        with _declaring(key):
+            declared = self._session.declare_publisher(
+                key,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.DATA_LOW,
+                express=False,
             )
-
-        return self._declared(key, declare)
+        return self._kept(Publisher(declared))
 
     def subscribe_state(self, key_expr: str, handler: OnSample) -> Declaration:
         """Receive states, beginning with the last one of each publisher.
@@ -270,19 +262,13 @@ class Session:
             handler: Function called with each state, in a thread of Zenoh. States above
                 `MAX_STATE_BYTES` arrive as an empty payload, see `subscribe`.
         """
-
-        def declare() -> Declaration:
-            history = HistoryConfig(detect_late_publishers=True, max_samples=1)
-            return Declaration(
-                declare_advanced_subscriber(
-                    self._session,
-                    key_expr,
-                    _on_sample(handler, MAX_STATE_BYTES),
-                    history=history,
-                )
+        on_sample = _on_sample(handler, MAX_STATE_BYTES)
+        history = HistoryConfig(detect_late_publishers=True, max_samples=1)
+        with _declaring(key_expr):
+            declared = declare_advanced_subscriber(
+                self._session, key_expr, on_sample, history=history
             )
-
-        return self._declared(key_expr, declare)
+        return self._kept(Declaration(declared))
 
     def subscribe(self, key_expr: str, handler: OnSample, *, max_bytes: int) -> Declaration:
         """Receive all puts on a key expression from now on.
@@ -294,15 +280,15 @@ class Session:
                 empty payload, which is not a valid message but shows that there was a put.
         """
         on_sample = _on_sample(handler, max_bytes)
-        return self._declared(
-            key_expr, lambda: Declaration(self._session.declare_subscriber(key_expr, on_sample))
-        )
+        with _declaring(key_expr):
+            declared = self._session.declare_subscriber(key_expr, on_sample)
+        return self._kept(Declaration(declared))
 
     def declare_alive(self, key: str) -> Declaration:
         """Declare a liveliness token, alive until it is withdrawn or the process ends."""
-        return self._declared(
-            key, lambda: Declaration(self._session.liveliness().declare_token(key))
-        )
+        with _declaring(key):
+            declared = self._session.liveliness().declare_token(key)
+        return self._kept(Declaration(declared))
 
     def alive(self, key_expr: str, *, timeout_s: float) -> list[str]:
         """Return the keys of the tokens that are alive now, sorted.
@@ -338,11 +324,11 @@ class Session:
         def on_sample(sample: zenoh.Sample) -> None:
             presence.watched(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
-        def declare() -> Declaration:
-            liveliness = self._session.liveliness()
-            return Declaration(liveliness.declare_subscriber(key_expr, on_sample, history=True))
-
-        declaration = self._declared(key_expr, declare)
+        with _declaring(key_expr):
+            declared = self._session.liveliness().declare_subscriber(
+                key_expr, on_sample, history=True
+            )
+        declaration = self._kept(Declaration(declared))
         presence.settle(timeout_s=PRESENCE_SETTLED_S)
         return declaration
 
@@ -359,9 +345,7 @@ class Session:
                     return list(json.loads(reply.ok.payload.to_string())["locators"])
         raise TransportError("the router does not report the endpoints on which it listens")
 
-    def _declared(self, key_expr: str, declare: Callable[[], D]) -> D:
-        with _transport_errors(f"declaring {key_expr}"):
-            declaration = declare()
+    def _kept(self, declaration: D) -> D:
         self._declarations.append(declaration)
         return declaration
 
@@ -509,6 +493,10 @@ def _transport_errors(doing: str) -> Iterator[None]:
         yield
     except zenoh.ZError as error:
         raise TransportError(f"{doing}: {_cause(error)}") from error
+
+
+def _declaring(key_expr: str) -> AbstractContextManager[None]:
+    return _transport_errors(f"declaring {key_expr}")
 
 
 def _cause(error: zenoh.ZError) -> str:
