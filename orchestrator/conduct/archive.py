@@ -71,7 +71,7 @@ class Archive:
         record = StudyRecord(study_id, self.fleet, algorithm, plan, seed, recipe.parameters())
         self.repository.robots.describe(
             *(
-                RobotRecord(self.fleet, robot, description.spec, description.boot_id)
+                RobotRecord.of(self.fleet, description)
                 for robot, description in descriptions.items()
                 if robot not in absent
             )

@@ -63,9 +63,7 @@ class ExperienceLibrary:
         store = self._store
         if store is None:
             return lambda trained: None
-        store.describe(
-            *(RobotRecord(self._name, one.robot, one.spec, one.boot_id) for one in robots)
-        )
+        store.describe(*(RobotRecord.of(self._name, one) for one in robots))
 
         def keep(trained: Trained) -> None:
             store.add_experience(ExperienceRecord(self._name, run, trained.payload))

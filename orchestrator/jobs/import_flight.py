@@ -120,21 +120,21 @@ def import_log(
     aligned = align(
         reference, output, robot.spec.sample_time_s, begin_s=command.begin_s, end_s=end_s
     )
-    flown = response_of_log(reference, output, aligned, robot.spec, axis)
+    found = response_of_log(reference, output, aligned, robot.spec)
     measured_at = _measured_at(aligned.began_s, log)
     record = flight_record(
-        flown,
-        robot.spec,
-        fleet=fleet,
-        robot=robot.robot,
+        found,
+        fleet,
+        robot,
+        axis,
         origin=Origin.LOG,
         came_from=log.name,
         measured_at=measured_at,
     )
-    quality = flown.record.response.quality
+    quality = found.response.quality
     if record is None or record.flown is None:
         raise LogError(f"{log}: nothing is claimed of {robot.robot}, axis {axis}: {quality}")
-    repository.robots.describe(RobotRecord(fleet, robot.robot, robot.spec, robot.boot_id))
+    repository.robots.describe(RobotRecord.of(fleet, robot))
     new = repository.flights.add(record)
     return ImportResult(
         fleet=fleet,

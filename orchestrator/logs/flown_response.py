@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,27 +25,16 @@ BAND_SHARE = 1 / 8
 estimate is compared with."""
 
 
-@dataclass(frozen=True)
-class FlownResponse:
-    """A response that a flight gave, on one axis."""
-
-    axis: str
-    """Name of the axis."""
-    record: RecordResponse
-    """The response, its band and its verdict."""
-
-
 def response_of_log(
-    reference: Signal, output: Signal, aligned: Aligned, spec: RobotSpec, axis: str
-) -> FlownResponse:
-    """Estimate the response from a log.
+    reference: Signal, output: Signal, aligned: Aligned, spec: RobotSpec
+) -> RecordResponse:
+    """Estimate the response of one axis from a log.
 
     Args:
         reference: Positions that the robot was sent, as logged.
         output: Positions that were measured, as logged.
         aligned: Both at the robot's sample times.
         spec: Spec of the robot.
-        axis: Name of the axis.
 
     Returns:
         The response; its verdict also names what the samples show of the sensor and the clocks.
@@ -80,10 +69,10 @@ def response_of_log(
                     f"{1e3 * timing.jitter_s:.2g} ms",
                 )
             )
-    return FlownResponse(axis, _with_findings(record, faults, warnings))
+    return _with_findings(record, faults, warnings)
 
 
-def responses_of_flight(flight: PathFlight, spec: RobotSpec) -> tuple[FlownResponse, ...]:
+def responses_of_flight(flight: PathFlight, spec: RobotSpec) -> dict[str, RecordResponse]:
     """Estimate the responses that a flight along a path gave, on every axis that it moved.
 
     Args:
@@ -91,9 +80,9 @@ def responses_of_flight(flight: PathFlight, spec: RobotSpec) -> tuple[FlownRespo
         spec: Spec of the robot that flew.
 
     Returns:
-        One response for each axis whose reference moved; unusable ones say why.
+        One response for each axis whose reference moved, by axis; unusable ones say why.
     """
-    found = []
+    found = {}
     for n, axis in enumerate(spec.axes):
         reference, output = flight.reference[:, n], flight.actual[:, n]
         if len(reference) < 4 or np.ptp(reference) == 0:
@@ -102,8 +91,8 @@ def responses_of_flight(flight: PathFlight, spec: RobotSpec) -> tuple[FlownRespo
             [Stretch(reference, output)], spec.sample_time_s, _band(spec), spec.settling_time_s
         )
         faults = list(sensor_faults(output, reference, 1.0))
-        found.append(FlownResponse(axis.name, _with_findings(record, faults, [])))
-    return tuple(found)
+        found[axis.name] = _with_findings(record, faults, [])
+    return found
 
 
 def _band(spec: RobotSpec) -> tuple[float, float]:

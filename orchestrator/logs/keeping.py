@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 from nufleet.orchestrator.flights.pilot import PathFlight
-from nufleet.orchestrator.logs.flown_response import FlownResponse, responses_of_flight
+from nufleet.orchestrator.logs.flown_response import responses_of_flight
 from nufleet.orchestrator.repository.records import (
     FlightCircumstances,
     Origin,
@@ -16,7 +15,7 @@ from nufleet.orchestrator.repository.records import (
     RobotRecord,
 )
 from nufleet.shared.arrays import ComplexArray, FloatArray
-from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.frequency_test.record_response import RecordResponse
 from nufleet.shared.wire.messages import Description
 
 if TYPE_CHECKING:
@@ -24,11 +23,11 @@ if TYPE_CHECKING:
 
 
 def flight_record(
-    flown: FlownResponse,
-    spec: RobotSpec,
-    *,
+    found: RecordResponse,
     fleet: str,
-    robot: str,
+    robot: Description,
+    axis: str,
+    *,
     origin: Origin,
     came_from: str,
     measured_at: datetime,
@@ -38,36 +37,30 @@ def flight_record(
     Its id depends on the robot and on the estimates alone, so that the same flight is stored once.
 
     Args:
-        flown: The response.
-        spec: Spec of the robot at the time.
+        found: The response.
         fleet: Name of the fleet.
-        robot: Name of the robot.
+        robot: Description of the robot at the time.
+        axis: Name of the axis.
         origin: Whether nufleet flew it.
         came_from: Name of the run or the log.
         measured_at: Time of the flight, in UTC.
     """
-    record = flown.record
-    response = record.response
-    if record.band_rad_s is None or response.flight is None or not response.quality.usable:
+    response, band_rad_s = found.response, found.band_rad_s
+    if band_rad_s is None or response.flight is None or not response.quality.usable:
         return None
     arrays: tuple[FloatArray | ComplexArray, ...] = (response.omega_rad_s, response.z)
-    content = [f"{fleet}/{robot}/{flown.axis}".encode(), *(part.tobytes() for part in arrays)]
+    content = [f"{fleet}/{robot.robot}/{axis}".encode(), *(part.tobytes() for part in arrays)]
     return ResponseRecord(
         fleet=fleet,
-        robot=robot,
-        axis=flown.axis,
+        robot=robot.robot,
+        axis=axis,
         goal_id=f"{origin}.{hashlib.sha256(b'/'.join(content)).hexdigest()[:24]}",
         study_id=came_from,
-        kind=spec.kind,
+        kind=robot.spec.kind,
         measured_at=measured_at,
         response=response,
         origin=origin,
-        flown=FlightCircumstances(
-            spec=spec,
-            band_rad_s=record.band_rad_s,
-            flight=response.flight,
-            duration_s=record.duration_s,
-        ),
+        flown=FlightCircumstances(robot.spec, band_rad_s, response.flight, found.duration_s),
     )
 
 
@@ -93,28 +86,16 @@ def keep_flight_responses(
     """
     if flight.failure is not None:
         return ()
-    now = datetime.now(UTC)
-    found = [
+    came_from, now = f"{run}: {flight.label}", datetime.now(UTC)
+    records = [
         flight_record(
-            flown,
-            robot.spec,
-            fleet=fleet,
-            robot=robot.robot,
-            origin=Origin.FLIGHT,
-            came_from=f"{run}: {flight.label}",
-            measured_at=now,
+            found, fleet, robot, axis, origin=Origin.FLIGHT, came_from=came_from, measured_at=now
         )
-        for flown in responses_of_flight(flight, robot.spec)
+        for axis, found in responses_of_flight(flight, robot.spec).items()
     ]
-    return _stored(repository, RobotRecord(fleet, robot.robot, robot.spec, robot.boot_id), found)
-
-
-def _stored(
-    repository: Repository, robot: RobotRecord, records: Iterable[ResponseRecord | None]
-) -> tuple[ResponseRecord, ...]:
     kept = tuple(record for record in records if record is not None)
     if kept:
-        repository.robots.describe(robot)
+        repository.robots.describe(RobotRecord.of(fleet, robot))
     for record in kept:
         repository.flights.add(record)
     return kept

@@ -15,7 +15,7 @@ from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
 from nufleet.shared.frequency_test.frequency_response import Flight, FrequencyResponse
 from nufleet.shared.robots.spec import RobotSpec
-from nufleet.shared.wire.messages import GoalResult, Outcome
+from nufleet.shared.wire.messages import Description, GoalResult, Outcome
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,11 @@ class RobotRecord:
     """Spec that the robot reported."""
     boot_id: str
     """Boot id of the agent process that reported it."""
+
+    @staticmethod
+    def of(fleet: str, robot: Description) -> RobotRecord:
+        """Return the record of a robot of a fleet that has described itself."""
+        return RobotRecord(fleet, robot.robot, robot.spec, robot.boot_id)
 
 
 class StudyStatus(StrEnum):
