@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
 import numpy as np
 
+from nufleet.shared.strict import Strict
 from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 
-@dataclass(frozen=True)
 class DoubleIntegratorDriver:
     """Builds the robots of the paper's Section V; each can run in a process of its own."""
 
-    settings: type[DoubleIntegratorSettings] = DoubleIntegratorSettings
+    settings: type[Strict] = DoubleIntegratorSettings
     """Settings of one robot in a fleet file."""
-    shares_process: bool = False
+    shares_process = False
     """Whether the robots of a fleet have to run in one process."""
-    environment: Mapping[str, str] = field(default_factory=dict)
+    environment: Mapping[str, str] = {}
     """Environment variables that the process of a robot needs."""
 
     def build(

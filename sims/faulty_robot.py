@@ -6,7 +6,6 @@ import json
 import os
 import threading
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
@@ -172,15 +171,14 @@ def _fail(fault: DriverFault, sample: int) -> None:
             threading.Event().wait(hang_s)
 
 
-@dataclass(frozen=True)
 class FaultyRobotDriver:
     """Builds robots of other drivers with faults; each can run in a process of its own."""
 
-    settings: type[FaultyRobotSettings] = FaultyRobotSettings
+    settings: type[Strict] = FaultyRobotSettings
     """Settings of one robot in a fleet file."""
-    shares_process: bool = False
+    shares_process = False
     """Whether the robots of a fleet have to run in one process."""
-    environment: Mapping[str, str] = field(default_factory=dict)
+    environment: Mapping[str, str] = {}
     """Environment variables that the process of a robot needs."""
 
     def build(

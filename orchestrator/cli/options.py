@@ -18,22 +18,25 @@ from nufleet.orchestrator.jobs.environment import (
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+_connect_option = click.option(
+    "--connect",
+    default="tcp/127.0.0.1:7447",
+    show_default=True,
+    envvar=ROUTER_VARIABLE,
+    metavar="ENDPOINT",
+    help="Router of a running fleet.  [env: NUFLEET_ROUTER]",
+)
+
+_fleet_name_option = click.option(
+    "--fleet-name",
+    metavar="NAME",
+    help="Name of the fleet at that router.  [default: the only one there]",
+)
+
+
 def connect_options(command: F) -> F:
     """Add --connect and --fleet-name."""
-    name = click.option(
-        "--fleet-name",
-        metavar="NAME",
-        help="Name of the fleet at that router.  [default: the only one there]",
-    )
-    connect = click.option(
-        "--connect",
-        default="tcp/127.0.0.1:7447",
-        show_default=True,
-        envvar=ROUTER_VARIABLE,
-        metavar="ENDPOINT",
-        help="Router of a running fleet.  [env: NUFLEET_ROUTER]",
-    )
-    return connect(name(command))
+    return _connect_option(_fleet_name_option(command))
 
 
 def wait_option(help_text: str) -> Callable[[F], F]:
@@ -48,39 +51,31 @@ def wait_option(help_text: str) -> Callable[[F], F]:
     )
 
 
-def runs_option(command: F) -> F:
-    """Add --runs."""
-    return click.option(
-        "--runs",
-        "runs_root",
-        type=click.Path(file_okay=False, path_type=Path),
-        default=Path("runs"),
-        show_default=True,
-        envvar=RUNS_VARIABLE,
-        help="Folder that holds the folders of all runs.  [env: NUFLEET_RUNS]",
-    )(command)
+runs_option = click.option(
+    "--runs",
+    "runs_root",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("runs"),
+    show_default=True,
+    envvar=RUNS_VARIABLE,
+    help="Folder that holds the folders of all runs.  [env: NUFLEET_RUNS]",
+)
 
+repository_option = click.option(
+    "--repository",
+    metavar="URL",
+    envvar=REPOSITORY_VARIABLE,
+    help=(
+        "Database that stores robots, studies and responses: a file, or "
+        "postgresql://USER@HOST/DATABASE. Put the password into the file that PGPASSFILE "
+        "names, where no other user can see it.  [default: nufleet.sqlite in the folder of "
+        "--runs; env: NUFLEET_REPOSITORY]"
+    ),
+)
 
-def repository_option(command: F) -> F:
-    """Add --repository."""
-    return click.option(
-        "--repository",
-        metavar="URL",
-        envvar=REPOSITORY_VARIABLE,
-        help=(
-            "Database that stores robots, studies and responses: a file, or "
-            "postgresql://USER@HOST/DATABASE. Put the password into the file that PGPASSFILE "
-            "names, where no other user can see it.  [default: nufleet.sqlite in the folder of "
-            "--runs; env: NUFLEET_REPOSITORY]"
-        ),
-    )(command)
-
-
-def json_option(command: F) -> F:
-    """Add --json."""
-    return click.option(
-        "--json", "as_json", is_flag=True, help="Print one JSON document on stdout, nothing else."
-    )(command)
+json_option = click.option(
+    "--json", "as_json", is_flag=True, help="Print one JSON document on stdout, nothing else."
+)
 
 
 def storage_options(command: F) -> F:
@@ -88,35 +83,27 @@ def storage_options(command: F) -> F:
     return runs_option(repository_option(json_option(command)))
 
 
-def live_option(command: F) -> F:
-    """Add --live."""
-    return click.option(
-        "--live",
-        is_flag=True,
-        help="Serve the recording during the run; `nufleet view --live` shows it.",
-    )(command)
+live_option = click.option(
+    "--live",
+    is_flag=True,
+    help="Serve the recording during the run; `nufleet view --live` shows it.",
+)
 
+unguarded_option = click.option(
+    "--no-guard",
+    "guarded",
+    flag_value=False,
+    default=True,
+    help="Never fall back to the baseline; the robot's fleet file must allow this.",
+)
 
-def unguarded_option(command: F) -> F:
-    """Add --no-guard."""
-    return click.option(
-        "--no-guard",
-        "guarded",
-        flag_value=False,
-        default=True,
-        help="Never fall back to the baseline; the robot's fleet file must allow this.",
-    )(command)
-
-
-def fleet_option(command: F) -> F:
-    """Add --fleet."""
-    return click.option(
-        "--fleet",
-        "fleet_file",
-        type=FleetFileOption(),
-        metavar="FILE",
-        help="Start the simulated fleet of this file (or installed name) for this command only.",
-    )(command)
+fleet_option = click.option(
+    "--fleet",
+    "fleet_file",
+    type=FleetFileOption(),
+    metavar="FILE",
+    help="Start the simulated fleet of this file (or installed name) for this command only.",
+)
 
 
 def seed_option(help_text: str | None = None) -> Callable[[F], F]:
@@ -141,6 +128,4 @@ def drawing_robots_options(command: F) -> F:
     return fleet_option(connect_options(robots(command)))
 
 
-def overwriting_option(command: F) -> F:
-    """Add --force."""
-    return click.option("--force", is_flag=True, help="Replace an existing file.")(command)
+overwriting_option = click.option("--force", is_flag=True, help="Replace an existing file.")
