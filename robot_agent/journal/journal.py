@@ -112,7 +112,7 @@ class Journal:
                     make_private_folder(made)
                 self._take_lock(opened)
                 self._log_file, damage = self._read()
-                opened.callback(lambda: self._log_file.close())
+                opened.callback(self._close_log)
                 lost = self._end_what_ran()
                 self._sweep()
             except OSError as error:
@@ -287,6 +287,9 @@ class Journal:
                 path.unlink()
 
     # Writing.
+
+    def _close_log(self) -> None:
+        self._log_file.close()
 
     def _append(self, record: Record) -> None:
         with self._mutex:
