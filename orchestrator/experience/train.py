@@ -85,15 +85,8 @@ def train_robots(
     folder.mkdir(parents=True, exist_ok=True)
 
     def lessons_of(description: Description) -> tuple[Lesson, ...]:
-        return fly_lessons(
-            pilot,
-            fleet,
-            description,
-            architectures,
-            seed=seed,
-            duration_s=duration_s,
-            say=say,
-        )
+        every = (pilot, fleet, description, architectures)
+        return fly_lessons(*every, seed=seed, duration_s=duration_s, say=say)
 
     def trained(lesson: Lesson) -> Trained:
         began_s = time.monotonic()

@@ -35,19 +35,17 @@ def read(path: Path, names: Sequence[str]) -> dict[str, Signal]:
     """
     wanted = {name: name.partition(".") for name in names}
     samples = {name: Samples(path, name) for name in names}
-    stamped: dict[str, bool] = {}
     for message in _messages(path, sorted({kind for kind, _, _ in wanted.values()})):
         there = message.to_dict()
         stamp = next((field for field in _STAMPS if field in there), None)
         for name, (kind, _, field) in wanted.items():
             if message.get_type() == kind and field in there:
-                stamped[name] = stamp is not None
                 at_s = message._timestamp if stamp is None else there[stamp] * _STAMPS[stamp]  # noqa: SLF001 - pymavlink has no other name for it
-                samples[name].add(at_s, float(there[field]))
+                samples[name].add(at_s, float(there[field]), stamped=stamp is not None)
     for name in names:
-        if name not in stamped:
+        if not samples[name]:
             raise unknown_signal(path, name, [channel.name for channel in channels(path)])
-    return {name: samples[name].signal("device" if stamped[name] else "receipt") for name in names}
+    return {name: samples[name].signal() for name in names}
 
 
 def _messages(path: Path, kinds: list[str] | None) -> Iterator[Any]:

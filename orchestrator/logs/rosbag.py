@@ -41,7 +41,6 @@ def read(path: Path, names: Sequence[str]) -> dict[str, Signal]:
 
     wanted = {name: name.partition(".") for name in names}
     samples = {name: Samples(path, name) for name in names}
-    stamped = dict.fromkeys(names, True)
     topics = {topic for topic, _, _ in wanted.values()}
     with AnyReader([path]) as bag:
         chosen = [one for one in bag.connections if one.topic in topics]
@@ -57,9 +56,9 @@ def read(path: Path, names: Sequence[str]) -> dict[str, Signal]:
                     if value is None:
                         offered = [channel.name for channel in channels(path)]
                         raise unknown_signal(path, name, offered)
-                    stamped[name] &= stamp_s is not None
-                    samples[name].add(received_ns * 1e-9 if stamp_s is None else stamp_s, value)
-    return {name: samples[name].signal("device" if stamped[name] else "receipt") for name in names}
+                    at_s = received_ns * 1e-9 if stamp_s is None else stamp_s
+                    samples[name].add(at_s, value, stamped=stamp_s is not None)
+    return {name: samples[name].signal() for name in names}
 
 
 def _stamp_s(message: Any) -> float | None:

@@ -27,6 +27,10 @@ SignalName = Annotated[str, StringConstraints(min_length=1, max_length=400)]
 """Name of a signal, `TOPIC.FIELD`, or the name of a column."""
 
 
+Clock = Literal["device", "receipt"]
+"""Whether a sample was stamped where it was measured, or where it was received and logged."""
+
+
 class LogError(InvalidInputError):
     """A log that cannot be read, or does not hold what is asked of it."""
 
@@ -59,7 +63,7 @@ class Signal(Strict):
     """Time stamp of each sample in s, shape (samples,), in the order of the log."""
     value: Float64Array
     """Samples in the signal's own unit, shape (samples,)."""
-    clock: Literal["device", "receipt"]
+    clock: Clock
     """Whether a sample was stamped where it was measured, or where it was received and logged."""
 
     @model_validator(mode="after")
@@ -76,7 +80,7 @@ def signal(
     name: str,
     time_s: FloatArray,
     value: FloatArray,
-    clock: Literal["device", "receipt"],
+    clock: Clock,
 ) -> Signal:
     """Return a signal, checked; samples that are not finite are left out.
 
@@ -107,20 +111,32 @@ class Samples:
         self._value: list[FloatArray] = []
         self._block = np.empty((2, 4096))
         self._used = self._full = 0
+        self._stamped = True
 
-    def add(self, time_s: float, value: float) -> None:
-        """Append one sample; raises LogError when there are too many."""
+    def add(self, time_s: float, value: float, *, stamped: bool = True) -> None:
+        """Append one sample; raises LogError when there are too many.
+
+        Args:
+            time_s: Time of the sample in s.
+            value: The sample.
+            stamped: Whether the device stamped it where it was measured.
+        """
+        self._stamped &= stamped
         if self._used == self._block.shape[1]:
             self._flush()
         self._block[:, self._used] = time_s, value
         self._used += 1
 
-    def signal(self, clock: Literal["device", "receipt"]) -> Signal:
+    def __len__(self) -> int:
+        return self._full + self._used
+
+    def signal(self) -> Signal:
         """Return all of them as a signal; raises LogError when there are too few."""
         self._flush()
         times, values = (
             np.concatenate([np.empty(0), *part]) for part in (self._time_s, self._value)
         )
+        clock: Clock = "device" if self._stamped else "receipt"
         return signal(self._path, self._name, times, values, clock)
 
     def _flush(self) -> None:

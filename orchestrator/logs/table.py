@@ -66,7 +66,7 @@ def read(path: Path, names: Sequence[str], time: str | None) -> dict[str, Signal
             for name, place in places.items():
                 if row[place].strip():
                     found[name].add(at_s, _number(path, number, row[place], separator))
-    return {name: samples.signal("device") for name, samples in found.items()}
+    return {name: samples.signal() for name, samples in found.items()}
 
 
 @contextmanager

@@ -38,15 +38,28 @@ def read_drawing(path: Path) -> FloatArray:
     reader = readers.get(path.suffix.lower())
     if reader is None:
         raise InvalidInputError(f"{path}: a drawing must be a .csv or .svg file")
-    try:
-        if path.stat().st_size > FILE_BYTES_MAX:
-            raise InvalidInputError(f"{path}: larger than {FILE_BYTES_MAX} bytes")
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInputError(f"{path}: cannot be read: {error}") from error
+    text = text_of(path)
     points = reader(text, str(path))
     check_path(points, str(path))
     return points
+
+
+def text_of(path: Path, hint: str = "") -> str:
+    """Return the text of a file that holds a drawing.
+
+    Args:
+        path: The file.
+        hint: Continuation of the message of an error, such as what was expected.
+
+    Raises:
+        InvalidInputError: the file cannot be read, is no text, or is too large.
+    """
+    try:
+        if path.stat().st_size > FILE_BYTES_MAX:
+            raise InvalidInputError(f"{path}: larger than {FILE_BYTES_MAX} bytes")
+        return path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInputError(f"{path}: cannot be read: {error}{hint}") from error
 
 
 def write_drawing(path: Path, points: FloatArray) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.paths.files import FILE_BYTES_MAX, read_drawing
+from nufleet.shared.paths.files import read_drawing, text_of
 from nufleet.shared.paths.trajectories import POINTS_MAX, check_path
 
 _BETWEEN = re.compile(r"[,;\s]+")
@@ -32,14 +32,7 @@ def import_points(path: Path) -> FloatArray:
     """
     if path.suffix.lower() == ".svg":
         return read_drawing(path)
-    try:
-        if path.stat().st_size > FILE_BYTES_MAX:
-            raise InvalidInputError(f"{path}: larger than {FILE_BYTES_MAX} bytes")
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInputError(
-            f"{path}: cannot be read: {error}; expected a table of x and y, or an SVG file"
-        ) from error
+    text = text_of(path, "; expected a table of x and y, or an SVG file")
     points = np.array(_rows(text, str(path)), dtype=np.float64).reshape(-1, 2)
     check_path(points, str(path))
     return points

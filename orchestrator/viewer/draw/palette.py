@@ -54,10 +54,7 @@ def subdued(colour: Colour, share: float) -> Colour:
 
     Lines in 2D views cannot be translucent.
     """
-    red, green, blue = (
-        round(share * c + (1 - share) * g) for c, g in zip(colour, GROUND, strict=True)
-    )
-    return red, green, blue
+    return _blended(GROUND, colour, share)
 
 
 class Palette:
@@ -70,13 +67,11 @@ class Palette:
     def __init__(self) -> None:
         self._colours: dict[str, Colour] = {}
 
-    def assign(self, target: str, leaders: Iterable[str]) -> bool:
-        """Assign colours to the target and to the leading sources; returns whether any is new."""
-        before = dict(self._colours)
+    def assign(self, target: str, leaders: Iterable[str]) -> None:
+        """Assign colours to the target and to the leading sources."""
         self._colours[target] = TARGET
         for source in leaders:
             self.give(source)
-        return self._colours != before
 
     def give(self, source: str) -> Colour:
         """Return the colour of a source, assigning one if it has none."""
@@ -103,6 +98,9 @@ def _tint(colour: Colour, step: int) -> Colour:
 
     Darker versions would not show on the background.
     """
-    share = 1 - 0.55**step
-    red, green, blue = (round(c + (255 - c) * share) for c in colour)
+    return _blended(colour, (255, 255, 255), 1 - 0.55**step)
+
+
+def _blended(colour: Colour, other: Colour, share: float) -> Colour:
+    red, green, blue = (round(c + (o - c) * share) for c, o in zip(colour, other, strict=True))
     return red, green, blue

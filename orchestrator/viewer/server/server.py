@@ -109,11 +109,6 @@ class ViewerServer:
                 raise EndpointInUseError(f"the viewer cannot listen on {self._bind_ip}: {said}")
             time.sleep(0.01)
 
-    def wait(self) -> None:
-        """Wait until the server ends."""
-        if self._process is not None:
-            self._process.wait()
-
     def close(self, *, timeout_s: float = END_TIMEOUT_S) -> None:
         """Stop serving; calling it again has no effect."""
         if self._process is not None and self._process.stdin is not None:
