@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -53,11 +54,9 @@ import click
 def agent(
     fleet_file: str,
     robots: tuple[str, ...],
-    connect: str,
-    realtime: float | None,
     state_folder: Path | None,
     forget_owner: bool,
-    until_stdin_closes: bool,
+    **options: Any,
 ) -> None:
     """Serve robots of FLEET (a file, or an installed fleet's name) to the fleet.
 
@@ -86,11 +85,4 @@ def agent(
 
     from nufleet.robot_agent.serve import serve
 
-    return serve(
-        path,
-        robots,
-        connect=connect,
-        realtime=realtime,
-        until_stdin_closes=until_stdin_closes,
-        state_folder=state_folder,
-    )
+    return serve(path, robots, state_folder=state_folder, **options)

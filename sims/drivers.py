@@ -6,14 +6,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from nufleet.shared.strict import Strict
 from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 
 class DoubleIntegratorDriver:
     """Builds the robots of the paper's Section V; each can run in a process of its own."""
 
-    settings: type[Strict] = DoubleIntegratorSettings
+    settings: type[DoubleIntegratorSettings] = DoubleIntegratorSettings
     """Settings of one robot in a fleet file."""
     shares_process = False
     """Whether the robots of a fleet have to run in one process."""
