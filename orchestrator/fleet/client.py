@@ -140,7 +140,7 @@ class Fleet:
         observers: list[Callable[[str, R], None]],
         observer: Callable[[str, R], None],
     ) -> None:
-        if not observers:  # nothing is sent to an orchestrator that nobody watches
+        if not observers:  # without an observer, nothing is sent here
             self._session.subscribe(
                 self._keys.every_robot(f"telemetry/{leaf}"),
                 partial(self._on_telemetry, kind, observers),
