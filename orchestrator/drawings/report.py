@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rich.table import Table
+from rich.table import Column, Table
 
 from nufleet.orchestrator.flights.legs import trajectory
 from nufleet.shared.arrays import FloatArray
@@ -107,10 +107,8 @@ def shape_text(shape: DrawingShape) -> str:
 def durations_table(report: DrawingReport) -> Table:
     """Return a table of the time that each robot takes at each speed; "no" where it may not fly."""
     speeds = sorted({duration.speed for duration in report.durations})
-    table = Table(title=f"{report.drawing}: duration", title_justify="left")
-    table.add_column("robot")
-    for speed in speeds:
-        table.add_column(f"{speed:g} m/s", justify="right")
+    numbers = [Column(f"{speed:g} m/s", justify="right") for speed in speeds]
+    table = Table("robot", *numbers, title=f"{report.drawing}: duration", title_justify="left")
     for robot in dict.fromkeys(duration.robot for duration in report.durations):
         of = {d.speed: d for d in report.durations if d.robot == robot}
         table.add_row(

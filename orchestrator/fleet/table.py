@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from rich.table import Table
+from rich.table import Column, Table
 
 from nufleet.orchestrator.fleet.robot_watch import HEARTBEAT_LOST_S, RobotWatch
 
@@ -13,12 +13,10 @@ _COLOURS = {"idle": "green", "running": "cyan", "resting": "blue", "stopped": "r
 
 def fleet_table(fleet: str, watches: Iterable[RobotWatch]) -> Table:
     """Return one row per robot: status, progress of its goal, flown time, and the reason."""
-    table = Table(title=f"fleet {fleet}", title_justify="left")
-    for heading in ("robot", "status", "goal"):
-        table.add_column(heading)
-    for heading in ("progress", "moved, s", "heard, s ago"):
-        table.add_column(heading, justify="right")
-    table.add_column("reason")
+    headings = ("progress", "moved, s", "heard, s ago")
+    numbers = [Column(one, justify="right") for one in headings]
+    table = Table("robot", "status", "goal", *numbers, "reason", title=f"fleet {fleet}")
+    table.title_justify = "left"
     for watch in watches:
         state = watch.state
         if state is None or not watch.alive:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime
 
 from rich.console import RenderableType
-from rich.table import Table
+from rich.table import Column, Table
 
 from nufleet.orchestrator.conduct.reuse import said_of
 from nufleet.orchestrator.evaluation.demonstration import demo_table
@@ -76,11 +76,10 @@ def flights_table(flights: tuple[FlightRecord, ...]) -> Table:
 
 def experiences_table(result: TrainResult) -> Table:
     """Return a table of the experiences that robots offer after a training."""
-    table = Table(title="experiences on offer", title_justify="left")
-    for heading in ("robot", "architecture"):
-        table.add_column(heading)
-    for heading in ("horizon, s", "relative degree", "validation error", "training, s"):
-        table.add_column(heading, justify="right")
+    headings = ("horizon, s", "relative degree", "validation error", "training, s")
+    numbers = [Column(one, justify="right") for one in headings]
+    table = Table("robot", "architecture", *numbers, title="experiences on offer")
+    table.title_justify = "left"
     for one in result.experiences:
         manifest = one.manifest
         table.add_row(

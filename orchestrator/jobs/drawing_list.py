@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import click
-from rich.table import Table
+from rich.table import Column, Table
 
 from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.shared.errors import InvalidInputError
@@ -25,10 +25,8 @@ def list_and_print(folder: Path, *, as_json: bool) -> None:
     found = {name: find_drawing(name) for name in drawing_names()}
     files = sorted(p for p in folder.glob("*") if p.suffix.lower() in {".csv", ".svg"})
     found |= {str(path): path for path in files}
-    table = Table()
-    table.add_column("--trajectory")
-    for heading in ("length, m", "width, m", "height, m", "tightest radius, m"):
-        table.add_column(heading, justify="right")
+    headings = ("length, m", "width, m", "height, m", "tightest radius, m")
+    table = Table("--trajectory", *(Column(one, justify="right") for one in headings))
     documents = []
     for name, path in found.items():
         try:

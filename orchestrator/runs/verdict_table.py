@@ -43,9 +43,7 @@ def verdict_parts(result: RankResult) -> Iterator[RenderableType]:
     rows = list(verdict_rows(result))
     if not rows:
         return
-    table = Table(title=verdict_title(result), title_justify="left")
-    for heading in HEADINGS:
-        table.add_column(heading)
+    table = Table(*HEADINGS, title=verdict_title(result), title_justify="left")
     for found, row in rows:
         table.add_row(*row[:-1], f"[{COLOURS[found.verdict]}]{row[-1]}[/]")
     yield table
