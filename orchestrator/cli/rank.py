@@ -10,11 +10,9 @@ from click.core import ParameterSource
 from nufleet.orchestrator.cli.options import (
     connect_options,
     fleet_option,
-    json_option,
     live_option,
-    repository_option,
-    runs_option,
     seed_option,
+    storage_options,
     wait_option,
 )
 from nufleet.orchestrator.cli.types import Names, PositiveNumber
@@ -96,9 +94,7 @@ from nufleet.orchestrator.cli.types import Names, PositiveNumber
     metavar="RUN",
     help="Resume this interrupted run (or `latest`) with its own target, band and other settings.",
 )
-@runs_option
-@repository_option
-@json_option
+@storage_options
 def rank(resume: str | None, **options: Any) -> None:
     """Rank source robots by their worst-case chordal distance to a target.
 

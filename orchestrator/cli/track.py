@@ -8,10 +8,8 @@ import click
 
 from nufleet.orchestrator.cli.options import (
     connect_options,
-    json_option,
     live_option,
-    repository_option,
-    runs_option,
+    storage_options,
     unguarded_option,
 )
 from nufleet.orchestrator.cli.types import PositiveNumber
@@ -83,9 +81,7 @@ from nufleet.orchestrator.cli.types import PositiveNumber
 )
 @unguarded_option
 @live_option
-@runs_option
-@repository_option
-@json_option
+@storage_options
 def track(**options: Any) -> None:
     """Have a robot track a hand drawing, with or without a transferred prior.
 

@@ -7,12 +7,7 @@ from typing import Any
 
 import click
 
-from nufleet.orchestrator.cli.options import (
-    connect_options,
-    json_option,
-    repository_option,
-    runs_option,
-)
+from nufleet.orchestrator.cli.options import connect_options, storage_options
 
 
 @click.command()
@@ -37,9 +32,7 @@ from nufleet.orchestrator.cli.options import (
     type=click.Choice(["state", "preview"]),
     help="Architecture of the source's experience.  [default: the only one it offers]",
 )
-@runs_option
-@repository_option
-@json_option
+@storage_options
 def transfer(**options: Any) -> None:
     """Give a target the experience of a source, as the prior mean of its online process.
 
