@@ -6,6 +6,8 @@ where there is one.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import ClassVar
 
 
@@ -73,3 +75,18 @@ class RobotOwnedError(NufleetError):
 
 class StudyError(NufleetError):
     """A study that cannot continue, for example because its target is gone."""
+
+
+@contextmanager
+def system_errors_as(kind: type[NufleetError], what: str, advice: str = "") -> Iterator[None]:
+    """Turn an OSError into an error that says what was not possible, why, and what to do.
+
+    Args:
+        kind: Type of the error.
+        what: Sentence without its end that says what was not possible, and with which file.
+        advice: What to do about it, from its semicolon on.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"{what}: {error.strerror}{advice}") from error

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.errors import EndpointInUseError, InvalidInputError
+from nufleet.shared.errors import EndpointInUseError, InvalidInputError, system_errors_as
 from nufleet.shared.paths.shape import resampled, shape_of
 from nufleet.shared.paths.trajectories import POINTS_MAX, smoothed
 from nufleet.shared.strict import Strict, describe_validation
@@ -73,12 +73,9 @@ class DrawingPage:
             def log_message(self, *_: object) -> None:
                 """Log nothing: by default every request is written to stderr."""
 
-        try:
+        what = f"cannot listen on port {port}"
+        with system_errors_as(EndpointInUseError, what, "; choose another --port"):
             self._server = ThreadingHTTPServer(("127.0.0.1", port), Handler)
-        except OSError as error:
-            raise EndpointInUseError(
-                f"cannot listen on port {port}: {error.strerror}; choose another --port"
-            ) from error
         self._thread = threading.Thread(
             target=self._server.serve_forever, args=(0.05,), name="drawing-page"
         )

@@ -10,7 +10,7 @@ from pathlib import Path
 from nufleet.orchestrator.experience.library import ExperienceLibrary, Place
 from nufleet.orchestrator.experience.prior_custody import install
 from nufleet.orchestrator.fleet.client import Fleet
-from nufleet.shared.errors import InvalidInputError, MalformedMessageError
+from nufleet.shared.errors import InvalidInputError, MalformedMessageError, system_errors_as
 from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.experience.file import EXPERIENCE_BYTES_MAX, decode_experience
 from nufleet.shared.experience.layout import Architecture
@@ -119,11 +119,9 @@ def read_experience(path: Path) -> bytes:
     Raises:
         InvalidInputError: The file cannot be read, or is truncated, altered or of another type.
     """
-    try:
-        with path.open("rb") as file:
-            payload = file.read(EXPERIENCE_BYTES_MAX + 1)
-    except OSError as error:
-        raise InvalidInputError(f"{path}: cannot be read: {error.strerror}") from error
+    unread = system_errors_as(InvalidInputError, f"{path}: cannot be read")
+    with unread, path.open("rb") as file:
+        payload = file.read(EXPERIENCE_BYTES_MAX + 1)
     try:
         decode_experience(payload)
     except MalformedMessageError as error:

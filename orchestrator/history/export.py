@@ -11,7 +11,7 @@ from nufleet.orchestrator.gap.measured_response import combined
 from nufleet.orchestrator.gap.model_files import write_response
 from nufleet.orchestrator.repository.records import TrialStatus
 from nufleet.orchestrator.runs.folder import RESULTS, read_record, study_id_of
-from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.errors import InvalidInputError, system_errors_as
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 
 if TYPE_CHECKING:
@@ -67,14 +67,12 @@ def export_responses(responses: Responses, to: Path, suffix: str) -> dict[str, P
         InvalidInputError: The files cannot be written.
     """
     written: dict[str, Path] = {}
-    try:
+    with system_errors_as(InvalidInputError, f"{to} cannot be written"):
         to.mkdir(parents=True, exist_ok=True)
         for robot, tests in responses.items():
             path = to / f"{robot}.{suffix}"
             write_response(path, combined(tests))
             written[robot] = path
-    except OSError as error:
-        raise InvalidInputError(f"{to} cannot be written: {error.strerror}") from error
     return written
 
 

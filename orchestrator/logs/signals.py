@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, StringConstraints, ValidationError, model_validator
 
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.errors import InvalidInputError, system_errors_as
 from nufleet.shared.strict import Strict, describe_validation
 from nufleet.shared.wire.codec import Float64Array
 
@@ -162,12 +162,10 @@ class Channel(Strict):
 
 def check_file(path: Path) -> None:
     """Check that a log is there and not too large; raises LogError."""
-    try:
+    with system_errors_as(LogError, f"{path} cannot be read"):
         size = path.stat().st_size
         if path.is_dir():
             size = sum(part.stat().st_size for part in path.iterdir())
-    except OSError as error:
-        raise LogError(f"{path} cannot be read: {error.strerror}") from error
     if size == 0:
         raise LogError(f"{path} is empty")
     if size > FILE_BYTES_MAX:

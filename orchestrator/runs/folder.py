@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import ValidationError
 
-from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.errors import InvalidInputError, system_errors_as
 from nufleet.shared.private_files import write_privately
 from nufleet.shared.redaction import without_secrets
 from nufleet.shared.strict import Strict, describe_validation
@@ -34,6 +34,7 @@ D = TypeVar("D", bound=Strict)
 RECORDING = "run.rrd"
 RESULTS = "results.json"
 CONFIGURATION = "config.json"
+_ELSEWHERE = "; choose another place with --runs"
 _PACKAGES = ("nufleet", "eclipse-zenoh", "numpy", "scipy", "numba", "pydantic", "rerun-sdk")
 
 
@@ -169,10 +170,10 @@ def read_record(folder: Path) -> RunRecord:
 
 def read_document(path: Path, model: type[D]) -> D:
     """Return the document in a file; raises InvalidInputError when it cannot be read."""
+    with system_errors_as(InvalidInputError, f"{path} cannot be read"):
+        data = path.read_bytes()
     try:
-        return model.model_validate_json(path.read_bytes())
-    except OSError as error:
-        raise InvalidInputError(f"{path} cannot be read: {error.strerror}") from error
+        return model.model_validate_json(data)
     except ValidationError as error:
         raise InvalidInputError(f"{path}: {describe_validation(error)}") from error
 
@@ -180,10 +181,10 @@ def read_document(path: Path, model: type[D]) -> D:
 def read_configuration(folder: Path) -> dict[str, Any]:
     """Return the configuration in a run's folder; raises InvalidInputError when there is none."""
     path = folder / CONFIGURATION
+    with system_errors_as(InvalidInputError, f"{path} cannot be read"):
+        data = path.read_bytes()
     try:
-        document = json.loads(path.read_bytes())
-    except OSError as error:
-        raise InvalidInputError(f"{path} cannot be read: {error.strerror}") from error
+        document = json.loads(data)
     except (ValueError, RecursionError) as error:
         raise InvalidInputError(f"{path}: not JSON: {error}") from error
     if not isinstance(document, dict):
@@ -219,26 +220,21 @@ def make_runs_root(root: Path) -> None:
     Raises:
         InvalidInputError: The folder cannot be created or written.
     """
-    try:
+    with system_errors_as(InvalidInputError, f"runs cannot be stored in {root}", _ELSEWHERE):
         root.mkdir(mode=0o700, parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=root):
             pass
-    except OSError as error:
-        raise InvalidInputError(
-            f"runs cannot be stored in {root}: {error.strerror}; choose another place with --runs"
-        ) from error
 
 
 def _reopened(path: Path) -> Path:
-    try:
+    with system_errors_as(InvalidInputError, f"{path} cannot be written"):
         (path / RECORDING).unlink(missing_ok=True)
-    except OSError as error:
-        raise InvalidInputError(f"{path} cannot be written: {error.strerror}") from error
     return path
 
 
 def _create(root: Path, name: str) -> Path:
-    try:
+    what = f"the run's folder cannot be created in {root}"
+    with system_errors_as(InvalidInputError, what, _ELSEWHERE):
         for attempt in range(1, 1000):
             path = root / (name if attempt == 1 else f"{name}-{attempt}")
             try:
@@ -246,9 +242,4 @@ def _create(root: Path, name: str) -> Path:
             except FileExistsError:
                 continue
             return path
-    except OSError as error:
-        raise InvalidInputError(
-            f"the run's folder cannot be created in {root}: {error.strerror}; "
-            "choose another place with --runs"
-        ) from error
     raise InvalidInputError(f"{root} contains too many runs named {name}")

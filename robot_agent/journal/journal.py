@@ -42,7 +42,7 @@ from nufleet.robot_agent.journal.ledger import (
 from nufleet.robot_agent.journal.log import LogFile, continue_log, read_log, replace_log
 from nufleet.robot_agent.rules.goal_machine import Goal, Goals
 from nufleet.robot_agent.rules.supervisor import StopOrder
-from nufleet.shared.errors import MalformedMessageError
+from nufleet.shared.errors import MalformedMessageError, system_errors_as
 from nufleet.shared.frequency_test.excitation import ExcitationPlan
 from nufleet.shared.private_files import make_private_folder, replace_privately
 from nufleet.shared.wire.codec import decode, encode
@@ -107,7 +107,7 @@ class Journal:
         self._ledger = Ledger()
         self._compact_above_bytes = COMPACT_ABOVE_BYTES
         with contextlib.ExitStack() as opened:
-            try:
+            with system_errors_as(JournalError, str(folder), "; free or repair the disk"):
                 for made in (folder, self._results, self._incoming):
                     make_private_folder(made)
                 self._take_lock(opened)
@@ -115,10 +115,6 @@ class Journal:
                 opened.callback(self._close_log)
                 lost = self._end_what_ran()
                 self._sweep()
-            except OSError as error:
-                raise JournalError(
-                    f"{folder}: {error.strerror}; free or repair the disk"
-                ) from error
             self._closing = opened.pop_all()
         self.remembrance = Remembrance(
             goals=Goals(MappingProxyType({k: g.goal for k, g in self._ledger.goals.items()})),

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.errors import InvalidInputError, system_errors_as
 from nufleet.shared.paths.svg import svg_points
 from nufleet.shared.paths.trajectories import check_path
 
@@ -78,10 +78,8 @@ def write_drawing(path: Path, points: FloatArray) -> None:
     rounded = np.round(points, 4) + 0.0  # no negative zeros
     check_path(rounded, str(path))
     rows = "".join(f"{x:.4f},{y:.4f}\n" for x, y in rounded)
-    try:
+    with system_errors_as(InvalidInputError, f"{path}: cannot be written"):
         path.write_text(f"{','.join(_CSV_COLUMNS)}\n{rows}", encoding="utf-8")
-    except OSError as error:
-        raise InvalidInputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def _csv(text: str, name: str) -> FloatArray:

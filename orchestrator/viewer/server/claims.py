@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 from pathlib import Path
 
-from nufleet.shared.errors import EndpointInUseError, InvalidInputError
+from nufleet.shared.errors import EndpointInUseError, InvalidInputError, system_errors_as
 
 
 def claim_recording(path: Path) -> Path:
@@ -14,17 +14,11 @@ def claim_recording(path: Path) -> Path:
     Raises:
         InvalidInputError: The file exists already, or cannot be written.
     """
-    try:
-        with path.open("xb"):
-            return path
-    except FileExistsError:
-        raise InvalidInputError(
-            f"{path} already exists; name a different file for the recording"
-        ) from None
-    except OSError as error:
-        raise InvalidInputError(
-            f"the recording cannot be written to {path}: {error.strerror}"
-        ) from error
+    if path.exists():
+        raise InvalidInputError(f"{path} already exists; name a different file for the recording")
+    unwritten = system_errors_as(InvalidInputError, f"the recording cannot be written to {path}")
+    with unwritten, path.open("xb"):
+        return path
 
 
 def claim_port(bind_ip: str, port: int) -> int:

@@ -11,7 +11,7 @@ from pathlib import Path
 from nufleet.orchestrator.viewer.server.claims import claim_port
 from nufleet.orchestrator.viewer.server.rerun_program import rerun_environment, rerun_program
 from nufleet.orchestrator.viewer.server.server import ViewerServer
-from nufleet.shared.errors import InvalidInputError, NufleetError
+from nufleet.shared.errors import InvalidInputError, NufleetError, system_errors_as
 
 LOCALHOST = "127.0.0.1"
 
@@ -81,12 +81,10 @@ def checked_source(source: Path | str) -> str:
     if isinstance(source, str) and "://" in source:
         return source
     path = Path(source)
-    try:
-        with path.open("rb") as file:
-            if file.read(4) not in (b"RRF2", b"RRIO"):
-                raise InvalidInputError(f"{path} is not a Rerun recording")
-    except OSError as error:
-        raise InvalidInputError(f"cannot open the recording {path}: {error.strerror}") from error
+    unread = system_errors_as(InvalidInputError, f"cannot open the recording {path}")
+    with unread, path.open("rb") as file:
+        if file.read(4) not in (b"RRF2", b"RRIO"):
+            raise InvalidInputError(f"{path} is not a Rerun recording")
     return str(path.absolute())
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from nufleet.orchestrator.viewer.server.claims import claim_port
 from nufleet.orchestrator.viewer.server.open import LOCALHOST, checked_source
 from nufleet.orchestrator.viewer.server.rerun_program import rerun_environment, rerun_program
-from nufleet.shared.errors import InvalidInputError, NufleetError
+from nufleet.shared.errors import InvalidInputError, NufleetError, system_errors_as
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient, ViewerState
@@ -59,10 +59,8 @@ def screenshot(
             for view in viewer.get_state().views
             for report in view.reports
         )
-    try:
+    with system_errors_as(InvalidInputError, f"cannot write the picture {png}"):
         png.write_bytes(picture)
-    except OSError as error:
-        raise InvalidInputError(f"cannot write the picture {png}: {error.strerror}") from error
     return problems
 
 
