@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Annotated, Literal
 
 from pydantic import (
@@ -60,6 +62,21 @@ Digest = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")]
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
+
+
+@contextmanager
+def validation_errors_as(kind: type[Exception], what: str, advice: str = "") -> Iterator[None]:
+    """Turn pydantic's error into one that names what was validated.
+
+    Args:
+        kind: Type of the error.
+        what: What was validated, the beginning of the message.
+        advice: What to do about it, from its semicolon on.
+    """
+    try:
+        yield
+    except ValidationError as error:
+        raise kind(f"{what}: {describe_validation(error)}{advice}") from error
 
 
 def describe_validation(error: ValidationError) -> str:

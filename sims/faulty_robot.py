@@ -9,13 +9,13 @@ from collections.abc import Mapping
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from nufleet.robot_agent.robot import Robot, RobotAround
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import FleetFileError, RobotError
 from nufleet.shared.robots.drivers import load_driver
-from nufleet.shared.strict import Strict, describe_validation
+from nufleet.shared.strict import Strict, validation_errors_as
 from nufleet.sims.faults import Crash, DriverFault, DropOut, Fault, Hang
 from nufleet.sims.faulty_sensor import FaultySensor
 
@@ -46,10 +46,8 @@ class FaultyRobotSettings(Strict):
                 f"driver {self.driver!r} needs a process of a particular kind; only robots that "
                 "run in any process can be made faulty"
             )
-        try:
+        with validation_errors_as(ValueError, "settings"):
             driver.settings.model_validate_json(json.dumps(self.settings, default=str))
-        except ValidationError as error:
-            raise ValueError(f"settings: {describe_validation(error)}") from error
         return self
 
 

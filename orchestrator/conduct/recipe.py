@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from pydantic import Field, JsonValue, ValidationError
+from pydantic import Field, JsonValue
 
 from nufleet.orchestrator.conduct.replay import ResumeError
 from nufleet.orchestrator.repository.errors import DamagedRecordError
@@ -19,7 +19,7 @@ from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
 from nufleet.orchestrator.study.interface import Study
 from nufleet.orchestrator.study.paper_algorithm import PaperStudy
 from nufleet.shared.robots.spec import RobotSpec
-from nufleet.shared.strict import Identifier, Name, Strict, describe_validation
+from nufleet.shared.strict import Identifier, Name, Strict, validation_errors_as
 
 if TYPE_CHECKING:
     from nufleet.orchestrator.repository.study_store import StudyStore
@@ -53,12 +53,8 @@ def recipe_of(record: StudyRecord) -> Recipe:
     Raises:
         DamagedRecordError: The stored parameters are not valid.
     """
-    try:
+    with validation_errors_as(DamagedRecordError, f"the parameters of study {record.study_id}"):
         return Recipe.model_validate_json(json.dumps(dict(record.parameters)))
-    except ValidationError as error:
-        raise DamagedRecordError(
-            f"the parameters of study {record.study_id}: {describe_validation(error)}"
-        ) from error
 
 
 def make_study(record: StudyRecord, studies: StudyStore) -> Study:

@@ -6,14 +6,12 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from pydantic import ValidationError
-
 from nufleet.orchestrator.history.catalogue import latest_ranking as latest_in_folders
 from nufleet.orchestrator.repository.errors import DamagedRecordError
 from nufleet.orchestrator.repository.records import StudyStatus
 from nufleet.orchestrator.runs.folder import study_id_of
 from nufleet.orchestrator.runs.rank_result import RankResult
-from nufleet.shared.strict import describe_validation
+from nufleet.shared.strict import validation_errors_as
 
 if TYPE_CHECKING:
     from nufleet.orchestrator.repository.study_store import StudyStore
@@ -58,12 +56,9 @@ def _latest_stored(studies: StudyStore, fleet: str, target: str) -> Ranking | No
     for study in reversed(studies.studies(StudyStatus.COMPLETE)):
         # Evaluations repeat a study many times; these have no result of their own.
         if (study.fleet, study.plan.target) == (fleet, target) and study.result is not None:
-            try:
+            what = f"the result of study {study.study_id}"
+            advice = f"; rank again with `nufleet rank --target {target}`"
+            with validation_errors_as(DamagedRecordError, what, advice):
                 result = RankResult.model_validate_json(json.dumps(dict(study.result)))
-            except ValidationError as error:
-                raise DamagedRecordError(
-                    f"the result of study {study.study_id}: {describe_validation(error)}; rank "
-                    f"again with `nufleet rank --target {target}`"
-                ) from error
             return Ranking(study.study_id, result)
     return None

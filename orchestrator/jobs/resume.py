@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import click
-from pydantic import ValidationError
 from rich.console import Console
 
 from nufleet.orchestrator.conduct.rank_run import prepare_again
@@ -34,7 +33,7 @@ from nufleet.orchestrator.runs.folder import (
 )
 from nufleet.orchestrator.runs.rank_result import RunRecord
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.strict import describe_validation
+from nufleet.shared.strict import validation_errors_as
 
 LATEST = "latest"
 
@@ -109,10 +108,8 @@ def reach_of(folder: Path) -> Reach:
         raise InvalidInputError(
             f"{path} does not say how the run reached its fleet; it cannot be resumed"
         )
-    try:
+    with validation_errors_as(InvalidInputError, f"{path}: {REACH}"):
         return Reach.model_validate_json(json.dumps(found))
-    except ValidationError as error:
-        raise InvalidInputError(f"{path}: {REACH}: {describe_validation(error)}") from error
 
 
 def _interrupted_run(command: ResumeCommand, repository: Repository) -> Path:

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, StringConstraints, ValidationError, model_validator
+from pydantic import Field, StringConstraints, model_validator
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError, system_errors_as
-from nufleet.shared.strict import Strict, describe_validation
+from nufleet.shared.strict import Strict, validation_errors_as
 from nufleet.shared.wire.codec import Float64Array
 
 FILE_BYTES_MAX = 8 * 2**30
@@ -96,10 +96,8 @@ def signal(
     """
     times, values = (np.ascontiguousarray(part, dtype=np.float64) for part in (time_s, value))
     known = np.isfinite(times) & np.isfinite(values)
-    try:
+    with validation_errors_as(LogError, f"{path}: signal {name}"):
         return Signal(name=name, time_s=times[known], value=values[known], clock=clock)
-    except ValidationError as error:
-        raise LogError(f"{path}: signal {name}: {describe_validation(error)}") from error
 
 
 class Samples:

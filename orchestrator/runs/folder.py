@@ -16,12 +16,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from pydantic import ValidationError
-
 from nufleet.shared.errors import InvalidInputError, system_errors_as
 from nufleet.shared.private_files import write_privately
 from nufleet.shared.redaction import without_secrets
-from nufleet.shared.strict import Strict, describe_validation
+from nufleet.shared.strict import Strict, validation_errors_as
 
 if TYPE_CHECKING:
     import pyarrow.parquet
@@ -170,12 +168,11 @@ def read_record(folder: Path) -> RunRecord:
 
 def read_document(path: Path, model: type[D]) -> D:
     """Return the document in a file; raises InvalidInputError when it cannot be read."""
-    with system_errors_as(InvalidInputError, f"{path} cannot be read"):
-        data = path.read_bytes()
-    try:
-        return model.model_validate_json(data)
-    except ValidationError as error:
-        raise InvalidInputError(f"{path}: {describe_validation(error)}") from error
+    with (
+        system_errors_as(InvalidInputError, f"{path} cannot be read"),
+        validation_errors_as(InvalidInputError, str(path)),
+    ):
+        return model.model_validate_json(path.read_bytes())
 
 
 def read_configuration(folder: Path) -> dict[str, Any]:

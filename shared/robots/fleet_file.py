@@ -8,10 +8,10 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, model_validator
 
 from nufleet.shared.errors import FleetFileError
-from nufleet.shared.strict import Name, Strict, describe_validation
+from nufleet.shared.strict import Name, Strict, validation_errors_as
 
 ENTRY_POINT_GROUP = "nufleet.fleets"
 
@@ -132,8 +132,6 @@ def validated_settings(model: type[S], path: Path, robot: str, settings: dict[st
 
 
 def _validated(model: type[S], document: dict[str, Any], where: str) -> S:
-    try:
-        # Validated as JSON, because only there do strict models accept a list for a tuple.
+    # Validated as JSON, because only there do strict models accept a list for a tuple.
+    with validation_errors_as(FleetFileError, where):
         return model.model_validate_json(json.dumps(document, default=str))
-    except ValidationError as error:
-        raise FleetFileError(f"{where}: {describe_validation(error)}") from error

@@ -17,13 +17,12 @@ from pydantic import (
     PlainSerializer,
     PlainValidator,
     SerializationInfo,
-    ValidationError,
     ValidationInfo,
 )
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import MalformedMessageError, ProtocolVersionError
-from nufleet.shared.strict import Strict, describe_validation
+from nufleet.shared.strict import Strict, validation_errors_as
 from nufleet.shared.wire.frame import LENGTHS, MAGIC, PREFIX_BYTES, PROTOCOL_VERSION, framed
 
 MAX_MESSAGE_BYTES = 15 * 2**20
@@ -206,10 +205,8 @@ def decode(payload: bytes, *expected: type[M], max_bytes: int = MAX_MESSAGE_BYTE
         wanted = " or ".join(t.__name__ for t in expected)
         raise MalformedMessageError(f"expected {wanted}, got {header.type!r}")
     arrays = _FrameArrays(_take_arrays(payload, arrays_start, header.arrays))
-    try:
+    with validation_errors_as(MalformedMessageError, header.type):
         message = message_type.model_validate_json(payload[body_start:arrays_start], context=arrays)
-    except ValidationError as error:
-        raise MalformedMessageError(f"{header.type}: {describe_validation(error)}") from error
     if arrays.unclaimed:
         raise MalformedMessageError(
             f"{header.type}: the frame holds an array that belongs to no field"
@@ -218,7 +215,7 @@ def decode(payload: bytes, *expected: type[M], max_bytes: int = MAX_MESSAGE_BYTE
 
 
 def _parse_header(raw: bytes) -> _Header:
-    try:
+    with validation_errors_as(MalformedMessageError, "frame header"):
         protocol = _Versioned.model_validate_json(raw).protocol
         if protocol != PROTOCOL_VERSION:
             raise ProtocolVersionError(
@@ -226,8 +223,6 @@ def _parse_header(raw: bytes) -> _Header:
                 f"{PROTOCOL_VERSION}; install the same version of nufleet on both"
             )
         return _Header.model_validate_json(raw)
-    except ValidationError as error:
-        raise MalformedMessageError(f"frame header: {describe_validation(error)}") from error
 
 
 def _take_arrays(payload: bytes, start: int, headers: tuple[_ArrayHeader, ...]) -> list[np.ndarray]:
