@@ -26,33 +26,45 @@ def value_at(p: FloatArray, s: complex) -> complex:
 
 def product_of(p: FloatArray, q: FloatArray) -> FloatArray:
     """Return p · q."""
-    return np.convolve(p, q)
+    product = np.zeros(len(p) + len(q) - 1)
+    for i in range(len(p)):
+        for j in range(len(q)):
+            product[i + j] += p[i] * q[j]
+    return product
 
 
 def sum_of(p: FloatArray, factor: float, q: FloatArray) -> FloatArray:
     """Return p + factor · q, of one length."""
     total = p.copy()
-    total[: len(q)] += factor * q
+    for k in range(len(q)):
+        total[k] += factor * q[k]
     return total
 
 
 def mirror_of(p: FloatArray) -> FloatArray:
     """Return p~(s) = p(−s)."""
     mirrored = p.copy()
-    mirrored[1::2] *= -1.0
+    for k in range(1, len(p), 2):
+        mirrored[k] = -p[k]
     return mirrored
 
 
 def power_on_axis(p: FloatArray) -> FloatArray:
     """Return |p(jω)|² as a polynomial of x = ω², of p's degree."""
-    # p(s) p(−s) has even powers alone, and s² = −x.
-    return mirror_of(product_of(p, mirror_of(p))[::2])
+    degree = len(p) - 1
+    power = np.zeros(degree + 1)
+    for i in range(degree + 1):
+        for j in range(i % 2, degree + 1, 2):
+            sign = 1.0 if ((i - j) // 2) % 2 == 0 else -1.0
+            power[(i + j) // 2] += sign * p[i] * p[j]
+    return power
 
 
 def in_half_plane(p: FloatArray, degree: int, discrete: bool) -> FloatArray:
     """Return p from the constant up and, in discrete time, (1 − s)ᵈ p((1 + s)/(1 − s))."""
     ascending = np.zeros(degree + 1)
-    ascending[: len(p)] = p[::-1]
+    for k in range(len(p)):
+        ascending[k] = p[len(p) - 1 - k]
     if not discrete:
         return ascending
     weights = np.zeros((degree + 1, degree + 1))  # row k: (1 + s)ᵏ (1 − s)ᵈ⁻ᵏ, exact integers

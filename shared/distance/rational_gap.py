@@ -12,6 +12,7 @@ z = (1 + s)/(1 − s). Nothing is divided by d, so poles on the axis need no spe
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Callable
 from types import FunctionType
@@ -181,14 +182,28 @@ def _peak(
 
 def _with_middles(rising: FloatArray) -> FloatArray:
     """Return ascending numbers, the midpoints between them (the first from 0), and a larger one."""
-    edges = np.concatenate((np.zeros(1), rising))
-    return np.concatenate((rising, (edges[:-1] + edges[1:]) / 2, 2.0 * edges[-1:] + 1.0))
+    count = len(rising)
+    omegas, previous = np.empty(2 * count + 1), 0.0
+    for i in range(count):
+        omegas[2 * i], omegas[2 * i + 1] = rising[i], (previous + rising[i]) / 2
+        previous = rising[i]
+    omegas[2 * count] = 2 * previous + 1.0
+    return omegas
 
 
 def _upper_square_roots(squares: ComplexArray) -> FloatArray:
     """Return Re √x in ascending order; of each complex pair only one is included."""
-    upper = squares[squares.imag > -1e-6 * np.abs(squares)]
-    return np.sort(np.sqrt(upper).real)
+    rising, count = np.empty(len(squares)), 0
+    for square in squares:
+        if square.imag > -1e-6 * abs(square):
+            root = cmath.sqrt(square).real
+            place = count
+            while place > 0 and rising[place - 1] > root:
+                rising[place] = rising[place - 1]
+                place -= 1
+            rising[place] = root
+            count += 1
+    return rising[:count]
 
 
 def _scaled(n: FloatArray, d: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
