@@ -6,11 +6,11 @@ from typing import Any
 
 import click
 
-from nufleet.orchestrator.cli.types import FleetFileOption
+from nufleet.orchestrator.cli.types import fleet_file
 
 
 @click.command()
-@click.argument("fleet_file", type=FleetFileOption(), metavar="FLEET")
+@click.argument("fleet_file", type=fleet_file, metavar="FLEET")
 @click.option(
     "--listen",
     default="tcp/127.0.0.1:7447",

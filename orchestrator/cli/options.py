@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import click
 
-from nufleet.orchestrator.cli.types import FleetFileOption
+from nufleet.orchestrator.cli.types import fleet_file
 from nufleet.orchestrator.jobs.environment import (
     REPOSITORY_VARIABLE,
     ROUTER_VARIABLE,
@@ -100,7 +100,7 @@ unguarded_option = click.option(
 fleet_option = click.option(
     "--fleet",
     "fleet_file",
-    type=FleetFileOption(),
+    type=fleet_file,
     metavar="FILE",
     help="Start the simulated fleet of this file (or installed name) for this command only.",
 )

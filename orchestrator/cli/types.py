@@ -57,18 +57,11 @@ class PositiveNumbers(click.ParamType[tuple[float, ...]]):
         return tuple(number.convert(part, param, ctx) for part in str(value).split(","))
 
 
-class FleetFileOption(click.ParamType[Path]):
-    """A fleet file, given by its path or by the name of an installed one."""
+def fleet_file(path_or_name: str) -> Path:
+    """Return the path of a fleet file, given by its path or by the name of an installed one."""
+    from nufleet.shared.robots.fleet_file import find_fleet_file
 
-    name = "fleet file"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> Path:
-        """Return the path of the file; raises FleetFileError when there is none."""
-        from nufleet.shared.robots.fleet_file import find_fleet_file
-
-        return find_fleet_file(str(value))
+    return find_fleet_file(path_or_name)
 
 
 class Endpoint(click.types.StringParamType):

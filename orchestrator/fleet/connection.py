@@ -102,7 +102,7 @@ def started_fleet(
     with private_folder() as folder, FleetProcesses() as started:
         endpoint = f"unixsock-stream/{folder}/router.sock"
         started.start_router(endpoint)
-        started.start_agents(path, groups, endpoint, realtime, state_folder=folder / "state")
+        started.start_agents(path, groups, endpoint, realtime, state_folder=Path(folder, "state"))
         with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as session:
             fleet = Fleet(session, FleetKeys(file.name), new_orchestrator_id())
             wait_for_robots(fleet, started, file)

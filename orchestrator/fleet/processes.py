@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -207,11 +204,6 @@ def grouped(fleet: FleetFile, *, processes: int) -> list[tuple[str, ...]]:
     return [tuple(members) for members in together.values()] + dealt
 
 
-@contextmanager
-def private_folder() -> Iterator[Path]:
-    """Yield a temporary folder that no other process uses, and delete it on exit."""
-    folder = tempfile.mkdtemp(prefix="nufleet-")
-    try:
-        yield Path(folder)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+def private_folder() -> tempfile.TemporaryDirectory[str]:
+    """Return a new temporary folder that no other user may look into; leaving it deletes it."""
+    return tempfile.TemporaryDirectory(prefix="nufleet-", ignore_cleanup_errors=True)

@@ -216,9 +216,9 @@ def test_a_waiting_agent_ends_with_ctrl_c(fleet_file: Path, endpoint: str) -> No
 def test_a_private_folder_is_gone_afterwards() -> None:
     with private_folder() as first, private_folder() as second:
         assert first != second
-        assert first.is_dir()
-        assert first.stat().st_mode & 0o077 == 0
-    assert not first.exists()
+        assert Path(first).is_dir()
+        assert Path(first).stat().st_mode & 0o077 == 0
+    assert not Path(first).exists()
 
 
 def fleet_of(kinds: list[str]) -> FleetFile:
