@@ -155,7 +155,10 @@ def _peak(
     n1: FloatArray, d1: FloatArray, n2: FloatArray, d2: FloatArray, seeds: ComplexArray
 ) -> tuple[bool, float, float]:
     """Raise a level of ψ until nothing crosses it, as `find_peak` does."""
-    first = np.concatenate((np.abs(seeds.imag), np.abs(seeds), np.array([0.0, math.inf])))
+    first = np.zeros(2 * len(seeds) + 2)
+    first[-1] = math.inf
+    for i in range(len(seeds)):
+        first[2 * i], first[2 * i + 1] = abs(seeds[i].imag), abs(seeds[i])
     best = _best(n1, d1, n2, d2, first, (-1.0, 0.0))
     # |g|² and D₁D₂ on s = jω, as polynomials of ω²; ψ equals a level where |g|² − level² D₁D₂ = 0.
     above = power_on_axis(sum_of(product_of(n1, d2), -1.0, product_of(n2, d1)))
@@ -163,8 +166,7 @@ def _peak(
         sum_of(power_on_axis(n1), 1.0, power_on_axis(d1)),
         sum_of(power_on_axis(n2), 1.0, power_on_axis(d2)),
     )
-    steps = 0.25 ** np.arange(1.0, 17.0)
-    around = np.concatenate((1.0 - steps, 1.0 + steps))
+    around = np.empty(32)
     for _ in range(100):
         level = best[0] + ACCURACY
         found, squares = roots_of(sum_of(above, -(level**2), below))
@@ -174,7 +176,10 @@ def _peak(
         if best[0] < level:
             # Crossings are least exact close to a peak, where two of them merge, so its
             # surroundings are evaluated once more before the search ends.
-            best = _best(n1, d1, n2, d2, best[1] * around, best)
+            for k in range(16):
+                around[2 * k] = best[1] * (1 - 0.25 ** (k + 1))
+                around[2 * k + 1] = best[1] * (1 + 0.25 ** (k + 1))
+            best = _best(n1, d1, n2, d2, around, best)
             if best[0] < level:
                 return True, best[0], best[1]
     return False, best[0], best[1]
@@ -206,16 +211,19 @@ def _upper_square_roots(squares: ComplexArray) -> FloatArray:
     return rising[:count]
 
 
-def _scaled(n: FloatArray, d: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
-    """Return n and d as polynomials of s/scale whose largest coefficient is 1."""
-    powers = scale ** np.arange(len(n))
-    n, d = n * powers, d * powers
-    size = max(np.abs(n).max(), np.abs(d).max())
-    return n / size, d / size
+def _size(n: FloatArray, d: FloatArray) -> float:
+    """Return the largest magnitude of a coefficient of n or d, which have the same length."""
+    size = 0.0
+    for k in range(len(n)):
+        size = max(size, abs(n[k]), abs(d[k]))
+    return size
 
 
 def _trimmed(p: FloatArray) -> FloatArray:
-    return p[np.flatnonzero(p)[0] :] if p.any() else p[:0]
+    first = 0
+    while first < len(p) and p[first] == 0.0:
+        first += 1
+    return p[first:]
 
 
 def _gap(
@@ -234,15 +242,24 @@ def _gap(
         return _FAILED
     # Frequencies in units of the geometric mean of all corner frequencies.
     scale = (low / high) ** (1.0 / max(order1 + order2, 1))
-    n1, d1 = _scaled(n1, d1, scale)
-    n2, d2 = _scaled(n2, d2, scale)
+    for n, d in ((n1, d1), (n2, d2)):
+        for k in range(len(n)):
+            n[k] *= scale**k
+            d[k] *= scale**k
+        size = _size(n, d)
+        for k in range(len(n)):
+            n[k] /= size
+            d[k] /= size
     fine1, unstable1, axis1 = _poles(n1, d1, scale, discrete)
     fine2, unstable2, axis2 = _poles(n2, d2, scale, discrete)
     f = sum_of(product_of(mirror_of(n2), n1), 1.0, product_of(mirror_of(d2), d1))
     found, zeros = roots_of(f)
     if not (fine1 and fine2 and found):
         return _FAILED
-    excess = int(np.count_nonzero(zeros.real > 0)) - order2
+    excess = -order2
+    for zero in zeros:
+        if zero.real > 0:
+            excess += 1
     solved, value, omega = _peak(n1, d1, n2, d2, zeros)
     status = _DONE if solved else _ASK_THE_MATRICES
     return status, min(value, 1.0), omega * scale, excess, unstable1, unstable2, axis1, axis2
@@ -255,7 +272,7 @@ _ARITHMETIC = (
     _peak,
     _with_middles,
     _upper_square_roots,
-    _scaled,
+    _size,
     _trimmed,
     _gap,
 )
