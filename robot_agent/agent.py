@@ -36,22 +36,9 @@ from nufleet.robot_agent.robot import Robot
 from nufleet.robot_agent.rules.freezes import Freezes
 from nufleet.robot_agent.rules.ownership import Commander
 from nufleet.robot_agent.stop_service import StopService
+from nufleet.shared.wire import messages
 from nufleet.shared.wire.codec import M, decode
 from nufleet.shared.wire.keys import FleetKeys
-from nufleet.shared.wire.messages import (
-    AcknowledgeRequest,
-    CancelRequest,
-    DescribeRequest,
-    Description,
-    Done,
-    FetchRequest,
-    GoalRequest,
-    InstallRequest,
-    ReleaseRequest,
-    RemovePriorRequest,
-    ResultRequest,
-    RobotState,
-)
 from nufleet.shared.wire.transport import MAX_STATE_BYTES, Session
 
 OWNER_PATIENCE_S = 1.0
@@ -202,14 +189,16 @@ class Agent:
                 "describe": self._describe,
                 "goal": self._take_goal,
                 "cancel": self._cancel,
-                "result": _decoding(ResultRequest, lambda r: decisions.result(r.goal_id)),
+                "result": _decoding(messages.ResultRequest, lambda r: decisions.result(r.goal_id)),
                 "acknowledge": self._acknowledge,
                 "release": self._release,
-                "experience": _decoding(FetchRequest, learned.fetch),
-                "experience/install": _decoding(InstallRequest, learned.install_experience),
-                "prior": _decoding(FetchRequest, learned.fetch),
-                "prior/install": _decoding(InstallRequest, learned.install_prior),
-                "prior/remove": _decoding(RemovePriorRequest, learned.remove_prior),
+                "experience": _decoding(messages.FetchRequest, learned.fetch),
+                "experience/install": _decoding(
+                    messages.InstallRequest, learned.install_experience
+                ),
+                "prior": _decoding(messages.FetchRequest, learned.fetch),
+                "prior/install": _decoding(messages.InstallRequest, learned.install_prior),
+                "prior/remove": _decoding(messages.RemovePriorRequest, learned.remove_prior),
             },
             large=("goal", "experience/install", "prior/install"),
             urgent={"stop": stops.asked},
@@ -219,7 +208,7 @@ class Agent:
         # The liveliness token comes last, since it announces that the agent can serve.
         opened.callback(session.declare_alive(keys.robot(name, "alive")).withdraw)
 
-    def _state(self) -> RobotState:
+    def _state(self) -> messages.RobotState:
         """Return the state that the heartbeat publishes.
 
         Since this is called regularly, it also records that the process runs and checks the driver.
@@ -243,9 +232,9 @@ class Agent:
     # Called on the endpoint's worker.
 
     def _describe(self, payload: bytes) -> Answer:
-        _decoded(payload, DescribeRequest)
+        _decoded(payload, messages.DescribeRequest)
         commander = self._decisions.commander
-        return Description(
+        return messages.Description(
             robot=self._name,
             boot_id=self._boot_id,
             spec=self._robot.spec,
@@ -259,7 +248,7 @@ class Agent:
         )
 
     def _take_goal(self, payload: bytes) -> Answer:
-        request = _decoded(payload, GoalRequest)
+        request = _decoded(payload, messages.GoalRequest)
         refusal = self._rivals.refusal()
         if refusal is None and not self._decisions.knows(request.goal_id):
             refusal = self._freezes.refusal(time.monotonic())
@@ -283,21 +272,21 @@ class Agent:
             self._decisions.wait_for_owner(owner, timeout_s=OWNER_PATIENCE_S)
 
     def _cancel(self, payload: bytes) -> Answer:
-        request = _decoded(payload, CancelRequest)
+        request = _decoded(payload, messages.CancelRequest)
         sender = Commander(request.sender, request.epoch)
-        return self._decisions.cancel(request.goal_id, sender) or Done()
+        return self._decisions.cancel(request.goal_id, sender) or messages.Done()
 
     def _acknowledge(self, payload: bytes) -> Answer:
-        request = _decoded(payload, AcknowledgeRequest)
+        request = _decoded(payload, messages.AcknowledgeRequest)
         sender = Commander(request.sender, request.epoch)
-        return self._decisions.acknowledge(request.goal_ids, sender) or Done()
+        return self._decisions.acknowledge(request.goal_ids, sender) or messages.Done()
 
     def _release(self, payload: bytes) -> Answer:
-        request = _decoded(payload, ReleaseRequest)
+        request = _decoded(payload, messages.ReleaseRequest)
         refusal = self._decisions.release(request.sender)
         if refusal is not None:
             return refusal
-        return Done() if self._decisions.fault is None else self._motions.reconnect()
+        return messages.Done() if self._decisions.fault is None else self._motions.reconnect()
 
 
 def _decoded(payload: bytes, expected: type[M]) -> M:

@@ -6,17 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nufleet.shared.arrays import FloatArray
-from nufleet.sims.faults import (
-    Frozen,
-    Held,
-    Infinite,
-    Late,
-    Noisy,
-    NotANumber,
-    Saturated,
-    SensorFault,
-    Spikes,
-)
+from nufleet.sims import faults
+from nufleet.sims.faults import SensorFault
 
 BoolArray = NDArray[np.bool_]
 
@@ -54,7 +45,7 @@ class FaultySensor:
         changed = self._changed(outputs, known, acts)
         # A sensor that holds or freezes repeats its own readings, a late one true past outputs.
         remembered = (
-            known if isinstance(self._fault, Late) else np.concatenate([self._past, changed])
+            known if isinstance(self._fault, faults.Late) else np.concatenate([self._past, changed])
         )
         self._past = remembered[len(remembered) - len(self._past) :]
         self._sample += count
@@ -65,28 +56,28 @@ class FaultySensor:
         # Every kind draws for every sample, acting or not, so that the draws depend on time alone.
         chance = self._chances.random(outputs.shape)
         match fault:
-            case NotANumber(probability=probability):
+            case faults.NotANumber(probability=probability):
                 return np.where(where & (chance < probability), np.nan, outputs)
-            case Infinite(probability=probability):
+            case faults.Infinite(probability=probability):
                 sign = np.where(self._values.random(outputs.shape) < 0.5, -np.inf, np.inf)
                 return np.where(where & (chance < probability), sign, outputs)
-            case Saturated(low=low, high=high):
+            case faults.Saturated(low=low, high=high):
                 return np.where(where, np.clip(outputs, low, high), outputs)
-            case Noisy(std=std):
+            case faults.Noisy(std=std):
                 noise = std * self._values.standard_normal(outputs.shape)
                 return np.where(where, outputs + noise, outputs)
-            case Spikes(probability=probability, height=height, replace=replace):
+            case faults.Spikes(probability=probability, height=height, replace=replace):
                 sign = np.where(self._values.random(outputs.shape) < 0.5, -1.0, 1.0)
                 spike = np.full_like(outputs, height) if replace else outputs + sign * height
                 return np.where(where & (chance < probability), spike, outputs)
-            case Late(late_min=least, late_max=most):
+            case faults.Late(late_min=least, late_max=most):
                 late = least + np.floor(chance * (most - least + 1)).astype(np.int64)
                 rows = len(self._past) + np.arange(len(outputs))[:, np.newaxis] - late
                 return np.where(where, np.take_along_axis(known, rows, axis=0), outputs)
-            case Frozen(noise=std):
+            case faults.Frozen(noise=std):
                 noise = std * self._values.standard_normal(outputs.shape)
                 return self._frozen(outputs, acts) + np.where(where, noise, 0.0)
-            case Held(probability=probability, run=run):
+            case faults.Held(probability=probability, run=run):
                 return self._held(outputs, where & (chance < probability), run)
 
     def _frozen(self, outputs: FloatArray, acts: BoolArray) -> FloatArray:
@@ -113,4 +104,4 @@ class FaultySensor:
 
 def _memory(fault: SensorFault) -> int:
     """Return the number of past samples that a fault reads."""
-    return max(1, fault.late_max) if isinstance(fault, Late) else 1
+    return max(1, fault.late_max) if isinstance(fault, faults.Late) else 1

@@ -15,20 +15,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 
+from nufleet.orchestrator.fleet import goal_events as events
 from nufleet.orchestrator.fleet.client import Fleet
-from nufleet.orchestrator.fleet.goal_events import (
-    Accepted,
-    Ask,
-    CancelTaken,
-    Ended,
-    Event,
-    Fetched,
-    InterruptAsked,
-    Passed,
-    Question,
-    Refused,
-    Unanswered,
-)
+from nufleet.orchestrator.fleet.goal_events import Ask, Ended, Question
 from nufleet.orchestrator.fleet.goal_pursuit import Pursuit
 from nufleet.orchestrator.fleet.robot_watch import RobotWatch
 from nufleet.shared.errors import NufleetError, RefusedError
@@ -139,19 +128,21 @@ class GoalLoop:
 
     def _tick(self) -> None:
         now_s = time.monotonic()
-        self._have_taken(Passed(), (r for r in self._running.values() if r.pursuit.wake_s <= now_s))
+        self._have_taken(
+            events.Passed(), (r for r in self._running.values() if r.pursuit.wake_s <= now_s)
+        )
 
     def _begin(self, errand: Errand) -> None:
         run = self._running[errand] = _Run(self, self._fleet, errand, self._askers)
         run.begin()
         if self._interrupted:
-            run.take(InterruptAsked())
+            run.take(events.InterruptAsked())
 
     def _interrupt(self) -> None:
         self._interrupted = True
-        self._have_taken(InterruptAsked(), self._running.values())
+        self._have_taken(events.InterruptAsked(), self._running.values())
 
-    def _have_taken(self, event: Event, runs: Iterable[_Run]) -> None:
+    def _have_taken(self, event: events.Event, runs: Iterable[_Run]) -> None:
         # One job per pursuit: an error concerning one robot must not keep the event from the
         # others.
         for run in runs:
@@ -194,13 +185,13 @@ class _Run:
             abandoned=errand.abandoned,
         )
         if not self._loop.is_interrupted:
-            self.take(Passed())
+            self.take(events.Passed())
 
     def leave(self) -> None:
         """Stop following the robot's states."""
         self._unfollow()
 
-    def take(self, event: Event) -> None:
+    def take(self, event: events.Event) -> None:
         """Handle an event, and put the questions that follow from it to the robot."""
         if self.pursuit.ended is not None:
             return
@@ -220,22 +211,22 @@ class _Run:
         event = self._answer(ask)
         self._loop.post(lambda: self.take(event))
 
-    def _answer(self, ask: Ask) -> Event:
+    def _answer(self, ask: Ask) -> events.Event:
         robot = self._errand.robot
         try:
             match ask.question:
                 case Question.GOAL:
-                    return Accepted(self._fleet.submit(robot, self._errand.request))
+                    return events.Accepted(self._fleet.submit(robot, self._errand.request))
                 case Question.RESULT:
-                    return Fetched(self._fleet.result(robot, ask.goal_id))
+                    return events.Fetched(self._fleet.result(robot, ask.goal_id))
                 case Question.CANCEL:
                     self._fleet.cancel(robot, ask.goal_id)
-                    return CancelTaken()
+                    return events.CancelTaken()
         except RefusedError as error:
-            return Refused(ask.question, error)
+            return events.Refused(ask.question, error)
         except NufleetError as error:
             _log.info("%s: asking again", error)
-            return Unanswered(ask.question, error)
+            return events.Unanswered(ask.question, error)
         except Exception as error:  # noqa: BLE001 - a question always has an end
             _log.exception("a request to %s about %s failed", robot, ask.goal_id)
-            return Unanswered(ask.question, NufleetError(f"asking {robot}: {error!r}"))
+            return events.Unanswered(ask.question, NufleetError(f"asking {robot}: {error!r}"))

@@ -21,23 +21,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 
-from nufleet.orchestrator.fleet.goal_events import (
-    Accepted,
-    Ask,
-    CancelTaken,
-    Ended,
-    Event,
-    Fetched,
-    Heard,
-    InterruptAsked,
-    Passed,
-    Question,
-    Refused,
-    Sighting,
-    TokenBack,
-    TokenLost,
-    Unanswered,
-)
+from nufleet.orchestrator.fleet import goal_events as events
+from nufleet.orchestrator.fleet.goal_events import Ask, Ended, Question, Sighting
 from nufleet.orchestrator.fleet.overdue import Overdue
 from nufleet.orchestrator.fleet.robot_watch import HEARTBEAT_LOST_S
 from nufleet.shared.errors import NufleetError, RefusedError, RobotLostError
@@ -136,7 +121,7 @@ class Pursuit:
             times.append(self._cancelled_s + REST_PATIENCE_S)
         return min(times)
 
-    def take(self, event: Event, now_s: float) -> tuple[Ask, ...]:
+    def take(self, event: events.Event, now_s: float) -> tuple[Ask, ...]:
         """Handle an event and return the questions to ask now.
 
         Args:
@@ -152,26 +137,26 @@ class Pursuit:
 
     # Handling of events.
 
-    def _note(self, event: Event, now_s: float) -> None:
+    def _note(self, event: events.Event, now_s: float) -> None:
         match event:
-            case Heard(state):
+            case events.Heard(state):
                 self._heard_s = now_s
                 self._note_state(state)
-            case Unanswered(question, error):
+            case events.Unanswered(question, error):
                 self._note_silence(question, error, now_s)
-            case TokenLost():
+            case events.TokenLost():
                 self._alive = False
                 self._lost_s = now_s
                 self._lost = f"robot {self.robot} disappeared during {self.goal_id}"
-            case TokenBack():
+            case events.TokenBack():
                 self._alive = True
                 self._heard_s = now_s
                 # The goal may have ended meanwhile, and the state that said so been lost.
                 self._fetch = self._taken
-            case InterruptAsked():
+            case events.InterruptAsked():
                 self._interrupted = True
                 self._end_if_never_sent()
-            case Passed():
+            case events.Passed():
                 for question, at_s in tuple(self._not_before_s.items()):
                     if at_s <= now_s:
                         del self._not_before_s[question]
@@ -179,7 +164,9 @@ class Pursuit:
                 self._note_answer(event, now_s)
 
     def _note_answer(
-        self, answer: Accepted | Fetched | CancelTaken | Refused, now_s: float
+        self,
+        answer: events.Accepted | events.Fetched | events.CancelTaken | events.Refused,
+        now_s: float,
     ) -> None:
         if answer.question not in self._open:
             return
@@ -187,18 +174,18 @@ class Pursuit:
         self._unanswered = None
         self._open.discard(answer.question)
         match answer:
-            case Accepted(accepted):
+            case events.Accepted(accepted):
                 if not self._taken:
                     self._taken, self.accepted = True, accepted
                     self._overdue = Overdue(accepted.wall_duration_s, now_s)
-            case Fetched(result):
+            case events.Fetched(result):
                 if self._given_up is None or result.outcome is Outcome.COMPLETED:
                     self.ended = Ended(result=result)
                 else:
                     self.ended = Ended(error=self._given_up, interrupted=self._interrupted)
-            case CancelTaken():
+            case events.CancelTaken():
                 self._note_cancelled(now_s)
-            case Refused(question, error):
+            case events.Refused(question, error):
                 self._note_refusal(question, error, now_s)
 
     def _note_state(self, state: RobotState) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import rerun as rr
 
+from nufleet.orchestrator.viewer import events
 from nufleet.orchestrator.viewer.draw.differences import Differences
 from nufleet.orchestrator.viewer.draw.estimates import Estimates, summary
 from nufleet.orchestrator.viewer.draw.leaders import leading_sources
@@ -17,15 +18,6 @@ from nufleet.orchestrator.viewer.draw.samples import TestSamples
 from nufleet.orchestrator.viewer.draw.sphere import Sphere
 from nufleet.orchestrator.viewer.draw.surrogates import Surrogates
 from nufleet.orchestrator.viewer.draw.tracking import Tracking
-from nufleet.orchestrator.viewer.events import (
-    IterationEvent,
-    MessageEvent,
-    RobotStateEvent,
-    TakenBackEvent,
-    TestSamplesEvent,
-    TrackingSamplesEvent,
-    ViewerEvent,
-)
 from nufleet.orchestrator.viewer.shown import Shown
 
 
@@ -50,24 +42,24 @@ class Scene:
         self._sphere.begin()
         self._surrogates.begin()
 
-    def draw(self, event: ViewerEvent) -> None:
+    def draw(self, event: events.ViewerEvent) -> None:
         """Draw an event at once, or keep it until `rest` draws the whole batch."""
         match event:
-            case RobotStateEvent():
+            case events.RobotStateEvent():
                 self._robots.add(event)
-            case TestSamplesEvent():
+            case events.TestSamplesEvent():
                 self.shown.ranking()
                 self._samples.add(event)
-            case IterationEvent():
+            case events.IterationEvent():
                 self.shown.ranking()
                 self._draw_iteration(event)
-            case TrackingSamplesEvent():
+            case events.TrackingSamplesEvent():
                 self._tracking.add(event)
-            case TakenBackEvent():
+            case events.TakenBackEvent():
                 self._tracking.add(event)
                 text = f"{event.flight}: prior withdrawn: {event.reason}"
                 self._log.say(event.t_s, "warning", text)
-            case MessageEvent():
+            case events.MessageEvent():
                 self._log.say(event.t_s, event.level, event.text)
 
     @property
@@ -75,7 +67,7 @@ class Scene:
         """Functions that draw the events kept from a batch, each in one message per signal."""
         return self._robots.draw, self._samples.draw, self._tracking.draw
 
-    def _draw_iteration(self, event: IterationEvent) -> None:
+    def _draw_iteration(self, event: events.IterationEvent) -> None:
         leaders = leading_sources(event)
         self._palette.assign(event.target, sorted(leaders))
         self._samples.show(event.target, leaders)

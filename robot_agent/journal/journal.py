@@ -25,20 +25,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from nufleet.robot_agent.journal.ledger import (
-    Accepted,
-    Acknowledged,
-    Ended,
-    JournalError,
-    Ledger,
-    LedgerGoal,
-    Owned,
-    Record,
-    Released,
-    Stopped,
-    decode_record,
-    encode_record,
-)
+from nufleet.robot_agent.journal import ledger
+from nufleet.robot_agent.journal.ledger import JournalError, Ledger, LedgerGoal
 from nufleet.robot_agent.journal.log import LogFile, continue_log, read_log, replace_log
 from nufleet.robot_agent.rules.goal_machine import Goal, Goals
 from nufleet.robot_agent.rules.supervisor import StopOrder
@@ -72,7 +60,7 @@ class Remembrance:
     stop: StopOrder | None
     """Stop in force; None without one."""
 
-    owner: Owned | None
+    owner: ledger.Owned | None
     """Orchestrator that last commanded the robot, with its epoch; None when there was none."""
 
     lost: tuple[str, ...]
@@ -144,7 +132,7 @@ class Journal:
             boot_id: Id of the agent process that plays it.
         """
         self._append(
-            Accepted(
+            ledger.Accepted(
                 goal_id=goal.goal_id,
                 owner=goal.owner,
                 digest=goal.digest,
@@ -167,7 +155,7 @@ class Journal:
                 "%s: the result of %s cannot be kept: %s", self._folder, result.goal_id, error
             )
         self._append(
-            Ended(
+            ledger.Ended(
                 goal_id=result.goal_id,
                 outcome=result.outcome,
                 sha256=sha256,
@@ -178,25 +166,27 @@ class Journal:
 
     def forgone(self, goal_id: str) -> None:
         """Store that a goal was cancelled before it arrived, before this is confirmed."""
-        self._append(Ended(goal_id=goal_id, outcome=Outcome.CANCELLED, sha256=None, size_bytes=0))
+        self._append(
+            ledger.Ended(goal_id=goal_id, outcome=Outcome.CANCELLED, sha256=None, size_bytes=0)
+        )
 
     def acknowledged(self, goal_ids: Iterable[str]) -> None:
         """Drop results that have arrived; unknown ids are ignored."""
-        self._append(Acknowledged(goal_ids=tuple(goal_ids)))
+        self._append(ledger.Acknowledged(goal_ids=tuple(goal_ids)))
 
     def stopped(self, order: StopOrder) -> None:
         """Store a stop; the robot is halted before this call, so a slow disk delays no stop."""
-        self._append(Stopped(sender=order.sender, reason=order.reason))
+        self._append(ledger.Stopped(sender=order.sender, reason=order.reason))
 
     def released(self, sender: str) -> None:
         """Store that the stop is over, before the robot may move again."""
-        self._append(Released(sender=sender))
+        self._append(ledger.Released(sender=sender))
 
     def owned(self, owner: str, epoch: int) -> None:
         """Store which orchestrator commands the robot, before anything is done under its epoch."""
-        self._append(Owned(owner=owner, epoch=epoch))
+        self._append(ledger.Owned(owner=owner, epoch=epoch))
 
-    def forget_owner(self) -> Owned | None:
+    def forget_owner(self) -> ledger.Owned | None:
         """Remove the owner and its epoch from the journal.
 
         This is for a person to decide, since the robot obeys owners of the past again afterwards.
@@ -256,13 +246,13 @@ class Journal:
             return self._new_log(), None
         found, data = read_log(path)
         for payload in found.payloads:
-            self._ledger.apply(decode_record(payload))
+            self._ledger.apply(ledger.decode_record(payload))
         if found.damage is None:
             return continue_log(path, found), None
         damage = f"{path}: {found.damage}"
         _log.error("%s; the robot is stopped, and the file is kept as %s", damage, DAMAGED_LOG)
         reason = f"{damage[:1500]}; inspect the robot, then release it"
-        self._ledger.apply(Stopped(sender="journal", reason=reason))
+        self._ledger.apply(ledger.Stopped(sender="journal", reason=reason))
         damaged, part = self._folder / DAMAGED_LOG, self._incoming / "log.damaged"
         os.close(replace_privately(damaged, data, part))
         return self._new_log(), damage
@@ -287,11 +277,11 @@ class Journal:
     def _close_log(self) -> None:
         self._log_file.close()
 
-    def _append(self, record: Record) -> None:
+    def _append(self, record: ledger.Record) -> None:
         with self._mutex:
             if self._ledger.says_already(record):
                 return
-            self._log_file.append(encode_record(record))
+            self._log_file.append(ledger.encode_record(record))
             for goal_id in self._ledger.apply(record):
                 self._remove_result(goal_id)
             if self._log_file.size_bytes > self._compact_above_bytes:
@@ -323,7 +313,7 @@ class Journal:
         old.close()
 
     def _new_log(self) -> LogFile:
-        payloads = map(encode_record, self._ledger.records())
+        payloads = map(ledger.encode_record, self._ledger.records())
         return replace_log(self._folder / LOG, payloads, self._incoming / "log.new")
 
     def _store_result(self, result: GoalResult) -> tuple[str, int]:
