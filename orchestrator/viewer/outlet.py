@@ -9,13 +9,9 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from nufleet.orchestrator.viewer.events import (
-    IterationEvent,
-    TakenBackEvent,
-    TestSamplesEvent,
-    TrackingSamplesEvent,
-    ViewerEvent,
-)
+import numpy as np
+
+from nufleet.orchestrator.viewer.events import IterationEvent, TakenBackEvent, ViewerEvent
 from nufleet.shared.errors import NufleetError
 
 BATCH_S = 0.25
@@ -176,10 +172,4 @@ class Outlet:
 
 
 def _array_bytes(event: ViewerEvent) -> int:
-    if isinstance(event, TestSamplesEvent):
-        return event.reference.nbytes + event.response.nbytes
-    if isinstance(event, TrackingSamplesEvent):
-        arrays = (event.desired, event.actual, event.prior, event.mean, event.variance, event.share)
-        weights = 0 if event.weights is None else event.weights.nbytes
-        return sum(array.nbytes for array in arrays) + weights
-    return 0
+    return sum(value.nbytes for value in vars(event).values() if isinstance(value, np.ndarray))
