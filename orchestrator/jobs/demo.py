@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import click
 from rich.console import Console
@@ -15,8 +14,8 @@ from nufleet.orchestrator.evaluation.flight_documents import DemoResult
 from nufleet.orchestrator.experience.train import check_torch
 from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.flights.legs import legs_of, read_drawings
+from nufleet.orchestrator.jobs.commands import StoredCommand
 from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
-from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.study import follow_study
 from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.runs.console import ranking_table
@@ -33,22 +32,16 @@ fleet uses the filter whose effect the tests predict: there an inverse fed with 
 feedback loop, which orders the sources differently."""
 
 
-@dataclass(frozen=True)
-class DemoCommand:
+@dataclass(frozen=True, kw_only=True)
+class DemoCommand(StoredCommand):
     """The options of one `nufleet demo`."""
 
-    runs_root: Path
-    """Folder that holds the folders of all runs."""
     quadrotors: bool = False
     """Whether the fleet consists of simulated quadrotors instead of linear robots."""
     seed: int = 0
     """Seed of the study, the learning flights and the networks."""
     live: bool = False
     """Whether to serve the recording to live viewers."""
-    repository: str | None = None
-    """Address of the repository; None for the one in `runs_root`."""
-    as_json: bool = False
-    """Whether to print the result as JSON on stdout."""
 
 
 def demo_and_print(command: DemoCommand) -> None:
@@ -77,7 +70,7 @@ def demo(command: DemoCommand, console: Console) -> DemoResult:
         seed=command.seed,
         axis=None,
     )
-    with FlyingRun(Storage(command.runs_root, command.repository), console) as run:
+    with FlyingRun(command.storage, console) as run:
         fleet, _, there = run.reach(choice)
         ready = prepare(fleet, request, there)
         run.fly("demo", ready.descriptions, live=command.live)

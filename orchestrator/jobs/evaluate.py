@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import click
 from rich.console import Console
@@ -26,10 +25,9 @@ from nufleet.orchestrator.experience.learning import FLIGHT_S
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.train import Trained, check_torch, train_robots
 from nufleet.orchestrator.experience.transfer import check_would_fit
-from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.flights.legs import legs_of, read_drawings
+from nufleet.orchestrator.jobs.commands import AnyFleetCommand
 from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
-from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
@@ -56,16 +54,10 @@ QUICK_STUDIES = 2
 QUICK_FLIGHT_S = 60.0
 
 
-@dataclass(frozen=True)
-class EvaluateCommand:
+@dataclass(frozen=True, kw_only=True)
+class EvaluateCommand(AnyFleetCommand):
     """The options of one `nufleet evaluate`."""
 
-    fleet_file: Path | None
-    """Path of the fleet file to start; None for a running fleet."""
-    connect: str
-    """Endpoint of a running fleet."""
-    fleet_name: str | None
-    """Name of the running fleet; None when only one is running there."""
     target: str | None
     """Name of the robot that flies; None for the fleet file's target."""
     sources: tuple[str, ...] | None
@@ -93,18 +85,6 @@ class EvaluateCommand:
     """Seed of the first study, of the flights and of the networks."""
     live: bool
     """Whether to serve the recording to live viewers."""
-    runs_root: Path
-    """Folder that holds the folders of all runs."""
-    repository: str | None
-    """Address of the repository; None for the one in `runs_root`."""
-    as_json: bool
-    """Whether to print the result as JSON on stdout."""
-
-    def fleet(self) -> FleetChoice:
-        """Return the chosen fleet, with the content of its file; raises FleetFileError."""
-        if self.fleet_file is None:
-            return FleetChoice.running(self.connect, self.fleet_name)
-        return FleetChoice.started(self.fleet_file)
 
     @property
     def chosen_drawings(self) -> tuple[str, ...]:
@@ -160,7 +140,7 @@ def evaluate(command: EvaluateCommand, console: Console) -> EvaluationResult | P
     kind = "pairs" if command.all_pairs else "evaluate"
     drawings = read_drawings(command.chosen_drawings)
     result: EvaluationResult | PairsResult
-    with FlyingRun(Storage(command.runs_root, command.repository), console) as run:
+    with FlyingRun(command.storage, console) as run:
         _, name, there = run.reach(choice)
         targets = one or there
         check_robots(targets, there)

@@ -11,8 +11,7 @@ import click
 from rich.console import Console
 
 from nufleet.orchestrator.conduct.preflight import check_robots, chosen_axis
-from nufleet.orchestrator.fleet.reach import FleetChoice
-from nufleet.orchestrator.jobs.storage import Storage
+from nufleet.orchestrator.jobs.commands import AnyFleetCommand
 from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.logs.alignment import align
 from nufleet.orchestrator.logs.flown_response import response_of_log
@@ -30,8 +29,8 @@ EARLIEST_S = datetime(2000, 1, 1, tzinfo=UTC).timestamp()
 """Time stamps before this, in s since 1970, count from the start of the device, not of an era."""
 
 
-@dataclass(frozen=True)
-class ImportCommand:
+@dataclass(frozen=True, kw_only=True)
+class ImportCommand(AnyFleetCommand):
     """The options of one `nufleet import`."""
 
     log: Path
@@ -50,18 +49,6 @@ class ImportCommand:
     """Time from the beginning of the log at which to begin."""
     end_s: float | None
     """Time from the beginning of the log at which to end; None for its end."""
-    fleet_file: Path | None
-    """Path of the fleet file that lists the robot; None for a running or known fleet."""
-    connect: str
-    """Endpoint of a running fleet, which is asked about robots that are not known."""
-    fleet_name: str | None
-    """Name of the fleet; None when only one is running, or for that of the file."""
-    runs_root: Path
-    """Folder whose repository is used."""
-    repository: str | None
-    """Address of the repository; None for the one in `runs_root`."""
-    as_json: bool
-    """Whether to print the result as JSON on stdout."""
 
 
 def list_and_print(log: Path, *, as_json: bool) -> None:
@@ -79,7 +66,7 @@ def import_and_print(command: ImportCommand) -> None:
     """Import a log, with a report on stderr and, if wanted, the document on stdout."""
     console = stderr_console()
     make_runs_root(command.runs_root)
-    with Storage(command.runs_root, command.repository).open() as repository:
+    with command.storage.open() as repository:
         fleet, robot = _robot(command, repository, console)
         result = import_log(command, repository, fleet, robot)
         unit = robot.spec.axis(result.axis).unit
@@ -160,7 +147,7 @@ def _robot(
     command: ImportCommand, repository: Repository, console: Console
 ) -> tuple[str, Description]:
     """Return the fleet's name and the robot, as it is stored or else as it describes itself."""
-    choice = FleetChoice.given(command.fleet_file, command.connect, command.fleet_name)
+    choice = command.fleet()
     if choice.name is not None:
         for known in repository.robots.robots(choice.name):
             if known.robot == command.robot:

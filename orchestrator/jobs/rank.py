@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path
 
 import click
 from rich.console import Console
@@ -22,27 +21,18 @@ from nufleet.orchestrator.conduct.rank_run import (
 )
 from nufleet.orchestrator.conduct.reuse import check_absent, find_stored, oldest_reused
 from nufleet.orchestrator.fleet.reach import REACH, FleetChoice
+from nufleet.orchestrator.jobs.commands import AnyFleetCommand
 from nufleet.orchestrator.jobs.opening import Opening
-from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.study import show_study
 from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.runs.rank_result import RunRecord
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.wire.transport import DEFAULT_ENDPOINT
 
 
-@dataclass(frozen=True)
-class RankCommand:
+@dataclass(frozen=True, kw_only=True)
+class RankCommand(AnyFleetCommand):
     """The options of one `nufleet rank`."""
 
-    runs_root: Path
-    """Folder that holds the folders of all runs."""
-    fleet_file: Path | None = None
-    """Path of the fleet file to start; None for a running fleet."""
-    connect: str = DEFAULT_ENDPOINT
-    """Endpoint of a running fleet."""
-    fleet_name: str | None = None
-    """Name of the running fleet; None when only one is running there."""
     target: str | None = None
     """Name of the robot that needs experience; None for the target that the fleet file names."""
     sources: tuple[str, ...] | None = None
@@ -64,23 +54,19 @@ class RankCommand:
     """Time to wait for a running fleet's router and robots."""
     live: bool = False
     """Whether to serve the recording to live viewers."""
-    as_json: bool = False
-    """Whether to print the result as JSON on stdout."""
     processes: int | None = 2
     """Number of processes that the robots of a fleet file are spread over; None for one each."""
     trajectory: str | None = None
     """Path or name of the drawing that transfer is to help on; None for no particular one."""
     speed_m_s: float | None = None
     """Largest speed on that drawing; None for the default."""
-    repository: str | None = None
-    """Address of the repository; None for the one in `runs_root`."""
     reuse_days: float | None = None
     """Largest age of stored responses that replace tests, in days; None to test all sources."""
 
     def fleet(self) -> FleetChoice:
         """Return the chosen fleet, with the content of its file; raises FleetFileError."""
         if self.fleet_file is None:
-            return FleetChoice.running(self.connect, self.fleet_name)
+            return super().fleet()
         return FleetChoice.started(
             self.fleet_file, realtime=self.realtime, processes=self.processes
         )
@@ -109,7 +95,7 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
     request = _request(command, choice)
     # A source whose stored responses are reused need not be there.
     sources = (command.sources or ()) if command.reuse_days is None else ()
-    with Opening(Storage(command.runs_root, command.repository), console) as run:
+    with Opening(command.storage, console) as run:
         run.reach(choice, (request.target, *sources), wait_s=command.wait_s)
         ready, stored = _ready(command, request, run)
         folder = run.keep()

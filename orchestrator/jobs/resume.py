@@ -12,8 +12,8 @@ from rich.console import Console
 from nufleet.orchestrator.conduct.rank_run import prepare_again
 from nufleet.orchestrator.conduct.recipe import recipe_of
 from nufleet.orchestrator.fleet.reach import REACH, FleetChoice, Reach
+from nufleet.orchestrator.jobs.commands import StoredCommand
 from nufleet.orchestrator.jobs.opening import Opening
-from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.study import show_study
 from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.repository.errors import UnknownRecordError
@@ -38,24 +38,18 @@ from nufleet.shared.strict import validation_errors_as
 LATEST = "latest"
 
 
-@dataclass(frozen=True)
-class ResumeCommand:
+@dataclass(frozen=True, kw_only=True)
+class ResumeCommand(StoredCommand):
     """The options of one `nufleet runs resume`."""
 
-    runs_root: Path
-    """Folder that holds the folders of all runs."""
     run: str = LATEST
     """Name of the run, path of its folder, or `latest` for the latest that can be resumed."""
-    repository: str | None = None
-    """Address of the repository; None for the one in `runs_root`."""
     connect: str | None = None
     """Endpoint of the fleet; None for the one that the run used before."""
     wait_s: float = 0.0
     """Time to wait for the fleet's router and robots."""
     live: bool = False
     """Whether to serve the recording to live viewers."""
-    as_json: bool = False
-    """Whether to print the result as JSON on stdout."""
 
 
 def resume_and_print(command: ResumeCommand) -> None:
@@ -72,7 +66,7 @@ def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
         InvalidInputError: The run cannot be resumed, or a robot that it needs is missing.
         StudyError: The study cannot continue, because the target or every source is gone.
     """
-    with Opening(Storage(command.runs_root, command.repository), console) as run:
+    with Opening(command.storage, console) as run:
         path = _interrupted_run(command, run.repository)
         study = _open_study(path, run.repository)
         reach = reach_of(path)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Literal
 
 import click
@@ -15,14 +14,13 @@ from nufleet.orchestrator.evaluation.flight_documents import TRACKING, TrackResu
 from nufleet.orchestrator.evaluation.fly_target import flight_record
 from nufleet.orchestrator.evaluation.results import FlightRecord
 from nufleet.orchestrator.experience.learning import know_itself
-from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 from nufleet.orchestrator.flights.legs import Leg, legs_of, read_drawings
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
 from nufleet.orchestrator.flights.start_weights import mixture_of
 from nufleet.orchestrator.history.rankings import Ranking, latest_ranking
+from nufleet.orchestrator.jobs.commands import FleetCommand
 from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
-from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.logs.keeping import keep_flight_responses
 from nufleet.shared.arrays import FloatArray
@@ -34,14 +32,10 @@ InverseChoice = Literal["auto", "prior", "mixture", "own", "zero-prior", "baseli
 """Inverse models to fly with."""
 
 
-@dataclass(frozen=True)
-class TrackCommand:
+@dataclass(frozen=True, kw_only=True)
+class TrackCommand(FleetCommand):
     """The options of one `nufleet track`."""
 
-    connect: str
-    """Endpoint of the fleet."""
-    fleet_name: str | None
-    """Name of the fleet; None when only one is running there."""
     target: str
     """Name of the robot that flies."""
     drawings: tuple[str, ...]
@@ -64,12 +58,6 @@ class TrackCommand:
     None for none, unless nothing is known of it and its guard needs to know."""
     live: bool
     """Whether to serve the recording to live viewers."""
-    runs_root: Path
-    """Folder that holds the folders of all runs."""
-    repository: str | None
-    """Address of the repository; None for the one in `runs_root`."""
-    as_json: bool
-    """Whether to print the result as JSON on stdout."""
 
 
 def track_and_print(command: TrackCommand) -> None:
@@ -96,9 +84,8 @@ def track(command: TrackCommand, console: Console) -> TrackResult:
         LeaseHeldError: The robot belongs to another orchestrator.
     """
     drawings = read_drawings(command.drawings)
-    with FlyingRun(Storage(command.runs_root, command.repository), console) as run:
-        choice = FleetChoice.running(command.connect, command.fleet_name)
-        fleet, name, there = run.reach(choice)
+    with FlyingRun(command.storage, console) as run:
+        fleet, name, there = run.reach(command.fleet())
         check_robots((command.target,), there)
         target = fleet.describe(command.target)
         legs = legs_of(drawings, (command.speed,), target, scale=command.scale)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import click
 from rich.console import Console
@@ -12,23 +11,18 @@ from nufleet.orchestrator.conduct.preflight import check_robots
 from nufleet.orchestrator.evaluation.flight_documents import TRAINING, TrainResult
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.train import Trained, check_torch, train_robots
-from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.orchestrator.history.tables import experiences_table
+from nufleet.orchestrator.jobs.commands import FleetCommand
 from nufleet.orchestrator.jobs.opening import Opening
-from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.shared.experience.layout import Architecture
 
 
-@dataclass(frozen=True)
-class TrainCommand:
+@dataclass(frozen=True, kw_only=True)
+class TrainCommand(FleetCommand):
     """The options of one `nufleet train`."""
 
-    connect: str
-    """Endpoint of the fleet."""
-    fleet_name: str | None
-    """Name of the fleet; None when only one is running there."""
     robots: tuple[str, ...]
     """Names of the robots that learn; empty for all."""
     architectures: tuple[Architecture, ...]
@@ -37,16 +31,6 @@ class TrainCommand:
     """Duration of each flight that a robot learns from."""
     seed: int
     """Seed of the flights and of the networks' first weights."""
-    runs_root: Path
-    """Folder that holds the folders of all runs."""
-    repository: str | None
-    """Address of the repository; None for the one in `runs_root`."""
-    as_json: bool
-    """Whether to print the result as JSON on stdout."""
-
-    def fleet(self) -> FleetChoice:
-        """Return the fleet whose robots learn."""
-        return FleetChoice.running(self.connect, self.fleet_name)
 
 
 def train_and_print(command: TrainCommand) -> None:
@@ -67,7 +51,7 @@ def train(command: TrainCommand, console: Console) -> TrainResult:
         RepositoryError: An experience could not be stored; its robot offers it all the same.
     """
     check_torch()
-    with Opening(Storage(command.runs_root, command.repository), console) as run:
+    with Opening(command.storage, console) as run:
         fleet, name, there = run.reach(command.fleet())
         robots = command.robots or there
         check_robots(robots, there)

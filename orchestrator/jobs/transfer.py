@@ -18,10 +18,9 @@ from nufleet.orchestrator.experience.transfer import (
     transfer_file,
     transfer_several,
 )
-from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.history.rankings import Ranking, latest_ranking
+from nufleet.orchestrator.jobs.commands import FleetCommand
 from nufleet.orchestrator.jobs.opening import Opening
-from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.study.verdict import Verdict
 from nufleet.shared.errors import InvalidInputError
@@ -30,14 +29,10 @@ from nufleet.shared.experience.manifest import ExperienceManifest
 from nufleet.shared.strict import Digest, Document, Strict
 
 
-@dataclass(frozen=True)
-class TransferCommand:
+@dataclass(frozen=True, kw_only=True)
+class TransferCommand(FleetCommand):
     """The options of one `nufleet transfer`, with either a source or a file."""
 
-    connect: str
-    """Endpoint of the fleet."""
-    fleet_name: str | None
-    """Name of the fleet; None when only one is running there."""
     target: str
     """Name of the robot that receives the experience."""
     source: str | None
@@ -48,16 +43,6 @@ class TransferCommand:
     """File of an experience; None to take one from a source."""
     architecture: Architecture | None
     """Architecture of the experience to take; None for the only one there is."""
-    runs_root: Path
-    """Folder that holds the folders of all runs."""
-    repository: str | None
-    """Address of the repository; None for the one in `runs_root`."""
-    as_json: bool
-    """Whether to print the result as JSON on stdout."""
-
-    def fleet(self) -> FleetChoice:
-        """Return the fleet that both robots belong to."""
-        return FleetChoice.running(self.connect, self.fleet_name)
 
 
 class Companion(Strict):
@@ -111,7 +96,7 @@ def transfer(command: TransferCommand, console: Console) -> TransferResult:
         RefusedError: The target refuses the experience.
     """
     payload = None if command.file is None else read_experience(command.file)
-    with Opening(Storage(command.runs_root, command.repository), console) as run:
+    with Opening(command.storage, console) as run:
         fleet, name, there = run.reach(command.fleet())
         check_robots((command.target,), there)
         target = fleet.describe(command.target)
