@@ -104,9 +104,8 @@ def rank(
         live=live,
         runs_root=Path(runs_root),
         repository=repository,
-        as_json=False,
     )
-    return work(command, console or _quiet()).result
+    return work(command, console or Console(quiet=True)).result
 
 
 def transfer(
@@ -154,9 +153,8 @@ def transfer(
         architecture=architecture,
         runs_root=Path(runs_root),
         repository=repository,
-        as_json=False,
     )
-    return work(command, console or _quiet())
+    return work(command, console or Console(quiet=True))
 
 
 def track(
@@ -224,9 +222,8 @@ def track(
         live=live,
         runs_root=Path(runs_root),
         repository=repository,
-        as_json=False,
     )
-    return work(command, console or _quiet())
+    return work(command, console or Console(quiet=True))
 
 
 def load_run(run: str | Path = "latest", *, runs_root: str | Path = "runs") -> Run:
@@ -244,7 +241,3 @@ def load_run(run: str | Path = "latest", *, runs_root: str | Path = "runs") -> R
         InvalidInputError: There is no such run, or its files are damaged.
     """
     return read_run(find_run(Path(runs_root), str(run)))
-
-
-def _quiet() -> Console:
-    return Console(quiet=True)

@@ -35,13 +35,9 @@ def linear_experience(
     weights = ridge(scaled, data.gamma, _RIDGE)
     left = data.gamma - scaled @ weights
     manifest = ExperienceManifest(
-        robot=origin.robot,
-        robot_kind=origin.robot_kind,
-        axes=origin.axes,
-        unit=origin.unit,
+        **vars(origin),
         layout=layout,
         inputs=layout.input_names,
-        relative_degree=origin.relative_degree,
         hidden=(),
         input_mean=(0.0,) * len(scale),
         input_scale=tuple(scale.tolist()),
