@@ -278,9 +278,9 @@ def test_a_goal_whose_agent_was_replaced_is_lost_and_sent_again_under_a_new_id(l
     request = GoalRequest(goal_id=test.goal_id, owner="orchestrator-test", motion=TEST)
     accepted = lab.fleet.submit("r1", request)
     lab.log().accepted(test, accepted.model_copy(update={"boot_id": "another"}))
-    wait_until(lambda: lab.robots["r1"].at_rest)
     lab.fleet.watch("r1").wait_until(
-        lambda w: w.state is not None and w.state.goal_id is None, timeout_s=PATIENCE_S
+        lambda w: w.state is not None and w.state.last_goal_id == test.goal_id,
+        timeout_s=PATIENCE_S,
     )
     lab.fleet.acknowledge("r1", (test.goal_id,))
     outcome = lab.run(r1=TEST)["r1"]
