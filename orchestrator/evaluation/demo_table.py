@@ -64,9 +64,7 @@ def ways_of(result: DemoResult) -> tuple[Way, ...]:
         ways.append(Way(name, source.rms_m, flight, source.psi, source.predicted_rms_m))
         if place == len(flights.sources) - 1 and (unguarded := result.unguarded) is not None:
             name, expected = f"{source.robot}, unguarded", source.predicted_rms_m
-            ways.append(
-                Way(name, unguarded.rms_m, unguarded, source.psi, expected, guarded=False)
-            )
+            ways.append(Way(name, unguarded.rms_m, unguarded, source.psi, expected, guarded=False))
 
     def add(label: str, name: str, found: InverseResult | None) -> None:
         if found is not None:
@@ -115,19 +113,20 @@ def takeaway(result: DemoResult) -> str:
     best, worst = result.flights.sources[0], result.flights.sources[-1]
     harmful = next((way for way in ways if not way.guarded), None)
     harm = worst.rms_m if harmful is None else harmful.rms
-    unlike = "" if harmful is None else ", had the guard not intervened"
     if best.rms_m is None or harm is None or not base:
         return "Not every flight was finished, so the ways cannot be compared."
-    far = harm / base
-    parts = [
-        f"{best.robot}, which the tests chose, left {_percent(best.rms_m, base)} of the "
-        f"baseline's error; {worst.robot} {'would have left' if unlike else 'left'} "
-        f"{100 * far:.0f} %{unlike}."
-    ]
+    lesson = ""
     if harm > base:
-        parts[0] = f"Choose before you transfer: {parts[0]}"
+        lesson = "Choose before you transfer: "
     elif harm < MATTERS * best.rms_m:
-        parts[0] = f"Here the choice matters little: {parts[0]}"
+        lesson = "Here the choice matters little: "
+    chose = f"{best.robot}, which the tests chose, left {_percent(best.rms_m, base)} of the"
+    left, unless = "left", ""
+    if harmful is not None:
+        left, unless = "would have left", ", had the guard not intervened"
+    parts = [
+        f"{lesson}{chose} baseline's error; {worst.robot} {left} {_percent(harm, base)}{unless}."
+    ]
     none = result.flights.no_prior.rms_m
     if none is not None and none > MATTERS * best.rms_m:
         parts.append(f"Learning in flight without experience left {_percent(none, base)}.")
@@ -157,17 +156,14 @@ def _guard(way: Way) -> str:
 
 def _spoken(way: Way, result: DemoResult) -> str:
     target = result.flights.target
-    match way.flight.inverse if way.flight is not None else way.name:
-        case "own":
-            return f"{target}'s model of itself"
-        case "mixture":
-            return "the mixture of the sources"
-        case "none":
-            return "no experience"
-        case "baseline":
-            return f"{target}'s baseline controller"
-        case source:
-            return source
+    inverse = way.name if way.flight is None else way.flight.inverse
+    without_source = {
+        OWN: f"{target}'s model of itself",
+        MIXTURE: "the mixture of the sources",
+        NO_PRIOR: "no experience",
+        BASELINE: f"{target}'s baseline controller",
+    }
+    return without_source.get(inverse, inverse)
 
 
 def _known(way: Way, target: str) -> str:

@@ -142,9 +142,7 @@ def test_what_the_target_itself_expected_of_a_flight_comes_before_what_the_tests
 def test_a_flight_that_was_not_finished_is_shown_and_not_compared() -> None:
     result = demo(near=None)
     assert rows(result)["near (closest)"][2:4] == ["not finished", ""]
-    assert takeaway(result) == (
-        "Not every flight was finished, so the ways cannot be compared."
-    )
+    assert takeaway(result) == ("Not every flight was finished, so the ways cannot be compared.")
 
 
 def test_a_source_that_would_have_harmed_is_the_lesson() -> None:
