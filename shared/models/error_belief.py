@@ -36,6 +36,7 @@ _SIZES = (0.03, 0.3, 3.0)  # scales of the prior's variance
 _REST = ((1e-3, 0.9), (3e-2, 0.1))  # standard deviations of g∞, and how probable each is
 _GRID = 300  # most points on which the prior is integrated
 _NOISES = np.geomspace(1.0, 1e-12, 241)  # noise variances, as shares of the mean squared error
+_SURE = 2.0  # standard deviations of the noise's mean square that may hide what is not linear
 _JITTER = 1e-10
 _TINY = float(np.finfo(np.float64).tiny)
 _LARGEST = 1e9  # no robot goes farther, in m or rad, and no square of it overflows
@@ -140,7 +141,7 @@ class ErrorBelief:
     believed to be like the robot's other axes."""
     model_error: float = MODEL_ERROR
     """Standard deviation of the relative size of what is not linear: `MODEL_ERROR`, or less where
-    the noise of the flights could not have hidden as much."""
+    the noise of the motions could not have hidden as much."""
 
     def error(self, reference: FloatArray, before: float) -> FloatArray:
         """Predict the error u − y along a reference, shape (samples,), without noise.
@@ -151,13 +152,28 @@ class ErrorBelief:
         """
         return np.asarray(self.basis.columns(reference, before) @ self.mean)
 
-    def draws(self, count: int, rng: np.random.Generator) -> FloatArray:
+    def impulse_response(self) -> FloatArray:
+        """Return the mean output 1, 2, … samples after a unit impulse of the reference."""
+        last = int(self.basis.nodes[-1]) + 1
+        steps = 1.0 - self.error(np.ones(last + 1), 0.0)
+        return np.diff(steps)
+
+    def draws(self, count: int, rng: np.random.Generator, *, flown: bool = True) -> FloatArray:
         """Draw parameters x from the belief, shape (size, count).
 
         Each draw is larger or smaller as a whole by what no linear response is better known than.
+
+        Args:
+            count: Number of draws.
+            rng: Generator of the draws.
+            flown: False for an axis that tests alone have moved. They show neither how axes act on
+                each other nor what larger motions change, so that nobody knows how linear it is.
         """
         normal = rng.standard_normal((self.factor.shape[1], count))
-        scale = 1 + self.model_error * rng.standard_normal(count)
+        error = np.full(count, self.model_error)
+        if not flown:
+            error = MODEL_ERROR * np.exp(rng.standard_normal(count))
+        scale = 1 + error * rng.standard_normal(count)
         return np.asarray((self.mean[:, None] + self.factor @ normal) * scale)
 
     def response(self, omega_rad_s: FloatArray) -> tuple[ComplexArray, FloatArray]:
@@ -192,6 +208,8 @@ def believe(basis: ErrorBasis, evidence: Evidence) -> ErrorBelief:
     """
     normal, right = _arrays(evidence)
     best: tuple[float, ErrorBelief] | None = None
+    # The mean square of n samples of noise varies by √(2/n) of itself.
+    hidden = min(1.0, _SURE * float(np.sqrt(2 / evidence.rows)))
     scale = max(evidence.squares / evidence.rows, _TINY)
     noise = scale * _NOISES
     for (mean, covariance), size, (rest_std, probability) in product(_priors(basis), _SIZES, _REST):
@@ -221,7 +239,7 @@ def believe(basis: ErrorBasis, evidence: Evidence) -> ErrorBelief:
                 spread / np.sqrt(1 + power / noise[at]),
                 float(np.sqrt(noise[at])),
                 evidence.flown_s,
-                min(MODEL_ERROR, float(np.sqrt(noise[at] / scale))),
+                min(MODEL_ERROR, float(np.sqrt(hidden * noise[at] / scale))),
             )
             best = float(cost[at]), belief
     if best is None:
