@@ -80,15 +80,18 @@ class _Axis:
             acceleration_max=_GENTLE * acceleration_max,
         )
 
-    def squares(self, feedback: WienerFeedback | None, scales: FloatArray) -> FloatArray:
+    def squares(self, feedback: WienerFeedback | None, rng: np.random.Generator) -> FloatArray:
         """Return mean squared errors to be measured, shape (draws,)."""
+        scales = np.exp(2 * _SCALE_SPREAD * rng.standard_normal(DRAWS))
+        # The mean square of n samples of noise varies by √(2/n) of itself; so did the one known.
+        luck = 1 + rng.standard_normal(DRAWS) * np.sqrt(4 / self.left.shape[1])
         if feedback is None:
             known, lasting, noise = self.left, self.lasting[0], self.noise
         else:
             known = feedback.closed(self.left)
             lasting = feedback.variance(self.lasting)
             noise = feedback.variance(np.array([self.noise])) + feedback.doubtful
-        return np.asarray(np.mean(known**2, axis=1) + scales * lasting + noise)
+        return np.asarray(np.mean(known**2, axis=1) + scales * lasting + luck * noise)
 
 
 def own_way(model: OwnModel, desired: FloatArray, baseline_square: float) -> OwnWay:
@@ -102,13 +105,9 @@ def own_way(model: OwnModel, desired: FloatArray, baseline_square: float) -> Own
     correction = model.correction(desired)
     left = model.left(desired, correction)
     axes = [_axis(model, i, left[:, :, i], baseline_square) for i in range(desired.shape[1])]
-    rng = np.random.default_rng(_SEED)
-    scales = np.exp(2 * _SCALE_SPREAD * rng.standard_normal(DRAWS))
-    ahead = predicted_error(sum((axis.squares(None, scales) for axis in axes), np.zeros(DRAWS)))
     found = [axis.feedback(model.acceleration_max) for axis in axes]
-    closed = predicted_error(
-        sum((a.squares(f, scales) for a, f in zip(axes, found, strict=True)), np.zeros(DRAWS))
-    )
+    ahead = _expected(axes, [None] * len(axes))
+    closed = _expected(axes, found)
     unit = model.unit
     worth = min(_WORTH * ahead.rms, ahead.rms - _LEAST * np.sqrt(baseline_square))
     if closed.rms > worth:
@@ -131,6 +130,12 @@ def own_way(model: OwnModel, desired: FloatArray, baseline_square: float) -> Own
         f"{ahead.rms:.3g} {unit} without it, since what its model does not foresee, "
         f"{lasting:.3g} {unit} RMS, lasts long enough to be corrected",
     )
+
+
+def _expected(axes: list[_Axis], found: list[WienerFeedback | None]) -> PredictedError:
+    rng = np.random.default_rng(_SEED)  # both ways have the same luck
+    squares = [axis.squares(each, rng) for axis, each in zip(axes, found, strict=True)]
+    return predicted_error(np.sum(squares, axis=0))
 
 
 def _axis(model: OwnModel, i: int, left: FloatArray, baseline_square: float) -> _Axis:

@@ -34,6 +34,7 @@ _DECAYS = (1.5, 3.0, 6.0, 12.0, 24.0)  # rates at which a response may decay, pe
 _SMOOTH_S = (0.05, 0.1, 0.2, 0.4, 0.8)  # correlation times of its slope in s
 _SIZES = (0.03, 0.3, 3.0)  # scales of the prior's variance
 _REST = ((1e-3, 0.9), (3e-2, 0.1))  # standard deviations of g∞, and how probable each is
+_TAIL = 1e-3  # largest share of its reference by which a settled loop may still move
 _GRID = 300  # most points on which the prior is integrated
 _NOISES = np.geomspace(1.0, 1e-12, 241)  # noise variances, as shares of the mean squared error
 _SURE = 2.0  # standard deviations of the noise's mean square that may hide what is not linear
@@ -211,6 +212,7 @@ def believe(basis: ErrorBasis, evidence: Evidence) -> ErrorBelief:
     # The mean square of n samples of noise varies by √(2/n) of itself.
     hidden = min(1.0, _SURE * float(np.sqrt(2 / evidence.rows)))
     scale = max(evidence.squares / evidence.rows, _TINY)
+    moved = max(evidence.moved / evidence.rows, _TINY)
     noise = scale * _NOISES
     for (mean, covariance), size, (rest_std, probability) in product(_priors(basis), _SIZES, _REST):
         prior = size * covariance
@@ -233,10 +235,14 @@ def believe(basis: ErrorBasis, evidence: Evidence) -> ErrorBelief:
         at = int(np.argmin(cost))
         if best is None or cost[at] < best[0]:
             spread = factor @ turn
+            # What a loop does later than its settling time appears in no parameter. The noise hides
+            # it as it hides what is not linear, and it moves the robot as an error at rest would.
+            tail = np.zeros((len(mean), 1))
+            tail[-1] = min(_TAIL, float(np.sqrt(hidden * noise[at] / moved)))
             belief = ErrorBelief(
                 basis,
                 mean + spread @ (toward / (noise[at] + power)),
-                spread / np.sqrt(1 + power / noise[at]),
+                np.concatenate([spread / np.sqrt(1 + power / noise[at]), tail], axis=1),
                 float(np.sqrt(noise[at])),
                 evidence.flown_s,
                 min(MODEL_ERROR, float(np.sqrt(hidden * noise[at] / scale))),

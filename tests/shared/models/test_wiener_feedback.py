@@ -1,4 +1,4 @@
-"""The feedback that leaves the least of a disturbance agrees with closed forms, and stays stable."""
+"""The feedback that leaves least of a disturbance agrees with closed forms, and stays stable."""
 
 from __future__ import annotations
 
