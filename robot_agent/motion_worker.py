@@ -15,6 +15,7 @@ from nufleet.robot_agent.flight.flights import learn, performance_of
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.mixture_learner import experts_of
 from nufleet.robot_agent.flight.online_gp import Correction
+from nufleet.robot_agent.flight.state_model import state_evidence
 from nufleet.robot_agent.motion.excitation import reference_of
 from nufleet.robot_agent.motion.perform import AxisMotion, Performance, Played, Samples, perform
 from nufleet.robot_agent.motion.watched_robot import WatchedRobot
@@ -181,7 +182,13 @@ class MotionWorker:
         spec = self._robot.spec
         tested = np.array([axis.name == plan.axis for axis in spec.axes], dtype=np.float64)
         references, outputs = (np.outer(s, tested) for s in (samples.reference, samples.response))
-        learn(self._memory, spec, references, outputs)
+        seen = None
+        if samples.states is not None:
+            seen = state_evidence(
+                self._robot.state_names, samples.response, samples.states, spec.sample_time_s
+            )
+        states = {} if seen is None else {plan.axis: seen}
+        learn(self._memory, spec, references, outputs, states)
 
     def _performance(self, assignment: Assignment, telemetry: TelemetryBatcher) -> Performance:
         def on_samples(first: int, reference: FloatArray, response: FloatArray) -> None:

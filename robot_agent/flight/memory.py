@@ -15,6 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from nufleet.robot_agent.flight.inverse_model import NetworkInverse
 from nufleet.robot_agent.flight.own_model import AxisRecord, Settled, settle
+from nufleet.robot_agent.flight.state_model import StateEvidence, StateModel, state_model
 from nufleet.shared.errors import MalformedMessageError, NufleetError
 from nufleet.shared.experience.file import (
     EXPERIENCE_BYTES_MAX,
@@ -209,8 +210,25 @@ class Memory:
                         ) from error
                 del self._kept[name]
 
-    def learn(self, evidence: Mapping[str, Evidence]) -> None:
-        """Store what a motion shows about some axes, by their names.
+    def states(self, spec: RobotSpec, names: tuple[str, ...]) -> StateModel:
+        """Return how the robot's states follow from its outputs, as far as it has observed them.
+
+        Args:
+            spec: Description of the robot.
+            names: Names of the states that it measures.
+        """
+        model = self.own_model(spec).model
+        noise = [0.0] * len(spec.axes) if model is None else [b.noise_std for b in model.axes]
+        with self._lock:
+            seen = {n: r.states for n, r in self._records.items() if r.states is not None}
+        return state_model(names, seen, [axis.name for axis in spec.axes], noise)
+
+    def learn(
+        self,
+        evidence: Mapping[str, Evidence],
+        states: Mapping[str, StateEvidence] | None = None,
+    ) -> None:
+        """Store what a motion shows about some axes and their states, by the axes' names.
 
         Raises:
             MemoryFolderError: It cannot be stored.
@@ -218,7 +236,8 @@ class Memory:
         with self._lock:
             records = dict(self._records)
             for axis, new in evidence.items():
-                records[axis] = records.get(axis, AxisRecord()).with_new(new)
+                seen = (states or {}).get(axis)
+                records[axis] = records.get(axis, AxisRecord()).with_new(new, seen)
             self._keep_records(records)
             self._settled = None
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nufleet.robot_agent.flight.state_model import StateEvidence
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.models.error_belief import ErrorBelief, Evidence, believe, like
@@ -41,11 +42,15 @@ class AxisRecord(Strict):
     """Evidence that agrees with itself."""
     new: Evidence | None = None
     """Evidence of the motions since, which has not been compared with it yet."""
+    states: StateEvidence | None = None
+    """Observations of its states beside the output."""
 
-    def with_new(self, evidence: Evidence) -> AxisRecord:
+    def with_new(self, evidence: Evidence, states: StateEvidence | None = None) -> AxisRecord:
         """Return the record after one more motion."""
         new = evidence if self.new is None else self.new + evidence
-        return AxisRecord(settled=self.settled, new=new)
+        seen = [each for each in (self.states, states) if each is not None]
+        together = seen[0] + seen[1] if len(seen) > 1 else next(iter(seen), None)
+        return AxisRecord(settled=self.settled, new=new, states=together)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +206,7 @@ def settle(records: Mapping[str, AxisRecord], spec: RobotSpec) -> Settled:
                 old = None
         both = old + new if old is not None and new is not None else old or new
         if both is not None:
-            kept[axis.name] = AxisRecord(settled=both)
+            kept[axis.name] = AxisRecord(settled=both, states=record.states)
             beliefs[axis.name] = believe(basis, both)
     if not beliefs:
         return Settled(kept, None, tuple(findings))
