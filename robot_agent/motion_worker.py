@@ -6,6 +6,7 @@ import logging
 import queue
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import Future
 
 import numpy as np
@@ -33,6 +34,7 @@ from nufleet.shared.wire.messages import (
     Telemetry,
     TrackingTelemetry,
 )
+from nufleet.shared.wire.motions import PredictedError, Tracking
 from nufleet.shared.wire.transport import Publisher
 
 CLOSING_LOOK_S = 0.1
@@ -55,8 +57,10 @@ class MotionWorker:
         tracking: Publisher,
         *,
         realtime: float | None,
+        foretold: Callable[[Tracking], PredictedError | None] = lambda motion: None,
     ) -> None:
         self._boot_id = boot_id
+        self._foretold = foretold
         self._robot = robot
         self._memory = memory
         self._decisions = decisions
@@ -232,6 +236,7 @@ class MotionWorker:
             switch=assignment.switch,
             on_played=lambda samples: self._decisions.progressed(assignment, samples),
             watch=watch,
+            foretold=self._foretold(motion) if isinstance(motion, Tracking) else None,
         )
 
     def _batcher(self, assignment: Assignment) -> TelemetryBatcher:

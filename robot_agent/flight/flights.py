@@ -60,6 +60,7 @@ def performance_of(
     switch: HaltSwitch,
     on_played: Callable[[int], None],
     watch: Watch,
+    foretold: PredictedError | None = None,
 ) -> Performance:
     """Return the performance of an accepted flight.
 
@@ -72,6 +73,7 @@ def performance_of(
         switch: Switch that ends the motion early.
         on_played: Callback that receives the number of samples played until now.
         watch: Callback that receives every sample along a tracked path.
+        foretold: Error that was predicted for it before; None if it was not.
     """
     monitored = MonitoredRobot(robot)
     paced = PacedRobot(monitored, Pace(robot.spec, realtime, switch), switch, on_played)
@@ -81,7 +83,7 @@ def performance_of(
         case RichFlight():
             return _Rich(paced, motion, memory, monitored)
         case Tracking():
-            return _Path(paced, motion, memory, watch, switch, monitored)
+            return _Path(paced, motion, memory, watch, switch, monitored, foretold)
 
 
 class _Steps:
@@ -148,9 +150,11 @@ class _Path:
         watch: Watch,
         switch: HaltSwitch,
         monitored: MonitoredRobot,
+        foretold: PredictedError | None,
     ) -> None:
         self._robot, self._motion, self._monitored = robot, motion, monitored
         self._watch, self._switch, self._memory = watch, switch, memory
+        self._foretold = foretold
         self._forecast = forecast_of(memory.own_model(robot.spec).model, motion.desired)
         self._equipment = equipment_for(motion, robot, memory, self._forecast)
         self._record: TrackingRecord | None = None
@@ -198,7 +202,7 @@ class _Path:
             case "own":
                 return self._forecast.own
             case _:
-                return None
+                return self._foretold
 
     def measured(self) -> Samples:
         record = self._record

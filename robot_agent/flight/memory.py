@@ -93,6 +93,16 @@ class Memory:
                     f"{folder}: {error.strerror}; free or repair the disk"
                 ) from error
 
+    def __getstate__(self) -> dict[str, object]:
+        """Return what another process needs for a copy that stores nothing."""
+        with self._lock:
+            kept, records, settled = dict(self._kept), dict(self._records), self._settled
+        return {"_folder": None, "_kept": kept, "_records": records, "_settled": settled}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        self.__dict__.update(state)
+        self._lock = threading.Lock()
+
     @property
     def experiences(self) -> tuple[Kept, ...]:
         """Experiences learned on this robot, at most one per architecture."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
+from nufleet.robot_agent.flight.after_flight import own_error_after
 from nufleet.robot_agent.flight.flights import equipment_for
 from nufleet.robot_agent.flight.forecast import Forecast, forecast_of
 from nufleet.robot_agent.flight.memory import Memory
@@ -20,6 +21,7 @@ from nufleet.robot_agent.flight.own_model import HIGH, OwnModel
 from nufleet.robot_agent.flight.rehearsed_robot import LoopDraw, RehearsedRobot
 from nufleet.robot_agent.flight.state_model import StateModel
 from nufleet.robot_agent.flight.tracking import approach, track
+from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.motions import PredictedError, Tracking
@@ -84,6 +86,15 @@ class Rehearsal:
             return forecast.own
         seeds = np.random.SeedSequence(_SEED).spawn(draws)
         return predicted_from([self._flown(motion, forecast, seed, stopped) for seed in seeds])
+
+    def predicted_after(self, desired: FloatArray, flight_s: float) -> PredictedError:
+        """Return the error with the model of itself that a rich flight of some s will leave.
+
+        Args:
+            desired: Path, shape (samples, axes), in the axes' units.
+            flight_s: Duration of the rich flight, in s.
+        """
+        return own_error_after(self.model, self.spec, desired, flight_s)
 
     def _flown(
         self,
