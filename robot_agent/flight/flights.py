@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from nufleet.robot_agent.flight.rich_flight import (
     rich_references,
     step_references,
 )
+from nufleet.robot_agent.flight.state_model import StateEvidence, state_evidence
 from nufleet.robot_agent.flight.tracking import (
     STOPPED,
     Ahead,
@@ -58,6 +60,7 @@ def performance_of(
     switch: HaltSwitch,
     on_played: Callable[[int], None],
     watch: Watch,
+    foretold: PredictedError | None = None,
 ) -> Performance:
     """Return the performance of an accepted flight.
 
@@ -70,6 +73,7 @@ def performance_of(
         switch: Switch that ends the motion early.
         on_played: Callback that receives the number of samples played until now.
         watch: Callback that receives every sample along a tracked path.
+        foretold: Error that was predicted for it before; None if it was not.
     """
     monitored = MonitoredRobot(robot)
     paced = PacedRobot(monitored, Pace(robot.spec, realtime, switch), switch, on_played)
@@ -79,7 +83,7 @@ def performance_of(
         case RichFlight():
             return _Rich(paced, motion, memory, monitored)
         case Tracking():
-            return _Path(paced, motion, memory, watch, switch, monitored)
+            return _Path(paced, motion, memory, watch, switch, monitored, foretold)
 
 
 class _Steps:
@@ -122,7 +126,7 @@ class _Rich:
             evidence = evidence_in(spec, references, outputs)
             for axis, noise_std in zip(spec.axes, self._monitored.noise_std, strict=True):
                 check_explained(evidence[axis.name], spec, axis, float(noise_std))
-            self._memory.learn(evidence)
+            self._memory.learn(evidence, states_in(self._robot, self._record.states))
             learn_unexplained(self._memory, spec, references, outputs, self._monitored.noise_std)
         except NufleetError as error:
             # The robot works and is at rest: the disk failed, or the record allows no model.
@@ -147,18 +151,13 @@ class _Path:
         watch: Watch,
         switch: HaltSwitch,
         monitored: MonitoredRobot,
+        foretold: PredictedError | None,
     ) -> None:
         self._robot, self._motion, self._monitored = robot, motion, monitored
         self._watch, self._switch, self._memory = watch, switch, memory
+        self._foretold = foretold
         self._forecast = forecast_of(memory.own_model(robot.spec).model, motion.desired)
-        self._learner = learner_for(motion, robot, memory, self._forecast)
-        self._guard, self._fallback = None, None
-        if self._learner is not None and motion.guarded:
-            if self._forecast is None:
-                raise RobotError("the robot does not know its baseline any more")
-            if self._forecast.own_helps and motion.inverse != "own":
-                self._fallback = Ahead(self._forecast.correction)
-            self._guard = guard_for(self._forecast, robot, fallback=self._fallback is not None)
+        self._equipment = equipment_for(motion, robot, memory, self._forecast)
         self._record: TrackingRecord | None = None
         self._findings: tuple[str, ...] = ()
 
@@ -173,9 +172,9 @@ class _Path:
             self._robot,
             self._motion.desired,
             limits,
-            self._learner,
-            self._guard,
-            fallback=self._fallback,
+            self._equipment.learner,
+            self._equipment.guard,
+            fallback=self._equipment.fallback,
             watch=self._watch,
             stopped=lambda: self._switch.order is not None,
         )
@@ -211,7 +210,7 @@ class _Path:
             case "own":
                 return self._forecast.own
             case _:
-                return None
+                return self._foretold
 
     def measured(self) -> Samples:
         record = self._record
@@ -237,7 +236,28 @@ class _Path:
         return Samples(record.reference, record.actual, details)
 
 
-def learn(memory: Memory, spec: RobotSpec, references: FloatArray, outputs: FloatArray) -> None:
+def states_in(robot: Robot, states: FloatArray) -> dict[str, StateEvidence]:
+    """Return what a motion shows of the states of every axis beside its output.
+
+    Args:
+        robot: The robot, for its description and the names of its states.
+        states: States, shape (samples, axes, states); NaN where they were not observed.
+    """
+    step_s, names = robot.spec.sample_time_s, robot.state_names
+    found = {
+        axis.name: state_evidence(names, states[:, i, 0], states[:, i], step_s)
+        for i, axis in enumerate(robot.spec.axes)
+    }
+    return {axis: evidence for axis, evidence in found.items() if evidence is not None}
+
+
+def learn(
+    memory: Memory,
+    spec: RobotSpec,
+    references: FloatArray,
+    outputs: FloatArray,
+    states: Mapping[str, StateEvidence] | None = None,
+) -> None:
     """Add a completed motion to a robot's model of itself; a failure is no fault of the motion.
 
     Args:
@@ -245,11 +265,12 @@ def learn(memory: Memory, spec: RobotSpec, references: FloatArray, outputs: Floa
         spec: Description of the robot; one without tracking limits needs no such model.
         references: References sent, shape (samples, axes), in the axes' units.
         outputs: Outputs measured before each reference acted, in the same shape.
+        states: What it shows of the states of an axis beside its output, by the axis's name.
     """
     if spec.tracking is None:
         return
     try:
-        memory.learn(evidence_in(spec, references, outputs))
+        memory.learn(evidence_in(spec, references, outputs), states)
     except (InvalidInputError, MemoryFolderError) as error:
         _log.warning("a motion taught nothing: %s", error)
 
@@ -281,6 +302,40 @@ def learn_unexplained(
         left = unexplained_in(settled.model, spec, references, outputs, rest_std)
         memory.learn_unexplained(left, spec)
     return settled.findings
+
+
+@dataclass(frozen=True, eq=False)
+class Equipment:
+    """What acts in front of a robot on one flight along a path."""
+
+    learner: Learner | Ahead | None
+    """Inverse model, or corrections known ahead; None for the baseline alone."""
+    guard: Guard | None
+    """Guard over the learner; None if the flight is not guarded."""
+    fallback: Ahead | None
+    """Corrections that take over if the guard withdraws the learner's."""
+
+
+def equipment_for(
+    motion: Tracking, robot: Robot, memory: Memory, forecast: Forecast | None
+) -> Equipment:
+    """Return what a flight asks for, new and ready to fly.
+
+    For the arguments and errors see `learner_for`.
+
+    Raises:
+        RobotError: In addition, the flight is guarded and the robot knows nothing of its baseline.
+    """
+    learner = learner_for(motion, robot, memory, forecast)
+    if learner is None or not motion.guarded:
+        return Equipment(learner, None, None)
+    if forecast is None:
+        raise RobotError("the robot does not know its baseline any more")
+    fallback = None
+    if forecast.own_helps and motion.inverse != "own":
+        fallback = Ahead(forecast.correction)
+    guard = guard_for(forecast, robot, fallback=fallback is not None)
+    return Equipment(learner, guard, fallback)
 
 
 def learner_for(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nufleet.robot_agent.flight.own_model import OwnModel
+from nufleet.robot_agent.flight.own_model import HIGH, LOW, OwnModel
 from nufleet.robot_agent.flight.own_way import OwnWay, own_way
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.wire.motions import PredictedError
@@ -39,8 +39,12 @@ class Forecast:
 
     @property
     def own_helps(self) -> bool:
-        """Whether the correction leaves less error than the baseline, with hardly a doubt."""
-        return self.own.high < self.baseline.low
+        """Whether the correction leaves less error than the baseline, with hardly a doubt.
+
+        Both are measured with the same noise.
+        """
+        own = np.quantile(self.way.squares, HIGH)
+        return bool(own < np.quantile(self.baseline_squares.mean(axis=1), LOW))
 
 
 def forecast_of(model: OwnModel | None, desired: FloatArray) -> Forecast | None:

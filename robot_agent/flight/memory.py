@@ -20,6 +20,7 @@ from nufleet.robot_agent.flight.own_model import (
     settle,
     with_unexplained,
 )
+from nufleet.robot_agent.flight.state_model import StateEvidence, StateModel, state_model
 from nufleet.shared.errors import MalformedMessageError, NufleetError
 from nufleet.shared.experience.file import (
     EXPERIENCE_BYTES_MAX,
@@ -97,6 +98,16 @@ class Memory:
                 raise MemoryFolderError(
                     f"{folder}: {error.strerror}; free or repair the disk"
                 ) from error
+
+    def __getstate__(self) -> dict[str, object]:
+        """Return what another process needs for a copy that stores nothing."""
+        with self._lock:
+            kept, records, settled = dict(self._kept), dict(self._records), self._settled
+        return {"_folder": None, "_kept": kept, "_records": records, "_settled": settled}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        self.__dict__.update(state)
+        self._lock = threading.Lock()
 
     @property
     def experiences(self) -> tuple[Kept, ...]:
@@ -215,8 +226,25 @@ class Memory:
                         ) from error
                 del self._kept[name]
 
-    def learn(self, evidence: Mapping[str, Evidence]) -> None:
-        """Store what a motion shows about some axes, by their names.
+    def states(self, spec: RobotSpec, names: tuple[str, ...]) -> StateModel:
+        """Return how the robot's states follow from its outputs, as far as it has observed them.
+
+        Args:
+            spec: Description of the robot.
+            names: Names of the states that it measures.
+        """
+        model = self.own_model(spec).model
+        noise = [0.0] * len(spec.axes) if model is None else [b.noise_std for b in model.axes]
+        with self._lock:
+            seen = {n: r.states for n, r in self._records.items() if r.states is not None}
+        return state_model(names, seen, [axis.name for axis in spec.axes], noise)
+
+    def learn(
+        self,
+        evidence: Mapping[str, Evidence],
+        states: Mapping[str, StateEvidence] | None = None,
+    ) -> None:
+        """Store what a motion shows about some axes and their states, by the axes' names.
 
         Raises:
             MemoryFolderError: It cannot be stored.
@@ -224,7 +252,8 @@ class Memory:
         with self._lock:
             records = dict(self._records)
             for axis, new in evidence.items():
-                records[axis] = records.get(axis, AxisRecord()).with_new(new)
+                seen = (states or {}).get(axis)
+                records[axis] = records.get(axis, AxisRecord()).with_new(new, seen)
             self._keep_records(records)
             self._settled = None
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nufleet.robot_agent.flight.state_model import StateEvidence
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.models.error_belief import ErrorBelief, Evidence, believe, like
@@ -46,11 +47,15 @@ class AxisRecord(Strict):
     """Evidence of the motions since, which has not been compared with it yet."""
     unexplained: Unexplained | None = None
     """What the flights along paths, and the rich flights, left unexplained."""
+    states: StateEvidence | None = None
+    """Observations of its states beside the output."""
 
-    def with_new(self, evidence: Evidence) -> AxisRecord:
+    def with_new(self, evidence: Evidence, states: StateEvidence | None = None) -> AxisRecord:
         """Return the record after one more motion."""
         new = evidence if self.new is None else self.new + evidence
-        return self.model_copy(update={"new": new})
+        seen = [each for each in (self.states, states) if each is not None]
+        together = seen[0] + seen[1] if len(seen) > 1 else next(iter(seen), None)
+        return self.model_copy(update={"new": new, "states": together})
 
     def with_unexplained(self, unexplained: Unexplained) -> AxisRecord:
         """Return the record after a flight whose evidence is settled."""
@@ -111,6 +116,16 @@ class OwnModel:
                 found[:, rows, i] = correction[rows, i] - (columns @ draws).T
                 done += len(columns)
         return found
+
+    def disturbed(self, samples: int, rng: np.random.Generator) -> FloatArray:
+        """Draw what no linear response explains of a measured output, shape (samples, axes)."""
+        columns = [
+            belief.noise_std * rng.standard_normal(samples)
+            if seen is None
+            else seen.drawn(samples, rng)
+            for belief, seen in zip(self.axes, self.unexplained, strict=True)
+        ]
+        return np.stack(columns, axis=1)
 
     def predicted(self, squares: FloatArray) -> PredictedError:
         """Return the root mean square error that is to be measured.
@@ -256,7 +271,9 @@ def settle(records: Mapping[str, AxisRecord], spec: RobotSpec) -> Settled:
                 old = unexplained = None
         both = old + new if old is not None and new is not None else old or new
         if both is not None:
-            kept[axis.name] = AxisRecord(settled=both, unexplained=unexplained)
+            kept[axis.name] = AxisRecord(
+                settled=both, unexplained=unexplained, states=record.states
+            )
             beliefs[axis.name] = believe(basis, both)
     if not beliefs:
         return Settled(kept, None, tuple(findings))

@@ -87,6 +87,28 @@ class Unexplained(Strict):
         left = (total[0] - noise) / lasting[0] if lasting[0] > 0 else 0.0
         return lasting * left, noise
 
+    def drawn(self, samples: int, rng: np.random.Generator) -> FloatArray:
+        """Draw what may be left unexplained of another flight, shape (samples,)."""
+        lasting, noise = self.parts()
+        length = next_fast_len(samples + 2 * len(lasting), real=True)
+        white = np.sqrt(noise) * rng.standard_normal(samples)
+        power = spectrum(lasting, length)
+        shaped = irfft(np.sqrt(power) * rfft(rng.standard_normal(length)), length)
+        return np.asarray(white + shaped[:samples])
+
+
+def spectrum(covariance: FloatArray, length: int) -> FloatArray:
+    """Return the power of a process at the frequencies of `rfft` of a length, never negative.
+
+    Args:
+        covariance: Autocovariance, shape (lags,), with at most half as many lags as the length.
+        length: Number of samples of the transform.
+    """
+    # A taper keeps the spectrum of few lags from becoming negative in most places.
+    taper = 0.5 + 0.5 * np.cos(np.pi * np.arange(len(covariance)) / len(covariance))
+    half = covariance * taper
+    return np.asarray(np.maximum(2 * rfft(half, length).real - half[0], 0.0))
+
 
 def autocovariance(rows: FloatArray, lags: int) -> FloatArray:
     """Return the mean over rows of their products a lag apart, divided by their length.

@@ -19,7 +19,7 @@ from scipy.special import diric
 
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.models.error_belief import ErrorBelief
-from nufleet.shared.models.unexplained import autocovariance
+from nufleet.shared.models.unexplained import autocovariance, spectrum
 
 _WIDENING = 1.4  # ratio of the lags of neighbouring steps of Q
 _GAIN = 0.7
@@ -87,10 +87,7 @@ def wiener_feedback(
         return None
     length = next_fast_len(2 * (answer + len(covariance)), real=True)
     omega_rad_s = 2 * np.pi * rfftfreq(length, step_s)
-    # A taper keeps the spectrum of few lags from becoming negative.
-    taper = 0.5 + 0.5 * np.cos(np.pi * np.arange(len(covariance)) / len(covariance))
-    half = covariance * taper
-    lasting = np.maximum(2 * rfft(half, length).real - half[0], 0.0)
+    lasting = spectrum(covariance, length)
     total = lasting + noise_variance
     z, variance = belief.response(omega_rad_s)
     delay = np.exp(-1j * omega_rad_s * step_s)

@@ -63,3 +63,11 @@ def test_flights_add_up() -> None:
 def test_a_flight_shorter_than_the_lags_says_nothing_of_the_longer_ones() -> None:
     short = Unexplained.of(np.array([1.0, -1.0, 1.0, -1.0]), 9, 1.0, 0.0)
     assert short.products[4:] == (0.0,) * 5
+
+
+def test_what_is_drawn_is_like_what_was_seen() -> None:
+    seen = Unexplained.of(lasting(3e-3) + noise(2e-3), 60, 1.0, 0.0)
+    drawn = Unexplained.of(seen.drawn(SAMPLES, np.random.default_rng(5)), 60, 1.0, 0.0)
+    (covariance, variance), (wanted, noisy) = drawn.parts(), seen.parts()
+    assert variance == pytest.approx(noisy, rel=0.3)
+    np.testing.assert_allclose(covariance[:10], wanted[:10], atol=1e-6)
