@@ -131,9 +131,12 @@ def _flown(run: FlyingRun, target: Description, inverse: _Inverse, leg: Leg) -> 
     flight = run.pilot.along(target.robot, inverse.way, leg.desired, label)
     kept.ended(flight)
     # A reference that follows the measured output carries its noise, which would bias a response.
-    if inverse.name in (BASELINE, OWN) and flight.details.taken_back is None:
+    known_ahead = inverse.name in (BASELINE, OWN) and not flight.details.mean.any()
+    if known_ahead and flight.details.taken_back is None:
         fleet, came_from = run.connection.name, run.folder.path.name
         keep_flight_responses(run.repository, fleet, target, flight, came_from)
+    if flight.details.way is not None:
+        run.console.print(f"{target.robot}: {flight.details.way}")
     for finding in flight.details.findings:
         run.console.print(f"[yellow]{target.robot}: {finding}[/]")
     return flight_record(flight, inverse.name, leg, known_s)

@@ -13,7 +13,7 @@ from nufleet.robot_agent.flight.guard import Guard
 from nufleet.robot_agent.flight.memory import Memory, MemoryFolderError
 from nufleet.robot_agent.flight.mixture_learner import experts_of, mixture_learner
 from nufleet.robot_agent.flight.online_gp import WINDOW_POINTS, OnlineGp
-from nufleet.robot_agent.flight.own_model import check_explained, evidence_in
+from nufleet.robot_agent.flight.own_model import check_explained, evidence_in, unexplained_in
 from nufleet.robot_agent.flight.rich_flight import (
     FlightRecord,
     fly_record,
@@ -127,6 +127,7 @@ class _Rich:
             for axis, noise_std in zip(spec.axes, self._monitored.noise_std, strict=True):
                 check_explained(evidence[axis.name], spec, axis, float(noise_std))
             self._memory.learn(evidence, states_in(self._robot, self._record.states))
+            learn_unexplained(self._memory, spec, references, outputs, self._monitored.noise_std)
         except NufleetError as error:
             # The robot works and is at rest: the disk failed, or the record allows no model.
             return Outcome.FAILED, f"its baseline was not learned: {error}"
@@ -186,11 +187,18 @@ class _Path:
 
     def _learn(self, record: TrackingRecord) -> None:
         """Add the flight to the robot's model of itself, and compare it with that."""
-        learn(self._memory, self._robot.spec, record.reference, record.actual)
+        spec, noise_std = self._robot.spec, self._monitored.noise_std
+        learn(self._memory, spec, record.reference, record.actual)
         try:
-            self._findings = self._memory.own_model(self._robot.spec).findings
+            self._findings = learn_unexplained(
+                self._memory, spec, record.reference, record.actual, noise_std
+            )
         except MemoryFolderError as error:
             _log.warning("%s", error)
+
+    @property
+    def _own(self) -> bool:
+        return self._motion.inverse == "own"
 
     @property
     def _predicted(self) -> PredictedError | None:
@@ -222,6 +230,7 @@ class _Path:
             experts=experts_of(self._motion, self._memory),
             weights=record.weights if self._motion.mixture else None,
             predicted=self._predicted,
+            way=self._forecast.way.reason if self._forecast and self._own else None,
             findings=self._findings,
         )
         return Samples(record.reference, record.actual, details)
@@ -264,6 +273,35 @@ def learn(
         memory.learn(evidence_in(spec, references, outputs), states)
     except (InvalidInputError, MemoryFolderError) as error:
         _log.warning("a motion taught nothing: %s", error)
+
+
+def learn_unexplained(
+    memory: Memory,
+    spec: RobotSpec,
+    references: FloatArray,
+    outputs: FloatArray,
+    rest_std: FloatArray,
+) -> tuple[str, ...]:
+    """Add what a flight of all axes leaves unexplained to a robot's model of itself.
+
+    Args:
+        memory: Memory of the robot, which has learned from the flight already.
+        spec: Description of the robot.
+        references: References sent, shape (samples, axes), in the axes' units.
+        outputs: Outputs measured before each reference acted, in the same shape.
+        rest_std: Standard deviation of the output at rest, shape (axes,), in the axes' units.
+
+    Returns:
+        What the flight shows of the model, for people.
+
+    Raises:
+        MemoryFolderError: It cannot be stored.
+    """
+    settled = memory.own_model(spec)
+    if settled.model is not None:
+        left = unexplained_in(settled.model, spec, references, outputs, rest_std)
+        memory.learn_unexplained(left, spec)
+    return settled.findings
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,7 +363,7 @@ def learner_for(
     if motion.inverse == "own":
         if forecast is None:
             raise RobotError("the robot has no model of itself any more")
-        return Ahead(forecast.correction)
+        return Ahead(forecast.correction, forecast.way.feedback)
     window = WINDOW_POINTS if motion.learn else 0
     axes = robot.spec.axes
     if motion.mixture:

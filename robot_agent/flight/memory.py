@@ -14,7 +14,12 @@ from pathlib import Path
 from pydantic import TypeAdapter, ValidationError
 
 from nufleet.robot_agent.flight.inverse_model import NetworkInverse
-from nufleet.robot_agent.flight.own_model import AxisRecord, Settled, settle
+from nufleet.robot_agent.flight.own_model import (
+    AxisRecord,
+    Settled,
+    settle,
+    with_unexplained,
+)
 from nufleet.robot_agent.flight.state_model import StateEvidence, StateModel, state_model
 from nufleet.shared.errors import MalformedMessageError, NufleetError
 from nufleet.shared.experience.file import (
@@ -26,6 +31,7 @@ from nufleet.shared.experience.file import (
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.experience.manifest import ExperienceManifest
 from nufleet.shared.models.error_belief import Evidence
+from nufleet.shared.models.unexplained import Unexplained
 from nufleet.shared.private_files import make_private_folder, synchronise_folder, write_privately
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.strict import Name, describe_validation
@@ -250,6 +256,18 @@ class Memory:
                 records[axis] = records.get(axis, AxisRecord()).with_new(new, seen)
             self._keep_records(records)
             self._settled = None
+
+    def learn_unexplained(self, unexplained: Mapping[str, Unexplained], spec: RobotSpec) -> None:
+        """Store what a flight, known to `own_model` already, left unexplained, by the axes' names.
+
+        Raises:
+            MemoryFolderError: It cannot be stored.
+        """
+        with self._lock:
+            if self._settled is not None:
+                settled = with_unexplained(self._settled, unexplained, spec)
+                self._keep_records(settled.records)
+                self._settled = settled
 
     def _keep_records(self, records: Mapping[str, AxisRecord]) -> None:
         self._write(_OWN, _RECORDS.dump_json(dict(records)))

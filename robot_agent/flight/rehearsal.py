@@ -129,11 +129,10 @@ class Rehearsal:
         responses = np.concatenate([belief.draws(1, rng) for belief in axes], axis=1)
         # An output that is measured before its reference acts has not answered it, in any draw.
         responses[0] = 1.0
-        noise = [belief.noise_std * rng.standard_normal(samples) for belief in axes]
         return LoopDraw(
             basis=axes[0].basis,
             responses=responses,
-            unexplained=np.stack(noise, axis=1),
+            unexplained=self.model.disturbed(samples, rng),
             state_gains=self.states.gains,
             state_noise_std=self.states.noise_std,
         )

@@ -197,6 +197,8 @@ class TrackingDetails(Strict):
     predicted: PredictedError | None = None
     """Error that the robot expected; None for a robot that knows nothing of itself, and for an
     inverse that learns in flight or is fed with the state unless a forecast was asked for."""
+    way: Reason | None = None
+    """How the robot flew with its model of itself, and why; None for the other inverses."""
     findings: tuple[Reason, ...] = ()
     """What the flight showed of the robot's model of itself: that the robot has changed, say."""
     experts: tuple[Name, ...] = ()
