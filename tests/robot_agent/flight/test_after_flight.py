@@ -18,7 +18,7 @@ PATH = travel(np.array([[0.0, 0.0], [0.5, 0.5], [-0.4, 0.2]]), 0.9, 1.8, 0.02)
 
 
 def flown(memory: Memory, references: np.ndarray) -> OwnModel:
-    robot = LaggedRobot(noise_std_m=5e-3)
+    robot = LaggedRobot(noise_std_m=1e-3)
     learn(memory, robot.spec, references, robot.run(references))
     model = memory.own_model(robot.spec).model
     assert model is not None
@@ -29,7 +29,7 @@ def flown(memory: Memory, references: np.ndarray) -> OwnModel:
 def little() -> tuple[Memory, OwnModel]:
     """A robot that knows itself from one slow and noisy motion."""
     memory = Memory(None)
-    slow = travel(np.array([[0.0, 0.0], [0.1, 0.1], [0.0, 0.0]]), 0.1, 0.1, 0.02)
+    slow = travel(np.array([[0.0, 0.0], [0.02, 0.02], [0.0, 0.0]]), 0.05, 0.05, 0.02)
     return memory, flown(memory, slow)
 
 
