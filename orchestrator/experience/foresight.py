@@ -125,19 +125,30 @@ def _payloads(
     """Return the sources' experiences that fit, by source; add to `without` why others do not."""
     payloads: dict[str, bytes] = {}
     for source in sources:
-        reason = f"a target rehearses at most {MIXTURE_MAX} experiences"
-        for architecture in _PREFERRED if len(payloads) < MIXTURE_MAX else ():
-            try:
-                payload = library.find(source, architecture)[0].read()
-                check_fit(decode_experience(payload).manifest, target)
-            except InvalidInputError as error:
-                reason = str(error)
-            else:
-                payloads[source] = payload
-                break
-        if source not in payloads:
-            without[source] = reason
+        if len(payloads) == MIXTURE_MAX:
+            without[source] = f"a target holds and rehearses at most {MIXTURE_MAX} experiences"
+            continue
+        found = _experience(library, source)
+        if found is None:
+            without[source] = f"it has learned nothing yet: `nufleet train --robot {source}`"
+            continue
+        try:
+            check_fit(decode_experience(found).manifest, target)
+        except InvalidInputError as error:
+            without[source] = str(error)
+        else:
+            payloads[source] = found
     return payloads
+
+
+def _experience(library: ExperienceLibrary, source: str) -> bytes | None:
+    """Return the experience of a source that is fed with the state, else another; None without."""
+    for architecture in _PREFERRED:
+        try:
+            return library.find(source, architecture)[0].read()
+        except InvalidInputError:
+            continue  # there is none of this architecture
+    return None
 
 
 def _found(

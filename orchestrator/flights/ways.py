@@ -79,6 +79,11 @@ class Foresight:
     """The ways, those that can be flown now before those that need more flying."""
 
     @property
+    def present_s(self) -> float:
+        """For how long the target has flown until now, as far as it knows its least known axis."""
+        return min((way.own_flight_s for way in self.ways), default=0.0)
+
+    @property
     def now(self) -> dict[str, PredictedError]:
         """Error of every way that can be flown now, by its name."""
         return _predicted(self._split()[0])
@@ -99,8 +104,7 @@ class Foresight:
         return min(now, key=lambda way: (now[way].rms, effort.get(way, 3)), default=None)
 
     def _split(self) -> tuple[tuple[WayRecord, ...], tuple[WayRecord, ...]]:
-        present_s = min((way.own_flight_s for way in self.ways), default=0.0)
-        now = tuple(way for way in self.ways if way.own_flight_s <= present_s)
+        now = tuple(way for way in self.ways if way.own_flight_s <= self.present_s)
         return now, self.ways[len(now) :]
 
 
@@ -110,7 +114,7 @@ def advice(foresight: Foresight) -> str:
     if chosen is None:
         return f"no way to fly {foresight.path} could be predicted"
     expected = now[chosen]
-    transfers = {way: found for way, found in now.items() if way not in (BASELINE, NO_PRIOR, OWN)}
+    transfers = {way: left for way, left in now.items() if way == MIXTURE or _is_source(way)}
     parts = [f"{_order(chosen)}: {error_range(expected, unit)} expected"]
     if chosen != BASELINE and BASELINE in now:
         parts[0] += f", the baseline leaves {in_thousandths(now[BASELINE].rms, unit)}"
@@ -119,11 +123,14 @@ def advice(foresight: Foresight) -> str:
         named = "a mixture of the sources" if best == MIXTURE else f"{best}'s experience"
         left = in_thousandths(transfers[best].rms, unit)
         parts.append(f"do not transfer: the best of it, {named}, would leave {left}")
+    if not transfers and any(_is_source(way.way) for way in foresight.ways):
+        parts.append("no source has an experience yet that could be rehearsed")
     sooner = _soonest(foresight.later, expected.rms)
     if sooner is not None:
-        (record, found), present_s = sooner, min(way.own_flight_s for way in foresight.ways)
+        record, found = sooner
+        more_s = record.own_flight_s - foresight.present_s
         parts.append(
-            f"after {record.own_flight_s - present_s:.0f} s of rich flight its own model is "
+            f"after {more_s:.0f} s of rich flight its own model is "
             f"expected to leave {in_thousandths(found.rms, unit)}"
         )
     return "; ".join(parts)
@@ -151,6 +158,10 @@ def described(record: WayRecord, present_s: float) -> str:
     name = names.get(record.way, f"experience of {record.way}")
     more_s = record.own_flight_s - present_s
     return f"{name} after {more_s:.0f} s of rich flight" if more_s > 0 else name
+
+
+def _is_source(way: str) -> bool:
+    return way not in (BASELINE, NO_PRIOR, OWN, MIXTURE)
 
 
 def _order(way: str) -> str:
