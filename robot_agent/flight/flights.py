@@ -345,7 +345,7 @@ def equipment_for(
         raise RobotError("the robot does not know its baseline any more")
     fallback = None
     if forecast.own_helps and motion.inverse != "own":
-        fallback = Ahead(forecast.correction)
+        fallback = Ahead(forecast.correction, forecast.way.feedback)
     guard = guard_for(forecast, robot, fallback=fallback is not None)
     return Equipment(learner, guard, fallback)
 

@@ -96,13 +96,16 @@ class _Axis:
         # The mean square of n samples of noise varies by √(2/n) of itself; so did the one known.
         luck = 1 + rng.standard_normal(DRAWS) * np.sqrt(4 / self.left.shape[1])
         if feedback is None:
-            known, lasting, noise = self.left, self.lasting[0], self.noise
+            known, lasting, noise, doubtful = self.left, self.lasting[0], self.noise, 0.0
         else:
             known = feedback.closed(self.left)
             lasting = feedback.variance(self.lasting)
-            noise = feedback.variance(np.array([self.noise])) + feedback.doubtful
+            noise = feedback.variance(np.array([self.noise]))
+            doubtful = feedback.doubtful
         rough = np.exp(2 * _ROUGH * rng.standard_normal(DRAWS))
-        return rough * np.mean(known**2, axis=1) + scales * lasting, luck * noise
+        # The error of a response is one number, however long the flight.
+        wrong = doubtful * rng.standard_normal(DRAWS) ** 2
+        return rough * np.mean(known**2, axis=1) + scales * lasting + wrong, luck * noise
 
 
 def own_way(model: OwnModel, desired: FloatArray, baseline_square: float) -> OwnWay:

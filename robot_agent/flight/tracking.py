@@ -254,10 +254,7 @@ class _Flight:
         self._robot, self._desired, self._limits = robot, desired, limits
         self._learner, self._guard, self._watch = learner, guard, watch
         samples, axes = desired.shape
-        most = limits.correction_max
-        self._fallback = np.zeros_like(desired)
-        if fallback is not None:
-            self._fallback = np.clip(fallback.correction, -most, most)
+        self._fallback = np.zeros_like(desired) if fallback is None else fallback.correction
         self._back = self._ahead = 0
         self._span = 1
         self._learn_every = 1
@@ -286,9 +283,11 @@ class _Flight:
         self._limited = np.zeros(samples, dtype=bool)
         self._weights = np.zeros((samples, experts))
         self._loop: FeedbackLoop | None = None
-        if isinstance(learner, Ahead) and learner.feedback is not None:
-            self._loop = FeedbackLoop(learner.feedback, desired[0], samples)
-        self._fed = np.zeros(axes)
+        # Corrections known ahead have no fallback: the robot's model of itself flies only once.
+        known = learner if isinstance(learner, Ahead) else fallback
+        if known is not None and known.feedback is not None:
+            self._loop = FeedbackLoop(known.feedback, desired[0], samples)
+        self._fed = np.zeros((samples, axes))
         self._fading: FloatArray | None = None
         self._done = 0
 
@@ -306,6 +305,9 @@ class _Flight:
                     sent = self._reference[self._span + k - 1] - self._desired[max(0, k - 1)]
                     error = observed[:, 0] - self._desired[max(0, k - self._late)]
                     self._share[k] = self._guard.judge(k, error, sent)
+                if self._loop is not None and k > 0:
+                    previous = self._reference[self._span + k - 1]
+                    self._fed[k] = self._loop.correction(k, previous, self._actual[k - 1])
                 correction, reference = (
                     self._choose(self._learner, k, observed)
                     if isinstance(self._learner, Learner)
@@ -364,11 +366,8 @@ class _Flight:
         """
         step_s, previous = self._robot.spec.sample_time_s, self._reference[self._span + k - 1]
         now, before = ahead.correction[k], ahead.correction[max(0, k - 1)]
-        fed = np.zeros_like(now)
-        if self._loop is not None and k > 0:
-            fed = self._loop.correction(k, previous, self._actual[k - 1])
-        self._prior[k], self._mean[k] = (now - before) / step_s, (fed - self._fed) / step_s
-        self._fed = fed
+        fed, fed_before = self._fed[k], self._fed[max(0, k - 1)]
+        self._prior[k], self._mean[k] = (now - before) / step_s, (fed - fed_before) / step_s
         reference = self._bounded(k, self._desired[k] + now + fed, previous)
         return Correction(self._prior[k], self._mean[k], np.zeros_like(now), ()), reference
 
@@ -388,7 +387,10 @@ class _Flight:
         # output is ignored.
         shared = self._share[k] * (near if self._fading is None else self._fading)
         if self._guard is not None:
-            shared = shared + self._guard.fallback_share(k) * self._fallback[k]
+            own = np.clip(
+                self._fallback[k] + self._fed[k], -limits.correction_max, limits.correction_max
+            )
+            shared = shared + self._guard.fallback_share(k) * own
         held = np.clip(shared, before - step, before + step)
         self._limited[k] = bool((near != wished - wanted).any() or (held != shared).any())
         return np.asarray(wanted + held)

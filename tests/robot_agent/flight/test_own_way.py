@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from learned_things import experience, layout
 from robots_that_learn import LaggedRobot
 from test_flights import flown
 
@@ -10,6 +11,7 @@ from nufleet.robot_agent.flight.flights import learn
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.experience.file import digest
 from nufleet.shared.paths.trajectories import travel
 from nufleet.shared.wire.motions import RichFlight, Tracking, TrackingDetails
 
@@ -89,6 +91,23 @@ def test_a_robot_that_is_pushed_about_flies_with_a_feedback_of_its_output() -> N
     assert error < 0.7 * 0.01 * np.sqrt(2)  # of a push of 0.01 m on either axis
     assert details.predicted is not None
     assert details.predicted.low <= error <= details.predicted.high
+
+
+def test_a_prior_that_is_taken_back_gives_way_to_the_model_with_its_feedback() -> None:
+    """The feedback has followed the flight from its beginning."""
+    robot, memory = Pushed(), Memory(None)
+    flown(robot, RichFlight(duration_s=30.0, seed=1), memory)
+    wrong = experience(layout=layout(sample_time_s=0.02), robot_kind="lagged", axes=("x", "y"))
+    kept = memory.keep_prior(wrong, digest(wrong))
+    kept.inverse._layers[0][0][:] = -40.0  # asks for far too much of every point ahead
+    motion = Tracking(desired=PATH, inverse="prior", prior_sha256=digest(wrong), learn=False)
+    played = flown(robot, motion, memory)
+    details = played.samples.details
+    assert isinstance(details, TrackingDetails)
+    assert details.taken_back is not None
+    assert details.taken_back.given_to == "own"
+    left = (played.samples.response - PATH)[details.taken_back.sample + 60 :]
+    assert np.sqrt(np.mean(np.sum(left**2, axis=1))) < 0.75 * 0.01 * np.sqrt(2)
 
 
 def test_a_path_along_which_axes_act_on_each_other_teaches_no_response() -> None:
