@@ -325,7 +325,7 @@ class Equipment:
     guard: Guard | None
     """Guard over the learner; None if the flight is not guarded."""
     fallback: Ahead | None
-    """Corrections that take over if the guard withdraws the learner's."""
+    """Corrections that take over if the guard withdraws those of the learner."""
 
 
 def equipment_for(
