@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from learned_things import experience, layout
 from robots_that_learn import LaggedRobot
 from test_flights import flown
@@ -78,7 +79,7 @@ def test_a_linear_robot_flies_references_that_are_known_ahead() -> None:
     assert details.way is not None
     assert details.way.startswith("it flew with references known ahead: ")
     assert details.predicted is not None
-    assert details.predicted.low <= error <= details.predicted.high
+    assert error == pytest.approx(details.predicted.rms, rel=0.1)
 
 
 def test_a_robot_that_is_pushed_about_flies_with_a_feedback_of_its_output() -> None:
