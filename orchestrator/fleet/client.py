@@ -236,6 +236,13 @@ class Fleet:
         request = RemovePriorRequest(sender=self.orchestrator_id, epoch=self.epoch(robot))
         self._ask(robot, "prior/remove", request, Done)
 
+    def forget_own_model(self, robot: str) -> None:
+        """Have a robot forget what it knows of itself, its baseline included."""
+        request = RemovePriorRequest(
+            sender=self.orchestrator_id, epoch=self.epoch(robot), what="own-model"
+        )
+        self._ask(robot, "prior/remove", request, Done)
+
     def stop(self, robot: str, reason: str) -> None:
         """Stop a robot; return once it confirms the stop, and raise if it does not."""
         request = StopRequest(sender=self.orchestrator_id, reason=reason)

@@ -222,6 +222,16 @@ class Memory:
             self._keep_records(records)
             self._settled = None
 
+    def forget_own_model(self) -> None:
+        """Remove what the robot knows of itself; its next motions teach it again.
+
+        Raises:
+            MemoryFolderError: It cannot be removed.
+        """
+        with self._lock:
+            self._keep_records({})
+            self._settled = None
+
     def _keep_records(self, records: Mapping[str, AxisRecord]) -> None:
         self._write(_OWN, _RECORDS.dump_json(dict(records)))
         self._records = dict(records)
