@@ -41,8 +41,9 @@ def rich_references(spec: RobotSpec, duration_s: float, rng: np.random.Generator
 
     They consist of pieces, each a sum of eight sinusoids with random phases over a part of the
     robot's band. Slow pieces reach the limit on position or speed, fast ones the limit on
-    acceleration. A piece lasts 15 s, and longer for a robot whose band ends below 2 rad/s. A shorter
-    flight is one piece of its duration, but of at least four periods of the band's upper edge.
+    acceleration. A piece lasts 15 s, and longer for a robot whose band ends below 2 rad/s. A
+    shorter flight is one piece of its duration, but of at least four periods of the band's upper
+    edge.
 
     Args:
         spec: Description of the robot, whose band and tracking limits the references keep to.
