@@ -170,10 +170,13 @@ def _tested(
         fleet.forget_own_model(study.target)
     conclusion = rank_once(fleet, plan.ready, plan.seed, run_id, archive)
     ranking = {estimate.robot: estimate.psi for estimate in conclusion.ranking}
-    known_s = fleet.describe(study.target).least_known_s
+    target = fleet.describe(study.target)
+    known = ", ".join(
+        f"{axis.name} {target.own_flight_s.get(axis.name, 0.0):.0f} s" for axis in target.spec.axes
+    )
     say(
         f"ranked as by `nufleet rank`: {ranking_line(ranking)}; {study.target} knows itself from "
-        f"{known_s:.0f} s of tests{'' if plan.forget else ' and earlier motions'}"
+        f"its tests{'' if plan.forget else ' and earlier motions'}: {known}"
     )
     return ranking
 
