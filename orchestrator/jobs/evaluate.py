@@ -37,6 +37,7 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.paths.installed import drawing_names
+from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Description
 
 Drawings = dict[str, FloatArray]
@@ -258,7 +259,7 @@ def _plan(
         check_would_fit(
             ready.descriptions[source], ready.descriptions[target], command.architecture
         )
-    _check_own_flights(command.chosen_own_flight_s, ready.descriptions[target])
+    check_own_flights(command.chosen_own_flight_s, ready.descriptions[target].spec, target)
     return EvaluationPlan(
         ready=ready,
         legs=legs_of(
@@ -274,12 +275,23 @@ def _plan(
     )
 
 
-def _check_own_flights(own_flight_s: Sequence[float], target: Description) -> None:
+def check_own_flights(own_flight_s: Sequence[float], spec: RobotSpec, robot: str) -> None:
+    """Check that a robot may fly for as long as each rich flight of an evaluation takes.
+
+    Args:
+        own_flight_s: Durations of its own flying, rising, between which it flies without a break.
+        spec: Description of the robot.
+        robot: Name of the robot, for error messages.
+
+    Raises:
+        InvalidInputError: It may not.
+    """
     longest_s = max((after - before for before, after in pairwise(own_flight_s)), default=0.0)
-    if longest_s > target.spec.duration_max_s:
+    allowed_s = spec.duration_max_s - spec.settling_time_s
+    if longest_s > allowed_s:
         raise InvalidInputError(
-            f"--own-flight has robot {target.robot} fly for {longest_s:g} s at once, and it may "
-            f"fly for {target.spec.duration_max_s:g} s: add a duration in between"
+            f"--own-flight has robot {robot} fly for {longest_s:g} s at once, and it may fly for "
+            f"{allowed_s:g} s: add a duration in between"
         )
 
 
