@@ -4,7 +4,8 @@ Nothing is flown here: the figures come from finished runs of `nufleet evaluate`
 given. The tables are in Markdown, as the documentation shows them.
 
     nufleet evaluate --fleet paper_linear ...
-    python -m benchmarks.evaluation_curves runs/*-evaluate --figure docs/images/curves.png
+    python -m benchmarks.evaluation_curves runs/*-evaluate --figure docs/images/curves.png \\
+        --tables docs/evaluation.md
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from nufleet.orchestrator.evaluation.results import (
 from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN, OWN_MIXTURE
 from nufleet.orchestrator.runs.figures import new_figure, save
 
+BEGIN, END = "<!-- tables -->", "<!-- end of tables -->"
 COLUMNS = 2
 WIDTH_IN, HEIGHT_IN = 6.0, 4.0
 
@@ -144,14 +146,32 @@ def document(evaluations: Sequence[tuple[str, EvaluationRecord]]) -> str:
     return "\n\n".join(parts)
 
 
+def with_tables(text: str, tables: str) -> str:
+    """Return a document with the tables between its two marks replaced.
+
+    Raises:
+        ValueError: The document lacks a mark.
+    """
+    before, _, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not end:
+        raise ValueError(f"there is no {BEGIN!r} followed by {END!r}")
+    return f"{before}{BEGIN}\n\n{tables}\n\n{END}{after}"
+
+
 def main() -> None:
     """Draw the figure and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("runs", nargs="+", type=Path, help="folders of runs of nufleet evaluate")
     parser.add_argument("--figure", type=Path, help="picture to write")
+    parser.add_argument("--tables", type=Path, help="document whose tables are replaced")
     arguments = parser.parse_args()
     evaluations = [read(run) for run in arguments.runs]
-    print(document(evaluations))
+    tables = document(evaluations)
+    print(tables)
+    if arguments.tables is not None:
+        text = arguments.tables.read_text(encoding="utf-8")
+        arguments.tables.write_text(with_tables(text, tables), encoding="utf-8")
     if arguments.figure is not None:
         draw(arguments.figure, evaluations)
 

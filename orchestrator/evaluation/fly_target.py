@@ -72,7 +72,7 @@ class FlightLog(Protocol):
     """An observer of the progress of an evaluation."""
 
     def way_begins(self, way: str, own_flight_s: float, flights: int) -> None:
-        """Handle the beginning of flights with a way, after so much flying beyond the tests."""
+        """Handle the beginning of flights in a way, after rich flights of that duration."""
 
     def flown(self, record: FlightRecord) -> None:
         """Handle the end of a flight."""

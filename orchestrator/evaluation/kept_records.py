@@ -17,7 +17,7 @@ RECORDS = "flights.jsonl"
 class KeptRecords:
     """A log that writes each record at once and announces each way; a context that closes the file.
 
-    An evaluation takes hours. Whatever ends it early, the flights until then are in the file.
+    An evaluation takes hours. When it ends early, the flights until then are in the file.
     """
 
     def __init__(

@@ -105,7 +105,7 @@ class Pilot:
     def unremembered(self) -> Iterator[None]:
         """Fly paths, within this context, that add nothing to any robot's model of itself.
 
-        Flights then begin with the same knowledge, whatever their order.
+        All of these flights begin with the same knowledge, so that their order does not matter.
         """
         before, self._remember = self._remember, False
         try:

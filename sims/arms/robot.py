@@ -57,7 +57,7 @@ class Arm(SimulatedRobot):
 
 
 def _rest_rule(settings: ArmSettings) -> RestRule:
-    # A proportional controller leaves a joint wherever friction balances its spring.
+    # A proportional controller leaves a joint where friction balances the servo's spring.
     stiffness, _ = servo_gains(settings)
     stuck = np.array(settings.joint_friction_nm) / stiffness
     return RestRule(
