@@ -26,6 +26,7 @@ from nufleet.orchestrator.runs.figures import new_figure, save
 
 BEGIN, END = "<!-- tables -->", "<!-- end of tables -->"
 COLUMNS = 2
+LEGEND_SHARE = 0.22  # of the height of the lines, kept free above them
 WIDTH_IN, HEIGHT_IN = 6.0, 4.0
 
 
@@ -53,7 +54,9 @@ def draw(png: Path, evaluations: Sequence[tuple[str, EvaluationRecord]]) -> None
     for axes, (fleet, record) in zip(grid, evaluations, strict=False):
         draw_curve(axes, record.result)
         axes.set_title(f"{fleet}, {_paths(record)} paths", loc="left", fontsize=10)
-        axes.legend(frameon=False, fontsize=7, ncols=2)
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high * (high / low) ** LEGEND_SHARE)
+        axes.legend(frameon=False, fontsize=7, ncols=3, loc="upper left")
     for axes in grid[len(evaluations) :]:
         axes.axis("off")
     save(figure, png)

@@ -22,6 +22,7 @@ _COLOURS = {
     OWN: "tab:blue",
     OWN_MIXTURE: "tab:cyan",
 }
+_NOISE_SHARE = 0.05  # least noise that is drawn, as a share of the least error
 _LINEAR_S = 5.0  # the first seconds are drawn to a linear scale, the later ones to a logarithmic
 
 
@@ -61,7 +62,7 @@ def draw_curve(axes: Axes, result: EvaluationResult) -> None:
         if not flown:
             continue
         seconds, errors = [w.own_flight_s for w in flown], [1e3 * (w.rms_m or 0.0) for w in flown]
-        label = f"{name} ({curve[0].way})" if name.endswith("source") else name
+        label = _label(name, curve[0])
         if name in single:
             axes.axhline(errors[0], color=colour, lw=1.2, label=label)
             # Side by side, so that no bar hides another; negative values are beside 0 s.
@@ -70,8 +71,12 @@ def draw_curve(axes: Axes, result: EvaluationResult) -> None:
         else:
             axes.plot(seconds, errors, "o-", color=colour, lw=1.6, ms=4, label=label)
             _band(axes, [w for w in flown if w.predicted_low_m is not None], colour)
-    if result.noise_rms_m:
+    least_m = min((w.rms_m for w in result.ways if w.rms_m), default=0.0)
+    # A sensor without noise still shows what little a smooth motion accelerates between samples.
+    if result.noise_rms_m and result.noise_rms_m > _NOISE_SHARE * least_m:
         axes.axhline(1e3 * result.noise_rms_m, color="0.6", lw=1.0, ls=":", label="sensor noise")
+    if any(way.predicted_rms_m is not None for curve in curves.values() for way in curve):
+        axes.fill_between([], [], [], color="0.5", alpha=0.3, lw=0, label="predicted, 90 %")
     axes.set_xscale("symlog", linthresh=_LINEAR_S)
     axes.set_yscale("log")
     axes.set_xlim(-0.4 * _LINEAR_S, max(1.1 * last_s, _LINEAR_S))
@@ -106,6 +111,14 @@ def curves_of(result: EvaluationResult) -> dict[str, list[WayResult]]:
         lines["best source"] = ordered[0]
     lines |= {name: by_way.get(name, []) for name in (MIXTURE, OWN, OWN_MIXTURE)}
     return {name: curve for name, curve in lines.items() if curve}
+
+
+def _label(name: str, way: WayResult) -> str:
+    if not name.endswith("source"):
+        return name
+    # What flew on after a withdrawal was not the source.
+    withdrawn = f", withdrawn {way.taken_back} ×" if way.taken_back else ""
+    return f"{name} ({way.way}{withdrawn})"
 
 
 def _interval(axes: Axes, place: float, way: WayResult, colour: str) -> None:
