@@ -1,0 +1,71 @@
+"""A robot flies with its model of itself in the way that leaves less, and says why."""
+
+from __future__ import annotations
+
+import numpy as np
+from robots_that_learn import LaggedRobot
+from test_flights import flown
+
+from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.paths.trajectories import travel
+from nufleet.shared.wire.motions import RichFlight, Tracking, TrackingDetails
+
+PATH = travel(np.tile([[0.0, 0.0], [0.5, 0.5], [-0.4, 0.2], [0.3, -0.5]], (4, 1)), 0.5, 1.0, 0.02)
+"""Half a minute, in which the push changes often."""
+
+NOISE_M = 5e-4
+
+
+class Pushed(LaggedRobot):
+    """A slow disturbance moves it by 1 cm."""
+
+    def __init__(self) -> None:
+        super().__init__(noise_std_m=NOISE_M)
+        self._push, self._pushes = np.zeros(2), np.random.default_rng(7)
+
+    def observe(self) -> FloatArray:
+        return super().observe() + self._push[:, np.newaxis]
+
+    def step(self, reference: FloatArray) -> FloatArray:
+        output = super().step(reference)
+        # A first-order process with a time constant of 1 s.
+        self._push = 0.98 * self._push + 0.01 * np.sqrt(1 - 0.98**2) * self._pushes.normal(size=2)
+        return output
+
+    def rest(self) -> None:
+        super().rest()
+        self._push = np.zeros(2)
+
+
+def own_flight(robot: Robot) -> tuple[float, TrackingDetails]:
+    """Have a robot fly the path with its model of itself, after half a minute of flight."""
+    memory = Memory(None)
+    flown(robot, RichFlight(duration_s=30.0, seed=1), memory)
+    played = flown(robot, Tracking(desired=PATH, inverse="own"), memory)
+    details = played.samples.details
+    assert isinstance(details, TrackingDetails)
+    distance = played.samples.response - PATH
+    return float(np.sqrt(np.mean(np.sum(distance**2, axis=1)))), details
+
+
+def test_a_linear_robot_flies_references_that_are_known_ahead() -> None:
+    error, details = own_flight(LaggedRobot(noise_std_m=NOISE_M))
+    assert not details.mean.any()
+    assert details.way is not None
+    assert details.way.startswith("it flew with references known ahead: ")
+    assert details.predicted is not None
+    assert details.predicted.low <= error <= details.predicted.high
+
+
+def test_a_robot_that_is_pushed_about_flies_with_a_feedback_of_its_output() -> None:
+    """The push lasts much longer than its answer takes, 60 ms, so most of it can be corrected."""
+    error, details = own_flight(Pushed())
+    assert details.mean.any()
+    assert details.way is not None
+    assert "with a feedback of its output" in details.way
+    assert details.taken_back is None
+    assert error < 0.7 * 0.01 * np.sqrt(2)  # of a push of 0.01 m on either axis
+    assert details.predicted is not None
+    assert details.predicted.low <= error <= details.predicted.high
