@@ -7,11 +7,10 @@ sources by frequency tests. The flights only show whether the prediction was rig
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
-from typing import Protocol
+from typing import Any, Literal, Protocol
 
 from nufleet.orchestrator.evaluation.results import (
     BaselineResult,
@@ -32,17 +31,18 @@ from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.prior_custody import prior_put_back
 from nufleet.orchestrator.experience.transfer import transfer, transfer_several
 from nufleet.orchestrator.fleet.client import Fleet
-from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
+from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN, path_label
 from nufleet.orchestrator.flights.legs import Leg
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
 from nufleet.orchestrator.flights.start_weights import mixture_of
 from nufleet.orchestrator.study.predicted_errors import PredictedRms
-from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RefusedError
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.robots.spec import RobotSpec
-from nufleet.shared.wire.messages import Description
-from nufleet.shared.wire.motions import MIXTURE_MAX
+from nufleet.shared.wire.messages import Description, ForeseenWay
+from nufleet.shared.wire.motions import MIXTURE_MAX, PredictedError
+
+_Inverse = Literal["baseline", "zero-prior", "prior", "mixture", "own"]
 
 NO_OWN_MODEL = ("no-own-model", "vague-own-model")
 """Codes of the refusals of a robot that knows too little of itself for a path."""
@@ -71,6 +71,9 @@ class Psi:
 class FlightLog(Protocol):
     """An observer of the progress of an evaluation."""
 
+    def rehearsing(self, path: str, place: int, paths: int) -> None:
+        """Handle that the target begins to rehearse one of so many paths, from 1."""
+
     def way_begins(self, way: str, own_flight_s: float, flights: int) -> None:
         """Handle the beginning of flights in a way, after rich flights of that duration."""
 
@@ -95,6 +98,7 @@ def fly_target(
     psi: Mapping[str, float] | None = None,
     own_flight_s: Sequence[float] = (0.0,),
     seed: int = 0,
+    rehearse: bool = False,
     log: FlightLog | None = None,
 ) -> tuple[FlightRecord, ...]:
     """Fly a target along all legs: own model, baseline, zero prior, every source, their mixture.
@@ -119,6 +123,8 @@ def fly_target(
             start from equal ones.
         own_flight_s: Durations of the target's own flying, rising from 0, after which it flies.
         seed: Seed of its rich flights.
+        rehearse: Whether the target first predicts the error of every way on every path. The errors
+            of its baseline and of its model of itself are predicted without that.
         log: Observer of the progress; None for none.
 
     Returns:
@@ -130,26 +136,36 @@ def fly_target(
     """
     legged = _Legs(fleet, pilot, target, legs, observers, log)
     robot = target.robot
-    with prior_put_back(fleet, pilot, target), pilot.unremembered():
-        legged.fly(OWN, partial(pilot.own, robot, guarded=guarded))
-        legged.fly(BASELINE, partial(pilot.baseline, robot))
-        for place, source in enumerate(sources):
-            given = transfer(fleet, library, source, target, architecture)
-            if place == 0:
-                layout = given.manifest.layout
-                none = partial(pilot.zero_prior, robot, layout=layout, guarded=guarded)
-                legged.fly(NO_PRIOR, none)
-            with_prior = partial(pilot.with_prior, robot, sha256=given.sha256, guarded=guarded)
-            legged.fly(source, with_prior)
-        mixed = sources[:MIXTURE_MAX]
-        transfer_several(fleet, library, mixed, target, architecture)
+
+    def way(inverse: _Inverse, **found: Any) -> ForeseenWay:
+        # The target remembers none of the flights, so that all of them begin with the same.
+        return ForeseenWay(inverse=inverse, guarded=guarded, remember=False, **found)
+
+    own = {OWN: way("own")}
+    with prior_put_back(fleet, pilot, target):
+        alone = sources[MIXTURE_MAX:]  # more than a robot can hold at a time
+        held = transfer_several(fleet, library, sources[:MIXTURE_MAX], target, architecture)
         mixture = mixture_of(fleet.describe(robot).priors, psi)
-        legged.fly(MIXTURE, partial(pilot.with_mixture, robot, mixture=mixture, guarded=guarded))
+        ways = own | {BASELINE: way("baseline")}
+        ways[NO_PRIOR] = way("zero-prior", layout=held[0].manifest.layout)
+        ways |= {
+            source: way("prior", prior_sha256=given.sha256)
+            for source, given in zip(sources, held, strict=False)
+        }
+        ways[MIXTURE] = way("mixture", mixture=mixture)
+        if rehearse:
+            legged.rehearse(ways)
+        for name, each in ways.items():
+            legged.fly(name, each)
+        for source in alone:
+            given = transfer(fleet, library, source, target, architecture)
+            legged.fly(source, way("prior", prior_sha256=given.sha256))
         legged.end_point()
         for place, (before_s, after_s) in enumerate(pairwise(own_flight_s)):
             result, _ = pilot.rich(robot, duration_s=after_s - before_s, seed=seed + place)
             legged.beyond_tests_s += len(result.reference) * target.spec.sample_time_s
-            legged.fly(OWN, partial(pilot.own, robot, guarded=guarded))
+            for name, each in own.items():
+                legged.fly(name, each)
             legged.end_point()
     return tuple(legged.records)
 
@@ -173,17 +189,33 @@ class _Legs:
     ) -> None:
         self._fleet, self._pilot, self._target, self._legs = fleet, pilot, target, legs
         self._observers, self._log = observers, log
+        self._predicted: dict[tuple[str, str, float], PredictedError] = {}
         self.records: list[FlightRecord] = []
         self.beyond_tests_s = 0.0
 
-    def fly(self, way: str, fly: Callable[[FloatArray, str], PathFlight]) -> None:
+    def rehearse(self, ways: Mapping[str, ForeseenWay]) -> None:
+        """Have the target predict its error on every leg in the ways that learn in flight.
+
+        What it predicts of the others comes with their flights.
+        """
+        learning = {
+            name: way for name, way in ways.items() if way.inverse not in ("baseline", "own")
+        }
+        for place, leg in enumerate(self._legs, start=1):
+            if self._log is not None:
+                path = path_label(leg.drawing, leg.speed, leg.unit)
+                self._log.rehearsing(path, place, len(self._legs))
+            found = self._fleet.forecast(self._target.robot, leg.desired, list(learning.values()))
+            for name, foreseen in zip(learning, found, strict=True):
+                if foreseen.predicted is not None:
+                    self._predicted[name, leg.drawing, leg.speed] = foreseen.predicted
+
+    def fly(self, name: str, way: ForeseenWay) -> None:
         """Fly all legs in one way."""
         if self._log is not None:
-            self._log.way_begins(way, self.beyond_tests_s, len(self._legs))
+            self._log.way_begins(name, self.beyond_tests_s, len(self._legs))
         for leg in self._legs:
-            record = self._flown(way, leg, fly).model_copy(
-                update={"beyond_tests_s": self.beyond_tests_s}
-            )
+            record = self._flown(name, way, leg)
             self.records.append(record)
             if self._log is not None:
                 self._log.flown(record)
@@ -193,26 +225,27 @@ class _Legs:
         if self._log is not None:
             self._log.point_complete(self.records)
 
-    def _flown(
-        self, way: str, leg: Leg, fly: Callable[[FloatArray, str], PathFlight]
-    ) -> FlightRecord:
+    def _flown(self, name: str, way: ForeseenWay, leg: Leg) -> FlightRecord:
         robot = self._target.robot
         after = f" after {self.beyond_tests_s:.0f} s" if self.beyond_tests_s else ""
-        label = leg.label(f"{way}{after}")
+        label = leg.label(f"{name}{after}")
         for observer in self._observers:
             observer.begins(robot, label, self._target.spec)
         known_s = self._fleet.describe(robot).least_known_s
         try:
-            flight = fly(leg.desired, label)
+            flight = self._pilot.along(robot, way, leg.desired, label)
         except RefusedError as error:
             if error.code not in NO_OWN_MODEL:
                 raise
-            return _not_flown(robot, way, leg, error.reason, known_s)
-        for observer in self._observers:
-            observer.ended(flight)
-        if flight.failure is not None:
-            pick_up(self._fleet, self._target, flight.failure)
-        return flight_record(flight, way, leg, known_s)
+            record = _not_flown(robot, name, leg, error.reason, known_s)
+        else:
+            for observer in self._observers:
+                observer.ended(flight)
+            if flight.failure is not None:
+                pick_up(self._fleet, self._target, flight.failure)
+            expected = self._predicted.get((name, leg.drawing, leg.speed))
+            record = flight_record(flight, name, leg, known_s, expected)
+        return record.model_copy(update={"beyond_tests_s": self.beyond_tests_s})
 
 
 def _not_flown(
@@ -233,7 +266,11 @@ def _not_flown(
 
 
 def flight_record(
-    flight: PathFlight, inverse: str, leg: Leg, own_flight_s: float | None = None
+    flight: PathFlight,
+    inverse: str,
+    leg: Leg,
+    own_flight_s: float | None = None,
+    expected: PredictedError | None = None,
 ) -> FlightRecord:
     """Return the record of a flight along a leg with the named inverse.
 
@@ -242,8 +279,9 @@ def flight_record(
         inverse: Name of the source, BASELINE, NO_PRIOR or OWN.
         leg: Path of the flight.
         own_flight_s: Duration of the motions by which the robot knew itself before.
+        expected: Error that it predicted, if the flight does not say; None if it did not.
     """
-    event, predicted = flight.details.taken_back, flight.details.predicted
+    event, predicted = flight.details.taken_back, flight.details.predicted or expected
     return FlightRecord(
         target=flight.robot,
         inverse=inverse,

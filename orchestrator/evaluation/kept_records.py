@@ -39,7 +39,8 @@ class KeptRecords:
             clock: Time in s.
         """
         self._flights, self._say, self._on_point = flights, say, on_point
-        self._clock, self._began_s = clock, clock()
+        self._clock = clock
+        self._began_s: float | None = None
         self._done = 0
         self._file: TextIO = (folder / RECORDS).open("a", encoding="utf-8")
 
@@ -51,8 +52,15 @@ class KeptRecords:
     ) -> None:
         self._file.close()
 
+    def rehearsing(self, path: str, place: int, paths: int) -> None:
+        """Announce what the target rehearses; flights are timed from the end of the last."""
+        self._say(f"rehearses {path}: {place} of {paths}")
+        self._began_s = None
+
     def way_begins(self, way: str, own_flight_s: float, flights: int) -> None:
         """Announce a way, with an estimate of the time that is left."""
+        if self._began_s is None:
+            self._began_s = self._clock()
         after = f" after {own_flight_s:.0f} s of its own flying" if own_flight_s else ""
         left = ""
         if self._done:

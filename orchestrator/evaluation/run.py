@@ -155,6 +155,7 @@ def run_evaluation(
             psi=ranking,
             own_flight_s=plan.own_flight_s,
             seed=plan.seed,
+            rehearse=True,
             log=log,
         )
     pilot.acknowledge_all()

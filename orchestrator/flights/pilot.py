@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,7 +90,6 @@ class Pilot:
         self._goals = GoalRunner(fleet)
         self._run_id = run_id
         self._flights: dict[str, int] = {}
-        self._remember = True
 
     def interrupt(self) -> None:
         """Bring all flying robots to rest; flights in progress and new ones raise `Interrupted`."""
@@ -101,18 +98,6 @@ class Pilot:
     def acknowledge_all(self) -> None:
         """Acknowledge the last results of every robot, so that it need not keep them."""
         self._goals.acknowledge_all()
-
-    @contextmanager
-    def unremembered(self) -> Iterator[None]:
-        """Fly paths, within this context, that add nothing to any robot's model of itself.
-
-        All of these flights begin with the same knowledge, so that their order does not matter.
-        """
-        before, self._remember = self._remember, False
-        try:
-            yield
-        finally:
-            self._remember = before
 
     def steps(self, robot: str, axis: str) -> GoalResult:
         """Fly the step test of one axis; raises RobotError when it did not complete."""
@@ -247,7 +232,7 @@ class Pilot:
         return self._path(robot, way.along(desired), label)
 
     def _path(self, robot: str, motion: Tracking, label: str) -> PathFlight:
-        result = self._fly(robot, motion.model_copy(update={"remember": self._remember}))
+        result = self._fly(robot, motion)
         details = result.details
         if details is None and result.outcome is Outcome.FAILED:
             nothing, none = np.empty((0, motion.desired.shape[1])), np.empty(0)

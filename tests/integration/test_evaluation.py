@@ -20,7 +20,7 @@ from nufleet.orchestrator.evaluation.results import (
 from nufleet.orchestrator.experience.prior_custody import install
 from nufleet.orchestrator.jobs.evaluate import EvaluateCommand, evaluate
 
-ALPHA = {"target": 0.85, "source-1": 0.97, "source-2": 0.9}
+ALPHA = {"target": 0.85, "source": 0.97}
 
 
 def command(lab: Lab, runs_root: Path, own_flight_s: tuple[float, ...]) -> EvaluateCommand:
@@ -33,7 +33,7 @@ def command(lab: Lab, runs_root: Path, own_flight_s: tuple[float, ...]) -> Evalu
         architecture="preview",
         drawings=("clover",),
         speeds=(0.4,),
-        scale=0.5,
+        scale=0.15,
         own_flight_s=own_flight_s,
         studies=1,
         iterations=2,
@@ -54,8 +54,8 @@ def fleet_with_experiences(lab: Lab) -> Lab:
         lab.agent(name, double_integrator(alpha, seed))
     # This orchestrator owns nothing, so that the evaluation may.
     fleet = lab.orchestrator("giver", *ALPHA).fleet
-    for name in ("source-1", "source-2"):
-        install(fleet, name, "experience", experience(name, layout=layout(horizon_samples=20)))
+    given = experience("source", layout=layout(horizon_samples=20))
+    install(fleet, "source", "experience", given)
     return lab
 
 
@@ -66,9 +66,10 @@ def test_an_evaluation_compares_all_ways_and_keeps_every_flight(
     result = evaluate(command(fleet_with_experiences, tmp_path, (5.0,)), console)
     assert isinstance(result, EvaluationResult)
     ways = [(way.way, round(way.own_flight_s)) for way in result.ways]
-    first = ("own", "baseline", "none", *(s.robot for s in result.sources), "mixture")
-    assert ways[:6] == [(way, 0) for way in first]
-    assert ways[6:] == [("own", 5)]
+    first = ("own", "baseline", "none", "source", "mixture")
+    assert ways == [*((way, 0) for way in first), ("own", 5)]
+    assert all(way.predicted_rms_m is not None for way in result.ways)
+    assert result.chosen_way in first
     assert [round(point.own_flight_s) for point in result.points] == [0, 5]
     run = Path(result.run)
     record = EvaluationRecord.model_validate_json((run / EVALUATION).read_text())
@@ -76,5 +77,6 @@ def test_an_evaluation_compares_all_ways_and_keeps_every_flight(
     assert tuple(map(FlightRecord.model_validate_json, lines)) == record.flights
     assert (run / "plots" / "curve.png").exists()
     said = console.export_text()
-    assert "own after 5 s of its own flying: flights 7 to 7 of 7, about" in said
+    assert "own after 5 s of its own flying: flights 6 to 6 of 6, about" in said
+    assert "rehearses clover · 0.4 m/s: 1 of 1" in said
     assert "which way to fly" in said
