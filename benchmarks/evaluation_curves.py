@@ -5,7 +5,7 @@ given. The tables are in Markdown, as the documentation shows them.
 
     nufleet evaluate --fleet paper_linear ...
     python -m benchmarks.evaluation_curves runs/*-evaluate --figure docs/images/curves.png \\
-        --tables docs/evaluation.md
+        --summary README.md docs/evaluation.md --tables docs/evaluation.md
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from nufleet.orchestrator.evaluation.results import (
 from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN, OWN_MIXTURE
 from nufleet.orchestrator.runs.figures import new_figure, save
 
-BEGIN, END = "<!-- tables -->", "<!-- end of tables -->"
 COLUMNS = 2
 LEGEND_SHARE = 0.22  # of the height of the lines, kept free above them
 WIDTH_IN, HEIGHT_IN = 6.0, 4.0
@@ -138,8 +137,8 @@ def choices(result: EvaluationResult) -> list[str]:
 
 
 def document(evaluations: Sequence[tuple[str, EvaluationRecord]]) -> str:
-    """Return all tables in Markdown."""
-    parts = ["\n".join(summary(evaluations))]
+    """Return the tables of every single evaluation in Markdown."""
+    parts = []
     for fleet, record in evaluations:
         parts += [
             f"### {fleet}, {_paths(record)} paths",
@@ -149,32 +148,35 @@ def document(evaluations: Sequence[tuple[str, EvaluationRecord]]) -> str:
     return "\n\n".join(parts)
 
 
-def with_tables(text: str, tables: str) -> str:
-    """Return a document with the tables between its two marks replaced.
+def with_part(text: str, name: str, part: str) -> str:
+    """Return a document with what stands between the two marks of a part replaced.
 
     Raises:
         ValueError: The document lacks a mark.
     """
-    before, _, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not end:
-        raise ValueError(f"there is no {BEGIN!r} followed by {END!r}")
-    return f"{before}{BEGIN}\n\n{tables}\n\n{END}{after}"
+    begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
+    before, _, rest = text.partition(begin)
+    _, found, after = rest.partition(end)
+    if not found:
+        raise ValueError(f"there is no {begin!r} followed by {end!r}")
+    return f"{before}{begin}\n\n{part}\n\n{end}{after}"
 
 
 def main() -> None:
-    """Draw the figure and print the tables."""
+    """Draw the figure, and print the tables or write them into documents."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("runs", nargs="+", type=Path, help="folders of runs of nufleet evaluate")
     parser.add_argument("--figure", type=Path, help="picture to write")
-    parser.add_argument("--tables", type=Path, help="document whose tables are replaced")
+    parser.add_argument("--summary", nargs="*", type=Path, default=(), help="documents to update")
+    parser.add_argument("--tables", nargs="*", type=Path, default=(), help="documents to update")
     arguments = parser.parse_args()
     evaluations = [read(run) for run in arguments.runs]
-    tables = document(evaluations)
-    print(tables)
-    if arguments.tables is not None:
-        text = arguments.tables.read_text(encoding="utf-8")
-        arguments.tables.write_text(with_tables(text, tables), encoding="utf-8")
+    parts = {"summary": "\n".join(summary(evaluations)), "tables": document(evaluations)}
+    for name, part in parts.items():
+        print(f"{part}\n")
+        for path in getattr(arguments, name):
+            text = path.read_text(encoding="utf-8")
+            path.write_text(with_part(text, name, part), encoding="utf-8")
     if arguments.figure is not None:
         draw(arguments.figure, evaluations)
 
