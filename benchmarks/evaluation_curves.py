@@ -24,6 +24,8 @@ from nufleet.orchestrator.evaluation.results import (
 from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN, OWN_MIXTURE
 from nufleet.orchestrator.runs.figures import new_figure, save
 
+SHOWN_S = (0, 15, 30, 120)
+"""Durations of own flying that the summary has columns for."""
 COLUMNS = 2
 LEGEND_SHARE = 0.22  # of the height of the lines, kept free above them
 WIDTH_IN, HEIGHT_IN = 6.0, 4.0
@@ -63,16 +65,18 @@ def draw(png: Path, evaluations: Sequence[tuple[str, EvaluationRecord]]) -> None
 
 def summary(evaluations: Sequence[tuple[str, EvaluationRecord]]) -> list[str]:
     """Return one table of all evaluations, line by line: a row for each, a column for each way."""
-    every = sorted({p.own_flight_s for _, record in evaluations for p in record.result.points})
+    # Robots fly whole samples, so that durations differ by fractions of a second.
+    flown_s = {round(p.own_flight_s) for _, record in evaluations for p in record.result.points}
+    every = [s for s in SHOWN_S if s in flown_s]
     names = ["baseline", "none", "worst source", "best source", "mixture"]
-    own = [f"own after {s:.0f} s" if s else "own after its tests" for s in every]
+    own = [f"own after {s} s" if s else "own after its tests" for s in every]
     lines = [
         "| fleet | " + " | ".join([*names, *own]) + " | chosen at first |",
         "|---" * (2 + len(names) + len(own)) + "|",
     ]
     for fleet, record in evaluations:
         curves, result = curves_of(record.result), record.result
-        at = {(w.way, w.own_flight_s): w for w in result.ways}
+        at = {(w.way, round(w.own_flight_s)): w for w in result.ways}
         flown = [curves[name][0] if name in curves else None for name in names]
         flown += [at.get((OWN, s)) for s in every]
         cells = ["" if way is None else _milli(way.rms_m) for way in flown]

@@ -227,7 +227,7 @@ class _Legs:
 
     def _flown(self, name: str, way: ForeseenWay, leg: Leg) -> FlightRecord:
         robot = self._target.robot
-        after = f" after {self.beyond_tests_s:.0f} s" if self.beyond_tests_s else ""
+        after = f"+{self.beyond_tests_s:.0f}s" if self.beyond_tests_s else ""
         label = leg.label(f"{name}{after}")
         for observer in self._observers:
             observer.begins(robot, label, self._target.spec)
