@@ -38,12 +38,15 @@ def test_each_way_is_announced_with_the_time_that_is_left(tmp_path: Path) -> Non
     with KeptRecords(
         tmp_path, 40, say=said.append, on_point=lambda records: None, clock=lambda: now_s
     ) as log:
+        log.rehearsing("clover · 0.6 m/s", 1, 1)
+        now_s = 500.0  # which counts for no flight
         log.way_begins("baseline", 0.0, 2)
         for flight in FLIGHTS[:2]:
             log.flown(flight)
-        now_s = 20.0
+        now_s = 520.0
         log.way_begins("own", 15.0, 2)
     assert said == [
+        "rehearses clover · 0.6 m/s: 1 of 1",
         "[bold]baseline[/]: flights 1 to 2 of 40",
         "[bold]own[/] after 15 s of its own flying: flights 3 to 4 of 40, about 6 min left",
     ]
