@@ -72,7 +72,7 @@ class FlightLog(Protocol):
     """An observer of the progress of an evaluation."""
 
     def rehearsing(self, path: str, place: int, paths: int) -> None:
-        """Handle that the target begins to rehearse one of so many paths, from 1."""
+        """Handle that the target begins to rehearse a path, the first of `paths` being number 1."""
 
     def way_begins(self, way: str, own_flight_s: float, flights: int) -> None:
         """Handle the beginning of flights in a way, after rich flights of that duration."""
