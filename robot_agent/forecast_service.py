@@ -1,7 +1,7 @@
 """Answers what error a robot expects along a path, while it stands still.
 
-A forecast is not a goal: it moves nothing, changes nothing that the robot remembers, and nobody
-needs a lease for it. It lasts too long for one reply, so the same request is sent again until all
+A forecast is not a goal: it moves nothing, changes nothing that the robot remembers, and needs no
+lease. It lasts too long for one reply, so the same request is sent again until all
 of its answers are there. A requester that is gone sends no more, and its forecast ends.
 """
 
@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import logging
 import os
-import pickle
 import subprocess
 import sys
 import threading
@@ -18,10 +17,9 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
-from nufleet.robot_agent.flight.rehearsal import Rehearsal
-from nufleet.robot_agent.flight.rehearsing import Task
+from nufleet.robot_agent.flight.rehearsing import RehearsalTask, write_task
 from nufleet.robot_agent.planner import Planner, digest
-from nufleet.shared.errors import NufleetError, RefusedError
+from nufleet.shared.errors import RefusedError
 from nufleet.shared.wire.codec import Message, encode
 from nufleet.shared.wire.messages import (
     ForecastRequest,
@@ -117,18 +115,28 @@ class ForecastService:
         return None
 
     def _begun(self, key: str, request: ForecastRequest) -> _Job:
+        planner, memory = self._planner, self._planner.memory
         refused = [self._refused(way, request) for way in request.ways]
-        open_ways = [i for i, found in enumerate(refused) if found is None]
-        planner, spec = self._planner, self._planner.spec
-        task: Task | None = None
+        if not memory.flown_s:
+            reason = "it knows nothing of itself yet: let it fly a path, or a rich flight, first"
+            nothing = Foreseen(code="no-own-model", reason=reason)
+            refused = [found or nothing for found in refused]
+        job = _Job(key, request, refused, self._keep)
+        open_ways = tuple(
+            way for way, found in zip(request.ways, refused, strict=True) if found is None
+        )
         if open_ways:
-            try:
-                rehearsal = Rehearsal.of(spec, planner.state_names, planner.memory)
-            except NufleetError as error:
-                nothing = Foreseen(code="no-own-model", reason=str(error))
-                return _Job(key, None, [found or nothing for found in refused], self._keep)
-            task = Task(rehearsal, request.desired, tuple(request.ways[i] for i in open_ways))
-        return _Job(key, task, refused, self._keep)
+            records, priors = memory.exported()
+            task = RehearsalTask(
+                spec=planner.spec,
+                state_names=planner.state_names,
+                records=records,
+                priors=len(priors),
+                desired=request.desired,
+                ways=open_ways,
+            )
+            job.begin(task, priors)
+        return job
 
     def _refused(self, way: ForeseenWay, request: ForecastRequest) -> Foreseen | None:
         motion = way.along(request.desired)
@@ -141,11 +149,11 @@ class ForecastService:
             return Foreseen(code=error.code, reason=error.reason)
         return None
 
-    def _keep(self, task: Task, way: ForeseenWay, found: Foreseen) -> None:
+    def _keep(self, request: ForecastRequest, way: ForeseenWay, found: Foreseen) -> None:
         if found.predicted is None or way.after_rich_flight_s:
             return
+        key = digest(way.along(request.desired))
         with self._lock:
-            key = digest(way.along(task.desired))
             self._remembered.pop(key, None)
             self._remembered[key] = found.predicted
             while len(self._remembered) > REMEMBERED:
@@ -158,30 +166,30 @@ class _Job:
     def __init__(
         self,
         key: str,
-        task: Task | None,
+        request: ForecastRequest,
         refused: Sequence[Foreseen | None],
-        keep: Callable[[Task, ForeseenWay, Foreseen], None],
+        keep: Callable[[ForecastRequest, ForeseenWay, Foreseen], None],
     ) -> None:
-        """Begin.
+        """Prepare.
 
         Args:
             key: Digest of the request.
-            task: What is to be rehearsed; None if nothing is left to.
+            request: What was asked for.
             refused: Why a way cannot be flown, for every way of the request; None where it can.
             keep: Function that takes every prediction as it comes.
         """
         self.key, self.asked_s = key, 0.0
-        self._found = list(refused)
-        self._keep = keep
+        self._request, self._found, self._keep = request, list(refused), keep
         self._process: subprocess.Popen[bytes] | None = None
         self._thread: threading.Thread | None = None
-        if task is not None:
-            places = [i for i, found in enumerate(refused) if found is None]
-            self._process = process = _started()
-            self._thread = threading.Thread(
-                target=self._work, args=(process, task, places), name="forecast", daemon=True
-            )
-            self._thread.start()
+
+    def begin(self, task: RehearsalTask, priors: Sequence[bytes]) -> None:
+        """Have a process rehearse the ways that are not refused; returns at once."""
+        self._process = process = _started()
+        self._thread = threading.Thread(
+            target=self._work, args=(process, task, priors), name="forecast", daemon=True
+        )
+        self._thread.start()
 
     @property
     def lasts(self) -> bool:
@@ -202,20 +210,22 @@ class _Job:
         if self._thread is not None:
             self._thread.join()
 
-    def _work(self, process: subprocess.Popen[bytes], task: Task, places: list[int]) -> None:
+    def _work(
+        self, process: subprocess.Popen[bytes], task: RehearsalTask, priors: Sequence[bytes]
+    ) -> None:
         failure = "its rehearsal ended early"
         commands, answers = process.stdin, process.stdout
         if commands is None or answers is None:
             raise RuntimeError("the process was started without pipes")
+        places = [place for place, found in enumerate(self._found) if found is None]
         try:
-            commands.write(pickle.dumps(task))
-            commands.flush()
-            for place, way in zip(places, task.ways, strict=True):
+            write_task(commands, task, priors)
+            for place in places:
                 line = answers.readline()
                 if not line:
                     break
                 found = Foreseen.model_validate_json(line)
-                self._keep(task, way, found)
+                self._keep(self._request, self._request.ways[place], found)
                 self._found[place] = found
         except (OSError, ValueError) as error:
             failure = f"{failure}: {error}"

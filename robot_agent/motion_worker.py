@@ -189,7 +189,11 @@ class MotionWorker:
         seen = None
         if samples.states is not None:
             seen = state_evidence(
-                self._robot.state_names, samples.response, samples.states, spec.sample_time_s
+                self._robot.state_names,
+                samples.response,
+                samples.states,
+                spec.sample_time_s,
+                max(tone.omega_rad_s for tone in plan.tones),
             )
         states = {} if seen is None else {plan.axis: seen}
         learn(self._memory, spec, references, outputs, states)

@@ -16,7 +16,7 @@ from nufleet.orchestrator.study.verdict_document import rehearsed
 def with_ways(result: RankResult, foresight: Foresight) -> RankResult:
     """Return the result of a ranking with what the target expects of each way to fly.
 
-    The verdict on a source whose experience was rehearsed is that of the rehearsal.
+    Where the experience of a source was rehearsed, the rehearsal decides the verdict on it.
     """
     verdicts, expected = dict(result.verdicts), foresight.now
     for source, found in expected.items():

@@ -81,8 +81,8 @@ def rehearsed(
 ) -> TransferVerdict:
     """Return a verdict with what the target expects of the experience as it would be flown.
 
-    The prediction from frequency responses is that of an exact prefilter. What flies may be fed
-    with the state and learns online, which leaves a fraction of that error.
+    Frequency responses predict the error of an exact prefilter. What flies may be fed with the
+    state, and learns online; it leaves a fraction of that error.
 
     Args:
         verdict: Verdict from frequency responses, whose gains remain.

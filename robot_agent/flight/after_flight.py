@@ -1,8 +1,8 @@
 """What a robot's model of itself will be worth once it has flown some more.
 
 A rich flight has not been flown when this is asked, so what it will show is unknown; but how much
-it will show is known, since its reference is. The model after it is drawn from what is believed now
-(preposterior analysis: Raiffa and Schlaifer, Applied Statistical Decision Theory, 1961, part 2).
+it will show is known, since its reference is (preposterior analysis: Raiffa and Schlaifer, Applied
+Statistical Decision Theory, 1961, part 2).
 """
 
 from __future__ import annotations
@@ -12,14 +12,13 @@ from dataclasses import replace
 import numpy as np
 
 from nufleet.robot_agent.flight.own_model import OwnModel
+from nufleet.robot_agent.flight.own_way import own_way
 from nufleet.robot_agent.flight.rich_flight import rich_references
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.models.error_belief import ErrorBelief, Evidence
-from nufleet.shared.models.path_inverse import inverted
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.motions import PredictedError
 
-_DRAWS = 32
 _SEED = 0
 
 
@@ -34,28 +33,18 @@ def own_error_after(
         desired: Path, shape (samples, axes), in the axes' units.
         flight_s: Duration of the flight in s; a robot flies whole pieces, see `rich_references`.
     """
-    rng = np.random.default_rng(_SEED)
-    references = rich_references(spec, flight_s, rng)
-    squares = np.zeros((_DRAWS, len(desired)))
-    for i, belief in enumerate(model.axes):
-        known, learned = _after(belief, references[:, i])
-        wanted = desired[:, i]
-        for draw in range(_DRAWS):
-            mean = belief.mean + learned @ rng.standard_normal(learned.shape[1])
-            after = replace(known, mean=mean)
-            reference = inverted(after, wanted)
-            truth = after.draws(1, rng)[:, 0]
-            left = belief.basis.columns(reference, float(wanted[0])) @ truth - (reference - wanted)
-            squares[draw] += left**2
-    return model.predicted(squares)
+    references = rich_references(spec, flight_s, np.random.default_rng(_SEED))
+    known = tuple(_after(belief, references[:, i]) for i, belief in enumerate(model.axes))
+    baseline = model.left(desired, np.zeros_like(desired))
+    square = float(np.mean(np.sum(baseline**2, axis=2)))
+    return own_way(replace(model, axes=known), desired, square).predicted
 
 
-def _after(belief: ErrorBelief, reference: FloatArray) -> tuple[ErrorBelief, FloatArray]:
-    """Return the belief with what a flight leaves uncertain, and a factor of what it will move.
+def _after(belief: ErrorBelief, reference: FloatArray) -> ErrorBelief:
+    """Return the belief with what a flight leaves uncertain.
 
     With the covariance F Fᵀ now and the flight's rows A, FᵀAᵀA F = V Λ Vᵀ tells the directions that
-    it shows. It leaves F V (1 + Λ/σ²)^(−½) as a factor of the covariance, and F V (Λ/(σ² + Λ))^½ is
-    a factor of what the mean will move by.
+    it shows, and it leaves F V (1 + Λ/σ²)^(−½) as a factor of the covariance.
 
     Args:
         belief: Belief about an axis now.
@@ -69,5 +58,4 @@ def _after(belief: ErrorBelief, reference: FloatArray) -> tuple[ErrorBelief, Flo
     shown = np.maximum(power, 0.0) / belief.noise_std**2
     directions = belief.factor @ turn
     left = directions / np.sqrt(1 + shown)
-    known = replace(belief, factor=left, flown_s=belief.flown_s + evidence.flown_s)
-    return known, directions * np.sqrt(shown / (1 + shown))
+    return replace(belief, factor=left, flown_s=belief.flown_s + evidence.flown_s)

@@ -19,6 +19,7 @@ from nufleet.robot_agent.flight.rich_flight import (
     fly_record,
     rich_references,
     step_references,
+    top_rad_s,
 )
 from nufleet.robot_agent.flight.state_model import StateEvidence, state_evidence
 from nufleet.robot_agent.flight.tracking import (
@@ -238,15 +239,15 @@ class _Path:
 
 
 def states_in(robot: Robot, states: FloatArray) -> dict[str, StateEvidence]:
-    """Return what a motion shows of the states of every axis beside its output.
+    """Return what a rich flight shows of the states of every axis beside its output.
 
     Args:
         robot: The robot, for its description and the names of its states.
         states: States, shape (samples, axes, states); NaN where they were not observed.
     """
-    step_s, names = robot.spec.sample_time_s, robot.state_names
+    step_s, names, top = robot.spec.sample_time_s, robot.state_names, top_rad_s(robot.spec)
     found = {
-        axis.name: state_evidence(names, states[:, i, 0], states[:, i], step_s)
+        axis.name: state_evidence(names, states[:, i, 0], states[:, i], step_s, top)
         for i, axis in enumerate(robot.spec.axes)
     }
     return {axis: evidence for axis, evidence in found.items() if evidence is not None}
@@ -314,7 +315,7 @@ class Equipment:
     guard: Guard | None
     """Guard over the learner; None if the flight is not guarded."""
     fallback: Ahead | None
-    """Corrections that take over if the guard withdraws the learner's."""
+    """Corrections that take over if the guard withdraws those of the learner."""
 
 
 def equipment_for(

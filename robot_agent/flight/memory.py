@@ -7,7 +7,7 @@ replaced as a whole and begins with the sha256 of its content, so that no damage
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -99,15 +99,30 @@ class Memory:
                     f"{folder}: {error.strerror}; free or repair the disk"
                 ) from error
 
-    def __getstate__(self) -> dict[str, object]:
-        """Return what another process needs for a copy that stores nothing."""
-        with self._lock:
-            kept, records, settled = dict(self._kept), dict(self._records), self._settled
-        return {"_folder": None, "_kept": kept, "_records": records, "_settled": settled}
+    def exported(self) -> tuple[bytes, tuple[bytes, ...]]:
+        """Return what another process needs to fly as this robot does: see `imported`.
 
-    def __setstate__(self, state: dict[str, object]) -> None:
-        self.__dict__.update(state)
-        self._lock = threading.Lock()
+        These are what is known of each axis, as JSON, and the files of all priors in their order.
+        """
+        with self._lock:
+            records = _RECORDS.dump_json(dict(self._records))
+        return records, tuple(prior.payload for prior in self.priors)
+
+    @staticmethod
+    def imported(records: bytes, priors: Sequence[bytes]) -> Memory:
+        """Return a memory that stores nothing, with what another one exported.
+
+        Raises:
+            MalformedMessageError: It was not exported by a memory.
+        """
+        memory = Memory(None)
+        try:
+            memory._records = _RECORDS.validate_json(records)
+        except ValidationError as error:
+            raise MalformedMessageError(describe_validation(error)) from error
+        for payload in priors:
+            memory.keep_prior(payload, digest(payload), beside=True)
+        return memory
 
     @property
     def experiences(self) -> tuple[Kept, ...]:

@@ -17,8 +17,8 @@ from pydantic import Field, model_validator
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.strict import Name, NonNegative, Strict
 
-_REACH_S = 0.3  # to either side of an observation: short beside a period of most motions
-_DEGREE = 4  # of the polynomial through the outputs there, which noise hardly bends over this reach
+_REACH_RAD = 1.5  # to either side of an observation, as a phase of the fastest motion
+_DEGREE = 4  # of the polynomial through the outputs there, which follows such a motion within 3 %
 _OBSERVATIONS_MIN = 8  # fewer do not tell two gains from noise
 _QUOTIENT_S = 0.1  # over which a velocity is taken to be measured before one was observed
 
@@ -57,7 +57,11 @@ class StateEvidence(Strict):
 
 
 def state_evidence(
-    names: tuple[str, ...], outputs: FloatArray, states: FloatArray, sample_time_s: float
+    names: tuple[str, ...],
+    outputs: FloatArray,
+    states: FloatArray,
+    sample_time_s: float,
+    omega_max_rad_s: float,
 ) -> StateEvidence | None:
     """Return what a motion shows of the further states of one axis; None if nothing.
 
@@ -66,8 +70,9 @@ def state_evidence(
         outputs: Outputs measured, shape (samples,), in the axis's unit.
         states: All states, shape (samples, states); NaN where they were not observed.
         sample_time_s: Time between samples.
+        omega_max_rad_s: Highest frequency in the motion.
     """
-    reach = max(_DEGREE, round(_REACH_S / sample_time_s))
+    reach = max(_DEGREE, round(_REACH_RAD / (omega_max_rad_s * sample_time_s)))
     seen = np.flatnonzero(np.isfinite(states).all(axis=1))
     seen = seen[(seen >= reach) & (seen < len(outputs) - reach)]
     if len(names) < 2 or not len(seen):

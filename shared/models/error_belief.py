@@ -168,7 +168,7 @@ class ErrorBelief:
             count: Number of draws.
             rng: Generator of the draws.
             flown: False for an axis that tests alone have moved. They show neither how axes act on
-                each other nor what larger motions change, so that nobody knows how linear it is.
+                each other nor what larger motions change: how linear the axis is is not known then.
         """
         normal = rng.standard_normal((self.factor.shape[1], count))
         error = np.full(count, self.model_error)
