@@ -87,6 +87,7 @@ class Decisions:
         self._goals = found.goals
         owner = found.owner
         self._commander = None if owner is None else Commander(owner.owner, owner.epoch)
+        self._waiting: Commander | None = None
         self._last_goal = found.lost[-1] if found.lost else None
         self._last_reason = (
             f"the previous agent process ended during {self._last_goal}" if found.lost else ""
@@ -429,8 +430,9 @@ class Decisions:
     def _submitted(
         self, request: GoalRequest, sha256: str
     ) -> tuple[goal_machine.Goals, goal_machine.Accepted | Refusal]:
-        goal_id, owner = request.goal_id, request.owner
-        refusal = self._refusal_to_command(_commander(request))
+        goal_id, owner, sender = request.goal_id, request.owner, _commander(request)
+        refusal = self._refusal_to_command(sender)
+        self._waiting = ownership.waiting_next(self._waiting, sender, refusal)
         if refusal is not None:
             return self._goals, refusal
         if goal_machine.recognise(self._goals, goal_id=goal_id, digest=sha256) is None:
@@ -438,8 +440,11 @@ class Decisions:
                 return self._goals, Refusal(
                     code="shutting-down", reason="this agent is shutting down"
                 )
-            alive = owner in self._owners_alive
-            refusal = supervisor.refusal_to_start(self._supervision, owner=owner, owner_alive=alive)
+            waiting, alive = self._waiting, owner in self._owners_alive
+            waits = waiting is not None and waiting.owner in self._owners_alive
+            refusal = ownership.refusal_to_begin(
+                waiting, sender, waiting_alive=waits
+            ) or supervisor.refusal_to_start(self._supervision, owner=owner, owner_alive=alive)
             if refusal is not None:
                 return self._goals, refusal
         return goal_machine.submit(self._goals, goal_id=goal_id, owner=owner, digest=sha256)

@@ -6,6 +6,9 @@ lower epoch when it wakes. Watching a robot, stopping it and releasing it need n
 
 A robot keeps its epoch for ever, so a wrong one would lock every other orchestrator out. An epoch
 far above the last one is therefore refused.
+
+A motion of a live orchestrator is not ended by a higher epoch, but it is the last one under the
+lower epoch: the orchestrator that waits commands the robot next.
 """
 
 from __future__ import annotations
@@ -62,6 +65,43 @@ def refusal_to_command(
             reason=f"it is moving for {moving_for}, which is alive; take over when it is at rest",
         )
     return None
+
+
+def waiting_next(
+    waiting: Commander | None, sender: Commander, refusal: Refusal | None
+) -> Commander | None:
+    """Return which orchestrator waits for a robot's motion to end, after one more was answered.
+
+    Args:
+        waiting: Orchestrator that waited before; None when there was none.
+        sender: Orchestrator that asked to command the robot.
+        refusal: Answer to it by `refusal_to_command`.
+    """
+    if refusal is None or refusal.code != "busy":
+        return waiting
+    return sender if waiting is None or sender.epoch > waiting.epoch else waiting
+
+
+def refusal_to_begin(
+    waiting: Commander | None, sender: Commander, *, waiting_alive: bool
+) -> Refusal | None:
+    """Return why a robot begins nothing new for a sender that it obeys; None when it does.
+
+    Without this rule, an orchestrator under a lower epoch could keep a robot for ever by sending
+    each goal as soon as the one before has ended.
+
+    Args:
+        waiting: Orchestrator that waits for the robot; None when there is none.
+        sender: Orchestrator that asks for a motion.
+        waiting_alive: Whether the liveliness token of `waiting` is present.
+    """
+    if waiting is None or not waiting_alive or sender.epoch >= waiting.epoch:
+        return None
+    return Refusal(
+        code="stale-epoch",
+        reason=f"{waiting.owner} commands it next under epoch {waiting.epoch}; "
+        f"epoch {sender.epoch} is over",
+    )
 
 
 def takes_over(held: Commander | None, sender: Commander) -> bool:

@@ -90,6 +90,30 @@ def test_a_live_owners_motion_goes_on_whatever_others_send(tmp_path: Path) -> No
         assert decisions.commander == Commander("o-1", 3)
 
 
+def test_whoever_waits_under_a_higher_epoch_commands_the_robot_next(tmp_path: Path) -> None:
+    with agent_on(tmp_path, *OWNERS) as decisions:
+        motion = begun(decisions, "a", "o-1", 3)
+        assert take(decisions, "b", "o-2", 4)[0] == "busy"
+        assert take(decisions, "a", "o-1", 3)[0] == "yes"  # its running goal, sent a second time
+        decisions.ended(result_of(motion), None)
+        refused, _ = decisions.take(
+            GoalRequest(goal_id="c", owner="o-1", epoch=3, motion=EXCITATION)
+        )
+        assert isinstance(refused, Refusal)
+        assert refused.reason == "o-2 commands it next under epoch 4; epoch 3 is over"
+        assert code_of(decisions.acknowledge(["a"], Commander("o-1", 3))) == "yes"
+        begun(decisions, "b", "o-2", 4)
+
+
+def test_nobody_waits_for_an_orchestrator_that_waited_and_is_gone(tmp_path: Path) -> None:
+    with agent_on(tmp_path, *OWNERS) as decisions:
+        motion = begun(decisions, "a", "o-1", 3)
+        assert take(decisions, "b", "o-2", 4)[0] == "busy"
+        decisions.ended(result_of(motion), None)
+        decisions.owner_lost("o-2")
+        begun(decisions, "c", "o-1", 3)
+
+
 def test_a_silent_owners_robot_rests_and_is_taken_over_and_the_owner_comes_back_too_late(
     tmp_path: Path,
 ) -> None:

@@ -33,7 +33,7 @@ from nufleet.orchestrator.repository import lease_rules
 from nufleet.orchestrator.repository.errors import LeaseLostError
 from nufleet.orchestrator.repository.lease_rules import StoredLease
 from nufleet.orchestrator.repository.records import Lease
-from nufleet.robot_agent.rules import goal_machine
+from nufleet.robot_agent.rules import goal_machine, ownership
 from nufleet.robot_agent.rules.freezes import Freezes
 from nufleet.shared.frequency_test.excitation import Excitation
 from nufleet.shared.robots.spec import RobotSpec
@@ -153,6 +153,11 @@ def _wake_at_once() -> Patches:
     yield patch.object(Freezes, "refusal", lambda self, now_s: None)
 
 
+def _forget_who_waits() -> Patches:
+    """A robot stays with the owner that sends each goal as soon as the one before has ended."""
+    yield patch.object(ownership, "refusal_to_begin", lambda *asked, **circumstances: None)
+
+
 WITHOUT: Mapping[str, Callable[[], Patches]] = {
     "1-interrupt": _interrupt_once,
     "6-late-states": _believe_old_states,
@@ -162,6 +167,7 @@ WITHOUT: Mapping[str, Callable[[], Patches]] = {
     "16-in-turn": _interrupt_in_turn,
     "forgone": _forget_forgone,
     "frozen": _wake_at_once,
+    "starved": _forget_who_waits,
 }
 
 

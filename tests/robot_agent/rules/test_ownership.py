@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import itertools
 
-from nufleet.robot_agent.rules.ownership import Commander, refusal_to_command, takes_over
+from nufleet.robot_agent.rules.ownership import (
+    Commander,
+    refusal_to_begin,
+    refusal_to_command,
+    takes_over,
+    waiting_next,
+)
 from nufleet.shared.wire.messages import EPOCH_JUMP_MAX, EPOCH_MAX
 
 OWNERS = ("a", "b", "c")
@@ -107,3 +113,22 @@ def test_a_robot_that_knows_no_owner_takes_any_epoch_that_leaves_room_in_a_numbe
     for epoch, expected in ((EPOCH_MAX, "yes"), (EPOCH_MAX + 1, "epoch-jump")):
         found = refusal_to_command(last, Commander("a", epoch), held_alive=True, moving_for=None)
         assert ("yes" if found is None else found.code) == expected
+
+
+def test_of_those_that_wait_the_one_under_the_highest_epoch_is_next() -> None:
+    for held, sender, alive, moving in QUESTIONS:
+        refusal = refusal_to_command(held, sender, held_alive=alive, moving_for=moving)
+        busy = refusal is not None and refusal.code == "busy"
+        assert waiting_next(None, sender, refusal) == (sender if busy else None)
+        for waiting in SENDERS:
+            found = waiting_next(waiting, sender, refusal)
+            assert found in (waiting, sender)
+            assert found.epoch == (max(waiting.epoch, sender.epoch) if busy else waiting.epoch)
+
+
+def test_a_robot_begins_nothing_below_the_epoch_that_waits_for_it() -> None:
+    for waiting, sender in itertools.product(SENDERS, SENDERS):
+        refusal = refusal_to_begin(waiting, sender, waiting_alive=True)
+        assert (refusal is not None) == (sender.epoch < waiting.epoch)
+        assert refusal_to_begin(waiting, sender, waiting_alive=False) is None
+        assert refusal_to_begin(None, sender, waiting_alive=True) is None
