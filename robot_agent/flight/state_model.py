@@ -36,11 +36,21 @@ class StateEvidence(Strict):
     """Square of every state."""
     observations: Annotated[int, Field(ge=1)]
     """Number of observations that are added up."""
+    noise_squares: tuple[NonNegative, ...]
+    """Sixth of the square of every state's second difference, whose mean is the variance of noise
+    that is new at each sample."""
+    noise_runs: Annotated[int, Field(ge=0)]
+    """Number of second differences."""
 
     @model_validator(mode="after")
     def _shapes_agree(self) -> StateEvidence:
-        if len(self.right) != 2 * len(self.names) or len(self.squares) != len(self.names):
-            raise ValueError("two products and one square belong to each state")
+        states = len(self.names)
+        if (len(self.right), len(self.squares), len(self.noise_squares)) != (
+            2 * states,
+            states,
+            states,
+        ):
+            raise ValueError("two products and two squares belong to each state")
         return self
 
     def __add__(self, other: StateEvidence) -> StateEvidence:
@@ -53,6 +63,8 @@ class StateEvidence(Strict):
             right=_sum(self.right, other.right),
             squares=_sum(self.squares, other.squares),
             observations=self.observations + other.observations,
+            noise_squares=_sum(self.noise_squares, other.noise_squares),
+            noise_runs=self.noise_runs + other.noise_runs,
         )
 
 
@@ -82,12 +94,17 @@ def state_evidence(
     scale = np.array([1.0, 2.0]) / (reach * sample_time_s) ** np.array([1, 2])
     moved = outputs[seen[:, np.newaxis] + near] @ fit[1:3].T * scale
     others = states[seen, 1:]
+    # What is smooth hardly has a second difference from one sample to the next; noise has one.
+    differences = np.diff(states[:, 1:], 2, axis=0)
+    differences = differences[np.isfinite(differences).all(axis=1)]
     return StateEvidence(
         names=tuple(names[1:]),
         normal=tuple((moved.T @ moved).ravel().tolist()),
         right=tuple((others.T @ moved).ravel().tolist()),
         squares=tuple(np.sum(others**2, axis=0).tolist()),
         observations=len(seen),
+        noise_squares=tuple((np.sum(differences**2, axis=0) / 6).tolist()),
+        noise_runs=len(differences),
     )
 
 
@@ -101,7 +118,7 @@ class StateModel:
     gains: FloatArray
     """Velocity and acceleration of the output in every state, shape (axes, states, 2)."""
     noise_std: FloatArray
-    """Standard deviation of what is left of every state, shape (axes, states); 0 for the output."""
+    """Standard deviation of the noise of every state, shape (axes, states); 0 for the output."""
 
 
 def state_model(
@@ -149,8 +166,12 @@ def _fitted(several: Sequence[StateEvidence], state: int) -> FloatArray | None:
     right = np.sum([one.right[2 * state : 2 * state + 2] for one in several], axis=0)
     squares = sum(one.squares[state] for one in several)
     gains = np.linalg.lstsq(normal, right, rcond=1e-9)[0]
-    left = max(0.0, float(squares - gains @ right)) / (count - 2)
-    return np.append(gains, np.sqrt(left))
+    noise = max(0.0, float(squares - gains @ right)) / (count - 2)
+    runs = sum(one.noise_runs for one in several)
+    if runs:
+        # Not all that is left is noise: these two gains are not all that there is to a state.
+        noise = min(noise, sum(one.noise_squares[state] for one in several) / runs)
+    return np.append(gains, np.sqrt(noise))
 
 
 def _sum(first: tuple[float, ...], second: tuple[float, ...]) -> tuple[float, ...]:

@@ -21,6 +21,8 @@ from nufleet.shared.wire.motions import FlightDetails
 OBSERVE_SAMPLES = 64
 """Samples from one observation of a robot's states to the next in a test, which does not need them:
 some twenty tell how they follow from the output."""
+OBSERVE_RUN = 3
+"""Number of samples in a row at each observation, which tell how noisy the states are."""
 
 _log = logging.getLogger(__name__)
 
@@ -176,7 +178,7 @@ class AxisMotion:
             if self._switch.order is not None:
                 return self._switch.order
             references = whole[start:stop]
-            if self._states is not None and start % OBSERVE_SAMPLES == 0:
+            if self._states is not None and start % OBSERVE_SAMPLES < OBSERVE_RUN:
                 self._states[start] = self._robot.observe()[column]
             measured = (
                 self._robot.run(references)
@@ -198,9 +200,14 @@ class AxisMotion:
         """Yield start and stop of the next samples to play: batches when free, else one by one."""
         samples = len(self._reference)
         if self._pace.free:
-            batch = CHUNK_SAMPLES if self._states is None else OBSERVE_SAMPLES
-            for start in range(0, samples, batch):
-                yield start, min(start + batch, samples)
+            ends = np.arange(CHUNK_SAMPLES, samples + CHUNK_SAMPLES, CHUNK_SAMPLES)
+            if self._states is not None:
+                known = np.arange(samples)
+                ends = np.append(known[known % OBSERVE_SAMPLES < OBSERVE_RUN], samples)[1:]
+            start = 0
+            for end in np.minimum(ends, samples).tolist():
+                yield start, end
+                start = end
             return
         for k in range(samples):
             self._pace.wait()
