@@ -205,7 +205,7 @@ def run_study(
         update={"stored": stored_responses(studies, recipe_of(study).stored) or None}
     )
     record = RunRecord(
-        result=foresee(result),
+        result=result,
         axis=ready.plan.axis,
         seed=seed,
         history=tuple(recorder.history),
@@ -217,6 +217,9 @@ def run_study(
             for robot, tests in conclusion.responses.items()
         },
     )
+    # The ranking is safe before the target is asked what follows from it.
+    folder.write_record(record)
+    record = record.model_copy(update={"result": foresee(result)})
     folder.write_record(record)
     write_plots(folder.path, record, recorder.curves, _true_psi(ready, recorder.curves))
     write_report(folder.path, record)

@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.prior_custody import install, prior_put_back
 from nufleet.orchestrator.experience.transfer import check_fit
@@ -94,8 +92,7 @@ def foresee(
     return Foresight(
         target=target.robot,
         path=leg.title,
-        unit=leg.unit,
-        size=float(np.sqrt(np.sum(np.var(leg.desired, axis=0)))),
+        unit=target.spec.axes[0].unit,
         ways=(*now, *named, *found[len(now) :]),
     )
 
@@ -110,8 +107,7 @@ def expected(fleet: Fleet, target: Description, way: ForeseenWay, leg: Leg, name
     return Foresight(
         target=target.robot,
         path=leg.title,
-        unit=leg.unit,
-        size=float(np.sqrt(np.sum(np.var(leg.desired, axis=0)))),
+        unit=target.spec.axes[0].unit,
         ways=_answered(fleet, target, asked[name == BASELINE :], leg),
     )
 

@@ -44,6 +44,11 @@ class Leg:
     """Factor on the points of the drawing."""
 
     @property
+    def size(self) -> float:
+        """Root mean square of the path about its mean, in `unit`."""
+        return float(np.sqrt(np.sum(np.var(self.desired, axis=0))))
+
+    @property
     def title(self) -> str:
         """What is flown, in words, such as "clover at 0.6 m/s"."""
         size = "" if self.scale == 1.0 else f", {100 * self.scale:.0f} % as large,"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 from nufleet.shared.strict import NonNegative, Strict
@@ -71,10 +72,8 @@ class Foresight:
     """Name of the robot that would fly."""
     path: str
     """What would be flown, in words."""
-    unit: str
-    """Unit of its axes, "m" or "rad"."""
-    size: float
-    """Root mean square of the path about its mean, in that unit."""
+    unit: Literal["m", "rad"]
+    """Unit of its axes."""
     ways: tuple[WayRecord, ...]
     """The ways, those that can be flown now before those that need more flying."""
 

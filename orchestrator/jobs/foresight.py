@@ -31,8 +31,8 @@ _UNANSWERED = (
 
 def foreseen(
     run: Opening, ready: ReadyStudy, result: RankResult, drawing: TimedPath | None
-) -> tuple[Foresight, ...]:
-    """Return what the target of a ranking expects of all ways to fly; nothing if it cannot tell.
+) -> tuple[Foresight, Leg] | None:
+    """Return what the target of a ranking expects of all ways to fly; None if it cannot tell.
 
     A ranking is of use without it, so that its failure is printed and does no harm.
 
@@ -41,23 +41,26 @@ def foreseen(
         ready: Study, prepared and checked.
         result: Its result.
         drawing: Drawing to be flown; None for a typical one.
+
+    Returns:
+        What it expects, and the path that it was asked about.
     """
     fleet, name, _ = run.connection
     robot = ready.plan.target
     try:
         target = fleet.describe(robot)
         if target.spec.tracking is None:
-            return ()
+            return None
         leg = typical_leg(target) if drawing is None else _leg(drawing, target)
         run.console.print(f"{robot} rehearses {leg.title} in every way it could fly it")
         store = run.repository.robots if run.choice.file is None else None
         psi = {one.robot: one.psi for one in result.ranking}
         pilot = Pilot(fleet, run.folder.study_id)
         library = ExperienceLibrary(fleet, store, name)
-        return (foresee(fleet, pilot, library, target, tuple(psi), leg, psi),)
+        return foresee(fleet, pilot, library, target, tuple(psi), leg, psi), leg
     except _UNANSWERED as error:
         run.console.print(f"[yellow]which way to fly could not be predicted: {error}[/]")
-        return ()
+        return None
 
 
 def say_expected(run: Opening, target: Description, way: ForeseenWay, leg: Leg, name: str) -> None:

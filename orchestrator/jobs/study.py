@@ -69,8 +69,12 @@ def show_study(
     found: list[Foresight] = []
 
     def foresee(result: RankResult) -> RankResult:
-        found.extend(foreseen(run, ready, result, drawing))
-        return with_ways(result, found[0]) if found else result
+        answer = foreseen(run, ready, result, drawing)
+        if answer is None:
+            return result
+        foresight, leg = answer
+        found.append(foresight)
+        return with_ways(result, foresight, leg.size)
 
     record = follow_study(run, ready, study, foresee)
     console.print(ranking_table(record.result.ranking, record.closed_form))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -75,6 +75,8 @@ class RankResult(Document):
     """Stored responses that replaced first tests, by source."""
     ways_path: str | None = None
     """Path that the target was asked about, in words; None if it could not tell."""
+    ways_unit: Literal["m", "rad"] | None = None
+    """Unit of the errors on it, that of the axes of the target."""
     ways: tuple[WayRecord, ...] = ()
     """Ways of flying it, with the error that the target expects of each."""
     chosen_way: str | None = None

@@ -13,7 +13,13 @@ from nufleet.robot_agent.flight.guard import Guard
 from nufleet.robot_agent.flight.memory import Memory, MemoryFolderError
 from nufleet.robot_agent.flight.mixture_learner import experts_of, mixture_learner
 from nufleet.robot_agent.flight.online_gp import WINDOW_POINTS, OnlineGp
-from nufleet.robot_agent.flight.own_model import check_explained, evidence_in, unexplained_in
+from nufleet.robot_agent.flight.own_model import (
+    OwnModel,
+    check_explained,
+    evidence_in,
+    telling,
+    unexplained_in,
+)
 from nufleet.robot_agent.flight.rich_flight import (
     FlightRecord,
     fly_record,
@@ -190,11 +196,12 @@ class _Path:
     def _learn(self, record: TrackingRecord) -> None:
         """Add the flight to the robot's model of itself, and compare it with that."""
         spec, noise_std = self._robot.spec, self._monitored.noise_std
-        learn(self._memory, spec, record.reference, record.actual)
+        references, outputs = record.reference, record.actual
         try:
-            self._findings = learn_unexplained(
-                self._memory, spec, record.reference, record.actual, noise_std
+            learn(
+                self._memory, spec, references, outputs, before=self._memory.own_model(spec).model
             )
+            self._findings = learn_unexplained(self._memory, spec, references, outputs, noise_std)
         except MemoryFolderError as error:
             _log.warning("%s", error)
 
@@ -259,6 +266,7 @@ def learn(
     references: FloatArray,
     outputs: FloatArray,
     states: Mapping[str, StateEvidence] | None = None,
+    before: OwnModel | None = None,
 ) -> None:
     """Add a completed motion to a robot's model of itself; a failure is no fault of the motion.
 
@@ -268,11 +276,14 @@ def learn(
         references: References sent, shape (samples, axes), in the axes' units.
         outputs: Outputs measured before each reference acted, in the same shape.
         states: What it shows of the states of an axis beside its output, by the axis's name.
+        before: The robot's model of itself, for a path, along which the axes do not move
+            independently of each other; see `telling`.
     """
     if spec.tracking is None:
         return
     try:
-        memory.learn(evidence_in(spec, references, outputs), states)
+        evidence = evidence_in(spec, references, outputs)
+        memory.learn(evidence if before is None else telling(before, spec, evidence), states)
     except (InvalidInputError, MemoryFolderError) as error:
         _log.warning("a motion taught nothing: %s", error)
 

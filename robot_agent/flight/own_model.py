@@ -14,7 +14,7 @@ import numpy as np
 from nufleet.robot_agent.flight.state_model import StateEvidence
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.models.error_belief import ErrorBelief, Evidence, believe, like
+from nufleet.shared.models.error_belief import MODEL_ERROR, ErrorBelief, Evidence, believe, like
 from nufleet.shared.models.error_response import ErrorBasis
 from nufleet.shared.models.path_inverse import inverted
 from nufleet.shared.models.unexplained import LAGS_MAX, Unexplained
@@ -34,6 +34,10 @@ DRAWS = 32
 
 _SEED = 0  # the same knowledge and path give the same guard
 _UNEXPLAINED_MAX = 0.15  # share of the reference that friction and other nonlinearities may leave
+_AGREES = 1.5  # root mean square error of a path, as a multiple of the expected one
+_PATHS_DIFFER = 1.5  # ratio of the shares that are not linear on different paths
+_UNSEEN = 0.1  # share of an error that may not be linear where only tests of one axis were flown
+_TINY = 1e-300
 _NO_ANSWER = 0.5  # share of the reference's power: a motion with less explained says nothing
 _NOISE_RATIO = 4.0  # multiple of the noise at rest: a moving robot's sensor is noisier
 
@@ -169,6 +173,31 @@ def evidence_in(
     }
 
 
+def telling(
+    model: OwnModel, spec: RobotSpec, evidence: Mapping[str, Evidence]
+) -> dict[str, Evidence]:
+    """Return the part of a path's evidence, by the axes' names, that a linear response may learn.
+
+    Along a path all axes move together, so what one does to another looks like an answer to its own
+    reference, and would be expected of every other path. Evidence that contradicts the model is
+    therefore left to the feedback, unless it does so by more than anything but another robot would.
+
+    Args:
+        model: The robot's model of itself before the flight.
+        spec: Description of the robot.
+        evidence: Evidence of the flight.
+    """
+    found = {}
+    for axis, belief, seen in zip(spec.axes, model.axes, model.unexplained, strict=True):
+        new = evidence.get(axis.name)
+        if new is None:
+            continue
+        agrees = belief.flown_s == 0 or belief.surprise(new) <= _AGREES
+        if agrees or belief.surprise(new, _not_linear(seen)) > STALE:
+            found[axis.name] = new
+    return found
+
+
 def unexplained_in(
     model: OwnModel,
     spec: RobotSpec,
@@ -260,7 +289,7 @@ def settle(records: Mapping[str, AxisRecord], spec: RobotSpec) -> Settled:
             )
             new = None
         if old is not None and new is not None:
-            surprise = believe(basis, old).surprise(new)
+            surprise = believe(basis, old).surprise(new, _not_linear(unexplained))
             if surprise > STALE:
                 findings.append(
                     f"axis {axis.name}: its last motions differ from the earlier ones by "
@@ -306,6 +335,15 @@ def with_unexplained(
     model = settled.model
     known = None if model is None else _model(model.axes, records, spec)
     return Settled(records, known, settled.findings)
+
+
+def _not_linear(unexplained: Unexplained | None) -> float:
+    """Return the share of an error that is not linear, as far as flights have shown it."""
+    if unexplained is None:
+        return _UNSEEN
+    lasting = float(unexplained.parts()[0][0])
+    share = float(np.sqrt(lasting / max(unexplained.error_square, _TINY)))
+    return max(MODEL_ERROR, _PATHS_DIFFER * share)
 
 
 def _answers(belief: ErrorBelief, evidence: Evidence) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 from nufleet.robot_agent.flight.output_feedback import OutputFeedback
 from nufleet.robot_agent.flight.own_model import DRAWS, OwnModel, predicted_error
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.models.error_belief import ErrorBelief
+from nufleet.shared.models.error_belief import MODEL_ERROR, ErrorBelief
 from nufleet.shared.models.unexplained import autocovariance
 from nufleet.shared.models.wiener_feedback import WienerFeedback, wiener_feedback
 from nufleet.shared.wire.motions import PredictedError
@@ -41,6 +41,10 @@ grows with the baseline's error as friction and coupling do, but gusts do not fa
 _SCALE_SPREAD = 0.4
 """Standard deviation of the logarithm of its size: a share of the baseline's error is a rule of
 thumb for what is not linear."""
+
+_ROUGH = 0.15
+"""Standard deviation of the logarithm of what a model is expected to leave: an answer that is
+linear between a few nodes is never exact."""
 
 _SEED = 1
 
@@ -80,6 +84,7 @@ class _Axis:
             covariance,
             self.noise,
             relative_error=self.relative_error,
+            safe_error=max(self.relative_error, _WRONG),
             acceleration_max=_GENTLE * acceleration_max,
         )
 
@@ -96,7 +101,8 @@ class _Axis:
             known = feedback.closed(self.left)
             lasting = feedback.variance(self.lasting)
             noise = feedback.variance(np.array([self.noise])) + feedback.doubtful
-        return np.mean(known**2, axis=1) + scales * lasting, luck * noise
+        rough = np.exp(2 * _ROUGH * rng.standard_normal(DRAWS))
+        return rough * np.mean(known**2, axis=1) + scales * lasting, luck * noise
 
 
 def own_way(model: OwnModel, desired: FloatArray, baseline_square: float) -> OwnWay:
@@ -158,7 +164,7 @@ def _axis(model: OwnModel, i: int, left: FloatArray, baseline_square: float) -> 
     belief, seen = model.axes[i], model.unexplained[i]
     if seen is None:
         lags = max(3, int(belief.basis.nodes[-1]))
-        return _Axis(belief, left, np.zeros(lags), belief.noise_std**2, _WRONG)
+        return _Axis(belief, left, np.zeros(lags), belief.noise_std**2, MODEL_ERROR)
     lasting, noise = seen.parts()
     ratio = lasting[0] / seen.error_square if seen.error_square > 0 else 0.0
     scale = baseline_square / seen.error_square if seen.error_square > 0 else 1.0
@@ -167,5 +173,5 @@ def _axis(model: OwnModel, i: int, left: FloatArray, baseline_square: float) -> 
         left,
         lasting * float(np.clip(scale, *_SCALES)),
         noise,
-        float(np.clip(np.sqrt(ratio), _WRONG, 1.0)),
+        max(belief.model_error, min(1.0, float(np.sqrt(ratio)))),
     )

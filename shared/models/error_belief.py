@@ -168,7 +168,7 @@ class ErrorBelief:
             count: Number of draws.
             rng: Generator of the draws.
             flown: False for an axis that tests alone have moved. They show neither how axes act on
-                each other nor what larger motions change: how linear the axis is is not known then.
+                each other nor what larger motions change, so it is not known how linear it is.
         """
         normal = rng.standard_normal((self.factor.shape[1], count))
         error = np.full(count, self.model_error)
@@ -187,16 +187,20 @@ class ErrorBelief:
         variance = np.sum(np.abs(features @ self.factor) ** 2, axis=1)
         return np.asarray(1 - features @ self.mean), np.asarray(variance)
 
-    def surprise(self, evidence: Evidence) -> float:
+    def surprise(self, evidence: Evidence, model_error: float = MODEL_ERROR) -> float:
         """Return the root mean square error of new flights, as a multiple of the one expected.
 
         It is near 1 for the robot that the belief was learned from, and larger for one that has
         changed, or whose response depends on the size of its motion.
+
+        Args:
+            evidence: Evidence of the new flights.
+            model_error: Standard deviation of the share of the error that is not linear.
         """
         normal, right = _arrays(evidence)
         left = float(evidence.squares - 2 * self.mean @ right + self.mean @ normal @ self.mean)
         spread = float(np.sum(self.factor * (normal @ self.factor)))
-        expected = evidence.rows * self.noise_std**2 + spread + MODEL_ERROR**2 * evidence.squares
+        expected = evidence.rows * self.noise_std**2 + spread + model_error**2 * evidence.squares
         return float(np.sqrt(max(0.0, left) / max(expected, _TINY)))
 
 

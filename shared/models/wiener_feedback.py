@@ -69,6 +69,7 @@ def wiener_feedback(
     noise_variance: float,
     *,
     relative_error: float,
+    safe_error: float,
     acceleration_max: float,
 ) -> WienerFeedback | None:
     """Return the feedback that leaves the least of a disturbance; None if none is safe.
@@ -79,7 +80,9 @@ def wiener_feedback(
         belief: Belief about the loop.
         covariance: Autocovariance of the disturbance, shape (lags,), in unit².
         noise_variance: Variance of the white noise of the sensor, in unit².
-        relative_error: Standard deviation of the share of the error response z − 1 that is wrong.
+        relative_error: Standard deviation of the share of the error response z − 1 that is
+            expected to be wrong.
+        safe_error: The same for which the loop must stay stable, at least as large.
         acceleration_max: Root mean square acceleration, in unit/s², that the feedback may ask for.
     """
     step_s, answer = belief.basis.sample_time_s, int(belief.basis.nodes[-1]) + 1
@@ -92,7 +95,7 @@ def wiener_feedback(
     z, variance = belief.response(omega_rad_s)
     delay = np.exp(-1j * omega_rad_s * step_s)
     late = z * delay
-    wrong = variance + (relative_error * np.abs(1 - z)) ** 2
+    wrong = variance + (safe_error * np.abs(1 - z)) ** 2
     edges = _edges(answer)
     parts = _steps(edges, omega_rad_s * step_s)
     pull = np.abs(1 - delay) ** 4 / step_s**4 / acceleration_max**2
@@ -114,7 +117,8 @@ def wiener_feedback(
         rough = bool(np.sum(weight * total * pull * np.abs(filter_) ** 2) > 1.0)
         if excess.max() <= 1.0 + _CLOSE and not rough:
             answered = irfft(late * filter_, length)[: length // 2]
-            doubtful = float(np.sum(weight * total * wrong * np.abs(filter_) ** 2))
+            expected = variance + (relative_error * np.abs(1 - z)) ** 2
+            doubtful = float(np.sum(weight * total * expected * np.abs(filter_) ** 2))
             taps = np.repeat(heights, np.diff(edges))
             return WienerFeedback(taps, np.asarray(answered), doubtful)
         # Only where the gain is too large does a model that may be wrong count for more.

@@ -41,7 +41,16 @@ def test_rank_prints_the_documented_json_alone_on_stdout(tmp_path: Path) -> None
     document = json.loads(done.stdout)
     assert list(document) == [
         *("schema", "target", "band_rad_s", "selected", "ranking", "iterations"),
-        *("robot_time_s", "run", "verdicts", "findings", "ways_path", "ways", "chosen_way"),
+        *(
+            "robot_time_s",
+            "run",
+            "verdicts",
+            "findings",
+            "ways_path",
+            "ways_unit",
+            "ways",
+            "chosen_way",
+        ),
     ]
     assert document["schema"] == 1
     assert document["target"] == "target"

@@ -19,7 +19,7 @@ def way(name: str, rms_mm: float | None, more_s: float = 0.0) -> WayRecord:
 
 
 def foresight(*ways: WayRecord) -> Foresight:
-    return Foresight("target", "clover at 0.6 m/s", "m", 0.5, ways)
+    return Foresight("target", "clover at 0.6 m/s", "m", ways)
 
 
 BASELINE, NONE = way("baseline", 62.7), way("none", 8.7)

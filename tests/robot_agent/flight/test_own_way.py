@@ -6,6 +6,7 @@ import numpy as np
 from robots_that_learn import LaggedRobot
 from test_flights import flown
 
+from nufleet.robot_agent.flight.flights import learn
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
@@ -16,6 +17,9 @@ PATH = travel(np.tile([[0.0, 0.0], [0.5, 0.5], [-0.4, 0.2], [0.3, -0.5]], (4, 1)
 """Half a minute, in which the push changes often."""
 
 NOISE_M = 5e-4
+
+COUPLING = 0.008
+"""An eighth of the error that the axis leaves itself, which is 60 ms late."""
 
 
 class Pushed(LaggedRobot):
@@ -37,6 +41,22 @@ class Pushed(LaggedRobot):
     def rest(self) -> None:
         super().rest()
         self._push = np.zeros(2)
+
+
+class Coupled(LaggedRobot):
+    """What its axis y does moves its axis x a little."""
+
+    def __init__(self) -> None:
+        super().__init__(noise_std_m=NOISE_M)
+
+    def observe(self) -> FloatArray:
+        observed = super().observe()
+        observed[0] += COUPLING * observed[1]
+        return observed
+
+    def measure_output(self) -> FloatArray:
+        measured = super().measure_output()
+        return np.array([measured[0] + COUPLING * measured[1], measured[1]])
 
 
 def own_flight(robot: Robot) -> tuple[float, TrackingDetails]:
@@ -69,3 +89,30 @@ def test_a_robot_that_is_pushed_about_flies_with_a_feedback_of_its_output() -> N
     assert error < 0.7 * 0.01 * np.sqrt(2)  # of a push of 0.01 m on either axis
     assert details.predicted is not None
     assert details.predicted.low <= error <= details.predicted.high
+
+
+def test_a_path_along_which_axes_act_on_each_other_teaches_no_response() -> None:
+    """What y does to x is no answer of x to its own reference; the feedback corrects most of it."""
+    robot, memory = Coupled(), Memory(None)
+    for axis in range(2):
+        time_s = np.arange(1000) * 0.02
+        reference = np.zeros((1000, 2))
+        reference[:, axis] = 0.1 * np.sin(time_s) * np.sin(2.7 * time_s)
+        outputs = np.stack([robot.step(each) for each in reference])
+        robot.rest()
+        alone = np.arange(2) == axis
+        learn(memory, robot.spec, reference, outputs * alone)
+    before = memory.own_model(robot.spec).model
+    baseline = flown(robot, Tracking(desired=PATH, inverse="baseline"), memory)
+    played = flown(robot, Tracking(desired=PATH, inverse="own"), memory)
+    after = memory.own_model(robot.spec).model
+    assert before is not None
+    assert after is not None
+    np.testing.assert_array_equal(after.axes[0].mean, before.axes[0].mean)
+    assert after.axes[1].flown_s > before.axes[1].flown_s
+    details = played.samples.details
+    assert isinstance(details, TrackingDetails)
+    assert details.findings == ()
+    assert details.mean.any()
+    left, usual = (np.std((each.samples.response - PATH)[:, 0]) for each in (played, baseline))
+    assert left < 0.4 * usual

@@ -41,6 +41,7 @@ def feedback(
         disturbance,
         noise_variance,
         relative_error=relative_error,
+        safe_error=relative_error,
         acceleration_max=acceleration_max,
     )
     assert found is not None
@@ -64,7 +65,12 @@ def test_noise_of_the_sensor_is_let_through() -> None:
 
 def test_without_a_disturbance_there_is_no_feedback() -> None:
     still = np.zeros(LAGS)
-    assert wiener_feedback(delay(), still, 1e-6, relative_error=0.1, acceleration_max=1.0) is None
+    assert (
+        wiener_feedback(
+            delay(), still, 1e-6, relative_error=0.1, safe_error=0.1, acceleration_max=1.0
+        )
+        is None
+    )
 
 
 def test_a_loop_leaves_of_its_disturbance_what_was_expected() -> None:
