@@ -18,6 +18,7 @@ from pathlib import Path
 from nufleet.robot_agent.decisions import Decisions
 from nufleet.robot_agent.experience_service import ExperienceService
 from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.forecast_service import ForecastService
 from nufleet.robot_agent.journal.journal import Journal
 from nufleet.robot_agent.journal.unrecorded import Unrecorded
 from nufleet.robot_agent.motion.watched_robot import WatchedRobot
@@ -150,6 +151,8 @@ class Agent:
         self._decisions = Decisions(self._boot_id, planner, journal, self._changed)
         change = self._decisions.change
         self._experiences = ExperienceService(self._name, robot, memory, change)
+        self._forecasts = ForecastService(planner, lambda: self._decisions.running)
+        opened.callback(self._forecasts.close)
 
     def _join(self, opened: ExitStack) -> None:
         """Open all services in the order of their dependencies; they close in reverse order."""
@@ -177,9 +180,10 @@ class Agent:
             samples,
             path_samples,
             realtime=self._realtime,
+            foretold=self._forecasts.foretold,
         )
         opened.callback(self._motions.close)
-        self._looks.append(self._motions.look_after_robot)
+        self._looks += [self._motions.look_after_robot, self._forecasts.look]
         learned = self._experiences
         endpoint = Endpoint(
             session,
@@ -199,8 +203,9 @@ class Agent:
                 "prior": _decoding(messages.FetchRequest, learned.fetch),
                 "prior/install": _decoding(messages.InstallRequest, learned.install_prior),
                 "prior/remove": _decoding(messages.RemovePriorRequest, learned.remove_prior),
+                "forecast": _decoding(messages.ForecastRequest, self._forecasts.asked),
             },
-            large=("goal", "experience/install", "prior/install"),
+            large=("goal", "forecast", "experience/install", "prior/install"),
             urgent={"stop": stops.asked},
         )
         opened.callback(endpoint.close)
@@ -257,6 +262,7 @@ class Agent:
         self._await_owner(request.owner)
         answer, motion = self._decisions.take(request)
         if motion is not None:
+            self._forecasts.end()
             self._motions.begin(motion)
         return answer
 
