@@ -29,7 +29,7 @@ def test_the_router_configuration_opens_a_router_that_clients_reach(tmp_path: Pa
     assert "tcp/0.0.0.0:7447" in shipped
     private = tmp_path / "router.json5"
     private.write_text(shipped.replace("tcp/0.0.0.0:7447", "tcp/127.0.0.1:0"))
-    with open_configured_router(private) as router:
+    with open_configured_router(private, allow_open=False) as router:
         (endpoint,) = router.listening_on()
         with (
             open_client(endpoint, timeout_s=PATIENCE_S) as one,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import click
 
@@ -14,12 +15,45 @@ from nufleet.orchestrator.jobs.environment import (
     ROUTER_VARIABLE,
     RUNS_VARIABLE,
 )
+from nufleet.shared.wire.identity import IDENTITY_VARIABLE
+from nufleet.shared.wire.openness import OPEN_VARIABLE, chosen_address
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+def open_option(command: F) -> F:
+    """Add --open."""
+    return click.option(
+        "--open",
+        "allow_open",
+        is_flag=True,
+        envvar=OPEN_VARIABLE,
+        help="Accept an address that every machine of the network can use without proof of who it "
+        "is.  [env: NUFLEET_OPEN]",
+    )(command)
+
+
 def connect_options(command: F) -> F:
-    """Add --connect and --fleet-name."""
+    """Add --connect, --identity, --open and --fleet-name.
+
+    The command is called with the address of the fleet as `connect`, and with `fleet_name`.
+    """
+
+    @wraps(command)
+    def reached(
+        *args: Any, connect: str | None, identity: Path | None, allow_open: bool, **options: Any
+    ) -> Any:
+        address = chosen_address(connect, identity, allow_open=allow_open)
+        return command(*args, connect=address, **options)
+
+    known = click.option(
+        "--identity",
+        type=click.Path(dir_okay=False, path_type=Path),
+        envvar=IDENTITY_VARIABLE,
+        metavar="FILE",
+        help="Identity in a closed fleet; names its router too.  [env: NUFLEET_IDENTITY; default: "
+        "the only one in ~/.config/nufleet]",
+    )
     name = click.option(
         "--fleet-name",
         metavar="NAME",
@@ -27,13 +61,11 @@ def connect_options(command: F) -> F:
     )
     connect = click.option(
         "--connect",
-        default="tcp/127.0.0.1:7447",
-        show_default=True,
         envvar=ROUTER_VARIABLE,
         metavar="ENDPOINT",
-        help="Router of a running fleet.  [env: NUFLEET_ROUTER]",
+        help="Router of a running open fleet.  [env: NUFLEET_ROUTER; default: tcp/127.0.0.1:7447]",
     )
-    return connect(name(command))
+    return cast(F, connect(known(open_option(name(reached)))))
 
 
 def wait_option(help_text: str) -> Callable[[F], F]:

@@ -13,7 +13,7 @@ from typing import Literal, TypeVar
 from nufleet.orchestrator.fleet.robot_watch import RobotWatch
 from nufleet.shared.errors import MalformedMessageError, NoReplyError, RefusedError, RobotLostError
 from nufleet.shared.wire.codec import Message, decode, encode
-from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.keys import RELEASE, STOP, FleetKeys, principal_of
 from nufleet.shared.wire.messages import (
     AcknowledgeRequest,
     CancelRequest,
@@ -239,17 +239,18 @@ class Fleet:
     def stop(self, robot: str, reason: str) -> None:
         """Stop a robot; return once it confirms the stop, and raise if it does not."""
         request = StopRequest(sender=self.orchestrator_id, reason=reason)
-        self._session.put_urgent(self._keys.robot(robot, "stop"), encode(request))
-        self._ask(robot, "stop", request, Done)
+        self._session.put_urgent(self._key(robot, STOP), encode(request))
+        self._ask(robot, STOP, request, Done)
 
     def stop_everyone(self, reason: str) -> None:
         """Send one unconfirmed stop to the whole fleet; call `stop` on each robot to confirm it."""
         request = StopRequest(sender=self.orchestrator_id, reason=reason)
-        self._session.put_urgent(self._keys.stop, encode(request))
+        key = self._keys.stop(principal_of(self.orchestrator_id))
+        self._session.put_urgent(key, encode(request))
 
     def release(self, robot: str) -> None:
         """Let a stopped robot move again."""
-        self._ask(robot, "release", ReleaseRequest(sender=self.orchestrator_id), Done)
+        self._ask(robot, RELEASE, ReleaseRequest(sender=self.orchestrator_id), Done)
 
     def _ask(
         self,
@@ -260,11 +261,13 @@ class Fleet:
         *,
         timeout_s: float = QUERY_TIMEOUT_S,
     ) -> R:
-        key = self._keys.robot(robot, leaf)
+        key = self._key(robot, leaf)
         began_s = time.monotonic()
         replies = self._session.ask_all(key, encode(request), timeout_s=timeout_s)
         if not replies:
             gone = time.monotonic() - began_s < timeout_s
+            if gone and self._session.identity is not None and self.watch(robot).alive:
+                raise NoReplyError(self._denied(robot, leaf))
             raise NoReplyError(_no_reply(robot, leaf, request, None if gone else timeout_s))
         if len(replies) > 1:
             raise RobotLostError(
@@ -283,6 +286,15 @@ class Fleet:
                 f"robot {robot} sent an unexpected reply of type {type(reply).__name__}"
             )
         return reply
+
+    def _key(self, robot: str, leaf: str) -> str:
+        return self._keys.request(robot, principal_of(self.orchestrator_id), leaf)
+
+    def _denied(self, robot: str, leaf: str) -> str:
+        return (
+            f"{principal_of(self.orchestrator_id)} may not ask {leaf!r} of robot {robot}: it is "
+            "there, but the router let nothing through; the inventory says who may"
+        )
 
     # Network threads.
 

@@ -44,8 +44,9 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     found: list[Any] = []
     for name in JOBS:
         monkeypatch.setattr(f"nufleet.orchestrator.jobs.{name}.{name}_and_print", found.append)
-    for variable in ("NUFLEET_ROUTER", "NUFLEET_RUNS", "NUFLEET_REPOSITORY"):
+    for variable in ("NUFLEET_ROUTER", "NUFLEET_IDENTITY", "NUFLEET_RUNS", "NUFLEET_REPOSITORY"):
         monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setenv("XDG_CONFIG_HOME", "/nonexistent")
     return found
 
 
@@ -57,8 +58,10 @@ def typed(name: str, *arguments: str, **environment: str) -> Result:
 def test_the_options_of_a_command_are_the_fields_of_its_job(name: str) -> None:
     command, job = JOBS[name]
     options = {parameter.name for parameter in command.params}
-    # `rank --resume` is another job; how many processes a fleet gets only scripts choose.
-    assert options - {"resume"} == {field.name for field in fields(job)} - {"processes"}
+    # `rank --resume` is another job; how many processes a fleet gets only scripts choose; and the
+    # address of the fleet is chosen before the job begins.
+    taken = {field.name for field in fields(job)}
+    assert options - {"resume", "identity", "allow_open"} == taken - {"processes"}
 
 
 @pytest.mark.parametrize("name", ["rank", "resume"])
@@ -157,7 +160,7 @@ def test_rank_can_resume_as_runs_resume_does(asked: list[Any]) -> None:
 def test_a_resumed_run_is_looked_for_where_it_was_unless_a_router_is_typed(
     asked: list[Any],
 ) -> None:
-    router = "tcp/10.0.0.1:7447"
+    router = "tcp/127.0.0.1:7448"
     assert typed("rank", "--resume", "latest", NUFLEET_ROUTER=router).exit_code == 0
     assert typed("rank", "--resume", "latest", "--connect", router).exit_code == 0
     assert [command.connect for command in asked] == [None, router]
