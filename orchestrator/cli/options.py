@@ -46,6 +46,11 @@ def connect_options(command: F) -> F:
         address = chosen_address(connect, identity, allow_open=allow_open)
         return command(*args, connect=address, **options)
 
+    return cast(F, address_options(reached))
+
+
+def address_options(command: F) -> F:
+    """Add the options of `connect_options` and pass them on as they were given."""
     known = click.option(
         "--identity",
         type=click.Path(dir_okay=False, path_type=Path),
@@ -65,7 +70,7 @@ def connect_options(command: F) -> F:
         metavar="ENDPOINT",
         help="Router of a running open fleet.  [env: NUFLEET_ROUTER; default: tcp/127.0.0.1:7447]",
     )
-    return cast(F, connect(known(open_option(name(reached)))))
+    return connect(known(open_option(name(command))))
 
 
 def wait_option(help_text: str) -> Callable[[F], F]:

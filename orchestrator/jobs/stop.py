@@ -32,6 +32,31 @@ MOST_AT_ONCE = 64
 _log = logging.getLogger(__name__)
 
 
+def stop_fleets(
+    addresses: tuple[str, ...],
+    fleet_name: str | None,
+    robots: tuple[str, ...] | None,
+    reason: str,
+) -> bool:
+    """Stop robots at several addresses one after the other; see `stop_and_print`.
+
+    An error at one address does not keep the stop from the others.
+
+    Raises:
+        NufleetError: The error of the only address.
+    """
+    if len(addresses) == 1:
+        return stop_and_print(addresses[0], fleet_name, robots, reason)
+    confirmed = True
+    for address in addresses:
+        try:
+            confirmed &= stop_and_print(address, fleet_name, robots, reason)
+        except NufleetError as error:
+            confirmed = False
+            _print_failure(f"{address}: {error}")
+    return confirmed
+
+
 def stop_and_print(
     endpoint: str, fleet_name: str | None, robots: tuple[str, ...] | None, reason: str
 ) -> bool:

@@ -138,19 +138,9 @@ def identity_folder() -> Path:
     return (Path(base) if base else Path.home() / ".config") / "nufleet"
 
 
-def found_identity() -> Path | None:
-    """Return the only identity in the user's folder; None if there is none.
-
-    Raises:
-        IdentityError: There are several.
-    """
-    found = sorted(identity_folder().glob(f"*{SUFFIX}"))
-    if len(found) > 1:
-        raise IdentityError(
-            f"which identity? {', '.join(str(path) for path in found)}: choose one with "
-            f"--identity or {IDENTITY_VARIABLE}"
-        )
-    return found[0] if found else None
+def found_identities() -> tuple[Path, ...]:
+    """Return the identities in the user's folder, sorted."""
+    return tuple(sorted(identity_folder().glob(f"*{SUFFIX}")))
 
 
 def address_of(path: Path) -> str:

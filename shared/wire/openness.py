@@ -8,7 +8,12 @@ from pathlib import Path
 
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.redaction import without_secrets
-from nufleet.shared.wire.identity import address_of, found_identity
+from nufleet.shared.wire.identity import (
+    IDENTITY_VARIABLE,
+    IdentityError,
+    address_of,
+    found_identities,
+)
 
 LOCAL_ENDPOINT = "tcp/127.0.0.1:7447"
 ROUTER_VARIABLE = "NUFLEET_ROUTER"
@@ -55,10 +60,28 @@ def check_closed(endpoint: str, *, allow_open: bool) -> str:
 
 
 def chosen_address(connect: str | None, identity: Path | None, *, allow_open: bool) -> str:
-    """Return the address of a fleet from what the user gave, or else from where it is kept.
+    """Return the one address of a fleet that `chosen_addresses` finds.
+
+    Raises:
+        IdentityError: There are several identities in the user's folder.
+        InvalidInputError: The endpoint is open and this was not accepted.
+    """
+    found = chosen_addresses(connect, identity, allow_open=allow_open)
+    if len(found) > 1:
+        names = ", ".join(str(path) for path in found_identities())
+        raise IdentityError(
+            f"which identity? {names}: choose one with --identity or {IDENTITY_VARIABLE}"
+        )
+    return found[0]
+
+
+def chosen_addresses(
+    connect: str | None, identity: Path | None, *, allow_open: bool
+) -> tuple[str, ...]:
+    """Return the addresses of fleets from what the user gave, or else from where they are kept.
 
     The order is: an identity that was given (option or NUFLEET_IDENTITY), an endpoint that was
-    given (option or NUFLEET_ROUTER), the only identity in the user's folder, this machine. A script
+    given (option or NUFLEET_ROUTER), the identities in the user's folder, this machine. A script
     that is given an endpoint in NUFLEET_ROUTER thus never uses the identity of its user.
 
     Args:
@@ -67,15 +90,13 @@ def chosen_address(connect: str | None, identity: Path | None, *, allow_open: bo
         allow_open: Whether the user accepts an open fleet.
 
     Raises:
-        IdentityError: There are several identities in the user's folder.
         InvalidInputError: The endpoint is open and this was not accepted.
     """
     if identity is not None:
-        return address_of(identity)
+        return (address_of(identity),)
     if connect is None:
-        found = found_identity()
-        return LOCAL_ENDPOINT if found is None else address_of(found)
-    return check_closed(connect, allow_open=allow_open)
+        return tuple(address_of(path) for path in found_identities()) or (LOCAL_ENDPOINT,)
+    return (check_closed(connect, allow_open=allow_open),)
 
 
 def open_is_accepted() -> bool:

@@ -79,6 +79,14 @@ def test_a_fleet_is_closed_and_its_principals_are_known_by_their_identities(here
             shutil.copy(Path("ids", name), config)
         assert "a is stopped" in succeeded("stop", "--all")
         assert nufleet("release", "a").exit_code == 1
+        # With a second identity there, of a fleet whose router is down, a stop still does not ask.
+        elsewhere = (config / "anna.nufleet").read_text().replace("127.0.0.1", "127.0.0.9")
+        (config / "other.nufleet").write_text(elsewhere)
+        shutil.copy("ids/anna.key", config / "other.key")
+        both = nufleet("stop", "a")
+        assert both.exit_code == 1
+        assert "a is stopped" in both.output
+        assert "anna cannot reach the router at tls/127.0.0.9" in both.output
         assert "a may move again" in succeeded("release", "a", "--identity", "ids/desk.nufleet")
         said = nufleet("stop", "--all", "--identity", "ids/screen.nufleet")
         assert said.exit_code == 1

@@ -12,7 +12,7 @@ from nufleet.shared.wire.identity import (
     Identity,
     IdentityError,
     address_of,
-    found_identity,
+    found_identities,
     identity_at,
     identity_text,
     read_identity,
@@ -90,15 +90,13 @@ def test_a_key_that_others_may_read_or_replace_is_refused(mode: int, identity: I
         read_identity(identity.path)
 
 
-def test_the_only_identity_of_the_user_is_found(
+def test_the_identities_of_the_user_are_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    assert found_identity() is None
+    assert found_identities() == ()
     folder = tmp_path / "nufleet"
     folder.mkdir()
     (folder / "desk.nufleet").touch()
-    assert found_identity() == folder / "desk.nufleet"
     (folder / "anna.nufleet").touch()
-    with pytest.raises(IdentityError, match=r"which identity\? .*anna.*desk.*--identity"):
-        found_identity()
+    assert found_identities() == (folder / "anna.nufleet", folder / "desk.nufleet")

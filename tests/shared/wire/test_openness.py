@@ -7,10 +7,12 @@ from pathlib import Path
 import pytest
 
 from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.wire.identity import IdentityError
 from nufleet.shared.wire.openness import (
     LOCAL_ENDPOINT,
     check_closed,
     chosen_address,
+    chosen_addresses,
     is_open,
 )
 
@@ -56,5 +58,10 @@ def test_an_address_comes_from_the_most_explicit_place(mine: Path, tmp_path: Pat
     assert chosen_address(None, None, allow_open=False) == f"identity/{mine}"
     assert chosen_address(endpoint, None, allow_open=False) == endpoint
     assert chosen_address(endpoint, other, allow_open=False) == f"identity/{other}"
+    mine.with_name("anna.nufleet").touch()
+    with pytest.raises(IdentityError, match=r"which identity\? .*anna.*desk.*--identity"):
+        chosen_address(None, None, allow_open=False)
+    assert len(chosen_addresses(None, None, allow_open=False)) == 2
+    mine.with_name("anna.nufleet").unlink()
     mine.unlink()
     assert chosen_address(None, None, allow_open=False) == LOCAL_ENDPOINT
