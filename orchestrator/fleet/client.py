@@ -13,7 +13,7 @@ from typing import Literal, TypeVar
 from nufleet.orchestrator.fleet.robot_watch import RobotWatch
 from nufleet.shared.errors import MalformedMessageError, NoReplyError, RefusedError, RobotLostError
 from nufleet.shared.wire.codec import Message, decode, encode
-from nufleet.shared.wire.keys import RELEASE, STOP, FleetKeys, principal_of
+from nufleet.shared.wire.keys import READS, RELEASE, STOP, FleetKeys, principal_of
 from nufleet.shared.wire.messages import (
     AcknowledgeRequest,
     CancelRequest,
@@ -266,8 +266,8 @@ class Fleet:
         replies = self._session.ask_all(key, encode(request), timeout_s=timeout_s)
         if not replies:
             gone = time.monotonic() - began_s < timeout_s
-            if gone and self._session.identity is not None and self.watch(robot).alive:
-                raise NoReplyError(self._denied(robot, leaf))
+            if gone and self._denied(robot, leaf, request):
+                raise RefusedError("not-allowed", self._why_denied(leaf), robot)
             raise NoReplyError(_no_reply(robot, leaf, request, None if gone else timeout_s))
         if len(replies) > 1:
             raise RobotLostError(
@@ -290,11 +290,24 @@ class Fleet:
     def _key(self, robot: str, leaf: str) -> str:
         return self._keys.request(robot, principal_of(self.orchestrator_id), leaf)
 
-    def _denied(self, robot: str, leaf: str) -> str:
-        return (
-            f"{principal_of(self.orchestrator_id)} may not ask {leaf!r} of robot {robot}: it is "
-            "there, but the router let nothing through; the inventory says who may"
-        )
+    def _denied(self, robot: str, leaf: str, request: Message) -> bool:
+        """Return whether the router of a closed fleet keeps a command from a robot.
+
+        Its answer is the same as that of a robot that is gone. A robot that answers a read, which
+        every principal may ask, and then still not the command, is not gone.
+        """
+        if self._session.identity is None or leaf in READS:
+            return False
+        described = self._keys.robot(robot, READS[0])
+        for key, asked in ((described, DescribeRequest()), (self._key(robot, leaf), request)):
+            replies = self._session.ask_all(key, encode(asked), timeout_s=QUERY_TIMEOUT_S)
+            if bool(replies) != (key == described):
+                return False
+        return True
+
+    def _why_denied(self, leaf: str) -> str:
+        principal = principal_of(self.orchestrator_id)
+        return f"{principal} may not ask {leaf!r} in this fleet; the inventory says who may"
 
     # Network threads.
 

@@ -90,7 +90,7 @@ def test_a_fleet_is_closed_and_its_principals_are_known_by_their_identities(here
         assert "a may move again" in succeeded("release", "a", "--identity", "ids/desk.nufleet")
         said = nufleet("stop", "--all", "--identity", "ids/screen.nufleet")
         assert said.exit_code == 1
-        assert "screen may not ask 'stop' of robot a" in said.output
+        assert "screen may not ask 'stop'" in said.output
 
 
 def test_a_revoked_identity_is_told_so_after_the_router_was_restarted(here: Path) -> None:
