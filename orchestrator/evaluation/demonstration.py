@@ -4,19 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from rich.table import Table
+import numpy as np
 
 from nufleet.orchestrator.evaluation.flight_documents import DEMONSTRATION, DemoResult
-from nufleet.orchestrator.evaluation.fly_target import FlightObserver, Psi, fly_target, summarise
-from nufleet.orchestrator.evaluation.results import EvaluationResult
+from nufleet.orchestrator.evaluation.fly_target import (
+    FlightObserver,
+    Psi,
+    flight_record,
+    fly_target,
+    summarise,
+)
+from nufleet.orchestrator.evaluation.results import FlightRecord
 from nufleet.orchestrator.experience.learning import know_itself
 from nufleet.orchestrator.experience.library import ExperienceLibrary
-from nufleet.orchestrator.experience.train import train_robots
+from nufleet.orchestrator.experience.prior_custody import prior_put_back
+from nufleet.orchestrator.experience.train import Trained, train_robots
+from nufleet.orchestrator.experience.transfer import transfer
 from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.flights.labels import without_guard
 from nufleet.orchestrator.flights.legs import Leg
 from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.orchestrator.runs.folder import RunFolder
-from nufleet.orchestrator.runs.rank_result import RankResult
+from nufleet.orchestrator.runs.rank_result import RunRecord
+from nufleet.orchestrator.study.predicted_errors import PredictedRms, predict_rms
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.wire.messages import Description
 
@@ -25,8 +35,8 @@ def demonstrate(
     fleet: Fleet,
     pilot: Pilot,
     target: Description,
-    ranking: RankResult,
-    legs: Sequence[Leg],
+    record: RunRecord,
+    leg: Leg,
     architecture: Architecture,
     folder: RunFolder,
     *,
@@ -35,17 +45,20 @@ def demonstrate(
     say: Callable[[str], None],
     observers: Sequence[FlightObserver],
 ) -> DemoResult:
-    """Have the closest and the furthest source learn, and fly the target with each experience.
+    """Have the closest and the furthest source learn, and fly the target in every way.
+
+    If the guard takes the furthest source's experience back, the flight is repeated without the
+    guard, which shows what it prevented.
 
     Args:
-        fleet: Client of the fleet, already connected.
+        fleet: Client of the fleet, already connected; all its robots are simulated.
         pilot: Pilot that has the robots fly.
         target: Description of the robot that needs experience.
-        ranking: Ranking of the sources by frequency tests; the closest comes first.
-        legs: Paths that the target flies with every inverse.
+        record: Ranking of the sources by frequency tests, the closest first, and these tests.
+        leg: Path that the target flies in every way.
         architecture: Architecture of the experiences that the sources learn.
         folder: Folder of the run; experiences and the result are written there.
-        seed: Seed of the learning flights and of the networks' first weights.
+        seed: Seed of the learning flights, of the networks' first weights and of the predictions.
         flight_s: Duration in s of each flight that a robot learns from.
         say: Callback that receives one line of progress at a time.
         observers: Callbacks for the beginning and the end of each flight along a path.
@@ -53,87 +66,118 @@ def demonstrate(
     Returns:
         The ranking together with the errors of the flights, as written to the run's folder.
     """
+    ranking = record.result
     best, worst = ranking.ranking[0], ranking.ranking[-1]
-    chosen = list(dict.fromkeys((best.robot, worst.robot)))
+    chosen = {estimate.robot: estimate for estimate in (best, worst)}
+    learners = [fleet.describe(source) for source in chosen]
+    predicted = None
+    if architecture == "preview":  # an inverse of the state forms a loop that tests do not predict
+        predicted = _predicted(target, learners, record, leg, seed)
+        for source in chosen:
+            say(
+                f"{source}: from the tests, its experience is expected to leave "
+                f"{_milli(predicted.of[source], leg.unit)} of error, instead of "
+                f"{_milli(predicted.without, leg.unit)}"
+            )
     say(f"{' and '.join(chosen)} fly for {flight_s:.0f} s to learn")
     know_itself(fleet, pilot, target.robot, seed=seed, say=say)
     train_robots(
         fleet,
         pilot,
-        [fleet.describe(source) for source in chosen],
+        learners,
         (architecture,),
         folder.path / "experiences",
         seed=seed,
         duration_s=flight_s,
         say=lambda robot, what: None,
-        on_trained=lambda done: say(
-            f"  {done.lesson.robot} offers its experience: a network with a horizon of "
-            f"{done.lesson.choice.layout.horizon_s:.2f} s, trained in {done.training_time_s:.1f} s"
-        ),
+        on_trained=lambda done: say(_offer(done)),
     )
-    say(f"{target.robot} tracks a drawing with each of them as its prior")
-    flights = fly_target(
+    say(f"{target.robot} tracks a drawing in every way")
+    library = ExperienceLibrary(fleet)
+    flown = fly_target(
         fleet,
         pilot,
-        ExperienceLibrary(fleet),
+        library,
         target,
-        chosen,
-        legs,
+        list(chosen),
+        [leg],
         architecture,
         guarded=True,
         observers=observers,
-        psi={estimate.robot: estimate.psi for estimate in (best, worst)},
+        psi={source: estimate.psi for source, estimate in chosen.items()},
     )
+    unguarded = None
+    if any(flight.inverse == worst.robot and flight.taken_back for flight in flown):
+        unguarded = _without_guard(
+            fleet, pilot, library, target, worst.robot, leg, architecture, observers
+        )
     result = DemoResult(
         ranking=ranking,
         flights=summarise(
             target.robot,
-            flights,
-            {estimate.robot: Psi(estimate.psi, estimate.psi_std) for estimate in (best, worst)},
+            flown,
+            {source: Psi(estimate.psi, estimate.psi_std) for source, estimate in chosen.items()},
             architecture,
-            unit=target.spec.axes[0].unit,
+            unit=leg.unit,
             guarded=True,
             run=str(folder.path),
+            predicted=predicted,
         ),
+        flown=flown,
+        unguarded=unguarded,
         run=str(folder.path),
     )
     folder.write_document(DEMONSTRATION, result)
     return result
 
 
-def demo_table(result: EvaluationResult) -> Table:
-    """Return a table of the errors, in the order that the tests predicted."""
-    table = Table(title="effect of the transfer, in the predicted order", title_justify="left")
-    table.add_column("prior")
-    for heading in ("predicted ψ*", f"RMS error, m{result.unit}", "less error"):
-        table.add_column(heading, justify="right")
-    for place, source in enumerate(result.sources):
-        table.add_row(
-            f"{source.robot} ({'closest' if place == 0 else 'furthest'})",
-            f"{source.psi:.4f}",
-            _milli(source.rms_m),
-            _percent(source.reduction_percent),
-            style="bold green" if place == 0 else None,
-        )
-    if result.mixture is not None:
-        mixed = result.mixture
-        table.add_row(
-            "both, weighed in flight", "", _milli(mixed.rms_m), _percent(mixed.reduction_percent)
-        )
-    none = result.no_prior
-    table.add_row(
-        "none: learns in flight", "", _milli(none.rms_m), _percent(none.reduction_percent)
+def _predicted(
+    target: Description, sources: Sequence[Description], record: RunRecord, leg: Leg, seed: int
+) -> PredictedRms:
+    specs = {known.robot: known.spec for known in (target, *sources)}
+    return predict_rms(
+        target.robot,
+        [source.robot for source in sources],
+        specs,
+        {robot: [test.response() for test in record.responses[robot]] for robot in specs},
+        [leg.desired],
+        np.random.default_rng(seed),
+        omega_max_rad_s=record.result.band_rad_s[1],
     )
-    if result.own is not None:
-        own = result.own
-        table.add_row("own model of itself", "", _milli(own.rms_m), _percent(own.reduction_percent))
-    table.add_row("baseline controller alone", "", _milli(result.baseline.rms_m), "")
-    return table
 
 
-def _milli(value: float | None) -> str:
-    return "not finished" if value is None else f"{1000 * value:.1f}"
+def _offer(done: Trained) -> str:
+    manifest = done.experience.manifest
+    model = "network" if manifest.hidden else "linear inverse"
+    return (
+        f"  {done.lesson.robot} offers its experience: a {model} with a horizon of "
+        f"{manifest.layout.horizon_s:.2f} s, trained in {done.training_time_s:.1f} s"
+    )
 
 
-def _percent(value: float | None) -> str:
-    return "" if value is None else f"{value:.1f} %"
+def _without_guard(
+    fleet: Fleet,
+    pilot: Pilot,
+    library: ExperienceLibrary,
+    target: Description,
+    source: str,
+    leg: Leg,
+    architecture: Architecture,
+    observers: Sequence[FlightObserver],
+) -> FlightRecord:
+    inverse = without_guard(source)
+    label = leg.label(inverse)
+    with prior_put_back(fleet, pilot, target):
+        given = transfer(fleet, library, source, target, architecture)
+        for observer in observers:
+            observer.begins(target.robot, label, target.spec)
+        flight = pilot.with_prior(
+            target.robot, leg.desired, label, sha256=given.sha256, guarded=False
+        )
+        for observer in observers:
+            observer.ended(flight)
+    return flight_record(flight, inverse, leg)
+
+
+def _milli(value: float, unit: str) -> str:
+    return f"{1000 * value:.1f} m{unit}"

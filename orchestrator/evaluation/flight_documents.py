@@ -73,18 +73,26 @@ class TrackResult(RunDocument):
 
 
 class DemoResult(RunDocument):
-    """What `nufleet demo --json` prints: the ranking, and the flights with the best and worst."""
+    """What `nufleet demo --json` prints: the ranking, and the flights in every way."""
 
     ranking: RankResult
     """Ranking of all sources by frequency tests, as `nufleet rank --json` prints it."""
     flights: EvaluationResult
     """Tracking errors with the closest and the furthest source, as `nufleet evaluate --json`."""
+    flown: tuple[FlightRecord, ...] = ()
+    """All flights that these errors come from, in the order in which they were flown."""
+    unguarded: FlightRecord | None = None
+    """Flight with the furthest source's experience and without the guard, if the guard took that
+    experience back."""
 
     def document(self) -> str:
         """Return this result as JSON, made up of the documents of `rank` and `evaluate`."""
+        unguarded = self.unguarded
         parts = {
             "ranking": json.loads(self.ranking.document()),
             "flights": json.loads(self.flights.document()),
+            "flown": [json.loads(flight.model_dump_json()) for flight in self.flown],
+            "unguarded": None if unguarded is None else json.loads(unguarded.model_dump_json()),
         }
         return json.dumps({"schema": self.schema_version, **parts, "run": self.run})
 

@@ -30,3 +30,8 @@ def prior_and_path(flight: str) -> tuple[str, str]:
     """Return who gave the prior, and what was flown."""
     prior, _, path = flight.partition(_SEPARATOR)
     return prior, path
+
+
+def without_guard(source: str) -> str:
+    """Return the name of a source's experience that is flown without the guard."""
+    return f"{source}-unguarded"

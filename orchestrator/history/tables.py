@@ -9,7 +9,7 @@ from rich.console import RenderableType
 from rich.table import Table
 
 from nufleet.orchestrator.conduct.reuse import said_of
-from nufleet.orchestrator.evaluation.demonstration import demo_table
+from nufleet.orchestrator.evaluation.demo_table import demo_parts
 from nufleet.orchestrator.evaluation.flight_documents import DemoResult, TrackResult, TrainResult
 from nufleet.orchestrator.evaluation.pairs import PairsResult
 from nufleet.orchestrator.evaluation.report import evaluation_table, pairs_table
@@ -28,7 +28,7 @@ def run_tables(run: Run) -> Iterator[RenderableType]:
         case DemoResult() as demo:
             yield ranking_table(demo.ranking.ranking, {})
             yield from verdict_parts(demo.ranking)
-            yield demo_table(demo.flights)
+            yield from demo_parts(demo)
         case EvaluationRecord() as evaluation:
             yield evaluation_table(evaluation.result)
             yield flights_table(evaluation.flights)

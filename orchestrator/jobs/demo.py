@@ -10,7 +10,8 @@ import click
 from rich.console import Console
 
 from nufleet.orchestrator.conduct.rank_run import RankRequest, configuration, prepare
-from nufleet.orchestrator.evaluation.demonstration import demo_table, demonstrate
+from nufleet.orchestrator.evaluation.demo_table import demo_parts
+from nufleet.orchestrator.evaluation.demonstration import demonstrate
 from nufleet.orchestrator.evaluation.flight_documents import DemoResult
 from nufleet.orchestrator.experience.train import check_torch
 from nufleet.orchestrator.fleet.reach import FleetChoice
@@ -27,7 +28,7 @@ ITERATIONS = 7
 DRAWING = "clover"
 SPEED = 0.6
 FLIGHT_S = 60.0
-ARCHITECTURES: dict[str, Architecture] = {"paper_linear": "preview", "paper_quadrotors": "state"}
+ARCHITECTURES: dict[str, Architecture] = {"weak_source": "preview", "paper_quadrotors": "state"}
 """Architecture of the experiences by fleet. The quadrotors use the paper's own inverse. The linear
 fleet uses the filter whose effect the tests predict: there an inverse fed with the state forms a
 feedback loop, which orders the sources differently."""
@@ -67,7 +68,7 @@ def demo(command: DemoCommand, console: Console) -> DemoResult:
     """
     check_torch()
     began_s = time.monotonic()
-    fleet_name = "paper_quadrotors" if command.quadrotors else "paper_linear"
+    fleet_name = "paper_quadrotors" if command.quadrotors else "weak_source"
     choice = FleetChoice.started(find_fleet_file(fleet_name))
     request = RankRequest(
         target=choice.target(None),
@@ -88,12 +89,13 @@ def demo(command: DemoCommand, console: Console) -> DemoResult:
         record = follow_study(run, ready, study)
         console.print(ranking_table(record.result.ranking, record.closed_form))
         target = ready.descriptions[request.target]
+        (leg,) = legs_of(read_drawings((DRAWING,)), (SPEED,), target)
         result = demonstrate(
             fleet,
             run.pilot,
             target,
-            record.result,
-            legs_of(read_drawings((DRAWING,)), (SPEED,), target),
+            record,
+            leg,
             ARCHITECTURES[fleet_name],
             run.folder,
             seed=command.seed,
@@ -101,6 +103,7 @@ def demo(command: DemoCommand, console: Console) -> DemoResult:
             say=console.print,
             observers=[KeptFlights(run)],
         )
-    console.print(demo_table(result.flights))
+    for part in demo_parts(result):
+        console.print(part)
     console.print(f"{time.monotonic() - began_s:.0f} s")
     return result

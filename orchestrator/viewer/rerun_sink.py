@@ -82,12 +82,7 @@ class RerunSink:
         """Draw events; raises NufleetError or RuntimeError when the file or the server is gone."""
         self._before_write()
         draws: list[Callable[[], None]] = [partial(self._drawing.draw, event) for event in events]
-        for draw in [*draws, *self._drawing.rest]:
-            try:
-                draw()
-            except Exception:
-                # An event that cannot be drawn must not cost the study the rest of its recording.
-                log.exception("the viewer could not draw an event")
+        _draw_each([*draws, *self._drawing.rest])
         self._lay_out()
 
     def _lay_out(self) -> None:
@@ -98,12 +93,22 @@ class RerunSink:
             self._stream.send_blueprint(layout(shown))
 
     def close(self) -> None:
-        """Flush the stream and disconnect it, which also writes a file's footer."""
+        """Draw the end, flush the stream and disconnect it, which also writes a file's footer."""
         try:
             self._before_write()
+            _draw_each([self._drawing.end])
             self._stream.flush()
         finally:
             self._stream.disconnect()
+
+
+def _draw_each(draws: Sequence[Callable[[], None]]) -> None:
+    for draw in draws:
+        try:
+            draw()
+        except Exception:
+            # An event that cannot be drawn must not cost the study the rest of its recording.
+            log.exception("the viewer could not draw an event")
 
 
 def _stream(run_id: str) -> rr.RecordingStream:

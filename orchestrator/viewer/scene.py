@@ -74,6 +74,10 @@ class Scene:
         """Functions that draw the events kept from a batch, each in one message per signal."""
         return self._robots.draw, self._samples.draw, self._tracking.draw
 
+    def end(self) -> None:
+        """Draw what is known only when no more events come."""
+        self._tracking.end()
+
     def _draw_iteration(self, event: IterationEvent) -> None:
         leaders = leading_sources(event)
         self._palette.assign(event.target, sorted(leaders))

@@ -19,6 +19,7 @@ All inputs are relative to the output, because the dynamics do not depend on the
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
@@ -78,7 +79,7 @@ class InverseLayout(Strict):
     @property
     def offsets(self) -> tuple[int, ...]:
         """Points of the path that a preview uses, in samples from now, ascending."""
-        return tuple(round(share * self.horizon_samples) for share in _PREVIEW_SHAPE)
+        return _preview_offsets(self.horizon_samples)
 
     @property
     def back_samples(self) -> int:
@@ -227,3 +228,9 @@ class InverseLayout(Strict):
 
     def _velocities(self, states: FloatArray) -> FloatArray:
         return states[:, self._velocity if self._velocity is not None else 0]
+
+
+@lru_cache(maxsize=64)
+def _preview_offsets(horizon_samples: int) -> tuple[int, ...]:
+    # Kept, since every sample of a flight asks for them several times.
+    return tuple(round(share * horizon_samples) for share in _PREVIEW_SHAPE)

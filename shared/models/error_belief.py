@@ -183,8 +183,11 @@ class ErrorBelief:
         return float(np.sqrt(max(0.0, left) / max(expected, _TINY)))
 
 
+@lru_cache(maxsize=8)
 def believe(basis: ErrorBasis, evidence: Evidence) -> ErrorBelief:
     """Return the belief about an axis after its flights.
+
+    The last few are kept: after every motion, what was believed before it is asked for again.
 
     Args:
         basis: Parameters of the error response.

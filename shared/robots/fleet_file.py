@@ -157,7 +157,7 @@ def find_fleet_file(path_or_name: str) -> Path:
         'paper_linear.toml'
     """
     path = Path(path_or_name)
-    if path.exists():
+    if path.exists() and not path.is_dir():  # a folder may happen to have a fleet's name
         return path
     installed = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
     if path_or_name not in installed:

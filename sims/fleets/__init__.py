@@ -7,3 +7,4 @@ from pathlib import Path
 ARMS = Path(__file__).with_name("arms.toml")
 PAPER_LINEAR = Path(__file__).with_name("paper_linear.toml")
 PAPER_QUADROTORS = Path(__file__).with_name("paper_quadrotors.toml")
+WEAK_SOURCE = Path(__file__).with_name("weak_source.toml")

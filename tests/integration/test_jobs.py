@@ -106,4 +106,4 @@ def test_the_demo_reads_its_fleet_file_once_and_describes_each_robot_once_before
     monkeypatch.setattr(demo_job, "follow_study", cut)
     with pytest.raises(NufleetError, match="cable"):
         demo(DemoCommand(runs_root=tmp_path), QUIET)
-    assert counted == Counted(1, Counter(ONCE))
+    assert counted == Counted(1, Counter((*ROBOTS, "source-4")))

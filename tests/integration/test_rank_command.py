@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -135,30 +136,41 @@ def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(tmp_path: Path)
     assert len(shown["history"]) == 2
 
 
-def test_the_demo_ranks_as_rank_does_however_robots_share_processes(tmp_path: Path) -> None:
-    alone = nufleet("demo", "--seed", "11", "--json", cwd=tmp_path)
+def test_the_demo_ranks_as_rank_does_and_shows_what_the_readme_shows(tmp_path: Path) -> None:
+    alone = nufleet("demo", "--json", cwd=tmp_path)
     together = nufleet(
-        *("rank", "--fleet", "paper_linear", "--algorithm", "paper", "--seed", "11", "--json"),
+        *("rank", "--fleet", "weak_source", "--algorithm", "paper", "--seed", "0", "--json"),
         cwd=tmp_path,
     )
     assert alone.returncode == 0, alone.stderr
     first, second = json.loads(alone.stdout), json.loads(together.stdout)
     assert first["ranking"]["ranking"] == second["ranking"]
-    assert list(first) == ["schema", "ranking", "flights", "run"]
-    flights = first["flights"]
+    flights, unguarded = first["flights"], first["unguarded"]
     closest, furthest = flights["sources"]
-    assert [closest["robot"], furthest["robot"]] == ["source-2", "source-3"]
+    assert [closest["robot"], furthest["robot"]] == ["source-2", "source-4"]
     baseline = flights["baseline"]["rms_m"]
-    assert closest["rms_m"] < furthest["rms_m"] < baseline
+    assert closest["rms_m"] < baseline
     assert closest["reduction_percent"] == pytest.approx(100 * (1 - closest["rms_m"] / baseline))
+    # The harm was predicted, the guard prevented it, and without the guard it is there.
+    assert second["verdicts"]["source-4"]["verdict"] == "do not transfer"
+    assert furthest["predicted_rms_m"] > 1.5 * baseline
+    assert furthest["taken_back"] == 1
+    assert furthest["rms_m"] < baseline < unguarded["rms_m"] < furthest["predicted_rms_m"]
     run = tmp_path / first["run"]
     assert json.loads((run / "demo.json").read_text())["flights"]["sources"] == flights["sources"]
     assert {"results.json", "flights.parquet", "run.rrd", "experiences"} <= {
         path.name for path in run.iterdir()
     }
-    assert "closed form" in alone.stderr
-    assert "effect of the transfer" in alone.stderr
     assert " view " in alone.stderr
+    shown = (ROOT / "README.md").read_text().split("prints these two tables")[1]
+    # Between the two, it prints the flights one by one.
+    for part in re.split("(?=effect of the transfer)", shown.split("```", 2)[1]):
+        assert without_numbers(part) in without_numbers(alone.stderr)
+
+
+def without_numbers(text: str) -> str:
+    """The words of a text, with `#` in place of each number: README and output wrap differently."""
+    return " ".join(re.sub(r"[<+-]?\d[\d.]*", "#", text).split())
 
 
 def has_begun(pid: int) -> bool:

@@ -45,6 +45,11 @@ class Tracking:
         for robot in {event.robot: None for event in waiting if event.robot in self._flights}:
             self._draw_new(self._flights[robot])
 
+    def end(self) -> None:
+        """Write the outcomes of the last flights, of which parts came since the last table."""
+        for flight in self._flights.values():
+            self._table(flight)
+
     def _take(self, event: TrackingSamplesEvent) -> None:
         flight = self._flights.get(event.robot)
         if flight is not None and flight.continued_by(event):

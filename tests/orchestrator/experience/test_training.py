@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -75,14 +76,34 @@ def test_the_manifest_says_what_was_trained(experience: Experience) -> None:
     assert decode_experience(encode_experience(experience)).manifest == manifest
 
 
-def test_a_network_that_is_not_trained_is_the_linear_inverse() -> None:
+def linear_data(unexplained: float) -> TrainingData:
+    """Pairs of a linear inverse, and a share of γ that no linear inverse explains."""
     rng = np.random.default_rng(3)
     inputs = rng.standard_normal((1500, 4))
     gamma = inputs @ np.array([0.3, -1.0, 2.0, 0.1]) + 0.7
-    network = NetworkInverse(
-        train(TrainingData(inputs, gamma), LAYOUT, ORIGIN, seed=0, points=1000, steps_max=0)
-    )
-    np.testing.assert_allclose(network(inputs), gamma, atol=1e-4)
+    return TrainingData(inputs, gamma + unexplained * gamma.std() * rng.standard_normal(1500))
+
+
+def test_a_network_that_is_not_trained_is_the_linear_inverse() -> None:
+    pairs = linear_data(unexplained=0.02)
+    experience = train(pairs, LAYOUT, ORIGIN, seed=0, points=1000, steps_max=0)
+    assert experience.manifest.hidden == (128, 128, 128, 128)
+    exact = linear_data(unexplained=0.0)
+    np.testing.assert_allclose(NetworkInverse(experience)(exact.inputs), exact.gamma, atol=0.02)
+
+
+def test_where_a_linear_inverse_explains_all_it_is_the_experience_and_no_network_is_trained(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    pairs = linear_data(unexplained=0.005)
+    monkeypatch.setitem(sys.modules, "torch", None)  # any import of it fails
+    experience = train(pairs, LAYOUT, ORIGIN, seed=0, points=1000)
+    manifest = experience.manifest
+    assert manifest.hidden == ()
+    left = NetworkInverse(experience)(pairs.inputs) - pairs.gamma
+    assert manifest.validation_rms == pytest.approx(left.std(), rel=0.2)
+    assert left.std() < 0.01 * pairs.gamma.std()
+    assert decode_experience(encode_experience(experience)).manifest == manifest
 
 
 def test_several_at_once_are_trained_as_one_alone(experience: Experience) -> None:

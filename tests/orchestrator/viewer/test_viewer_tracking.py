@@ -188,6 +188,19 @@ def names(path: Path) -> str:
     return "\n".join(labels[-1])  # type: ignore[arg-type]
 
 
+def test_the_table_at_the_end_holds_the_error_of_the_whole_last_flight(tmp_path: Path) -> None:
+    """It is written once per second: without an end, the last second would be missing."""
+    sink = RerunSink.to_file("run-1", tmp_path / "run.rrd")
+    late = flight("s1")
+    late.actual[-20:] += 1.0
+    for part in parts(late, 25):
+        sink.write([part])
+    sink.close()
+    away = late.actual - late.desired
+    rms_mm = 1e3 * np.sqrt(np.mean(np.sum(away**2, axis=1)))
+    assert f"{rms_mm:.1f}" in table(tmp_path / "run.rrd")
+
+
 def test_the_names_are_ordered_by_error_and_the_one_that_flies_comes_last(tmp_path: Path) -> None:
     events = [
         flight("baseline", late_s=0.2),

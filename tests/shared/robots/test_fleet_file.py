@@ -156,6 +156,14 @@ def test_a_fleet_is_found_by_path_or_by_the_name_it_is_installed_under(tmp_path:
         find_fleet_file("paper_liner")
 
 
+def test_a_folder_that_has_the_name_of_an_installed_fleet_does_not_hide_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "weak_source").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert read_fleet_file(find_fleet_file("weak_source")).name == "weak-source"
+
+
 def test_no_robot_flies_unguarded_unless_its_fleet_file_says_so(tmp_path: Path) -> None:
     path = tmp_path / "lab.toml"
     path.write_text(
