@@ -16,7 +16,7 @@ from nufleet.orchestrator.jobs.environment import (
     RUNS_VARIABLE,
 )
 from nufleet.shared.wire.identity import IDENTITY_VARIABLE
-from nufleet.shared.wire.openness import OPEN_VARIABLE, chosen_address
+from nufleet.shared.wire.openness import LOCAL_ENDPOINT, OPEN_VARIABLE, chosen_address
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -43,8 +43,9 @@ def connect_options(command: F) -> F:
     def reached(
         *args: Any, connect: str | None, identity: Path | None, allow_open: bool, **options: Any
     ) -> Any:
-        address = chosen_address(connect, identity, allow_open=allow_open)
-        return command(*args, connect=address, **options)
+        if options.get("fleet_file") is None:
+            connect = chosen_address(connect, identity, allow_open=allow_open)
+        return command(*args, connect=connect or LOCAL_ENDPOINT, **options)
 
     return cast(F, address_options(reached))
 

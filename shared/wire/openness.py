@@ -16,7 +16,6 @@ from nufleet.shared.wire.identity import (
 )
 
 LOCAL_ENDPOINT = "tcp/127.0.0.1:7447"
-ROUTER_VARIABLE = "NUFLEET_ROUTER"
 OPEN_VARIABLE = "NUFLEET_OPEN"
 PLAIN_PROTOCOLS = ("tcp", "udp", "ws")
 """Protocols that prove neither side to the other."""

@@ -25,6 +25,7 @@ from nufleet.orchestrator.jobs.track import TrackCommand
 from nufleet.orchestrator.jobs.train import TrainCommand
 from nufleet.orchestrator.jobs.transfer import TransferCommand
 from nufleet.shared.errors import FleetFileError
+from nufleet.shared.wire.identity import IdentityError
 from nufleet.sims.fleets import PAPER_LINEAR
 
 JOBS: dict[str, tuple[click.Command, type[Any]]] = {
@@ -70,6 +71,23 @@ def test_options_that_are_left_out_are_what_the_job_takes_by_default(
 ) -> None:
     assert typed(name).exit_code == 0
     assert asked == [JOBS[name][1](runs_root=Path("runs"))]
+
+
+def test_a_fleet_that_is_started_for_the_command_needs_no_identity(
+    asked: list[Any], tmp_path: Path
+) -> None:
+    folder = tmp_path / "nufleet"
+    folder.mkdir()
+    for name in ("anna", "desk"):
+        (folder / f"{name}.nufleet").touch()
+    mine = {"XDG_CONFIG_HOME": str(tmp_path)}
+    assert typed("rank", "--fleet", "paper_linear", **mine).exit_code == 0
+    assert len(asked) == 1
+    which = typed("rank", **mine).exception
+    assert isinstance(which, IdentityError)
+    chosen = folder / "anna.nufleet"
+    assert typed("rank", "--identity", str(chosen), **mine).exit_code == 0
+    assert asked[-1].connect == f"identity/{chosen}"
 
 
 def test_options_of_rank_reach_the_job_converted(asked: list[Any]) -> None:
