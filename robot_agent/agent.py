@@ -21,6 +21,7 @@ from nufleet.robot_agent.commands import Commands
 from nufleet.robot_agent.decisions import Decisions
 from nufleet.robot_agent.experience_service import ExperienceService
 from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.forecast_service import ForecastService
 from nufleet.robot_agent.journal.audit_log import AuditLog
 from nufleet.robot_agent.journal.journal import Journal
 from nufleet.robot_agent.journal.unrecorded import Unrecorded
@@ -49,6 +50,7 @@ from nufleet.shared.wire.messages import (
     Description,
     Done,
     FetchRequest,
+    ForecastRequest,
     GoalRequest,
     InstallRequest,
     ReleaseRequest,
@@ -175,6 +177,8 @@ class Agent:
             opened.callback(audit.close)
         self._commands = Commands(audit)
         self._experiences = ExperienceService(self._name, robot, memory, change)
+        self._forecasts = ForecastService(planner, lambda: self._decisions.running)
+        opened.callback(self._forecasts.close)
 
     def _join(self, opened: ExitStack) -> None:
         """Open all services in the order of their dependencies; they close in reverse order."""
@@ -203,9 +207,10 @@ class Agent:
             samples,
             path_samples,
             realtime=self._realtime,
+            foretold=self._forecasts.foretold,
         )
         opened.callback(self._motions.close)
-        self._looks.append(self._motions.look_after_robot)
+        self._looks += [self._motions.look_after_robot, self._forecasts.look]
         endpoint = Endpoint(
             session,
             keys,
@@ -215,6 +220,7 @@ class Agent:
                 "result": self._result,
                 "experience": self._fetch,
                 "prior": self._fetch,
+                "forecast": self._forecast,
             },
             commands={
                 "goal": command("goal", GoalRequest, self._take_goal),
@@ -231,7 +237,7 @@ class Agent:
                     "prior/remove", RemovePriorRequest, experiences.remove_prior
                 ),
             },
-            large=("goal", "experience/install", "prior/install"),
+            large=("goal", "forecast", "experience/install", "prior/install"),
             urgent={"stop": stops.asked},
         )
         opened.callback(endpoint.close)
@@ -289,6 +295,7 @@ class Agent:
         self._await_owner(request.owner)
         answer, motion = self._decisions.take(request)
         if motion is not None:
+            self._forecasts.end()
             self._motions.begin(motion)
         return answer
 
@@ -316,6 +323,9 @@ class Agent:
 
     def _fetch(self, payload: bytes) -> Answer:
         return self._experiences.fetch(_decoded(payload, FetchRequest))
+
+    def _forecast(self, payload: bytes) -> Answer:
+        return self._forecasts.asked(_decoded(payload, ForecastRequest))
 
     def _release(self, request: ReleaseRequest) -> Answer:
         refusal = self._decisions.release(request.sender)

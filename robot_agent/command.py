@@ -84,7 +84,7 @@ def agent(
     disappears, and when anyone stops it. A stop outlasts the agent; so does what it did, so that
     no goal moves the robot twice.
     """
-    from nufleet.robot_agent.addresses import agent_addresses
+    from nufleet.robot_agent.network.addresses import agent_addresses
     from nufleet.shared.robots.drivers import needed_environment
     from nufleet.shared.robots.fleet_file import find_fleet_file, read_fleet_file
     from nufleet.shared.state_folder import default_state_folder

@@ -308,6 +308,11 @@ class Decisions:
         return self._commander
 
     @property
+    def running(self) -> str | None:
+        """Id of the goal in progress; None at rest."""
+        return self._goals.running
+
+    @property
     def fault(self) -> str | None:
         """Why the robot has to be reconnected; None when it has no fault."""
         return self._supervision.fault

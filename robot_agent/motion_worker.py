@@ -6,6 +6,7 @@ import logging
 import queue
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import Future
 
 import numpy as np
@@ -15,6 +16,7 @@ from nufleet.robot_agent.flight.flights import learn, performance_of
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.mixture_learner import experts_of
 from nufleet.robot_agent.flight.online_gp import Correction
+from nufleet.robot_agent.flight.state_model import state_evidence
 from nufleet.robot_agent.motion.excitation import reference_of
 from nufleet.robot_agent.motion.perform import AxisMotion, Performance, Played, Samples, perform
 from nufleet.robot_agent.motion.watched_robot import WatchedRobot
@@ -32,6 +34,7 @@ from nufleet.shared.wire.messages import (
     Telemetry,
     TrackingTelemetry,
 )
+from nufleet.shared.wire.motions import PredictedError, Tracking
 from nufleet.shared.wire.transport import Publisher
 
 CLOSING_LOOK_S = 0.1
@@ -54,8 +57,10 @@ class MotionWorker:
         tracking: Publisher,
         *,
         realtime: float | None,
+        foretold: Callable[[Tracking], PredictedError | None] = lambda motion: None,
     ) -> None:
         self._boot_id = boot_id
+        self._foretold = foretold
         self._robot = robot
         self._memory = memory
         self._decisions = decisions
@@ -181,7 +186,17 @@ class MotionWorker:
         spec = self._robot.spec
         tested = np.array([axis.name == plan.axis for axis in spec.axes], dtype=np.float64)
         references, outputs = (np.outer(s, tested) for s in (samples.reference, samples.response))
-        learn(self._memory, spec, references, outputs)
+        seen = None
+        if samples.states is not None:
+            seen = state_evidence(
+                self._robot.state_names,
+                samples.response,
+                samples.states,
+                spec.sample_time_s,
+                max(tone.omega_rad_s for tone in plan.tones),
+            )
+        states = {} if seen is None else {plan.axis: seen}
+        learn(self._memory, spec, references, outputs, states)
 
     def _performance(self, assignment: Assignment, telemetry: TelemetryBatcher) -> Performance:
         def on_samples(first: int, reference: FloatArray, response: FloatArray) -> None:
@@ -225,6 +240,7 @@ class MotionWorker:
             switch=assignment.switch,
             on_played=lambda samples: self._decisions.progressed(assignment, samples),
             watch=watch,
+            foretold=self._foretold(motion) if isinstance(motion, Tracking) else None,
         )
 
     def _batcher(self, assignment: Assignment) -> TelemetryBatcher:

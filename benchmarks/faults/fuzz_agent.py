@@ -19,6 +19,7 @@ from nufleet.shared.wire.messages import (
     CancelRequest,
     DescribeRequest,
     FetchRequest,
+    ForecastRequest,
     GoalRequest,
     GoalResult,
     InstallRequest,
@@ -44,6 +45,7 @@ LEAVES: dict[str, type[Message]] = {
     "prior": FetchRequest,
     "prior/install": InstallRequest,
     "prior/remove": RemovePriorRequest,
+    "forecast": ForecastRequest,
 }
 """What an agent serves, and what each takes."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -166,6 +166,7 @@ def run_study(
     *,
     folder: RunFolder,
     observers: Sequence[RankingObserver],
+    foresee: Callable[[RankResult], RankResult] = lambda result: result,
 ) -> RunRecord:
     """Run a stored study from its current state to its end, and keep its results in the folder.
 
@@ -176,6 +177,8 @@ def run_study(
         archive: Repository and leases under which the robots are commanded.
         folder: Run folder that receives samples, results, plots and the report.
         observers: Objects that are notified of every round, replayed rounds included.
+        foresee: Function that adds to the result, before it is stored, what the target expects of
+            each way to fly.
 
     Returns:
         The record that was also written to the folder.
@@ -198,10 +201,11 @@ def run_study(
     judgement = judge_transfers(
         ready.plan, conclusion.ranking, specs, conclusion.responses, np.random.default_rng(seed)
     )
+    result = _result(ready.plan, conclusion, judgement, folder).model_copy(
+        update={"stored": stored_responses(studies, recipe_of(study).stored) or None}
+    )
     record = RunRecord(
-        result=_result(ready.plan, conclusion, judgement, folder).model_copy(
-            update={"stored": stored_responses(studies, recipe_of(study).stored) or None}
-        ),
+        result=result,
         axis=ready.plan.axis,
         seed=seed,
         history=tuple(recorder.history),
@@ -213,6 +217,9 @@ def run_study(
             for robot, tests in conclusion.responses.items()
         },
     )
+    # The ranking is safe before the target is asked what follows from it.
+    folder.write_record(record)
+    record = record.model_copy(update={"result": foresee(result)})
     folder.write_record(record)
     write_plots(folder.path, record, recorder.curves, _true_psi(ready, recorder.curves))
     write_report(folder.path, record)

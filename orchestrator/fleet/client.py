@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Literal, TypeVar
 
 from nufleet.orchestrator.fleet.robot_watch import RobotWatch
+from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import MalformedMessageError, NoReplyError, RefusedError, RobotLostError
 from nufleet.shared.wire.codec import Message, decode, encode
 from nufleet.shared.wire.keys import READS, RELEASE, STOP, FleetKeys, principal_of
@@ -23,10 +24,14 @@ from nufleet.shared.wire.messages import (
     ExperienceFile,
     ExperienceOffer,
     FetchRequest,
+    ForecastRequest,
+    Foreseen,
+    ForeseenWay,
     GoalAccepted,
     GoalRequest,
     GoalResult,
     InstallRequest,
+    PathForecast,
     Refusal,
     ReleaseRequest,
     RemovePriorRequest,
@@ -39,6 +44,10 @@ from nufleet.shared.wire.messages import (
 from nufleet.shared.wire.transport import Session
 
 QUERY_TIMEOUT_S = 3.0
+FORECAST_TIMEOUT_S = 20.0
+"""A robot that has learned something since may first have to work out what it knows of itself."""
+FORECAST_LOOK_S = 0.3
+"""Interval between two requests for the same forecast, well within a robot's patience."""
 RESULT_TIMEOUT_S = 20.0
 TELEMETRY_MAX_BYTES = 4 * 2**20
 """Largest batch: the samples that an unpaced simulated robot plays in a tenth of a second."""
@@ -235,6 +244,38 @@ class Fleet:
         """Remove all priors of a robot."""
         request = RemovePriorRequest(sender=self.orchestrator_id, epoch=self.epoch(robot))
         self._ask(robot, "prior/remove", request, Done)
+
+    def forecast(
+        self,
+        robot: str,
+        desired: FloatArray,
+        ways: Sequence[ForeseenWay],
+        *,
+        on_foreseen: Callable[[int], None] = lambda done: None,
+    ) -> tuple[Foreseen, ...]:
+        """Return what a robot expects of ways to follow a path; it takes seconds per way.
+
+        The robot stops predicting when this is left early, by Ctrl-C for example.
+
+        Args:
+            robot: Name of the robot, which must be at rest.
+            desired: Path, shape (samples, axes), in the unit of the robot's axes.
+            ways: Ways of following it.
+            on_foreseen: Callback that receives the number of ways that are done.
+
+        Returns:
+            The prediction of each way, or the reason why there is none, in the order of the ways.
+        """
+        request = ForecastRequest(desired=desired, ways=tuple(ways))
+        while True:
+            reply = self._ask(
+                robot, "forecast", request, PathForecast, timeout_s=FORECAST_TIMEOUT_S
+            )
+            found = tuple(one for one in reply.foreseen if one is not None)
+            on_foreseen(len(found))
+            if len(found) == len(request.ways):
+                return found
+            time.sleep(FORECAST_LOOK_S)
 
     def stop(self, robot: str, reason: str) -> None:
         """Stop a robot; return once it confirms the stop, and raise if it does not."""

@@ -12,11 +12,18 @@ from nufleet.orchestrator.flights.labels import flight_label, path_label
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.paths.files import read_drawing
-from nufleet.shared.paths.installed import find_drawing
+from nufleet.shared.paths.installed import drawing_names, find_drawing
 from nufleet.shared.paths.trajectories import check_trajectory, travel
 from nufleet.shared.robots.spec import RobotSpec, TrackingLimits
 from nufleet.shared.wire.messages import Description
 
+TYPICAL_SPEED = 0.6
+"""Speed of a typical path, as a share of the largest one."""
+TYPICAL_S = 10.0
+"""Duration of a typical path at its largest speed: long enough to show what learning online leaves
+after its first seconds."""
+WORKSPACE_SHARE = 0.8
+"""Share of the workspace that a typical path takes, which leaves room for corrections."""
 ACCELERATION_SHARE = 0.8
 """Fraction of the acceleration limit used when planning; the rest is headroom for corrections."""
 
@@ -33,6 +40,19 @@ class Leg:
     """Unit of the robot's axes."""
     desired: FloatArray
     """Desired positions in `unit`, one row per sample of the robot, shape (samples, axes)."""
+    scale: float = 1.0
+    """Factor on the points of the drawing."""
+
+    @property
+    def size(self) -> float:
+        """Root mean square of the path about its mean, in `unit`."""
+        return float(np.sqrt(np.sum(np.var(self.desired, axis=0))))
+
+    @property
+    def title(self) -> str:
+        """What is flown, in words, such as "clover at 0.6 m/s"."""
+        size = "" if self.scale == 1.0 else f", {100 * self.scale:.0f} % as large,"
+        return f"{self.drawing}{size} at {self.speed:g} {self.unit}/s"
 
     def label(self, inverse: str) -> str:
         """Return the name of a flight along this path with an inverse; see `flight_label`."""
@@ -150,10 +170,36 @@ def legs_of(
             speed=speed,
             unit=target.spec.axes[0].unit,
             desired=_named(name, scale * points, speed, target),
+            scale=scale,
         )
         for name, points in drawings.items()
         for speed in speeds
     )
+
+
+def typical_leg(target: Description) -> Leg:
+    """Return a path that a robot may fly, for questions about no path in particular.
+
+    It is an installed drawing, small enough for the robot's workspace and for `TYPICAL_S`, and
+    drawn at a good part of the robot's largest speed.
+
+    Args:
+        target: Description of the robot.
+
+    Raises:
+        InvalidInputError: The robot does not track, or no drawing is installed.
+    """
+    limits = tracking_limits(target.spec, target.robot)
+    name = next(iter(drawing_names()), None)
+    if name is None:
+        raise InvalidInputError("no drawing is installed: name one with --trajectory")
+    points = read_drawing(find_drawing(name))
+    speed = float(f"{TYPICAL_SPEED * limits.speed_max:.2g}")
+    reach = WORKSPACE_SHARE * limits.position_max / float(np.abs(points).max())
+    length = float(np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+    scale = float(f"{min(1.0, reach, TYPICAL_S * speed / length):.2g}")
+    (leg,) = legs_of({name: points}, (speed,), target, scale=scale)
+    return leg
 
 
 def _named(name: str, points: FloatArray, speed: float, target: Description) -> FloatArray:

@@ -22,6 +22,7 @@ from nufleet.shared.wire.motions import (
     StepTest,
     Tracking,
     TrackingDetails,
+    Way,
     Weighted,
 )
 
@@ -218,6 +219,17 @@ class Pilot:
             guarded: Whether the guard may withdraw the corrections in flight.
         """
         return self._path(robot, Tracking(desired=desired, inverse="own", guarded=guarded), label)
+
+    def along(self, robot: str, way: Way, desired: FloatArray, label: str) -> PathFlight:
+        """Fly a path in any way.
+
+        Args:
+            robot: Name of the robot that flies.
+            way: Way of following the path.
+            desired: Desired positions in the unit of the robot's axes, shape (samples, axes).
+            label: Name of the flight; see `flight_label`.
+        """
+        return self._path(robot, way.along(desired), label)
 
     def _path(self, robot: str, motion: Tracking, label: str) -> PathFlight:
         result = self._fly(robot, motion)

@@ -134,7 +134,7 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
             ready.descriptions,
             stored,
         )
-        return show_study(run, ready, study)
+        return show_study(run, ready, study, request.drawing)
 
 
 def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:

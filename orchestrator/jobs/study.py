@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import UTC, datetime
 
+from nufleet.orchestrator.conduct.desired_motion import TimedPath
 from nufleet.orchestrator.conduct.rank_run import ReadyStudy, run_study
 from nufleet.orchestrator.conduct.reuse import said_of
+from nufleet.orchestrator.flights.ways import Foresight
+from nufleet.orchestrator.jobs.foresight import foreseen
 from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.repository.records import StudyRecord
 from nufleet.orchestrator.runs.console import ConsoleObserver, ranking_table
-from nufleet.orchestrator.runs.rank_result import RunRecord
+from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord
 from nufleet.orchestrator.runs.verdict_table import verdict_parts
+from nufleet.orchestrator.runs.way_table import way_parts, with_ways
 from nufleet.orchestrator.viewer.study_feed import LiveView
 
 
-def follow_study(run: Opening, ready: ReadyStudy, study: StudyRecord) -> RunRecord:
+def follow_study(
+    run: Opening,
+    ready: ReadyStudy,
+    study: StudyRecord,
+    foresee: Callable[[RankResult], RankResult] = lambda result: result,
+) -> RunRecord:
     """Run a study from its present state to its result, and show its progress; see `run_study`.
 
     Args:
         run: Everything that is open, recording included.
         ready: Study, prepared and checked.
         study: The stored study.
+        foresee: Function that adds to the result what the target expects of each way to fly.
 
     Returns:
         The record of the run, as stored in its folder.
@@ -37,15 +48,35 @@ def follow_study(run: Opening, ready: ReadyStudy, study: StudyRecord) -> RunReco
             run.archive,
             folder=run.folder,
             observers=[ConsoleObserver(run.console, ready.plan.iterations), view],
+            foresee=foresee,
         )
     finally:
         view.stop_watching()
 
 
-def show_study(run: Opening, ready: ReadyStudy, study: StudyRecord) -> RunRecord:
-    """Run a study like `follow_study`, and print its result."""
+def show_study(
+    run: Opening, ready: ReadyStudy, study: StudyRecord, drawing: TimedPath | None = None
+) -> RunRecord:
+    """Run a study like `follow_study`, and print its result and which way to fly.
+
+    Args:
+        run: Everything that is open, recording included.
+        ready: Study, prepared and checked.
+        study: The stored study.
+        drawing: Drawing to be flown; None for a typical one.
+    """
     console = run.console
-    record = follow_study(run, ready, study)
+    found: list[Foresight] = []
+
+    def foresee(result: RankResult) -> RankResult:
+        answer = foreseen(run, ready, result, drawing)
+        if answer is None:
+            return result
+        foresight, leg = answer
+        found.append(foresight)
+        return with_ways(result, foresight, leg.size)
+
+    record = follow_study(run, ready, study, foresee)
     console.print(ranking_table(record.result.ranking, record.closed_form))
     for robot, stored in (record.result.stored or {}).items():
         console.print(f"[yellow]{said_of(robot, stored, datetime.now(UTC))}[/]")
@@ -55,4 +86,7 @@ def show_study(run: Opening, ready: ReadyStudy, study: StudyRecord) -> RunRecord
         f"selected: [bold green]{record.result.selected}[/]  "
         f"({record.result.robot_time_s:.0f} robot-seconds, {record.wall_time_s:.1f} s)"
     )
+    for foresight in found:
+        for part in way_parts(foresight):
+            console.print(part)
     return record

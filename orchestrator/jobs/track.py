@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
@@ -18,17 +17,16 @@ from nufleet.orchestrator.experience.learning import know_itself
 from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 from nufleet.orchestrator.flights.legs import Leg, legs_of, read_drawings
-from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
 from nufleet.orchestrator.flights.start_weights import mixture_of
 from nufleet.orchestrator.history.rankings import Ranking, latest_ranking
 from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
+from nufleet.orchestrator.jobs.foresight import say_expected
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.logs.keeping import keep_flight_responses
-from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError, RobotError
 from nufleet.shared.experience.layout import HORIZON_SAMPLES_MAX, InverseLayout
-from nufleet.shared.wire.messages import Description
+from nufleet.shared.wire.messages import Description, ForeseenWay
 
 InverseChoice = Literal["auto", "prior", "mixture", "own", "zero-prior", "baseline"]
 """Inverse models to fly with."""
@@ -121,20 +119,24 @@ class _Inverse:
     """Source of the prior, BASELINE, NO_PRIOR, OWN or MIXTURE."""
     corrects: bool
     """Whether it corrects the references of the baseline controller."""
-    fly: Callable[[Pilot, FloatArray, str], PathFlight]
-    """Flies a path, shape (samples, axes), under a label."""
+    way: ForeseenWay
+    """What the robot is asked for along every path."""
 
 
 def _flown(run: FlyingRun, target: Description, inverse: _Inverse, leg: Leg) -> FlightRecord:
     kept, label = KeptFlights(run), leg.label(inverse.name)
     kept.begins(target.robot, label, target.spec)
     known_s = run.connection.fleet.describe(target.robot).least_known_s
-    flight = inverse.fly(run.pilot, leg.desired, label)
+    say_expected(run, target, inverse.way, leg, inverse.name)
+    flight = run.pilot.along(target.robot, inverse.way, leg.desired, label)
     kept.ended(flight)
     # A reference that follows the measured output carries its noise, which would bias a response.
-    if inverse.name in (BASELINE, OWN) and flight.details.taken_back is None:
+    known_ahead = inverse.name in (BASELINE, OWN) and not flight.details.mean.any()
+    if known_ahead and flight.details.taken_back is None:
         fleet, came_from = run.connection.name, run.folder.path.name
         keep_flight_responses(run.repository, fleet, target, flight, came_from)
+    if flight.details.way is not None:
+        run.console.print(f"{target.robot}: {flight.details.way}")
     for finding in flight.details.findings:
         run.console.print(f"[yellow]{target.robot}: {finding}[/]")
     return flight_record(flight, inverse.name, leg, known_s)
@@ -156,39 +158,27 @@ def _inverse(command: TrackCommand, target: Description, ranking: Ranking | None
     if wanted == "auto":
         wanted = ("baseline", "prior", "mixture")[min(2, len(target.priors))]
     if wanted == "baseline":
-        return _Inverse(BASELINE, False, lambda pilot, *path: pilot.baseline(robot, *path))
+        return _Inverse(BASELINE, False, ForeseenWay(inverse="baseline"))
     if wanted == "own":
-        return _Inverse(OWN, True, lambda pilot, *path: pilot.own(robot, *path, guarded=guarded))
+        return _Inverse(OWN, True, ForeseenWay(inverse="own", guarded=guarded))
     if wanted == "zero-prior":
         layout = _layout(command.horizon_s, target)
-        return _Inverse(
-            NO_PRIOR,
-            True,
-            lambda pilot, *path: pilot.zero_prior(robot, *path, layout, guarded=guarded),
-        )
+        way = ForeseenWay(inverse="zero-prior", layout=layout, guarded=guarded)
+        return _Inverse(NO_PRIOR, True, way)
     prior = target.prior
     if prior is None:
         raise InvalidInputError(
             f"{robot} has no prior; give it one with `nufleet transfer --target {robot} "
             "--source best`"
         )
+    learn = command.learn
     if wanted == "mixture":
         psi = None if ranking is None else {one.robot: one.psi for one in ranking.result.ranking}
         mixture = mixture_of(target.priors, psi)
-        return _Inverse(
-            MIXTURE,
-            True,
-            lambda pilot, *path: pilot.with_mixture(
-                robot, *path, mixture, guarded=guarded, learn=command.learn
-            ),
-        )
-    return _Inverse(
-        prior.manifest.robot,
-        True,
-        lambda pilot, *path: pilot.with_prior(
-            robot, *path, prior.sha256, guarded=guarded, learn=command.learn
-        ),
-    )
+        way = ForeseenWay(inverse="mixture", mixture=mixture, guarded=guarded, learn=learn)
+        return _Inverse(MIXTURE, True, way)
+    way = ForeseenWay(inverse="prior", prior_sha256=prior.sha256, guarded=guarded, learn=learn)
+    return _Inverse(prior.manifest.robot, True, way)
 
 
 def _layout(horizon_s: float, target: Description) -> InverseLayout:

@@ -19,7 +19,11 @@ from nufleet.orchestrator.experience.transfer import (
     transfer_several,
 )
 from nufleet.orchestrator.fleet.reach import FleetChoice
+from nufleet.orchestrator.flights.labels import MIXTURE
+from nufleet.orchestrator.flights.legs import typical_leg
+from nufleet.orchestrator.flights.start_weights import mixture_of
 from nufleet.orchestrator.history.rankings import Ranking, latest_ranking
+from nufleet.orchestrator.jobs.foresight import say_expected
 from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.terminal import stderr_console
@@ -28,6 +32,7 @@ from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.experience.manifest import ExperienceManifest
 from nufleet.shared.strict import Digest, Document, Strict
+from nufleet.shared.wire.messages import ForeseenWay
 
 
 @dataclass(frozen=True)
@@ -127,14 +132,32 @@ def transfer(command: TransferCommand, console: Console) -> TransferResult:
             fleet.remove_prior(command.target)
             console.print(f"{command.target} flies without a prior from now on")
             return TransferResult(target=command.target)
-    for each in given:
-        _print(console, each)
+        for each in given:
+            _print(console, each)
+        _say_expected(run, command.target)
     if len(given) > 1:
         console.print(
             f"{command.target} can mix these {len(given)} from now on: "
             f"`nufleet track --target {command.target} --inverse mixture`"
         )
     return _result(given)
+
+
+def _say_expected(run: Opening, robot: str) -> None:
+    """Print what the robot expects of flying with what it holds now, if it flies paths at all."""
+    target = run.connection.fleet.describe(robot)
+    if target.spec.tracking is None or not target.baseline_known:
+        return
+    first = target.priors[0]
+    name, way = first.manifest.robot, ForeseenWay(inverse="prior", prior_sha256=first.sha256)
+    if len(target.priors) > 1:
+        found = latest_ranking(
+            run.storage.runs_root, run.repository.studies, run.connection.name, robot
+        )
+        psi = None if found is None else {one.robot: one.psi for one in found.result.ranking}
+        mixture = mixture_of(target.priors, psi)
+        name, way = MIXTURE, ForeseenWay(inverse="mixture", mixture=mixture)
+    say_expected(run, target, way, typical_leg(target), name)
 
 
 def _sources(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import json
+from typing import Annotated, Literal
 
 from pydantic import Field
 
+from nufleet.orchestrator.flights.ways import WayRecord
 from nufleet.orchestrator.runs.response_record import ResponseRecord
 from nufleet.orchestrator.study.interface import SourceEstimate
 from nufleet.orchestrator.study.verdict_document import TransferVerdict
@@ -71,10 +73,21 @@ class RankResult(Document):
     """Observations during the tests that weaken the statements of this document."""
     stored: dict[str, StoredResponses] | None = None
     """Stored responses that replaced first tests, by source."""
+    ways_path: str | None = None
+    """Path that the target was asked about, in words; None if it could not tell."""
+    ways_unit: Literal["m", "rad"] | None = None
+    """Unit of the errors on it, that of the axes of the target."""
+    ways: tuple[WayRecord, ...] = ()
+    """Ways of flying it, with the error that the target expects of each."""
+    chosen_way: str | None = None
+    """Name of the one with the least expected error among those that can be flown now."""
 
     def document(self) -> str:
         """Return the JSON that other programs read, without fields the algorithm does not set."""
-        return self.model_dump_json(by_alias=True, exclude_none=True)
+        parts = self.model_dump(mode="json", by_alias=True, exclude_none=True)
+        # What was not predicted or not flown is null, as it is in the documents of flights.
+        parts["ways"] = [way.model_dump(mode="json") for way in self.ways]
+        return json.dumps(parts)
 
 
 class IterationRecord(Strict):

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from nufleet.orchestrator.runs.figures import COLOURS, new_figure, plain, save
 from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord
 from nufleet.orchestrator.runs.verdict_table import verdict_markdown
+from nufleet.orchestrator.runs.way_table import way_markdown
 from nufleet.orchestrator.study.interface import Curve
 from nufleet.shared.arrays import FloatArray
 
@@ -142,7 +143,7 @@ def write_report(folder: Path, record: RunRecord) -> None:
         f"{stored.measured_from} to {stored.measured_to}."
         for robot, stored in (result.stored or {}).items()
     ]
-    lines += ["", *verdict_markdown(result)]
+    lines += ["", *verdict_markdown(result), "", *way_markdown(result)]
     lines += [f"\n{finding}" for finding in result.findings]
     lines += [
         "",

@@ -29,11 +29,13 @@ def verdict_title(result: RankResult) -> str:
 def verdict_rows(result: RankResult) -> Iterator[tuple[TransferVerdict, tuple[str, ...]]]:
     """Yield each source's verdict and its row, in the order of the ranking.
 
-    Errors are shares of the motion's root mean square, with their bounds.
+    Errors are shares of the motion's root mean square, with their bounds. A source whose experience
+    was rehearsed is left out: the table of ways tells more of it.
     """
+    rehearsed = {way.way for way in result.ways if way.predicted is not None}
     for estimate in result.ranking:
         found = result.verdicts.get(estimate.robot)
-        if found is not None:
+        if found is not None and estimate.robot not in rehearsed:
             errors = _percent(found.error_with), _percent(found.error_without)
             yield found, (estimate.robot, *errors, f"{estimate.psi:.4f}", found.verdict)
 

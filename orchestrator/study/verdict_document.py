@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
 from nufleet.orchestrator.study.verdict import Interval, TransferPrediction, Verdict
 from nufleet.shared.strict import NonNegative, Reason, Strict
+from nufleet.shared.wire.motions import PredictedError
+
+_NINETY = 1.645  # standard deviations to either side of a normal's mean that hold 90 % of it
+_TINY = 1e-12
 
 Probability = Annotated[float, Field(ge=0, le=1)]
 
 
 class Bounds(Strict):
-    """The median of a number, and the bounds that contain it with probability 0.95."""
+    """The median of a number, and the bounds that contain it with probability 0.95.
+
+    Where flights were rehearsed, the probability is 0.9."""
 
     low: float
     """Lower bound."""
@@ -62,6 +70,60 @@ class TransferVerdict(Strict):
     """Gain |1 − z_T/z_S| with transfer at each frequency."""
     gain_without: GainCurve
     """Gain |1 − z_T| without transfer at each frequency."""
+
+
+def rehearsed(
+    verdict: TransferVerdict,
+    transferred: PredictedError,
+    baseline: PredictedError,
+    size: float,
+    path: str,
+) -> TransferVerdict:
+    """Return a verdict with what the target expects of the experience as it would be flown.
+
+    Frequency responses predict the error of an exact prefilter. What flies may be fed with the
+    state, and learns online; it leaves a fraction of that error.
+
+    Args:
+        verdict: Verdict from frequency responses, whose gains remain.
+        transferred: Error that the target expects with the experience, in the path's unit.
+        baseline: Error that it expects without.
+        size: Root mean square of the path about its mean, in that unit.
+        path: What would be flown, in words.
+    """
+    with_, without = np.log([_three(transferred), _three(baseline)])
+    ratio = with_[1] - without[1]
+    # Both bounds are equally likely to be missed, and independently: their distances add as those
+    # of normal logarithms do.
+    down = float(np.hypot(with_[1] - with_[0], without[2] - without[1]))
+    up = float(np.hypot(with_[2] - with_[1], without[1] - without[0]))
+    low, median, high = (float(1 - np.exp(x)) for x in (ratio + up, ratio, ratio - down))
+    spread = max((down if ratio > 0 else up) / _NINETY, _TINY)
+    helps = 0.5 * math.erfc(ratio / (spread * math.sqrt(2)))
+    found = Verdict.NEED_MORE_TESTS
+    if low > 0 or high < 0:
+        found = Verdict.TRANSFER if low > 0 else Verdict.DO_NOT_TRANSFER
+    change = f"fall by {100 * median:.0f} % ({100 * low:.0f} to {100 * high:.0f} %)"
+    if median < 0:
+        change = f"grow by {-100 * median:.0f} % ({-100 * high:.0f} to {-100 * low:.0f} %)"
+    return verdict.model_copy(
+        update={
+            "verdict": found,
+            "reason": f"the error on {path} is expected to {change}, as rehearsed",
+            "probability_helps": helps,
+            "error_with": _shares(transferred, size),
+            "error_without": _shares(baseline, size),
+            "reduction": Bounds(low=low, median=median, high=high),
+        }
+    )
+
+
+def _three(error: PredictedError) -> list[float]:
+    return [max(_TINY, value) for value in (error.low, error.rms, error.high)]
+
+
+def _shares(error: PredictedError, size: float) -> Bounds:
+    return Bounds(low=error.low / size, median=error.rms / size, high=error.high / size)
 
 
 def verdict_document(found: TransferPrediction, curve: TransferPrediction) -> TransferVerdict:

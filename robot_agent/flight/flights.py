@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,13 +13,21 @@ from nufleet.robot_agent.flight.guard import Guard
 from nufleet.robot_agent.flight.memory import Memory, MemoryFolderError
 from nufleet.robot_agent.flight.mixture_learner import experts_of, mixture_learner
 from nufleet.robot_agent.flight.online_gp import WINDOW_POINTS, OnlineGp
-from nufleet.robot_agent.flight.own_model import check_explained, evidence_in
+from nufleet.robot_agent.flight.own_model import (
+    OwnModel,
+    check_explained,
+    evidence_in,
+    telling,
+    unexplained_in,
+)
 from nufleet.robot_agent.flight.rich_flight import (
     FlightRecord,
     fly_record,
     rich_references,
     step_references,
+    top_rad_s,
 )
+from nufleet.robot_agent.flight.state_model import StateEvidence, state_evidence
 from nufleet.robot_agent.flight.tracking import (
     STOPPED,
     Ahead,
@@ -58,6 +67,7 @@ def performance_of(
     switch: HaltSwitch,
     on_played: Callable[[int], None],
     watch: Watch,
+    foretold: PredictedError | None = None,
 ) -> Performance:
     """Return the performance of an accepted flight.
 
@@ -70,6 +80,7 @@ def performance_of(
         switch: Switch that ends the motion early.
         on_played: Callback that receives the number of samples played until now.
         watch: Callback that receives every sample along a tracked path.
+        foretold: Error that was predicted for it before; None if it was not.
     """
     monitored = MonitoredRobot(robot)
     paced = PacedRobot(monitored, Pace(robot.spec, realtime, switch), switch, on_played)
@@ -79,7 +90,7 @@ def performance_of(
         case RichFlight():
             return _Rich(paced, motion, memory, monitored)
         case Tracking():
-            return _Path(paced, motion, memory, watch, switch, monitored)
+            return _Path(paced, motion, memory, watch, switch, monitored, foretold)
 
 
 class _Steps:
@@ -122,7 +133,8 @@ class _Rich:
             evidence = evidence_in(spec, references, outputs)
             for axis, noise_std in zip(spec.axes, self._monitored.noise_std, strict=True):
                 check_explained(evidence[axis.name], spec, axis, float(noise_std))
-            self._memory.learn(evidence)
+            self._memory.learn(evidence, states_in(self._robot, self._record.states))
+            learn_unexplained(self._memory, spec, references, outputs, self._monitored.noise_std)
         except NufleetError as error:
             # The robot works and is at rest: the disk failed, or the record allows no model.
             return Outcome.FAILED, f"its baseline was not learned: {error}"
@@ -146,18 +158,13 @@ class _Path:
         watch: Watch,
         switch: HaltSwitch,
         monitored: MonitoredRobot,
+        foretold: PredictedError | None,
     ) -> None:
         self._robot, self._motion, self._monitored = robot, motion, monitored
         self._watch, self._switch, self._memory = watch, switch, memory
+        self._foretold = foretold
         self._forecast = forecast_of(memory.own_model(robot.spec).model, motion.desired)
-        self._learner = learner_for(motion, robot, memory, self._forecast)
-        self._guard, self._fallback = None, None
-        if self._learner is not None and motion.guarded:
-            if self._forecast is None:
-                raise RobotError("the robot does not know its baseline any more")
-            if self._forecast.own_helps and motion.inverse != "own":
-                self._fallback = Ahead(self._forecast.correction)
-            self._guard = guard_for(self._forecast, robot, fallback=self._fallback is not None)
+        self._equipment = equipment_for(motion, robot, memory, self._forecast)
         self._record: TrackingRecord | None = None
         self._findings: tuple[str, ...] = ()
 
@@ -172,9 +179,9 @@ class _Path:
             self._robot,
             self._motion.desired,
             limits,
-            self._learner,
-            self._guard,
-            fallback=self._fallback,
+            self._equipment.learner,
+            self._equipment.guard,
+            fallback=self._equipment.fallback,
             watch=self._watch,
             stopped=lambda: self._switch.order is not None,
         )
@@ -187,11 +194,19 @@ class _Path:
 
     def _learn(self, record: TrackingRecord) -> None:
         """Add the flight to the robot's model of itself, and compare it with that."""
-        learn(self._memory, self._robot.spec, record.reference, record.actual)
+        spec, noise_std = self._robot.spec, self._monitored.noise_std
+        references, outputs = record.reference, record.actual
         try:
-            self._findings = self._memory.own_model(self._robot.spec).findings
+            learn(
+                self._memory, spec, references, outputs, before=self._memory.own_model(spec).model
+            )
+            self._findings = learn_unexplained(self._memory, spec, references, outputs, noise_std)
         except MemoryFolderError as error:
             _log.warning("%s", error)
+
+    @property
+    def _own(self) -> bool:
+        return self._motion.inverse == "own"
 
     @property
     def _predicted(self) -> PredictedError | None:
@@ -203,7 +218,7 @@ class _Path:
             case "own":
                 return self._forecast.own
             case _:
-                return None
+                return self._foretold
 
     def measured(self) -> Samples:
         record = self._record
@@ -223,12 +238,35 @@ class _Path:
             experts=experts_of(self._motion, self._memory),
             weights=record.weights if self._motion.mixture else None,
             predicted=self._predicted,
+            way=self._forecast.way.reason if self._forecast and self._own else None,
             findings=self._findings,
         )
         return Samples(record.reference, record.actual, details)
 
 
-def learn(memory: Memory, spec: RobotSpec, references: FloatArray, outputs: FloatArray) -> None:
+def states_in(robot: Robot, states: FloatArray) -> dict[str, StateEvidence]:
+    """Return what a rich flight shows of the states of every axis beside its output.
+
+    Args:
+        robot: The robot, for its description and the names of its states.
+        states: States, shape (samples, axes, states); NaN where they were not observed.
+    """
+    step_s, names, top = robot.spec.sample_time_s, robot.state_names, top_rad_s(robot.spec)
+    found = {
+        axis.name: state_evidence(names, states[:, i, 0], states[:, i], step_s, top)
+        for i, axis in enumerate(robot.spec.axes)
+    }
+    return {axis: evidence for axis, evidence in found.items() if evidence is not None}
+
+
+def learn(
+    memory: Memory,
+    spec: RobotSpec,
+    references: FloatArray,
+    outputs: FloatArray,
+    states: Mapping[str, StateEvidence] | None = None,
+    before: OwnModel | None = None,
+) -> None:
     """Add a completed motion to a robot's model of itself; a failure is no fault of the motion.
 
     Args:
@@ -236,13 +274,80 @@ def learn(memory: Memory, spec: RobotSpec, references: FloatArray, outputs: Floa
         spec: Description of the robot; one without tracking limits needs no such model.
         references: References sent, shape (samples, axes), in the axes' units.
         outputs: Outputs measured before each reference acted, in the same shape.
+        states: What it shows of the states of an axis beside its output, by the axis's name.
+        before: The robot's model of itself, for a path, along which the axes do not move
+            independently of each other; see `telling`.
     """
     if spec.tracking is None:
         return
     try:
-        memory.learn(evidence_in(spec, references, outputs))
+        evidence = evidence_in(spec, references, outputs)
+        memory.learn(evidence if before is None else telling(before, spec, evidence), states)
     except (InvalidInputError, MemoryFolderError) as error:
         _log.warning("a motion taught nothing: %s", error)
+
+
+def learn_unexplained(
+    memory: Memory,
+    spec: RobotSpec,
+    references: FloatArray,
+    outputs: FloatArray,
+    rest_std: FloatArray,
+) -> tuple[str, ...]:
+    """Add what a flight of all axes leaves unexplained to a robot's model of itself.
+
+    Args:
+        memory: Memory of the robot, which has learned from the flight already.
+        spec: Description of the robot.
+        references: References sent, shape (samples, axes), in the axes' units.
+        outputs: Outputs measured before each reference acted, in the same shape.
+        rest_std: Standard deviation of the output at rest, shape (axes,), in the axes' units.
+
+    Returns:
+        What the flight shows of the model, for people.
+
+    Raises:
+        MemoryFolderError: It cannot be stored.
+    """
+    settled = memory.own_model(spec)
+    if settled.model is not None:
+        left = unexplained_in(settled.model, spec, references, outputs, rest_std)
+        memory.learn_unexplained(left, spec)
+    return settled.findings
+
+
+@dataclass(frozen=True, eq=False)
+class Equipment:
+    """What acts in front of a robot on one flight along a path."""
+
+    learner: Learner | Ahead | None
+    """Inverse model, or corrections known ahead; None for the baseline alone."""
+    guard: Guard | None
+    """Guard over the learner; None if the flight is not guarded."""
+    fallback: Ahead | None
+    """Corrections that take over if the guard withdraws those of the learner."""
+
+
+def equipment_for(
+    motion: Tracking, robot: Robot, memory: Memory, forecast: Forecast | None
+) -> Equipment:
+    """Return what a flight asks for, new and ready to fly.
+
+    For the arguments and errors see `learner_for`.
+
+    Raises:
+        RobotError: In addition, the flight is guarded and the robot knows nothing of its baseline.
+    """
+    learner = learner_for(motion, robot, memory, forecast)
+    if learner is None or not motion.guarded:
+        return Equipment(learner, None, None)
+    if forecast is None:
+        raise RobotError("the robot does not know its baseline any more")
+    fallback = None
+    if forecast.own_helps and motion.inverse != "own":
+        fallback = Ahead(forecast.correction, forecast.way.feedback)
+    guard = guard_for(forecast, robot, fallback=fallback is not None)
+    return Equipment(learner, guard, fallback)
 
 
 def learner_for(
@@ -270,7 +375,7 @@ def learner_for(
     if motion.inverse == "own":
         if forecast is None:
             raise RobotError("the robot has no model of itself any more")
-        return Ahead(forecast.correction)
+        return Ahead(forecast.correction, forecast.way.feedback)
     window = WINDOW_POINTS if motion.learn else 0
     axes = robot.spec.axes
     if motion.mixture:

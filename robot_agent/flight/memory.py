@@ -7,14 +7,20 @@ replaced as a whole and begins with the sha256 of its content, so that no damage
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
 from nufleet.robot_agent.flight.inverse_model import NetworkInverse
-from nufleet.robot_agent.flight.own_model import AxisRecord, Settled, settle
+from nufleet.robot_agent.flight.own_model import (
+    AxisRecord,
+    Settled,
+    settle,
+    with_unexplained,
+)
+from nufleet.robot_agent.flight.state_model import StateEvidence, StateModel, state_model
 from nufleet.shared.errors import MalformedMessageError, NufleetError
 from nufleet.shared.experience.file import (
     EXPERIENCE_BYTES_MAX,
@@ -25,6 +31,7 @@ from nufleet.shared.experience.file import (
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.experience.manifest import ExperienceManifest
 from nufleet.shared.models.error_belief import Evidence
+from nufleet.shared.models.unexplained import Unexplained
 from nufleet.shared.private_files import make_private_folder, synchronise_folder, write_privately
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.strict import Name, describe_validation
@@ -91,6 +98,31 @@ class Memory:
                 raise MemoryFolderError(
                     f"{folder}: {error.strerror}; free or repair the disk"
                 ) from error
+
+    def exported(self) -> tuple[bytes, tuple[bytes, ...]]:
+        """Return what another process needs to fly as this robot does: see `imported`.
+
+        These are what is known of each axis, as JSON, and the files of all priors in their order.
+        """
+        with self._lock:
+            records = _RECORDS.dump_json(dict(self._records))
+        return records, tuple(prior.payload for prior in self.priors)
+
+    @staticmethod
+    def imported(records: bytes, priors: Sequence[bytes]) -> Memory:
+        """Return a memory that stores nothing, with what another one exported.
+
+        Raises:
+            MalformedMessageError: It was not exported by a memory.
+        """
+        memory = Memory(None)
+        try:
+            memory._records = _RECORDS.validate_json(records)
+        except ValidationError as error:
+            raise MalformedMessageError(describe_validation(error)) from error
+        for payload in priors:
+            memory.keep_prior(payload, digest(payload), beside=True)
+        return memory
 
     @property
     def experiences(self) -> tuple[Kept, ...]:
@@ -209,8 +241,25 @@ class Memory:
                         ) from error
                 del self._kept[name]
 
-    def learn(self, evidence: Mapping[str, Evidence]) -> None:
-        """Store what a motion shows about some axes, by their names.
+    def states(self, spec: RobotSpec, names: tuple[str, ...]) -> StateModel:
+        """Return how the robot's states follow from its outputs, as far as it has observed them.
+
+        Args:
+            spec: Description of the robot.
+            names: Names of the states that it measures.
+        """
+        model = self.own_model(spec).model
+        noise = [0.0] * len(spec.axes) if model is None else [b.noise_std for b in model.axes]
+        with self._lock:
+            seen = {n: r.states for n, r in self._records.items() if r.states is not None}
+        return state_model(names, seen, [axis.name for axis in spec.axes], noise)
+
+    def learn(
+        self,
+        evidence: Mapping[str, Evidence],
+        states: Mapping[str, StateEvidence] | None = None,
+    ) -> None:
+        """Store what a motion shows about some axes and their states, by the axes' names.
 
         Raises:
             MemoryFolderError: It cannot be stored.
@@ -218,9 +267,22 @@ class Memory:
         with self._lock:
             records = dict(self._records)
             for axis, new in evidence.items():
-                records[axis] = records.get(axis, AxisRecord()).with_new(new)
+                seen = (states or {}).get(axis)
+                records[axis] = records.get(axis, AxisRecord()).with_new(new, seen)
             self._keep_records(records)
             self._settled = None
+
+    def learn_unexplained(self, unexplained: Mapping[str, Unexplained], spec: RobotSpec) -> None:
+        """Store what a flight, known to `own_model` already, left unexplained, by the axes' names.
+
+        Raises:
+            MemoryFolderError: It cannot be stored.
+        """
+        with self._lock:
+            if self._settled is not None:
+                settled = with_unexplained(self._settled, unexplained, spec)
+                self._keep_records(settled.records)
+                self._settled = settled
 
     def _keep_records(self, records: Mapping[str, AxisRecord]) -> None:
         self._write(_OWN, _RECORDS.dump_json(dict(records)))

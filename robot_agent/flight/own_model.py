@@ -11,11 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nufleet.robot_agent.flight.state_model import StateEvidence
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.models.error_belief import ErrorBelief, Evidence, believe, like
+from nufleet.shared.models.error_belief import MODEL_ERROR, ErrorBelief, Evidence, believe, like
 from nufleet.shared.models.error_response import ErrorBasis
 from nufleet.shared.models.path_inverse import inverted
+from nufleet.shared.models.unexplained import LAGS_MAX, Unexplained
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 from nufleet.shared.strict import Strict
 from nufleet.shared.wire.motions import PredictedError
@@ -27,9 +29,15 @@ counts as that of another robot: one with another payload, say."""
 LOW, HIGH = 0.05, 0.95
 """Quantiles that bound what is predicted."""
 
-_DRAWS = 32
+DRAWS = 32
+"""Number of robots that are drawn from what is known, to see what they would do."""
+
 _SEED = 0  # the same knowledge and path give the same guard
 _UNEXPLAINED_MAX = 0.15  # share of the reference that friction and other nonlinearities may leave
+_AGREES = 1.5  # root mean square error of a path, as a multiple of the expected one
+_PATHS_DIFFER = 1.5  # ratio of the shares that are not linear on different paths
+_UNSEEN = 0.1  # share of an error that may not be linear where only tests of one axis were flown
+_TINY = 1e-300
 _NO_ANSWER = 0.5  # share of the reference's power: a motion with less explained says nothing
 _NOISE_RATIO = 4.0  # multiple of the noise at rest: a moving robot's sensor is noisier
 
@@ -41,11 +49,24 @@ class AxisRecord(Strict):
     """Evidence that agrees with itself."""
     new: Evidence | None = None
     """Evidence of the motions since, which has not been compared with it yet."""
+    unexplained: Unexplained | None = None
+    """What the flights along paths, and the rich flights, left unexplained."""
+    states: StateEvidence | None = None
+    """Observations of its states beside the output."""
 
-    def with_new(self, evidence: Evidence) -> AxisRecord:
+    def with_new(self, evidence: Evidence, states: StateEvidence | None = None) -> AxisRecord:
         """Return the record after one more motion."""
         new = evidence if self.new is None else self.new + evidence
-        return AxisRecord(settled=self.settled, new=new)
+        seen = [each for each in (self.states, states) if each is not None]
+        together = seen[0] + seen[1] if len(seen) > 1 else next(iter(seen), None)
+        return self.model_copy(update={"new": new, "states": together})
+
+    def with_unexplained(self, unexplained: Unexplained) -> AxisRecord:
+        """Return the record after a flight whose evidence is settled."""
+        before = self.unexplained
+        if before is not None and len(before.products) == len(unexplained.products):
+            unexplained = before + unexplained
+        return self.model_copy(update={"unexplained": unexplained})
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +75,12 @@ class OwnModel:
 
     axes: tuple[ErrorBelief, ...]
     """Belief about each axis; an axis that was never excited is believed to be like the others."""
+    unexplained: tuple[Unexplained | None, ...]
+    """What flights left unexplained on each axis; None before any."""
+    acceleration_max: float
+    """Largest acceleration of a path, in unit/s²; infinite for a robot that flies none."""
+    unit: str
+    """Unit of the axes, "m" or "rad"."""
 
     @property
     def noise_variance(self) -> float:
@@ -72,34 +99,51 @@ class OwnModel:
         columns = [inverted(b, desired[:, i]) for i, b in enumerate(self.axes)]
         return np.asarray(np.stack(columns, axis=1) - desired)
 
-    def squares(self, desired: FloatArray, correction: FloatArray) -> FloatArray:
-        """Return what the squared distance to a path may be with a correction, without noise.
+    def left(self, desired: FloatArray, correction: FloatArray) -> FloatArray:
+        """Return where a robot may be beside a path with a correction, without noise.
 
         Args:
             desired: Path, shape (samples, axes), in the axes' units.
             correction: Correction of the reference, in the same shape; zero for the baseline.
 
         Returns:
-            Squares in unit² for draws from the belief, shape (draws, samples).
+            Distances y − y_d for draws from the belief, shape (draws, samples, axes).
         """
         rng = np.random.default_rng(_SEED)
-        total = np.zeros((_DRAWS, len(desired)))
-        for i, belief in enumerate(self.axes):
+        found = np.empty((DRAWS, *desired.shape))
+        for i, (belief, seen) in enumerate(zip(self.axes, self.unexplained, strict=True)):
             reference, wanted = desired[:, i] + correction[:, i], desired[:, i]
-            draws = belief.draws(_DRAWS, rng)
+            draws = belief.draws(DRAWS, rng, flown=seen is not None)
             done = 0
             for columns in belief.basis.blocks(reference, float(wanted[0])):
                 rows = slice(done, done + len(columns))
-                left = (columns @ draws).T - correction[rows, i]
-                total[:, rows] += left**2
+                found[:, rows, i] = correction[rows, i] - (columns @ draws).T
                 done += len(columns)
-        return total
+        return found
+
+    def disturbed(self, samples: int, rng: np.random.Generator) -> FloatArray:
+        """Draw what no linear response explains of a measured output, shape (samples, axes)."""
+        columns = [
+            belief.noise_std * rng.standard_normal(samples)
+            if seen is None
+            else seen.drawn(samples, rng)
+            for belief, seen in zip(self.axes, self.unexplained, strict=True)
+        ]
+        return np.stack(columns, axis=1)
 
     def predicted(self, squares: FloatArray) -> PredictedError:
-        """Return the root mean square error that is to be measured, given `squares` of a flight."""
-        rms = np.sqrt(squares.mean(axis=1) + self.noise_variance)
-        low, median, high = np.quantile(rms, [LOW, 0.5, HIGH])
-        return PredictedError(rms=float(median), low=float(low), high=float(high))
+        """Return the root mean square error that is to be measured.
+
+        Args:
+            squares: Squared distance to the path without noise, shape (draws, samples), in unit².
+        """
+        return predicted_error(squares.mean(axis=1) + self.noise_variance)
+
+
+def predicted_error(squares: FloatArray) -> PredictedError:
+    """Return what mean squared errors, shape (draws,), say of the error that is to be measured."""
+    low, median, high = np.quantile(np.sqrt(squares), [LOW, 0.5, HIGH])
+    return PredictedError(rms=float(median), low=float(low), high=float(high))
 
 
 def basis_of(spec: RobotSpec) -> ErrorBasis:
@@ -127,6 +171,60 @@ def evidence_in(
         for i, axis in enumerate(spec.axes)
         if len(references) and np.ptp(references[:, i]) > 0
     }
+
+
+def telling(
+    model: OwnModel, spec: RobotSpec, evidence: Mapping[str, Evidence]
+) -> dict[str, Evidence]:
+    """Return the part of a path's evidence, by the axes' names, that a linear response may learn.
+
+    Along a path all axes move together, so what one does to another looks like an answer to its own
+    reference, and would be expected of every other path. Evidence that contradicts the model is
+    therefore left to the feedback, unless it does so by more than anything but another robot would.
+
+    Args:
+        model: The robot's model of itself before the flight.
+        spec: Description of the robot.
+        evidence: Evidence of the flight.
+    """
+    found = {}
+    for axis, belief, seen in zip(spec.axes, model.axes, model.unexplained, strict=True):
+        new = evidence.get(axis.name)
+        if new is None:
+            continue
+        agrees = belief.flown_s == 0 or belief.surprise(new) <= _AGREES
+        if agrees or belief.surprise(new, _not_linear(seen)) > STALE:
+            found[axis.name] = new
+    return found
+
+
+def unexplained_in(
+    model: OwnModel,
+    spec: RobotSpec,
+    references: FloatArray,
+    outputs: FloatArray,
+    rest_std: FloatArray,
+) -> dict[str, Unexplained]:
+    """Return what a flight of all axes leaves unexplained on each.
+
+    Args:
+        model: The robot's model of itself, which knows of the flight already.
+        spec: Description of the robot.
+        references: References sent, shape (samples, axes), in the axes' units; the robot rested at
+            the first one.
+        outputs: Outputs measured before each reference acted, in the same shape.
+        rest_std: Standard deviation of the output at rest, shape (axes,), in the axes' units.
+    """
+    errors = references - outputs
+    errors = errors - errors.mean(axis=0)
+    square = float(np.mean(np.sum(errors**2, axis=1)))
+    found = {}
+    for i, (axis, belief) in enumerate(zip(spec.axes, model.axes, strict=True)):
+        reference = references[:, i]
+        left = belief.error(reference, float(reference[0])) - errors[:, i]
+        lags = min(max(3, int(belief.basis.nodes[-1])), LAGS_MAX)
+        found[axis.name] = Unexplained.of(left, lags, square, float(rest_std[i]))
+    return found
 
 
 def check_explained(evidence: Evidence, spec: RobotSpec, axis: AxisSpec, noise_std: float) -> None:
@@ -182,6 +280,7 @@ def settle(records: Mapping[str, AxisRecord], spec: RobotSpec) -> Settled:
     beliefs: dict[str, ErrorBelief] = {}
     for axis in spec.axes:
         record = records.get(axis.name, AxisRecord())
+        unexplained = record.unexplained
         old, new = (_fitting(evidence, basis) for evidence in (record.settled, record.new))
         if new is not None and not _answers(believe(basis, new), new):
             findings.append(
@@ -190,7 +289,7 @@ def settle(records: Mapping[str, AxisRecord], spec: RobotSpec) -> Settled:
             )
             new = None
         if old is not None and new is not None:
-            surprise = believe(basis, old).surprise(new)
+            surprise = believe(basis, old).surprise(new, _not_linear(unexplained))
             if surprise > STALE:
                 findings.append(
                     f"axis {axis.name}: its last motions differ from the earlier ones by "
@@ -198,15 +297,53 @@ def settle(records: Mapping[str, AxisRecord], spec: RobotSpec) -> Settled:
                     "flight had shown of it is no longer used: it carries something else, or its "
                     "controller has changed"
                 )
-                old = None
+                old = unexplained = None
         both = old + new if old is not None and new is not None else old or new
         if both is not None:
-            kept[axis.name] = AxisRecord(settled=both)
+            kept[axis.name] = AxisRecord(
+                settled=both, unexplained=unexplained, states=record.states
+            )
             beliefs[axis.name] = believe(basis, both)
     if not beliefs:
         return Settled(kept, None, tuple(findings))
-    model = OwnModel(tuple(beliefs.get(a.name) or _alike(a, spec, beliefs) for a in spec.axes))
-    return Settled(kept, model, tuple(findings))
+    axes = tuple(beliefs.get(a.name) or _alike(a, spec, beliefs) for a in spec.axes)
+    return Settled(kept, _model(axes, kept, spec), tuple(findings))
+
+
+def _model(
+    axes: tuple[ErrorBelief, ...], records: Mapping[str, AxisRecord], spec: RobotSpec
+) -> OwnModel:
+    left = tuple(records.get(axis.name, AxisRecord()).unexplained for axis in spec.axes)
+    acceleration_max = spec.tracking.acceleration_max if spec.tracking else np.inf
+    return OwnModel(axes, left, acceleration_max, spec.axes[0].unit)
+
+
+def with_unexplained(
+    settled: Settled, unexplained: Mapping[str, Unexplained], spec: RobotSpec
+) -> Settled:
+    """Return what records come to after a flight that they know already.
+
+    Args:
+        settled: What the records come to.
+        unexplained: What the flight left unexplained on each axis, by its name.
+        spec: Description of the robot.
+    """
+    records = dict(settled.records)
+    for axis, left in unexplained.items():
+        if axis in records:
+            records[axis] = records[axis].with_unexplained(left)
+    model = settled.model
+    known = None if model is None else _model(model.axes, records, spec)
+    return Settled(records, known, settled.findings)
+
+
+def _not_linear(unexplained: Unexplained | None) -> float:
+    """Return the share of an error that is not linear, as far as flights have shown it."""
+    if unexplained is None:
+        return _UNSEEN
+    lasting = float(unexplained.parts()[0][0])
+    share = float(np.sqrt(lasting / max(unexplained.error_square, _TINY)))
+    return max(MODEL_ERROR, _PATHS_DIFFER * share)
 
 
 def _answers(belief: ErrorBelief, evidence: Evidence) -> bool:

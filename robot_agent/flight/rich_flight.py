@@ -56,7 +56,7 @@ def rich_references(spec: RobotSpec, duration_s: float, rng: np.random.Generator
     limits = spec.tracking
     if limits is None:
         raise RobotError("a robot without tracking limits cannot fly a rich flight")
-    top = min(spec.omega_max_rad_s, max(_OMEGA_MAX_RAD_S, 3 * spec.omega_min_rad_s))
+    top = top_rad_s(spec)
     # A slower robot needs the same number of periods, hence longer pieces with softer ends, to stay
     # within its band.
     slow = min(1.0, top / 2)
@@ -72,6 +72,11 @@ def rich_references(spec: RobotSpec, duration_s: float, rng: np.random.Generator
             for i in range(pieces)
         ]
     )
+
+
+def top_rad_s(spec: RobotSpec) -> float:
+    """Return the highest frequency in a robot's rich flights, in rad/s."""
+    return min(spec.omega_max_rad_s, max(_OMEGA_MAX_RAD_S, 3 * spec.omega_min_rad_s))
 
 
 def _piece(

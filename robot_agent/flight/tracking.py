@@ -17,6 +17,7 @@ import numpy as np
 from nufleet.robot_agent.flight.guard import Guard
 from nufleet.robot_agent.flight.mixture_process import MixtureProcess
 from nufleet.robot_agent.flight.online_gp import Correction, OnlineGp
+from nufleet.robot_agent.flight.output_feedback import FeedbackLoop, OutputFeedback
 from nufleet.robot_agent.motion.paced_robot import Halted
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
@@ -60,7 +61,8 @@ class TrackingRecord:
     baseline alone, like `mean` and `variance`. For corrections known ahead, their speed."""
 
     mean: FloatArray
-    """The online process's part of γ, shape (samples, axes), in unit/s."""
+    """The online process's part of γ, shape (samples, axes), in unit/s; for corrections known
+    ahead, the speed of what a feedback adds."""
 
     variance: FloatArray
     """Variance of `mean`, shape (samples, axes), in unit²/s²."""
@@ -140,10 +142,13 @@ class Learner:
 
 @dataclass(frozen=True, eq=False)
 class Ahead:
-    """Corrections of the path that are all known before the flight."""
+    """Corrections of the path that are known before the flight."""
 
     correction: FloatArray
     """Correction of the reference, shape (samples, axes), in the axes' units."""
+
+    feedback: OutputFeedback | None = None
+    """Feedback of the measured output, which adds to them; None where they are all there is."""
 
 
 def track(
@@ -249,10 +254,7 @@ class _Flight:
         self._robot, self._desired, self._limits = robot, desired, limits
         self._learner, self._guard, self._watch = learner, guard, watch
         samples, axes = desired.shape
-        most = limits.correction_max
-        self._fallback = np.zeros_like(desired)
-        if fallback is not None:
-            self._fallback = np.clip(fallback.correction, -most, most)
+        self._fallback = np.zeros_like(desired) if fallback is None else fallback.correction
         self._back = self._ahead = 0
         self._span = 1
         self._learn_every = 1
@@ -280,6 +282,12 @@ class _Flight:
         self._share, self._step_time_s = np.ones(samples), np.zeros(samples)
         self._limited = np.zeros(samples, dtype=bool)
         self._weights = np.zeros((samples, experts))
+        self._loop: FeedbackLoop | None = None
+        # Corrections known ahead have no fallback: the robot's model of itself flies only once.
+        known = learner if isinstance(learner, Ahead) else fallback
+        if known is not None and known.feedback is not None:
+            self._loop = FeedbackLoop(known.feedback, desired[0], samples)
+        self._fed = np.zeros((samples, axes))
         self._fading: FloatArray | None = None
         self._done = 0
 
@@ -297,6 +305,9 @@ class _Flight:
                     sent = self._reference[self._span + k - 1] - self._desired[max(0, k - 1)]
                     error = observed[:, 0] - self._desired[max(0, k - self._late)]
                     self._share[k] = self._guard.judge(k, error, sent)
+                if self._loop is not None and k > 0:
+                    previous = self._reference[self._span + k - 1]
+                    self._fed[k] = self._loop.correction(k, previous, self._actual[k - 1])
                 correction, reference = (
                     self._choose(self._learner, k, observed)
                     if isinstance(self._learner, Learner)
@@ -349,13 +360,16 @@ class _Flight:
         return correction, self._bounded(k, wished, previous)
 
     def _played(self, ahead: Ahead, k: int) -> tuple[Correction, FloatArray]:
-        """Return the correction known ahead for a sample, and the reference with it."""
+        """Return the correction of a sample and the reference with it.
+
+        Its speed has a part that was known ahead and one that is fed back.
+        """
+        step_s, previous = self._robot.spec.sample_time_s, self._reference[self._span + k - 1]
         now, before = ahead.correction[k], ahead.correction[max(0, k - 1)]
-        nothing = np.zeros_like(now)
-        speed = (now - before) / self._robot.spec.sample_time_s
-        self._prior[k] = speed
-        reference = self._bounded(k, self._desired[k] + now, self._reference[self._span + k - 1])
-        return Correction(speed, nothing, nothing, ()), reference
+        fed, fed_before = self._fed[k], self._fed[max(0, k - 1)]
+        self._prior[k], self._mean[k] = (now - before) / step_s, (fed - fed_before) / step_s
+        reference = self._bounded(k, self._desired[k] + now + fed, previous)
+        return Correction(self._prior[k], self._mean[k], np.zeros_like(now), ()), reference
 
     def _bounded(self, k: int, wished: FloatArray, previous: FloatArray) -> FloatArray:
         """Return the reference that may be sent, shape (axes,).
@@ -373,7 +387,10 @@ class _Flight:
         # output is ignored.
         shared = self._share[k] * (near if self._fading is None else self._fading)
         if self._guard is not None:
-            shared = shared + self._guard.fallback_share(k) * self._fallback[k]
+            own = np.clip(
+                self._fallback[k] + self._fed[k], -limits.correction_max, limits.correction_max
+            )
+            shared = shared + self._guard.fallback_share(k) * own
         held = np.clip(shared, before - step, before + step)
         self._limited[k] = bool((near != wished - wanted).any() or (held != shared).any())
         return np.asarray(wanted + held)

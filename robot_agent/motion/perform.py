@@ -18,6 +18,12 @@ from nufleet.shared.errors import RobotError
 from nufleet.shared.wire.messages import Outcome
 from nufleet.shared.wire.motions import FlightDetails
 
+OBSERVE_SAMPLES = 64
+"""Samples from one observation of a robot's states to the next in a test, which does not need them:
+some twenty tell how they follow from the output."""
+OBSERVE_RUN = 3
+"""Number of samples in a row at each observation, which tell how noisy the states are."""
+
 _log = logging.getLogger(__name__)
 
 OnSamples = Callable[[int, FloatArray, FloatArray], None]
@@ -36,6 +42,10 @@ class Samples:
 
     details: FlightDetails | None = None
     """Other signals of a flight; None for a motion that has none."""
+
+    states: FloatArray | None = None
+    """All states of the axis that a test moves, shape (samples, states), NaN where they were not
+    observed; None for a flight, and for a robot that measures its output alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,11 +155,15 @@ class AxisMotion:
         self._switch, self._on_samples = switch, on_samples
         self._pace = Pace(robot.spec, realtime, switch)
         self._response = np.empty_like(reference)
+        states = len(robot.state_names)
+        self._states = np.full((len(reference), states), np.nan) if states > 1 else None
         self._done = 0
 
     def measured(self) -> Samples:
         """Return the samples measured until now; both arrays have shape (samples,)."""
-        return Samples(self._reference[: self._done].copy(), self._response[: self._done].copy())
+        done = slice(0, self._done)
+        states = None if self._states is None else self._states[done].copy()
+        return Samples(self._reference[done].copy(), self._response[done].copy(), states=states)
 
     def play(self) -> tuple[Outcome, str]:
         """Play the reference to its end, or until the switch is thrown."""
@@ -164,6 +178,8 @@ class AxisMotion:
             if self._switch.order is not None:
                 return self._switch.order
             references = whole[start:stop]
+            if self._states is not None and start % OBSERVE_SAMPLES < OBSERVE_RUN:
+                self._states[start] = self._robot.observe()[column]
             measured = (
                 self._robot.run(references)
                 if stop - start > 1
@@ -184,8 +200,14 @@ class AxisMotion:
         """Yield start and stop of the next samples to play: batches when free, else one by one."""
         samples = len(self._reference)
         if self._pace.free:
-            for start in range(0, samples, CHUNK_SAMPLES):
-                yield start, min(start + CHUNK_SAMPLES, samples)
+            ends = np.arange(CHUNK_SAMPLES, samples + CHUNK_SAMPLES, CHUNK_SAMPLES)
+            if self._states is not None:
+                known = np.arange(samples)
+                ends = np.append(known[known % OBSERVE_SAMPLES < OBSERVE_RUN], samples)[1:]
+            start = 0
+            for end in np.minimum(ends, samples).tolist():
+                yield start, end
+                start = end
             return
         for k in range(samples):
             self._pace.wait()

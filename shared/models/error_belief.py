@@ -34,8 +34,10 @@ _DECAYS = (1.5, 3.0, 6.0, 12.0, 24.0)  # rates at which a response may decay, pe
 _SMOOTH_S = (0.05, 0.1, 0.2, 0.4, 0.8)  # correlation times of its slope in s
 _SIZES = (0.03, 0.3, 3.0)  # scales of the prior's variance
 _REST = ((1e-3, 0.9), (3e-2, 0.1))  # standard deviations of g∞, and how probable each is
+_TAIL = 1e-3  # largest share of its reference by which a settled loop may still move
 _GRID = 300  # most points on which the prior is integrated
 _NOISES = np.geomspace(1.0, 1e-12, 241)  # noise variances, as shares of the mean squared error
+_SURE = 2.0  # standard deviations of the noise's mean square that may hide what is not linear
 _JITTER = 1e-10
 _TINY = float(np.finfo(np.float64).tiny)
 _LARGEST = 1e9  # no robot goes farther, in m or rad, and no square of it overflows
@@ -140,7 +142,7 @@ class ErrorBelief:
     believed to be like the robot's other axes."""
     model_error: float = MODEL_ERROR
     """Standard deviation of the relative size of what is not linear: `MODEL_ERROR`, or less where
-    the noise of the flights could not have hidden as much."""
+    the noise of the motions could not have hidden as much."""
 
     def error(self, reference: FloatArray, before: float) -> FloatArray:
         """Predict the error u − y along a reference, shape (samples,), without noise.
@@ -151,13 +153,28 @@ class ErrorBelief:
         """
         return np.asarray(self.basis.columns(reference, before) @ self.mean)
 
-    def draws(self, count: int, rng: np.random.Generator) -> FloatArray:
+    def impulse_response(self) -> FloatArray:
+        """Return the mean output 1, 2, … samples after a unit impulse of the reference."""
+        last = int(self.basis.nodes[-1]) + 1
+        steps = 1.0 - self.error(np.ones(last + 1), 0.0)
+        return np.diff(steps)
+
+    def draws(self, count: int, rng: np.random.Generator, *, flown: bool = True) -> FloatArray:
         """Draw parameters x from the belief, shape (size, count).
 
         Each draw is larger or smaller as a whole by what no linear response is better known than.
+
+        Args:
+            count: Number of draws.
+            rng: Generator of the draws.
+            flown: False for an axis that tests alone have moved. They show neither how axes act on
+                each other nor what larger motions change, so it is not known how linear it is.
         """
         normal = rng.standard_normal((self.factor.shape[1], count))
-        scale = 1 + self.model_error * rng.standard_normal(count)
+        error = np.full(count, self.model_error)
+        if not flown:
+            error = MODEL_ERROR * np.exp(rng.standard_normal(count))
+        scale = 1 + error * rng.standard_normal(count)
         return np.asarray((self.mean[:, None] + self.factor @ normal) * scale)
 
     def response(self, omega_rad_s: FloatArray) -> tuple[ComplexArray, FloatArray]:
@@ -170,16 +187,20 @@ class ErrorBelief:
         variance = np.sum(np.abs(features @ self.factor) ** 2, axis=1)
         return np.asarray(1 - features @ self.mean), np.asarray(variance)
 
-    def surprise(self, evidence: Evidence) -> float:
+    def surprise(self, evidence: Evidence, model_error: float = MODEL_ERROR) -> float:
         """Return the root mean square error of new flights, as a multiple of the one expected.
 
         It is near 1 for the robot that the belief was learned from, and larger for one that has
         changed, or whose response depends on the size of its motion.
+
+        Args:
+            evidence: Evidence of the new flights.
+            model_error: Standard deviation of the share of the error that is not linear.
         """
         normal, right = _arrays(evidence)
         left = float(evidence.squares - 2 * self.mean @ right + self.mean @ normal @ self.mean)
         spread = float(np.sum(self.factor * (normal @ self.factor)))
-        expected = evidence.rows * self.noise_std**2 + spread + MODEL_ERROR**2 * evidence.squares
+        expected = evidence.rows * self.noise_std**2 + spread + model_error**2 * evidence.squares
         return float(np.sqrt(max(0.0, left) / max(expected, _TINY)))
 
 
@@ -195,7 +216,10 @@ def believe(basis: ErrorBasis, evidence: Evidence) -> ErrorBelief:
     """
     normal, right = _arrays(evidence)
     best: tuple[float, ErrorBelief] | None = None
+    # The mean square of n samples of noise varies by √(2/n) of itself.
+    hidden = min(1.0, _SURE * float(np.sqrt(2 / evidence.rows)))
     scale = max(evidence.squares / evidence.rows, _TINY)
+    moved = max(evidence.moved / evidence.rows, _TINY)
     noise = scale * _NOISES
     for (mean, covariance), size, (rest_std, probability) in product(_priors(basis), _SIZES, _REST):
         prior = size * covariance
@@ -218,13 +242,17 @@ def believe(basis: ErrorBasis, evidence: Evidence) -> ErrorBelief:
         at = int(np.argmin(cost))
         if best is None or cost[at] < best[0]:
             spread = factor @ turn
+            # What a loop does later than its settling time appears in no parameter. The noise hides
+            # it as it hides what is not linear, and it moves the robot as an error at rest would.
+            tail = np.zeros((len(mean), 1))
+            tail[-1] = min(_TAIL, float(np.sqrt(hidden * noise[at] / moved)))
             belief = ErrorBelief(
                 basis,
                 mean + spread @ (toward / (noise[at] + power)),
-                spread / np.sqrt(1 + power / noise[at]),
+                np.concatenate([spread / np.sqrt(1 + power / noise[at]), tail], axis=1),
                 float(np.sqrt(noise[at])),
                 evidence.flown_s,
-                min(MODEL_ERROR, float(np.sqrt(noise[at] / scale))),
+                min(MODEL_ERROR, float(np.sqrt(hidden * noise[at] / scale))),
             )
             best = float(cost[at]), belief
     if best is None:

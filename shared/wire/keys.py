@@ -10,7 +10,7 @@ from nufleet.shared.text import is_identifier, is_name
 EVERY_FLEETS_ROBOTS_ALIVE = "nufleet/*/robot/*/alive"
 """Key expression that matches the liveliness tokens of all robots of all fleets at a router."""
 
-READS = ("describe", "result", "experience", "prior")
+READS = ("describe", "result", "experience", "prior", "forecast")
 """Ends of the keys on which a robot answers anyone who may watch the fleet."""
 
 STOP, RELEASE = "stop", "release"

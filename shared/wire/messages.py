@@ -12,13 +12,15 @@ from nufleet.shared.errors import MalformedMessageError
 from nufleet.shared.experience.manifest import ExperienceManifest
 from nufleet.shared.frequency_test.excitation import ExcitationPlan
 from nufleet.shared.robots.spec import RobotSpec
-from nufleet.shared.strict import Digest, Identifier, Name, NonNegative, Reason
+from nufleet.shared.strict import Digest, Identifier, Name, NonNegative, Reason, Strict
 from nufleet.shared.wire.codec import Bytes, Float64Array, Message
 from nufleet.shared.wire.motions import (
     MIXTURE_MAX,
     FlightDetails,
     Motion,
     MotionPlan,
+    PredictedError,
+    Way,
     check_weights,
 )
 
@@ -273,6 +275,67 @@ class RemovePriorRequest(Message):
     """Orchestrator that sends the request."""
     epoch: Epoch = 0
     """Epoch of its lease on the robot."""
+
+
+WAYS_MAX = 32
+"""Largest number of ways of flying in one forecast: a mixture's sources, and a few besides."""
+
+
+class ForeseenWay(Way):
+    """A way of following a path, whose error is to be predicted."""
+
+    after_rich_flight_s: Annotated[float, Field(ge=0, le=3600)] = 0.0
+    """Duration of a rich flight that is to come before, which can be predicted for the robot's
+    model of itself alone."""
+
+    @model_validator(mode="after")
+    def _learned_from(self) -> ForeseenWay:
+        if self.after_rich_flight_s and self.inverse != "own":
+            raise ValueError("what a rich flight will teach is known for the inverse 'own' alone")
+        return self
+
+
+class ForecastRequest(Message):
+    """Request for the errors that a robot expects along a path; nothing moves.
+
+    Predicting takes seconds per way, and a request is answered at once. The same request, sent
+    again, returns what has been found since; once it is no longer sent, the robot stops predicting.
+    """
+
+    desired: Float64Array
+    """Path, shape (samples, axes), one row per sample of the robot, in the axes' unit."""
+    ways: Annotated[tuple[ForeseenWay, ...], Field(min_length=1, max_length=WAYS_MAX)]
+    """Ways of following it."""
+
+    @model_validator(mode="after")
+    def _columns(self) -> ForecastRequest:
+        if self.desired.ndim != 2:
+            raise ValueError(f"desired must be of shape (samples, axes), got {self.desired.shape}")
+        return self
+
+
+class Foreseen(Strict):
+    """What a robot expects of one way of following a path."""
+
+    predicted: PredictedError | None = None
+    """Error that it expects; None if it cannot fly so, or cannot tell."""
+    code: Name | None = None
+    """Kind of refusal where there is no prediction, as for a flight; for programs."""
+    reason: Reason = ""
+    """Why there is no prediction; for people."""
+
+    @model_validator(mode="after")
+    def _either(self) -> Foreseen:
+        if (self.predicted is None) == (self.code is None):
+            raise ValueError("either there is a prediction, or a reason why there is none")
+        return self
+
+
+class PathForecast(Message):
+    """Reply: what has been predicted until now."""
+
+    foreseen: Annotated[tuple[Foreseen | None, ...], Field(max_length=WAYS_MAX)]
+    """Prediction for each way of the request, in its order; None while it is being made."""
 
 
 class StopRequest(Message):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -52,17 +52,13 @@ class Weighted(Strict):
     """Probability before the flight that it is the right one."""
 
 
-class Tracking(Strict):
-    """Request to follow a path, with or without a learned inverse before the baseline controller.
+class Way(Strict):
+    """A way of following a path, with or without a learned inverse before the baseline controller.
 
     The inverse is the paper's inverse dynamics module: a Gaussian process whose prior mean may be
     an experience of another robot, eq. (2).
     """
 
-    kind: Literal["tracking"] = "tracking"
-    """Discriminator among the motions a robot can be asked for."""
-    desired: Float64Array
-    """Path to follow, shape (samples, axes), one row per sample of the robot, in the axes' unit."""
     inverse: Literal["baseline", "zero-prior", "prior", "mixture", "own"]
     """Module in front of the baseline controller: none; a process that starts without experience; a
     process whose prior mean is one experience that was transferred to the robot; one whose prior
@@ -81,9 +77,7 @@ class Tracking(Strict):
     """False if the prior is used as it is, without learning online."""
 
     @model_validator(mode="after")
-    def _complete(self) -> Tracking:
-        if self.desired.ndim != 2:
-            raise ValueError(f"desired must be of shape (samples, axes), got {self.desired.shape}")
+    def _complete(self) -> Self:
         if (self.layout is not None) != (self.inverse == "zero-prior"):
             raise ValueError("a layout belongs to the inverse 'zero-prior', and only to that")
         if (self.prior_sha256 is not None) != (self.inverse == "prior"):
@@ -94,6 +88,26 @@ class Tracking(Strict):
             raise ValueError("an experience is in the mixture twice")
         if sum(each.weight for each in self.mixture) >= 1:
             raise ValueError("the weights of a mixture leave nothing to flying without experience")
+        return self
+
+    def along(self, desired: FloatArray) -> Tracking:
+        """Return the request to follow a path in this way, shape (samples, axes)."""
+        fields = {name: getattr(self, name) for name in Way.model_fields}
+        return Tracking(desired=desired, **fields)
+
+
+class Tracking(Way):
+    """Request to follow a path in some way."""
+
+    kind: Literal["tracking"] = "tracking"
+    """Discriminator among the motions a robot can be asked for."""
+    desired: Float64Array
+    """Path to follow, shape (samples, axes), one row per sample of the robot, in the axes' unit."""
+
+    @model_validator(mode="after")
+    def _columns(self) -> Self:
+        if self.desired.ndim != 2:
+            raise ValueError(f"desired must be of shape (samples, axes), got {self.desired.shape}")
         return self
 
 
@@ -181,8 +195,10 @@ class TrackingDetails(Strict):
     taken_back: TakenBack | None
     """Withdrawal of the prior by the guard; None if there was none."""
     predicted: PredictedError | None = None
-    """Error that the robot expected; None for an inverse whose references were not known ahead, and
-    for a robot that knows nothing of itself."""
+    """Error that the robot expected; None for a robot that knows nothing of itself, and for an
+    inverse that learns in flight or is fed with the state unless a forecast was asked for."""
+    way: Reason | None = None
+    """How the robot flew with its model of itself, and why; None for the other inverses."""
     findings: tuple[Reason, ...] = ()
     """What the flight showed of the robot's model of itself: that the robot has changed, say."""
     experts: tuple[Name, ...] = ()

@@ -144,6 +144,22 @@ def test_training_leaves_an_experience_on_the_robot_and_in_the_run(
     assert lab.describe("source-2").prior is None
 
 
+def assert_the_trained_source_was_rehearsed(ranked: dict[str, object]) -> None:
+    """Fail unless a ranking says what its only trained source would leave, and which way to fly."""
+    ways = {way["way"]: way for way in reversed(ranked["ways"])}  # type: ignore[call-overload]
+    expected = {name: way["predicted_rms_m"] for name, way in ways.items()}
+    assert set(expected) == {"baseline", "none", "own", "source-1", "source-2"}
+    assert expected["source-1"] is None
+    assert "nufleet train --robot source-1" in ways["source-1"]["reason"]
+    assert expected["source-2"] < expected["baseline"]
+    assert ranked["chosen_way"] == min(
+        (name for name, error in expected.items() if error is not None), key=expected.__getitem__
+    )
+    verdict = ranked["verdicts"]["source-2"]  # type: ignore[index]
+    assert verdict["verdict"] == "transfer"
+    assert "as rehearsed" in verdict["reason"]
+
+
 def test_the_best_source_is_that_of_the_latest_ranking(
     typed: Typed, lab: Workplace, training: dict[str, object]
 ) -> None:
@@ -152,8 +168,11 @@ def test_the_best_source_is_that_of_the_latest_ranking(
     assert unknown.returncode == 2
     assert "nufleet rank --target slower" in unknown.stderr
     band = ("--band", "0.5", "10", "--iterations", "1")
+    before = lab.describe().priors
     ranked = lab.json("rank", "--target", "target", "--sources", "source-1,source-2", *band)
     assert ranked["selected"] == "source-2"
+    assert_the_trained_source_was_rehearsed(ranked)
+    assert lab.describe().priors == before
     given = lab.json("transfer", "--target", "target", "--source", "best")
     assert (given["target"], given["source"]) == ("target", "source-2")
     prior = lab.describe().prior

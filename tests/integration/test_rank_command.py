@@ -41,7 +41,16 @@ def test_rank_prints_the_documented_json_alone_on_stdout(tmp_path: Path) -> None
     document = json.loads(done.stdout)
     assert list(document) == [
         *("schema", "target", "band_rad_s", "selected", "ranking", "iterations"),
-        *("robot_time_s", "run", "verdicts", "findings"),
+        *(
+            "robot_time_s",
+            "run",
+            "verdicts",
+            "findings",
+            "ways_path",
+            "ways_unit",
+            "ways",
+            "chosen_way",
+        ),
     ]
     assert document["schema"] == 1
     assert document["target"] == "target"
@@ -59,6 +68,27 @@ def test_rank_prints_the_documented_json_alone_on_stdout(tmp_path: Path) -> None
         assert found["verdict"] == "transfer"
         assert found["error_with"]["high"] < found["error_without"]["low"]
         assert len(found["gain_with"]["median"]) == len(found["omega_rad_s"])
+    ways = {(way["way"], way["own_flight_s"]): way for way in document["ways"]}
+    assert {way for way, _ in ways} == {
+        "baseline",
+        "none",
+        "own",
+        "source-1",
+        "source-2",
+        "source-3",
+    }
+    for (way, _), found in ways.items():
+        assert list(found) == [
+            *("way", "own_flight_s", "predicted_rms_m", "predicted_low_m", "predicted_high_m"),
+            *("rms_m", "reduction_percent", "taken_back", "reason"),
+        ]
+        if way.startswith("source"):
+            assert found["predicted_rms_m"] is None
+            assert found["reason"] == f"it has learned nothing yet: `nufleet train --robot {way}`"
+        else:
+            assert found["predicted_low_m"] <= found["predicted_rms_m"] <= found["predicted_high_m"]
+    # The simulated loop is linear, and its sensor has no noise.
+    assert document["chosen_way"] == "own"
 
 
 def test_rank_for_a_trajectory_names_what_leaves_the_smallest_error_on_it(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from nufleet.orchestrator.flights.legs import (
     read_drawings,
     tracking_limits,
     trajectory,
+    typical_leg,
 )
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
@@ -156,3 +157,16 @@ def test_a_leg_of_a_joint_robot_is_in_rad() -> None:
     (leg,) = legs_of({"c": CIRCLE}, (0.5,), described(PLANE.model_copy(update={"axes": axes})))
     assert isinstance(leg, Leg)
     assert leg.label("none") == "none · c · 0.5 rad/s"
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3, 1.0, 4.0])
+def test_a_typical_leg_fits_into_any_workspace_and_into_a_few_seconds(share: float) -> None:
+    tracking = LIMITS.model_copy(update={"position_max": share * LIMITS.position_max})
+    target = described(PLANE.model_copy(update={"tracking": tracking}))
+    leg = typical_leg(target)
+    check_trajectory(leg.desired, PLANE.sample_time_s, tracking)
+    assert np.abs(leg.desired).max() <= tracking.position_max
+    assert len(leg.desired) * PLANE.sample_time_s < 20.0
+    assert leg.speed <= tracking.speed_max
+    assert 0.0 < leg.size <= tracking.position_max
+    assert leg.title.startswith(f"{leg.drawing}, {100 * leg.scale:.0f} % as large, at ")

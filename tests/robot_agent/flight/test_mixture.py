@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from scipy.optimize import minimize, nnls
@@ -74,16 +74,20 @@ def test_the_weights_are_the_most_probable_ones_of_sum_one(seed: int, forgetting
     arrays.arrays(np.float64, (8, 3), elements=st.floats(-100, 100)),
     st.floats(0.01, 100.0),
 )
+@example(np.full((8, 3), 82.54818387), 1.0)
 @settings(deadline=None)
 def test_the_weights_are_those_of_non_negative_least_squares(
     errors: FloatArray, concentration: float
 ) -> None:
-    """Against SciPy, with the sum of one as an equation that weighs a million times as much."""
+    """Against SciPy, with the sum of one as an equation that weighs ten thousand times as much.
+
+    With a million, rounding moved SciPy's weights by 1e-5 where all models err alike.
+    """
     start = np.full(8, 0.125)
     mixture = Mixture(start, concentration=concentration)
     mixture.observe(errors, np.ones(3), np.zeros(3))
     prior = np.sqrt(concentration / start)
-    heavy = 1e6 * (1 + np.abs(errors).max() + prior.max())
+    heavy = 1e4 * (1 + np.abs(errors).max() + prior.max())
     clipped = np.clip(errors, -ERROR_MAX, ERROR_MAX)
     rows = np.vstack([clipped.T, np.diag(prior), np.full(8, heavy)])
     expected, _ = nnls(rows, np.concatenate([np.zeros(3), prior * start, [heavy]]))

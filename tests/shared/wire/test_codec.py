@@ -34,11 +34,15 @@ from nufleet.shared.wire.messages import (
     ExperienceFile,
     ExperienceOffer,
     FetchRequest,
+    ForecastRequest,
+    Foreseen,
+    ForeseenWay,
     GoalAccepted,
     GoalRequest,
     GoalResult,
     InstallRequest,
     Outcome,
+    PathForecast,
     Refusal,
     ReleaseRequest,
     RemovePriorRequest,
@@ -49,7 +53,7 @@ from nufleet.shared.wire.messages import (
     Telemetry,
     TrackingTelemetry,
 )
-from nufleet.shared.wire.motions import RichFlight, StepTest, Tracking, Weighted
+from nufleet.shared.wire.motions import PredictedError, RichFlight, StepTest, Tracking, Weighted
 
 EVERY_TYPE = tuple(
     kind
@@ -190,6 +194,19 @@ motions = (
         ),
     )
 )
+expected_errors = st.tuples(non_negative, non_negative, non_negative).map(
+    lambda three: PredictedError(rms=three[0], low=three[1], high=three[2])
+)
+foreseen = (
+    st.none()
+    | st.builds(Foreseen, predicted=expected_errors)
+    | st.builds(Foreseen, code=names, reason=sentences)
+)
+ways = (
+    st.builds(ForeseenWay, inverse=st.just("baseline"), guarded=st.booleans())
+    | st.builds(ForeseenWay, inverse=st.just("prior"), prior_sha256=digests, learn=st.booleans())
+    | st.builds(ForeseenWay, inverse=st.just("own"), after_rich_flight_s=st.floats(0, 3600))
+)
 LAYOUT = InverseLayout(
     architecture="state", states=("position",), sample_time_s=0.02, horizon_samples=5
 )
@@ -276,6 +293,10 @@ STRATEGIES: dict[type[Message], st.SearchStrategy[Message]] = {
         InstallRequest, sender=identifiers, epoch=epochs, sha256=digests, payload=st.binary()
     ),
     RemovePriorRequest: st.builds(RemovePriorRequest, sender=identifiers, epoch=epochs),
+    ForecastRequest: st.builds(
+        ForecastRequest, desired=flights, ways=st.lists(ways, min_size=1, max_size=4).map(tuple)
+    ),
+    PathForecast: st.builds(PathForecast, foreseen=st.lists(foreseen, max_size=4).map(tuple)),
 }
 
 RESULT = GoalResult(

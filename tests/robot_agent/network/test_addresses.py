@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from nufleet.robot_agent.addresses import agent_addresses
+from nufleet.robot_agent.network.addresses import agent_addresses
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.robots.fleet_file import FleetFile
 from nufleet.shared.wire.identity import Identity, identity_text

@@ -1,0 +1,156 @@
+"""Flies a path on models of the robot, so that the error of a flight is known before it is flown.
+
+What is rehearsed is what flies: the same control loop, inverse models, online process and guard act
+on robots that are drawn from what the robot knows of itself. Nothing real moves. It takes about as
+long as the flight itself, so it has no place in a control loop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import stdtrit
+
+from nufleet.robot_agent.flight.after_flight import own_error_after
+from nufleet.robot_agent.flight.flights import equipment_for
+from nufleet.robot_agent.flight.forecast import Forecast, forecast_of
+from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.flight.own_model import HIGH, OwnModel
+from nufleet.robot_agent.flight.rehearsed_robot import LoopDraw, RehearsedRobot
+from nufleet.robot_agent.flight.state_model import StateModel
+from nufleet.robot_agent.flight.tracking import approach, track
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotError
+from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.wire.motions import PredictedError, Tracking
+
+DRAWS = 4
+"""Number of robots that a flight is rehearsed on; the bounds allow for so few."""
+
+_SEED = 0  # every way of flying meets the same robots and the same noise, so that they compare
+
+
+@dataclass(frozen=True, eq=False)
+class Rehearsal:
+    """A robot as it knows itself, on which flights are tried."""
+
+    spec: RobotSpec
+    """Description of the robot."""
+    memory: Memory
+    """Memory of the robot, with its priors."""
+    model: OwnModel
+    """The robot's model of itself."""
+    states: StateModel
+    """How the states that it measures follow from its output."""
+
+    @staticmethod
+    def of(spec: RobotSpec, state_names: tuple[str, ...], memory: Memory) -> Rehearsal:
+        """Return the rehearsal of a robot; the first one after a motion takes a while.
+
+        Args:
+            spec: Description of the robot.
+            state_names: Names of the states that it measures.
+            memory: Memory of the robot.
+
+        Raises:
+            RobotError: The robot knows nothing of itself yet.
+        """
+        model = memory.own_model(spec).model
+        if model is None:
+            raise RobotError("the robot has no model of itself yet")
+        return Rehearsal(spec, memory, model, memory.states(spec, state_names))
+
+    def predicted(
+        self, motion: Tracking, *, draws: int = DRAWS, stopped: Callable[[], bool] = lambda: False
+    ) -> PredictedError:
+        """Return the error that is to be measured in a flight along a path.
+
+        Args:
+            motion: Flight to rehearse; one that the robot could fly.
+            draws: Number of robots to rehearse it on, at least two.
+            stopped: Function called before every sample; the rehearsal ends when it returns True.
+
+        Raises:
+            RobotError: It cannot be rehearsed, or it was stopped.
+            InvalidInputError: It needs a state of which the robot has observed nothing yet.
+        """
+        forecast = forecast_of(self.model, motion.desired)
+        if forecast is None:
+            raise RobotError("the robot has no model of itself yet")
+        # These two are known for many more robots than could be rehearsed on.
+        if motion.inverse == "baseline":
+            return forecast.baseline
+        if motion.inverse == "own":
+            return forecast.own
+        seeds = np.random.SeedSequence(_SEED).spawn(draws)
+        return predicted_from([self._flown(motion, forecast, seed, stopped) for seed in seeds])
+
+    def predicted_after(self, desired: FloatArray, flight_s: float) -> PredictedError:
+        """Return the error with the model of itself that a rich flight of some s will leave.
+
+        Args:
+            desired: Path, shape (samples, axes), in the axes' units.
+            flight_s: Duration of the rich flight, in s.
+        """
+        return own_error_after(self.model, self.spec, desired, flight_s)
+
+    def _flown(
+        self,
+        motion: Tracking,
+        forecast: Forecast,
+        seed: np.random.SeedSequence,
+        stopped: Callable[[], bool],
+    ) -> float:
+        """Return the error of a flight on one robot, drawn with a seed, in the axes' unit."""
+        limits = self.spec.tracking
+        if limits is None:
+            raise RobotError("the robot does not track")
+        rng = np.random.default_rng(seed)
+        samples = len(motion.desired) + len(approach(self.spec, motion.desired[0], limits))
+        robot = RehearsedRobot(self.spec, self.states.names, self._draw(samples, rng), rng)
+        equipment = equipment_for(motion, robot, self.memory, forecast)
+        record = track(
+            robot,
+            motion.desired,
+            limits,
+            equipment.learner,
+            equipment.guard,
+            fallback=equipment.fallback,
+            stopped=stopped,
+        )
+        if record.failure is not None:
+            raise RobotError(f"its rehearsal ended early: {record.failure}")
+        return record.rms_error
+
+    def _draw(self, samples: int, rng: np.random.Generator) -> LoopDraw:
+        axes = self.model.axes
+        responses = np.concatenate([belief.draws(1, rng) for belief in axes], axis=1)
+        # An output that is measured before its reference acts has not answered it, in any draw.
+        responses[0] = 1.0
+        return LoopDraw(
+            basis=axes[0].basis,
+            responses=responses,
+            unexplained=self.model.disturbed(samples, rng),
+            state_gains=self.states.gains,
+            state_noise_std=self.states.noise_std,
+        )
+
+
+def predicted_from(errors: Sequence[float]) -> PredictedError:
+    """Return the error to be expected after a few that were drawn alike.
+
+    The logarithms of errors are taken as normal with a mean and a variance that the few show. The
+    next one is then distributed as Student's t around their mean, wider by what that mean may be
+    off (Gelman et al., Bayesian Data Analysis, 3rd ed., sec. 3.2).
+
+    Args:
+        errors: Root mean square errors, at least two, above 0.
+    """
+    logarithms, count = np.log(errors), len(errors)
+    spread = float(np.std(logarithms, ddof=1)) * np.sqrt(1 + 1 / count)
+    reach = float(stdtrit(count - 1, HIGH)) * spread
+    middle = float(np.mean(logarithms))
+    low, rms, high = np.exp([middle - reach, middle, middle + reach])
+    return PredictedError(rms=float(rms), low=float(low), high=float(high))

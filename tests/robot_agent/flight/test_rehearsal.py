@@ -1,0 +1,158 @@
+"""What is rehearsed on models of a robot is what it then flies."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from robots_that_learn import LaggedRobot, double_integrator
+
+from nufleet.robot_agent.flight.flights import performance_of
+from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.flight.rehearsal import Rehearsal, predicted_from
+from nufleet.robot_agent.flight.rehearsed_robot import LoopDraw, RehearsedRobot
+from nufleet.robot_agent.motion.pace import HaltSwitch
+from nufleet.robot_agent.motion.perform import perform
+from nufleet.robot_agent.robot import Robot
+from nufleet.shared.errors import InvalidInputError, RobotError
+from nufleet.shared.experience.layout import InverseLayout
+from nufleet.shared.models.error_response import ErrorBasis
+from nufleet.shared.paths.trajectories import travel
+from nufleet.shared.wire.messages import Outcome
+from nufleet.shared.wire.motions import (
+    Flight,
+    RichFlight,
+    Tracking,
+    TrackingDetails,
+)
+
+PATH = travel(np.array([[0.0, 0.0], [0.5, 0.5], [-0.4, 0.2]]), 0.5, 1.0, 0.02)
+
+
+def flown(robot: Robot, motion: Flight, memory: Memory) -> float:
+    """Fly a path or another motion, and return the error that was measured."""
+    switch = HaltSwitch()
+    performance = performance_of(
+        motion,
+        robot,
+        memory,
+        realtime=None,
+        switch=switch,
+        on_played=lambda samples: None,
+        watch=lambda *_: None,
+    )
+    played = perform(robot, performance, switch, on_resting=lambda: None)
+    assert played.outcome is Outcome.COMPLETED, played.reason
+    if not isinstance(played.samples.details, TrackingDetails):
+        return 0.0
+    away = played.samples.response - played.samples.details.desired
+    return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
+
+
+def none(states: tuple[str, ...], sample_time_s: float, path: np.ndarray = PATH) -> Tracking:
+    """A flight that learns online and begins with nothing."""
+    known = InverseLayout(
+        architecture="state", states=states, sample_time_s=sample_time_s, horizon_samples=10
+    )
+    return Tracking(desired=path, inverse="zero-prior", layout=known)
+
+
+def test_a_rehearsed_robot_answers_as_its_response_says_sample_by_sample() -> None:
+    spec, rng = LaggedRobot().spec, np.random.default_rng(0)
+    basis = ErrorBasis(spec.sample_time_s, spec.settling_time_s)
+    slow, fast = (np.append(np.exp(-basis.nodes / lag), rest) for lag, rest in ((8, 0.01), (4, 0)))
+    draw = LoopDraw(
+        basis=basis,
+        responses=np.stack([slow, fast], axis=1),
+        unexplained=np.zeros((1, 2)),
+        state_gains=np.zeros((2, 1, 2)),
+        state_noise_std=np.zeros((2, 1)),
+    )
+    references = np.cumsum(rng.standard_normal((3000, 2)), axis=0)
+    errors = [
+        basis.columns(references[:, i], 0.0) @ response for i, response in enumerate((slow, fast))
+    ]
+    robot = RehearsedRobot(spec, ("position",), draw, rng)
+    expected = references - np.stack(errors, axis=1)
+    np.testing.assert_allclose(robot.run(references), expected, atol=1e-9)
+    robot.rest()
+    np.testing.assert_allclose(robot.run(references), expected, atol=1e-9)
+
+
+def test_the_error_of_learning_online_is_the_one_that_was_rehearsed() -> None:
+    robot, memory = LaggedRobot(noise_std_m=1e-3), Memory(None)
+    flown(robot, Tracking(desired=PATH, inverse="baseline"), memory)
+    motion = none(robot.state_names, robot.spec.sample_time_s)
+    expected = Rehearsal.of(robot.spec, robot.state_names, memory).predicted(motion)
+    measured = flown(robot, motion, memory)
+    assert expected.low <= measured <= expected.high
+    assert expected.high < 1.5 * expected.low
+    baseline = Rehearsal.of(robot.spec, robot.state_names, memory).predicted(
+        Tracking(desired=PATH, inverse="baseline")
+    )
+    assert expected.high < baseline.low
+
+
+def test_states_beside_the_output_are_rehearsed_once_they_were_observed() -> None:
+    robot, memory = double_integrator(noise_std_m=1e-3), Memory(None)
+    flown(robot, RichFlight(duration_s=30.0, seed=0), memory)
+    states = memory.states(robot.spec, robot.state_names)
+    # In the paper's model a position moves by (T_s − β) times the speed, with β = T_s / 5.
+    np.testing.assert_allclose(states.gains[0, 1], [1.25, 0.0], atol=0.02)
+    path = travel(np.array([[0.0], [0.5], [-0.4]]), 0.5, 1.0, robot.spec.sample_time_s)
+    motion = none(robot.state_names, robot.spec.sample_time_s, path)
+    expected = Rehearsal.of(robot.spec, robot.state_names, memory).predicted(motion)
+    assert expected.low <= flown(robot, motion, memory) <= expected.high
+
+
+def test_the_same_flight_is_expected_to_have_the_same_error_again() -> None:
+    robot, memory = LaggedRobot(noise_std_m=1e-3), Memory(None)
+    flown(robot, Tracking(desired=PATH, inverse="baseline"), memory)
+    motion = none(robot.state_names, robot.spec.sample_time_s)
+    rehearsal = Rehearsal.of(robot.spec, robot.state_names, memory)
+    assert rehearsal.predicted(motion, draws=2) == rehearsal.predicted(motion, draws=2)
+
+
+def test_a_rehearsal_moves_nothing_and_teaches_the_robot_nothing() -> None:
+    robot, memory = LaggedRobot(noise_std_m=1e-3), Memory(None)
+    flown(robot, Tracking(desired=PATH, inverse="baseline"), memory)
+    samples, known = robot.samples, dict(memory.flown_s)
+    motion = none(robot.state_names, robot.spec.sample_time_s)
+    Rehearsal.of(robot.spec, robot.state_names, memory).predicted(motion, draws=2)
+    assert (robot.samples, dict(memory.flown_s)) == (samples, known)
+
+
+def test_a_robot_that_knows_nothing_of_itself_cannot_rehearse() -> None:
+    robot = LaggedRobot()
+    with pytest.raises(RobotError, match="no model of itself"):
+        Rehearsal.of(robot.spec, robot.state_names, Memory(None))
+
+
+def test_a_state_that_was_never_observed_is_named() -> None:
+    robot, memory = LaggedRobot(noise_std_m=1e-3), Memory(None)
+    flown(robot, Tracking(desired=PATH, inverse="baseline"), memory)
+    rehearsal = Rehearsal.of(robot.spec, ("position", "tilt"), memory)
+    with pytest.raises(InvalidInputError, match="tilt"):
+        rehearsal.predicted(none(("position", "tilt"), robot.spec.sample_time_s))
+
+
+def test_a_rehearsal_that_is_stopped_predicts_nothing() -> None:
+    robot, memory = LaggedRobot(noise_std_m=1e-3), Memory(None)
+    flown(robot, Tracking(desired=PATH, inverse="baseline"), memory)
+    rehearsal = Rehearsal.of(robot.spec, robot.state_names, memory)
+    with pytest.raises(RobotError, match="stopped"):
+        rehearsal.predicted(none(robot.state_names, robot.spec.sample_time_s), stopped=lambda: True)
+
+
+def test_few_rehearsals_bound_the_next_error_as_often_as_they_say() -> None:
+    rng = np.random.default_rng(0)
+    inside = []
+    for _ in range(4000):
+        *few, following = np.exp(0.3 * rng.standard_normal(5))
+        found = predicted_from(few)
+        inside.append(found.low <= following <= found.high)
+    assert np.mean(inside) == pytest.approx(0.9, abs=0.015)
+
+
+def test_rehearsals_that_all_end_alike_leave_no_doubt() -> None:
+    found = predicted_from([0.02, 0.02])
+    assert (found.low, found.rms, found.high) == pytest.approx((0.02, 0.02, 0.02))
