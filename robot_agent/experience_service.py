@@ -71,11 +71,14 @@ class ExperienceService:
         )
 
     def remove_prior(self, request: RemovePriorRequest) -> Message:
-        """Remove all priors; the robot flies without one from now on."""
+        """Remove all priors, so that the robot flies without one, or its model of itself."""
         refusal = self._change(Commander(request.sender, request.epoch))
         if refusal is not None:
             return refusal
-        self._memory.forget_prior()
+        if request.what == "own-model":
+            self._memory.forget_own_model()
+        else:
+            self._memory.forget_prior()
         return Done()
 
     def _installed(

@@ -10,7 +10,7 @@ from nufleet.orchestrator.evaluation.results import (
     InverseResult,
     SourceResult,
 )
-from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR
+from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR, OWN
 from nufleet.shared.experience.layout import Architecture
 
 PSI = {"near": Psi(0.1, 0.01), "middle": Psi(0.3, 0.02), "far": Psi(0.5, 0.03)}
@@ -45,6 +45,35 @@ def summed(
     flights: list[FlightRecord], psi: dict[str, Psi] | None = None, unit: str = "m"
 ) -> EvaluationResult:
     return summarise("target", flights, psi or PSI, "state", unit=unit, guarded=True, run="runs/1")
+
+
+Predicted = tuple[float, float, float]
+
+
+def predicted(flights: list[FlightRecord], of: dict[str, Predicted]) -> list[FlightRecord]:
+    """Give the flights of some ways their predictions: low, median, high."""
+    names = ("predicted_low_m", "predicted_rms_m", "predicted_high_m")
+    return [
+        f.model_copy(update=dict(zip(names, of[f.inverse], strict=True))) if f.inverse in of else f
+        for f in flights
+    ]
+
+
+def after(own_s: float, flights: list[FlightRecord]) -> list[FlightRecord]:
+    return [f.model_copy(update={"beyond_tests_s": own_s}) for f in flights]
+
+
+# The predictions like "near" best after the tests, where "own" is better, and "own" afterwards.
+FIRST = predicted(
+    records({**ERRORS, OWN: (0.03, 0.05)}),
+    {
+        BASELINE: (0.25, 0.3, 0.35),
+        NO_PRIOR: (0.1, 0.2, 0.3),
+        "near": (0.04, 0.06, 0.08),
+        OWN: (0.02, 0.1, 0.3),
+    },
+)
+LATER = after(15.0, predicted(records({OWN: (0.01, 0.03)}), {OWN: (0.01, 0.02, 0.025)}))
 
 
 STATE: Architecture = "state"

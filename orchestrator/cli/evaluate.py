@@ -16,7 +16,7 @@ from nufleet.orchestrator.cli.options import (
     seed_option,
     unguarded_option,
 )
-from nufleet.orchestrator.cli.types import Names, PositiveNumber, PositiveNumbers
+from nufleet.orchestrator.cli.types import Durations, Names, PositiveNumber, PositiveNumbers
 
 
 @click.command()
@@ -59,6 +59,17 @@ from nufleet.orchestrator.cli.types import Names, PositiveNumber, PositiveNumber
     help="Factor on the size of the drawings.",
 )
 @click.option(
+    "--own-flight",
+    "own_flight_s",
+    type=Durations(),
+    metavar="S,S,...",
+    help=(
+        "Seconds of the target's own flying beyond its tests, after each of which it flies with "
+        "its model of itself.  [default: 0,5,15,30,60,120; with --quick 0,15,30; with --all-pairs "
+        "0]"
+    ),
+)
+@click.option(
     "--studies",
     type=click.IntRange(min=1),
     help=(
@@ -93,9 +104,11 @@ def evaluate(**options: Any) -> None:
     """Fly a target along drawings with every source's experience, and compare with the prediction.
 
     Sources without an experience learn one first. Frequency tests rank the sources; then the target
-    flies every drawing with its baseline alone, with a model learned online from nothing, and with
-    each source's experience as its prior mean (the paper's Section VI, Table I, Figs. 4 and 7).
-    Plots, tables and all samples go into the run's folder.
+    flies every drawing with its baseline alone, with a model learned online from nothing, with each
+    source's experience as its prior mean (the paper's Section VI, Table I, Figs. 4 and 7), with
+    their mixture, and with its model of itself: after the tests alone, and again after more flying
+    of its own. Plots, tables and all samples go into the run's folder, where flights.jsonl holds
+    the result of every flight as soon as it ends.
 
     \b
     nufleet evaluate --fleet paper_quadrotors --quick

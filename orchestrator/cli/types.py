@@ -57,6 +57,20 @@ class PositiveNumbers(click.ParamType[tuple[float, ...]]):
         return tuple(number.convert(part, param, ctx) for part in str(value).split(","))
 
 
+class Durations(click.ParamType[tuple[float, ...]]):
+    """Durations in seconds from zero to an hour, separated by commas."""
+
+    name = "durations"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, ...]:
+        """Return the durations in their order; an invalid one raises click's usage error."""
+        some = PositiveNumber(high=3600)
+        parts = str(value).split(",")
+        return tuple(0.0 if p.strip() == "0" else some.convert(p, param, ctx) for p in parts)
+
+
 class FleetFileOption(click.ParamType[Path]):
     """A fleet file, given by its path or by the name of an installed one."""
 

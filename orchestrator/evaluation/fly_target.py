@@ -7,37 +7,42 @@ sources by frequency tests. The flights only show whether the prediction was rig
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Protocol
-
-import numpy as np
+from itertools import pairwise
+from typing import Any, Literal, Protocol
 
 from nufleet.orchestrator.evaluation.results import (
     BaselineResult,
     EvaluationResult,
     FlightRecord,
-    InverseResult,
     SourceResult,
 )
 from nufleet.orchestrator.evaluation.summaries import kendall_tau
+from nufleet.orchestrator.evaluation.ways import (
+    coverage_of,
+    inverse_result,
+    points_of,
+    ways_of,
+    worse_than_baseline,
+)
 from nufleet.orchestrator.experience.learning import pick_up
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.prior_custody import prior_put_back
 from nufleet.orchestrator.experience.transfer import transfer, transfer_several
 from nufleet.orchestrator.fleet.client import Fleet
-from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
+from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN, path_label
 from nufleet.orchestrator.flights.legs import Leg
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
 from nufleet.orchestrator.flights.start_weights import mixture_of
 from nufleet.orchestrator.study.predicted_errors import PredictedRms
-from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RefusedError
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.robots.spec import RobotSpec
-from nufleet.shared.wire.messages import Description
-from nufleet.shared.wire.motions import MIXTURE_MAX
+from nufleet.shared.wire.messages import Description, ForeseenWay
+from nufleet.shared.wire.motions import MIXTURE_MAX, PredictedError
+
+_Inverse = Literal["baseline", "zero-prior", "prior", "mixture", "own"]
 
 NO_OWN_MODEL = ("no-own-model", "vague-own-model")
 """Codes of the refusals of a robot that knows too little of itself for a path."""
@@ -63,6 +68,22 @@ class Psi:
     """Standard deviation over the studies."""
 
 
+class FlightLog(Protocol):
+    """An observer of the progress of an evaluation."""
+
+    def rehearsing(self, path: str, place: int, paths: int) -> None:
+        """Handle that the target begins to rehearse a path, the first of `paths` being number 1."""
+
+    def way_begins(self, way: str, own_flight_s: float, flights: int) -> None:
+        """Handle the beginning of flights in a way, after rich flights of that duration."""
+
+    def flown(self, record: FlightRecord) -> None:
+        """Handle the end of a flight."""
+
+    def point_complete(self, records: Sequence[FlightRecord]) -> None:
+        """Handle that every way was flown at one point; `records` holds all flights until now."""
+
+
 def fly_target(
     fleet: Fleet,
     pilot: Pilot,
@@ -75,11 +96,16 @@ def fly_target(
     guarded: bool,
     observers: Sequence[FlightObserver],
     psi: Mapping[str, float] | None = None,
+    own_flight_s: Sequence[float] = (0.0,),
+    seed: int = 0,
+    rehearse: bool = False,
+    log: FlightLog | None = None,
 ) -> tuple[FlightRecord, ...]:
     """Fly a target along all legs: own model, baseline, zero prior, every source, their mixture.
 
-    Its own model is flown first, since every flight adds to it: on the first path it rests on the
-    tests alone. A path that the target's model of itself is too vague for is not flown with it.
+    The target learns nothing of itself from these flights, so that all of them begin with the same
+    knowledge. After further rich flights of its own it flies again in the ways that depend on what
+    it knows of itself. A path that its model of itself is too vague for is not flown with it.
     Afterwards the target again holds the prior that it held before.
 
     Args:
@@ -95,6 +121,11 @@ def fly_target(
         observers: Callbacks for the beginning and the end of each flight.
         psi: Estimated distance of the sources, from which the mixture's weights start; None to
             start from equal ones.
+        own_flight_s: Durations of the target's own flying, rising from 0, after which it flies.
+        seed: Seed of its rich flights.
+        rehearse: Whether the target first predicts the error of every way on every path. The errors
+            of its baseline and of its model of itself are predicted without that.
+        log: Observer of the progress; None for none.
 
     Returns:
         One record per flight, in the order in which they were flown.
@@ -103,46 +134,123 @@ def fly_target(
         RobotError: A real robot failed and needs a person's attention.
         RefusedError: The target refuses a flight, for example because its baseline is not known.
     """
-    flights: list[FlightRecord] = []
+    legged = _Legs(fleet, pilot, target, legs, observers, log)
     robot = target.robot
 
-    def fly_legs(inverse: str, fly: Callable[[FloatArray, str], PathFlight]) -> None:
-        for leg in legs:
-            label = leg.label(inverse)
-            for observer in observers:
-                observer.begins(robot, label, target.spec)
-            known_s = fleet.describe(robot).least_known_s
-            try:
-                flight = fly(leg.desired, label)
-            except RefusedError as error:
-                if error.code not in NO_OWN_MODEL:
-                    raise
-                flights.append(_not_flown(robot, inverse, leg, error.reason))
-                continue
-            for observer in observers:
+    def way(inverse: _Inverse, **found: Any) -> ForeseenWay:
+        # The target remembers none of the flights, so that all of them begin with the same.
+        return ForeseenWay(inverse=inverse, guarded=guarded, remember=False, **found)
+
+    own = {OWN: way("own")}
+    with prior_put_back(fleet, pilot, target):
+        alone = sources[MIXTURE_MAX:]  # more than a robot can hold at a time
+        held = transfer_several(fleet, library, sources[:MIXTURE_MAX], target, architecture)
+        mixture = mixture_of(fleet.describe(robot).priors, psi)
+        ways = own | {BASELINE: way("baseline")}
+        ways[NO_PRIOR] = way("zero-prior", layout=held[0].manifest.layout)
+        ways |= {
+            source: way("prior", prior_sha256=given.sha256)
+            for source, given in zip(sources, held, strict=False)
+        }
+        ways[MIXTURE] = way("mixture", mixture=mixture)
+        if rehearse:
+            legged.rehearse(ways)
+        for name, each in ways.items():
+            legged.fly(name, each)
+        for source in alone:
+            given = transfer(fleet, library, source, target, architecture)
+            legged.fly(source, way("prior", prior_sha256=given.sha256))
+        legged.end_point()
+        for place, (before_s, after_s) in enumerate(pairwise(own_flight_s)):
+            result, _ = pilot.rich(robot, duration_s=after_s - before_s, seed=seed + place)
+            legged.beyond_tests_s += len(result.reference) * target.spec.sample_time_s
+            for name, each in own.items():
+                legged.fly(name, each)
+            legged.end_point()
+    return tuple(legged.records)
+
+
+def flights_planned(sources: int, legs: int, points: int) -> int:
+    """Return how many flights `fly_target` begins."""
+    return legs * (sources + 4 + points - 1)
+
+
+class _Legs:
+    """Has a target fly all legs, one way after the other, and keeps the records."""
+
+    def __init__(
+        self,
+        fleet: Fleet,
+        pilot: Pilot,
+        target: Description,
+        legs: Sequence[Leg],
+        observers: Sequence[FlightObserver],
+        log: FlightLog | None,
+    ) -> None:
+        self._fleet, self._pilot, self._target, self._legs = fleet, pilot, target, legs
+        self._observers, self._log = observers, log
+        self._predicted: dict[tuple[str, str, float], PredictedError] = {}
+        self.records: list[FlightRecord] = []
+        self.beyond_tests_s = 0.0
+
+    def rehearse(self, ways: Mapping[str, ForeseenWay]) -> None:
+        """Have the target predict its error on every leg in the ways that learn in flight.
+
+        What it predicts of the others comes with their flights.
+        """
+        learning = {
+            name: way for name, way in ways.items() if way.inverse not in ("baseline", "own")
+        }
+        for place, leg in enumerate(self._legs, start=1):
+            if self._log is not None:
+                path = path_label(leg.drawing, leg.speed, leg.unit)
+                self._log.rehearsing(path, place, len(self._legs))
+            found = self._fleet.forecast(self._target.robot, leg.desired, list(learning.values()))
+            for name, foreseen in zip(learning, found, strict=True):
+                if foreseen.predicted is not None:
+                    self._predicted[name, leg.drawing, leg.speed] = foreseen.predicted
+
+    def fly(self, name: str, way: ForeseenWay) -> None:
+        """Fly all legs in one way."""
+        if self._log is not None:
+            self._log.way_begins(name, self.beyond_tests_s, len(self._legs))
+        for leg in self._legs:
+            record = self._flown(name, way, leg)
+            self.records.append(record)
+            if self._log is not None:
+                self._log.flown(record)
+
+    def end_point(self) -> None:
+        """Tell the log that every way was flown with the present knowledge."""
+        if self._log is not None:
+            self._log.point_complete(self.records)
+
+    def _flown(self, name: str, way: ForeseenWay, leg: Leg) -> FlightRecord:
+        robot = self._target.robot
+        after = f"+{self.beyond_tests_s:.0f}s" if self.beyond_tests_s else ""
+        label = leg.label(f"{name}{after}")
+        for observer in self._observers:
+            observer.begins(robot, label, self._target.spec)
+        known_s = self._fleet.describe(robot).least_known_s
+        try:
+            flight = self._pilot.along(robot, way, leg.desired, label)
+        except RefusedError as error:
+            if error.code not in NO_OWN_MODEL:
+                raise
+            record = _not_flown(robot, name, leg, error.reason, known_s)
+        else:
+            for observer in self._observers:
                 observer.ended(flight)
             if flight.failure is not None:
-                pick_up(fleet, target, flight.failure)
-            flights.append(flight_record(flight, inverse, leg, known_s))
-
-    fly_legs(OWN, partial(pilot.own, robot, guarded=guarded))
-    fly_legs(BASELINE, partial(pilot.baseline, robot))
-    with prior_put_back(fleet, pilot, target):
-        for place, source in enumerate(sources):
-            given = transfer(fleet, library, source, target, architecture)
-            if place == 0:
-                layout = given.manifest.layout
-                fly_legs(NO_PRIOR, partial(pilot.zero_prior, robot, layout=layout, guarded=guarded))
-            with_prior = partial(pilot.with_prior, robot, sha256=given.sha256, guarded=guarded)
-            fly_legs(source, with_prior)
-        mixed = sources[:MIXTURE_MAX]
-        transfer_several(fleet, library, mixed, target, architecture)
-        mixture = mixture_of(fleet.describe(robot).priors, psi)
-        fly_legs(MIXTURE, partial(pilot.with_mixture, robot, mixture=mixture, guarded=guarded))
-    return tuple(flights)
+                pick_up(self._fleet, self._target, flight.failure)
+            expected = self._predicted.get((name, leg.drawing, leg.speed))
+            record = flight_record(flight, name, leg, known_s, expected)
+        return record.model_copy(update={"beyond_tests_s": self.beyond_tests_s})
 
 
-def _not_flown(robot: str, inverse: str, leg: Leg, reason: str) -> FlightRecord:
+def _not_flown(
+    robot: str, inverse: str, leg: Leg, reason: str, own_flight_s: float
+) -> FlightRecord:
     return FlightRecord(
         target=robot,
         inverse=inverse,
@@ -151,12 +259,18 @@ def _not_flown(robot: str, inverse: str, leg: Leg, reason: str) -> FlightRecord:
         rms_m=None,
         taken_back=None,
         failure=f"not flown: {reason}",
+        flown=False,
         deadline_misses=0,
+        own_flight_s=own_flight_s,
     )
 
 
 def flight_record(
-    flight: PathFlight, inverse: str, leg: Leg, own_flight_s: float | None = None
+    flight: PathFlight,
+    inverse: str,
+    leg: Leg,
+    own_flight_s: float | None = None,
+    expected: PredictedError | None = None,
 ) -> FlightRecord:
     """Return the record of a flight along a leg with the named inverse.
 
@@ -165,8 +279,9 @@ def flight_record(
         inverse: Name of the source, BASELINE, NO_PRIOR or OWN.
         leg: Path of the flight.
         own_flight_s: Duration of the motions by which the robot knew itself before.
+        expected: Error that it predicted, if the flight does not say; None if it did not.
     """
-    event, predicted = flight.details.taken_back, flight.details.predicted
+    event, predicted = flight.details.taken_back, flight.details.predicted or expected
     return FlightRecord(
         target=flight.robot,
         inverse=inverse,
@@ -195,6 +310,7 @@ def summarise(
     guarded: bool,
     run: str,
     predicted: PredictedRms | None = None,
+    noise_rms: float | None = None,
 ) -> EvaluationResult:
     """Compare the predicted distances and errors with the errors of the flights.
 
@@ -207,15 +323,23 @@ def summarise(
         guarded: Whether the guard was active in these flights.
         run: Path of the run's folder.
         predicted: RMS errors that the tests predict for these paths; None when not computed.
+        noise_rms: Error that the noise of the target's sensor alone leaves; None when not known.
 
     Returns:
         The errors of all inverses and their rank correlation with the predictions; sources are in
         ascending order of ψ̂*, and the first of them is the one selected.
     """
     order = sorted(psi, key=lambda source: psi[source].mean)
+    first = [flight for flight in flights if flight.beyond_tests_s == 0]
+    baseline = [flight for flight in first if flight.inverse == BASELINE]
     of = {
-        name: _inverse_result(flights, name) for name in (BASELINE, NO_PRIOR, OWN, MIXTURE, *order)
+        name: inverse_result([f for f in first if f.inverse == name], baseline)
+        for name in (BASELINE, NO_PRIOR, OWN, MIXTURE, *order)
     }
+    ways = ways_of(flights)
+    points = points_of(ways, flights)
+    worse = worse_than_baseline(flights)
+    chosen_way = points[0].chosen_way if points else None
     sources = tuple(
         SourceResult(
             robot=source,
@@ -237,37 +361,23 @@ def summarise(
             predicted_rms_m=None if predicted is None else predicted.without,
         ),
         no_prior=of[NO_PRIOR],
-        mixture=of[MIXTURE] if any(flight.inverse == MIXTURE for flight in flights) else None,
-        own=of[OWN] if any(flight.inverse == OWN for flight in flights) else None,
+        mixture=of[MIXTURE] if any(flight.inverse == MIXTURE for flight in first) else None,
+        own=of[OWN] if any(flight.inverse == OWN for flight in first) else None,
         sources=sources,
         selected=order[0],
         kendall_tau=kendall_tau([s.psi for s in sources], measured),
         kendall_tau_trajectory=None
         if predicted is None
         else kendall_tau([predicted.of[s.robot] for s in sources], measured),
+        ways=ways,
+        points=points,
+        chosen_way=chosen_way,
+        regret_m=points[0].regret_m if points else None,
+        noise_rms_m=noise_rms,
+        worse_than_baseline=len(worse),
+        chosen_worse_than_baseline=sum(
+            f.inverse == chosen_way and f.beyond_tests_s == 0 for f in worse
+        ),
+        coverage=coverage_of(flights),
         run=run,
-    )
-
-
-def _inverse_result(flights: Sequence[FlightRecord], inverse: str) -> InverseResult:
-    mine = {(f.drawing, f.speed_m_s): f for f in flights if f.inverse == inverse}
-    own = {(f.drawing, f.speed_m_s): f.rms_m for f in flights if f.inverse == BASELINE}
-    errors = [f.rms_m for f in mine.values()]
-    finished = [error for error in errors if error is not None]
-    baseline = [error for error in own.values() if error is not None]
-    rms = float(np.mean(finished)) if finished and len(finished) == len(errors) else None
-    reduction = None
-    # Both means must cover the same paths: means over different paths cannot be compared.
-    if rms is not None and inverse != BASELINE and len(baseline) == len(own) and any(baseline):
-        reduction = 100.0 * (1.0 - rms / float(np.mean(baseline)))
-    ratios = [
-        f.rms_m / base
-        for path, f in mine.items()
-        if f.rms_m is not None and (base := own.get(path))
-    ]
-    return InverseResult(
-        rms_m=rms,
-        reduction_percent=reduction,
-        worst_ratio=max(ratios) if len(ratios) == len(mine) and ratios else None,
-        taken_back=sum(f.taken_back is not None for f in mine.values()),
     )

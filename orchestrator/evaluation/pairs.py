@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from nufleet.orchestrator.evaluation.results import EvaluationResult
+from nufleet.orchestrator.evaluation.results import EvaluationResult, IntervalCoverage
 from nufleet.orchestrator.evaluation.summaries import (
     kendall_tau,
     mean_kendall_tau,
@@ -56,6 +56,20 @@ class Regret(Strict):
     """Regret of flying with a source chosen at random: the mean over all sources."""
 
 
+class ChosenWays(Strict):
+    """The first flights of all targets, each in the way with the least predicted error."""
+
+    ways: dict[str, str]
+    """Way that was chosen, by target."""
+    regret: NonNegative | None
+    """Mean excess of its error over the least error of all ways, as a fraction of the baseline's;
+    None when no target can be compared."""
+    regret_max: NonNegative | None
+    """Largest of these over the targets."""
+    worse_than_baseline: Annotated[int, Field(ge=0)]
+    """Number of flights with the chosen way that left more error than the baseline."""
+
+
 class PairsResult(Document):
     """What `nufleet evaluate --all-pairs --json` prints."""
 
@@ -79,6 +93,12 @@ class PairsResult(Document):
     """Number of targets whose selected source left the smallest error."""
     harmful: Annotated[int, Field(ge=0)]
     """Number of pairs in which the target did worse than its baseline on at least one path."""
+    chosen: ChosenWays | None = None
+    """What flying in the way with the least predicted error cost; None without predictions."""
+    worse_than_baseline: Annotated[int, Field(ge=0)] = 0
+    """Number of flights, with any way, that left more error than the baseline on the same path."""
+    coverage: IntervalCoverage = IntervalCoverage(flights=0, inside=0)
+    """How often the predicted intervals contained the error, over all flights."""
     run: str
     """Path of the run's folder."""
 
@@ -112,6 +132,12 @@ def compare_pairs(targets: Sequence[EvaluationResult], run: str) -> PairsResult:
         else None,
         best_selected=sum(_best_was_selected(target) for target in targets),
         harmful=sum(pair.harmful for pair in pairs),
+        chosen=_chosen(targets),
+        worse_than_baseline=sum(target.worse_than_baseline for target in targets),
+        coverage=IntervalCoverage(
+            flights=sum(each.flights for t in targets for each in t.coverage.values()),
+            inside=sum(each.inside for t in targets for each in t.coverage.values()),
+        ),
         run=run,
     )
 
@@ -123,6 +149,23 @@ def transfer_pairs(pairs: Sequence[Pair]) -> tuple[TransferPair, ...]:
             pair.target, pair.source, pair.psi, math.inf if pair.ratio is None else pair.ratio
         )
         for pair in pairs
+    )
+
+
+def _chosen(targets: Sequence[EvaluationResult]) -> ChosenWays | None:
+    ways = {t.target: t.chosen_way for t in targets if t.chosen_way is not None}
+    if not ways:
+        return None
+    regrets = [
+        t.regret_m / t.baseline.rms_m
+        for t in targets
+        if t.regret_m is not None and t.baseline.rms_m
+    ]
+    return ChosenWays(
+        ways=ways,
+        regret=float(np.mean(regrets)) if regrets else None,
+        regret_max=max(regrets, default=None),
+        worse_than_baseline=sum(t.chosen_worse_than_baseline for t in targets),
     )
 
 

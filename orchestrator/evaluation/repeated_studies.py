@@ -1,4 +1,4 @@
-"""Repetitions of Algorithm 1 with several seeds, to see how its estimates scatter (Fig. 4)."""
+"""The studies of an evaluation: repetitions of Algorithm 1 (Fig. 4), and one ranking."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from nufleet.orchestrator.conduct.archive import Archive
-from nufleet.orchestrator.conduct.conductor import conduct
+from nufleet.orchestrator.conduct.conductor import Conclusion, conduct
 from nufleet.orchestrator.conduct.dispatcher import Dispatcher
-from nufleet.orchestrator.conduct.rank_run import ReadyStudy
+from nufleet.orchestrator.conduct.rank_run import Algorithm, ReadyStudy
 from nufleet.orchestrator.conduct.recipe import make_study
 from nufleet.orchestrator.evaluation.fly_target import Psi
 from nufleet.orchestrator.evaluation.results import StudyEstimates
@@ -58,19 +58,11 @@ def repeat_study(
     Raises:
         StudyError: A study cannot continue, because the target or every source is gone.
     """
-    specs = {robot: description.spec for robot, description in ready.descriptions.items()}
     studies = []
     responses: dict[str, list[FrequencyResponse]] = {}
     for seed in seeds:
         recorder = _Recorder()
-        study_id = f"{run_id}.{ready.plan.target}.s{seed}"
-        begun = archive.begin(study_id, "paper", ready.plan, seed, ready.descriptions)
-        log = archive.log(begun.study_id)
-        dispatcher = Dispatcher(fleet, log, specs, on_attempt_failed=recorder.attempt_failed)
-        kept = archive.repository.studies
-        with archive.conducting(begun.study_id, dispatcher.interrupt):
-            conclusion = conduct(make_study(begun, kept), log, dispatcher, recorder)
-        kept.end(begun.study_id, StudyStatus.COMPLETE, f"selected {conclusion.selected}")
+        conclusion = _conducted(fleet, ready, seed, f"s{seed}", "paper", run_id, archive, recorder)
         for robot, measured in conclusion.responses.items():
             responses.setdefault(robot, []).extend(measured)
         beliefs = recorder.beliefs
@@ -83,6 +75,48 @@ def repeat_study(
         studies.append(estimates)
         on_study(estimates)
     return RepeatedStudies(tuple(studies), responses)
+
+
+def rank_once(
+    fleet: Fleet, ready: ReadyStudy, seed: int, run_id: str, archive: Archive
+) -> Conclusion:
+    """Rank the sources as `nufleet rank` does, with the adaptive algorithm.
+
+    The study is stored under the id `{run_id}.{target}.rank`.
+
+    Args:
+        fleet: Client of the fleet, already connected.
+        ready: Study to conduct, prepared and checked.
+        seed: Seed of the study.
+        run_id: Prefix of the study's id.
+        archive: Repository that stores the study, with the leases on the robots.
+
+    Raises:
+        StudyError: The study cannot continue, because the target or every source is gone.
+    """
+    return _conducted(fleet, ready, seed, "rank", "adaptive", run_id, archive, _Recorder())
+
+
+def _conducted(
+    fleet: Fleet,
+    ready: ReadyStudy,
+    seed: int,
+    suffix: str,
+    algorithm: Algorithm,
+    run_id: str,
+    archive: Archive,
+    recorder: _Recorder,
+) -> Conclusion:
+    specs = {robot: description.spec for robot, description in ready.descriptions.items()}
+    study_id = f"{run_id}.{ready.plan.target}.{suffix}"
+    begun = archive.begin(study_id, algorithm, ready.plan, seed, ready.descriptions)
+    log = archive.log(begun.study_id)
+    dispatcher = Dispatcher(fleet, log, specs, on_attempt_failed=recorder.attempt_failed)
+    kept = archive.repository.studies
+    with archive.conducting(begun.study_id, dispatcher.interrupt):
+        conclusion = conduct(make_study(begun, kept), log, dispatcher, recorder)
+    kept.end(begun.study_id, StudyStatus.COMPLETE, f"selected {conclusion.selected}")
+    return conclusion
 
 
 def psi_of(studies: Sequence[StudyEstimates]) -> dict[str, Psi]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
+from nufleet.orchestrator.evaluation.error_curve import error_curve
 from nufleet.orchestrator.evaluation.pairs import PairsResult, transfer_pairs
 from nufleet.orchestrator.evaluation.plots import fig4, fig7, paths, scatter
 from nufleet.orchestrator.evaluation.results import (
@@ -71,6 +72,44 @@ def evaluation_table(result: EvaluationResult) -> Table:
     return table
 
 
+def ways_table(result: EvaluationResult) -> Table:
+    """Return a table of every way to fly, after the tests alone and after more own flying."""
+    unit = f"m{result.unit}"
+    table = Table(title=f"{result.target}: which way to fly", title_justify="left")
+    table.add_column("way", no_wrap=True)
+    for heading in ("own flying, s", f"expected {unit}", f"RMS {unit}", "less error", "withdrawn"):
+        table.add_column(heading, justify="right")
+    for way in result.ways:
+        low, high = _predicted(way.predicted_low_m), _predicted(way.predicted_high_m)
+        table.add_row(
+            way.way,
+            f"{way.own_flight_s:.0f}",
+            f"{_predicted(way.predicted_rms_m)} ({low} to {high})" if low else "",
+            _milli(way.rms_m),
+            "" if way.reduction_percent is None else f"{way.reduction_percent:.1f} %",
+            str(way.taken_back),
+            style="bold green" if way.way == result.chosen_way and not way.own_flight_s else None,
+        )
+    table.caption = "\n".join(_choices(result))
+    table.caption_justify = "left"
+    return table
+
+
+def _choices(result: EvaluationResult) -> list[str]:
+    lines = [
+        f"after {point.own_flight_s:.0f} s: the predictions choose {point.chosen_way}, "
+        f"{_milli(point.regret_m)} m{result.unit} above the best"
+        for point in result.points
+        if point.chosen_way is not None
+    ]
+    flights = sum(each.flights for each in result.coverage.values())
+    if flights:
+        inside = sum(each.inside for each in result.coverage.values())
+        lines.append(f"{inside} of {flights} errors lay in the interval predicted for them (90 %)")
+    lines.append(f"{result.worse_than_baseline} flights were worse than the baseline")
+    return lines
+
+
 def paper_table(result: EvaluationResult) -> Table:
     """Return a table that compares an evaluation with the paper's Table I.
 
@@ -120,13 +159,14 @@ def pairs_table(result: PairsResult) -> Table:
         f"{_or_dash(result.kendall_tau_trajectory_pooled)}; best source selected for "
         f"{result.best_selected} of {len(targets)} targets; {_regret(result)}worse than the "
         f"baseline on at least one path: {result.harmful} of {len(result.pairs)} pairs"
+        f"{_chosen_ways(result)}"
     )
     table.caption_justify = "left"
     return table
 
 
 def write_figures(folder: Path, record: EvaluationRecord, flights: Path) -> None:
-    """Draw the paper's Figs. 4 and 7 from this evaluation, and the paths that were flown.
+    """Draw the paper's Figs. 4 and 7, the errors against own flying, and the paths flown.
 
     Args:
         folder: Folder of the run; the figures go to its subfolder `plots`.
@@ -146,8 +186,10 @@ def write_figures(folder: Path, record: EvaluationRecord, flights: Path) -> None
             taken_back=flight.taken_back is not None,
         )
         for flight in record.flights
+        if flight.beyond_tests_s == 0
     ]
     fig7(plots / "fig7_errors.png", errors)
+    error_curve(plots / "curve.png", record.result)
     flown = _flown(flights, errors, record.result.unit)
     if flown:
         paths(plots / "paths.png", flown)
@@ -227,5 +269,19 @@ def _regret(result: PairsResult) -> str:
     )
 
 
-def _or_dash(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
+def _chosen_ways(result: PairsResult) -> str:
+    chosen, coverage = result.chosen, result.coverage
+    if chosen is None:
+        return ""
+    ways = ", ".join(f"{target} {way}" for target, way in chosen.ways.items())
+    return (
+        f"; the predictions choose: {ways}; regret of these {_or_dash(chosen.regret, 3)} of the "
+        f"baseline's error on average, {_or_dash(chosen.regret_max, 3)} at worst; flights worse "
+        "than the baseline: "
+        f"{chosen.worse_than_baseline} with them, {result.worse_than_baseline} with any way; "
+        f"{coverage.inside} of {coverage.flights} errors lay in their predicted interval (90 %)"
+    )
+
+
+def _or_dash(value: float | None, digits: int = 2) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

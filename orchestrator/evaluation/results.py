@@ -33,6 +33,8 @@ class FlightRecord(Strict):
     """Why the guard withdrew the prior; None when it did not."""
     failure: str | None
     """Why the path was not finished; None when it was."""
+    flown: bool = True
+    """False if the target refused to begin, as it knew too little of itself for the path."""
     deadline_misses: Annotated[int, Field(ge=0)]
     """Number of references that took longer to choose than a sample lasts."""
     weights: dict[str, Fraction] | None = None
@@ -41,6 +43,8 @@ class FlightRecord(Strict):
     own_flight_s: NonNegative | None = None
     """Duration of the motions that the target's model of itself rested on before the flight; that
     of its least known axis. None if unknown."""
+    beyond_tests_s: NonNegative = 0.0
+    """Duration of the target's rich flights before the flight, which its tests do not include."""
     predicted_rms_m: NonNegative | None = None
     """Error that the target expected, from its model of itself; None when it had none."""
     predicted_low_m: NonNegative | None = None
@@ -63,6 +67,48 @@ class InverseResult(Strict):
     """Largest ratio of a flight's error to the baseline's on the same path."""
     taken_back: Annotated[int, Field(ge=0)] = 0
     """Number of flights in which the guard withdrew the prior."""
+
+
+class WayResult(InverseResult):
+    """The tracking errors of one way to fly, after some flying of the target's own.
+
+    The predictions are means over the flights, like the errors.
+    """
+
+    way: str
+    """`baseline`, `none`, `own`, `mixture`, `own+mixture`, or the name of a source."""
+    own_flight_s: NonNegative
+    """Duration of the target's own rich flights before, beyond its tests. Ways that do not depend
+    on them are flown once, after the tests alone."""
+    predicted_rms_m: NonNegative | None = None
+    """Error that the target expected before the flights; None when it could not tell."""
+    predicted_low_m: NonNegative | None = None
+    """Error that it expected to exceed with a probability of 95 %."""
+    predicted_high_m: NonNegative | None = None
+    """Error that it expected to stay below with a probability of 95 %."""
+
+
+class CurvePoint(Strict):
+    """The choice among all ways after some flying of the target's own."""
+
+    own_flight_s: NonNegative
+    """Duration of the target's own rich flights before, beyond its tests."""
+    known_s: NonNegative | None
+    """Duration of all motions that its model of itself rested on, its tests included."""
+    chosen_way: str | None
+    """Way with the least predicted error; None when nothing was predicted."""
+    regret_m: NonNegative | None
+    """Error of the chosen way minus the least error of all ways; None when the chosen way was not
+    flown to the end of every path."""
+
+
+class IntervalCoverage(Strict):
+    """How often the predictions held: intervals that should contain 90 % of the errors."""
+
+    flights: Annotated[int, Field(ge=0)]
+    """Number of flights that had an error and a prediction."""
+    inside: Annotated[int, Field(ge=0)]
+    """Number of those whose error lay in the interval."""
 
 
 class SourceResult(InverseResult):
@@ -116,6 +162,23 @@ class EvaluationResult(Document):
     kendall_tau_trajectory: float | None = None
     """Rank correlation of the errors predicted for these paths with the sources' errors; None for
     fewer than two sources or without predictions."""
+    ways: tuple[WayResult, ...] = ()
+    """Errors of every way to fly, after the tests alone and, for ways that depend on it, after more
+    of the target's own flying."""
+    points: tuple[CurvePoint, ...] = ()
+    """The way that the predictions choose after the tests alone, and after more flying."""
+    chosen_way: str | None = None
+    """Way with the least predicted error for the first flights, after the tests alone."""
+    regret_m: NonNegative | None = None
+    """Error of the chosen way in the first flights minus the least error of all ways."""
+    noise_rms_m: NonNegative | None = None
+    """Error that a flight without any error would show, by the noise of the sensor alone."""
+    worse_than_baseline: Annotated[int, Field(ge=0)] = 0
+    """Number of flights, with any way, that left more error than the baseline on the same path."""
+    chosen_worse_than_baseline: Annotated[int, Field(ge=0)] = 0
+    """Number of those among the first flights with the chosen way."""
+    coverage: Annotated[dict[str, IntervalCoverage], Field(default_factory=dict)]
+    """How often the predictions held, by way."""
     run: str
     """Path of the run's folder."""
 

@@ -11,18 +11,27 @@ import numpy as np
 
 from nufleet.orchestrator.conduct.archive import Archive
 from nufleet.orchestrator.conduct.rank_run import ReadyStudy
-from nufleet.orchestrator.evaluation.fly_target import FlightObserver, fly_target, summarise
-from nufleet.orchestrator.evaluation.repeated_studies import psi_of, repeat_study
-from nufleet.orchestrator.evaluation.results import EVALUATION, EvaluationRecord
+from nufleet.orchestrator.evaluation.fly_target import (
+    FlightObserver,
+    flights_planned,
+    fly_target,
+    summarise,
+)
+from nufleet.orchestrator.evaluation.kept_records import KeptRecords
+from nufleet.orchestrator.evaluation.repeated_studies import psi_of, rank_once, repeat_study
+from nufleet.orchestrator.evaluation.results import EVALUATION, EvaluationRecord, FlightRecord
+from nufleet.orchestrator.evaluation.ways import sensor_noise_rms
 from nufleet.orchestrator.experience.learning import FLIGHT_S, know_itself
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.train import Trained, train_robots
 from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.flights.labels import BASELINE, prior_and_path
 from nufleet.orchestrator.flights.legs import Leg
-from nufleet.orchestrator.flights.pilot import Pilot
+from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
 from nufleet.orchestrator.runs.folder import RunFolder
 from nufleet.orchestrator.study.predicted_errors import predict_rms
 from nufleet.shared.experience.layout import Architecture
+from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Description
 
 Say = Callable[[str], None]
@@ -46,6 +55,11 @@ class EvaluationPlan:
     """Whether the guard may withdraw a prior in flight."""
     flight_s: float = FLIGHT_S
     """Duration of each flight that a robot learns from."""
+    own_flight_s: Sequence[float] = (0.0,)
+    """Durations of the target's own flying beyond its tests, rising from 0, after each of which it
+    flies with its model of itself."""
+    forget: bool = False
+    """Whether the target first forgets what it knows of itself; for robots started for this run."""
 
 
 def run_evaluation(
@@ -100,39 +114,92 @@ def run_evaluation(
         np.random.default_rng(plan.seed),
         omega_max_rad_s=study.band_rad_s[1],
     )
+    ranking = _tested(fleet, plan, run_id, archive, say=say)
     know_itself(fleet, pilot, study.target, seed=plan.seed, say=say)
     target = fleet.describe(study.target)
-    flights = fly_target(
-        fleet,
-        pilot,
-        library,
-        target,
-        order,
-        plan.legs,
-        plan.architecture,
-        guarded=plan.guarded,
-        observers=observers,
-        psi={source: psi[source].mean for source in order},
-    )
+    noise = _Noise()
+
+    def keep(flights: Sequence[FlightRecord]) -> EvaluationRecord:
+        result = summarise(
+            study.target,
+            flights,
+            psi,
+            plan.architecture,
+            predicted=predicted,
+            unit=target.spec.axis(study.axis).unit,
+            guarded=plan.guarded,
+            run=str(folder.path),
+            noise_rms=noise.rms,
+        )
+        record = EvaluationRecord(
+            result=result,
+            studies=studies.estimates,
+            flights=tuple(flights),
+            wall_time_s=time.monotonic() - began_s,
+        )
+        folder.write_document(EVALUATION, record)
+        return record
+
+    planned = flights_planned(len(order), len(plan.legs), len(plan.own_flight_s))
+    with KeptRecords(folder.path, planned, say=say, on_point=keep) as log:
+        flights = fly_target(
+            fleet,
+            pilot,
+            library,
+            target,
+            order,
+            plan.legs,
+            plan.architecture,
+            guarded=plan.guarded,
+            observers=[*observers, noise],
+            psi=ranking,
+            own_flight_s=plan.own_flight_s,
+            seed=plan.seed,
+            rehearse=True,
+            log=log,
+        )
     pilot.acknowledge_all()
-    result = summarise(
-        study.target,
-        flights,
-        psi,
-        plan.architecture,
-        predicted=predicted,
-        unit=target.spec.axis(study.axis).unit,
-        guarded=plan.guarded,
-        run=str(folder.path),
+    return keep(flights)
+
+
+def _tested(
+    fleet: Fleet, plan: EvaluationPlan, run_id: str, archive: Archive, *, say: Say
+) -> dict[str, float]:
+    """Have the target know of itself what one ranking shows; return ψ̂* of every source."""
+    study = plan.ready.plan
+    if plan.forget:
+        fleet.forget_own_model(study.target)
+    conclusion = rank_once(fleet, plan.ready, plan.seed, run_id, archive)
+    ranking = {estimate.robot: estimate.psi for estimate in conclusion.ranking}
+    target = fleet.describe(study.target)
+    known = ", ".join(
+        f"{axis.name} {target.own_flight_s.get(axis.name, 0.0):.0f} s" for axis in target.spec.axes
     )
-    record = EvaluationRecord(
-        result=result,
-        studies=studies.estimates,
-        flights=flights,
-        wall_time_s=time.monotonic() - began_s,
+    say(
+        f"ranked as by `nufleet rank`: {ranking_line(ranking)}; {study.target} knows itself from "
+        f"its tests{'' if plan.forget else ' and earlier motions'}: {known}"
     )
-    folder.write_document(EVALUATION, record)
-    return record
+    return ranking
+
+
+class _Noise:
+    """An observer that finds the noise of the target's sensor in its flights with the baseline."""
+
+    def __init__(self) -> None:
+        self._found: list[float] = []
+
+    @property
+    def rms(self) -> float | None:
+        """Error that the noise alone would leave; None before any flight."""
+        return float(np.mean(self._found)) if self._found else None
+
+    def begins(self, robot: str, label: str, spec: RobotSpec) -> None:
+        """Ignore the beginning of a flight."""
+
+    def ended(self, flight: PathFlight) -> None:
+        """Keep what a flight with the baseline shows."""
+        if prior_and_path(flight.label)[0] == BASELINE and flight.failure is None:
+            self._found.append(sensor_noise_rms(flight.actual))
 
 
 def prepare_robots(

@@ -245,6 +245,13 @@ class Fleet:
         request = RemovePriorRequest(sender=self.orchestrator_id, epoch=self.epoch(robot))
         self._ask(robot, "prior/remove", request, Done)
 
+    def forget_own_model(self, robot: str) -> None:
+        """Have a robot forget what it knows of itself, its baseline included."""
+        request = RemovePriorRequest(
+            sender=self.orchestrator_id, epoch=self.epoch(robot), what="own-model"
+        )
+        self._ask(robot, "prior/remove", request, Done)
+
     def forecast(
         self,
         robot: str,

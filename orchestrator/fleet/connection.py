@@ -142,8 +142,11 @@ def wait_for_robots(fleet: Fleet, started: FleetProcesses, file: FleetFile) -> N
             raise NufleetError("; ".join(dead))
         try:
             fleet.wait_for(missing, timeout_s=0.5)
-        except RobotLostError:
+        except RobotLostError as error:
             waited_s += 0.5
             if waited_s >= START_TIMEOUT_S:
-                raise
+                raise RobotLostError(
+                    f"robots {', '.join(missing)} did not start within {START_TIMEOUT_S:g} s, "
+                    "although their processes run: a busy machine may need longer, so try again"
+                ) from error
         missing = tuple(robot for robot in missing if not fleet.watch(robot).alive)

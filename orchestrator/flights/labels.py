@@ -13,6 +13,10 @@ MIXTURE = "mixture"
 OWN = "own"
 """Instead of a source: the robot's model of itself, inverted along the whole path."""
 
+
+OWN_MIXTURE = "own+mixture"
+"""Instead of a source: a mixture of all sources' experiences and the robot's model of itself."""
+
 _SEPARATOR = " · "
 
 

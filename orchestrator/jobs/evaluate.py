@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import click
@@ -17,6 +18,7 @@ from nufleet.orchestrator.evaluation.report import (
     evaluation_table,
     pairs_table,
     paper_table,
+    ways_table,
     write_figures,
     write_scatter,
 )
@@ -35,6 +37,7 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.paths.installed import drawing_names
+from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Description
 
 Drawings = dict[str, FloatArray]
@@ -42,6 +45,9 @@ Drawings = dict[str, FloatArray]
 
 SPEEDS = (0.3, 0.6, 0.9)
 """Largest speeds in m/s of the paper's trajectories (Section VI)."""
+
+OWN_FLIGHT_S = (0.0, 5.0, 15.0, 30.0, 60.0, 120.0)
+"""Durations in s of the target's own flying beyond its tests, unless the command says otherwise."""
 
 STUDIES = 10
 """Number of repeated studies of one target, unless the command says otherwise."""
@@ -54,6 +60,7 @@ QUICK_DRAWINGS = 2
 QUICK_SPEED = 0.6
 QUICK_STUDIES = 2
 QUICK_FLIGHT_S = 60.0
+QUICK_OWN_FLIGHT_S = (0.0, 15.0, 30.0)
 
 
 @dataclass(frozen=True)
@@ -79,6 +86,9 @@ class EvaluateCommand:
     the paper."""
     scale: float
     """Factor on the points of the drawings."""
+    own_flight_s: tuple[float, ...] | None
+    """Durations in s of the target's own flying beyond its tests, after each of which it flies with
+    its model of itself; None for the default."""
     studies: int | None
     """Number of repeated studies of each target; None for the default."""
     iterations: int
@@ -120,6 +130,15 @@ class EvaluateCommand:
         if self.speeds is not None:
             return self.speeds
         return (QUICK_SPEED,) if self.quick else SPEEDS
+
+    @property
+    def chosen_own_flight_s(self) -> tuple[float, ...]:
+        """Durations in s of the target's own flying beyond its tests, rising from 0."""
+        if self.own_flight_s is not None:
+            return tuple(sorted({0.0, *self.own_flight_s}))
+        if self.all_pairs:
+            return (0.0,)
+        return QUICK_OWN_FLIGHT_S if self.quick else OWN_FLIGHT_S
 
     @property
     def flight_s(self) -> float:
@@ -181,6 +200,7 @@ def evaluate(command: EvaluateCommand, console: Console) -> EvaluationResult | P
             write_figures(run.folder.path, record, run.table.path)
             result = record.result
             console.print(evaluation_table(result))
+            console.print(ways_table(result))
             if name == PAPERS_FLEET:
                 console.print(paper_table(result))
     if isinstance(result, PairsResult):
@@ -239,6 +259,7 @@ def _plan(
         check_would_fit(
             ready.descriptions[source], ready.descriptions[target], command.architecture
         )
+    check_own_flights(command.chosen_own_flight_s, ready.descriptions[target].spec, target)
     return EvaluationPlan(
         ready=ready,
         legs=legs_of(
@@ -249,7 +270,29 @@ def _plan(
         seed=command.seed,
         guarded=command.guarded,
         flight_s=command.flight_s,
+        own_flight_s=command.chosen_own_flight_s,
+        forget=command.fleet_file is not None,
     )
+
+
+def check_own_flights(own_flight_s: Sequence[float], spec: RobotSpec, robot: str) -> None:
+    """Check that a robot may fly for as long as each rich flight of an evaluation takes.
+
+    Args:
+        own_flight_s: Durations of its own flying, rising, between which it flies without a break.
+        spec: Description of the robot.
+        robot: Name of the robot, for error messages.
+
+    Raises:
+        InvalidInputError: It may not.
+    """
+    longest_s = max((after - before for before, after in pairwise(own_flight_s)), default=0.0)
+    allowed_s = spec.duration_max_s - spec.settling_time_s
+    if longest_s > allowed_s:
+        raise InvalidInputError(
+            f"--own-flight has robot {robot} fly for {longest_s:g} s at once, and it may fly for "
+            f"{allowed_s:g} s: add a duration in between"
+        )
 
 
 def _library(command: EvaluateCommand, run: FlyingRun) -> ExperienceLibrary:
@@ -264,7 +307,8 @@ def _evaluated(
     study = plan.ready.plan
     run.console.print(
         f"[bold]target {study.target}[/]: {len(plan.legs)} paths with "
-        f"{len(study.sources) + 2} inverses"
+        f"{len(study.sources) + 4} inverses, and with its model of itself again after "
+        f"{' and '.join(f'{s:g}' for s in plan.own_flight_s[1:]) or 0} s"
     )
     return run_evaluation(
         run.connection.fleet,

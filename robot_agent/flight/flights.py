@@ -186,7 +186,8 @@ class _Path:
             stopped=lambda: self._switch.order is not None,
         )
         if self._record.failure is None:
-            self._learn(self._record)
+            if self._motion.remember:
+                self._learn(self._record)
             return Outcome.COMPLETED, ""
         if self._record.failure == STOPPED and self._switch.order is not None:
             return self._switch.order

@@ -272,6 +272,16 @@ class Memory:
             self._keep_records(records)
             self._settled = None
 
+    def forget_own_model(self) -> None:
+        """Remove what the robot knows of itself; its next motions teach it again.
+
+        Raises:
+            MemoryFolderError: It cannot be removed.
+        """
+        with self._lock:
+            self._keep_records({})
+            self._settled = None
+
     def learn_unexplained(self, unexplained: Mapping[str, Unexplained], spec: RobotSpec) -> None:
         """Store what a flight, known to `own_model` already, left unexplained, by the axes' names.
 

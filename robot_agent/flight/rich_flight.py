@@ -16,6 +16,7 @@ from nufleet.shared.robots.spec import RobotSpec, TrackingLimits
 
 _PIECE_RAD = 15.0  # length in radians of the slowest piece's highest tone: 15 s at 1 rad/s
 _FADE_RAD = 2.0  # length of the fade at either end of a piece, likewise
+_PERIODS_MIN = 4  # of the highest tone, in a flight shorter than one piece
 _PIECE_SAMPLES_MIN = 16
 _PARTS = 4  # pieces that take turns: each reaches up to another part of the band
 _OMEGA_MAX_RAD_S = 6.0  # drawings contain nothing faster
@@ -40,11 +41,13 @@ def rich_references(spec: RobotSpec, duration_s: float, rng: np.random.Generator
 
     They consist of pieces, each a sum of eight sinusoids with random phases over a part of the
     robot's band. Slow pieces reach the limit on position or speed, fast ones the limit on
-    acceleration. A piece lasts 15 s, and longer for a robot whose band ends below 2 rad/s.
+    acceleration. A piece lasts 15 s, and longer for a robot whose band ends below 2 rad/s. A
+    shorter flight is one piece of its duration, but of at least four periods of the band's upper
+    edge.
 
     Args:
         spec: Description of the robot, whose band and tracking limits the references keep to.
-        duration_s: Shortest duration in seconds; a robot flies whole pieces.
+        duration_s: Shortest duration in seconds; beyond one piece, a robot flies whole pieces.
         rng: Generator of the frequencies, phases and weights.
 
     Returns:
@@ -60,7 +63,8 @@ def rich_references(spec: RobotSpec, duration_s: float, rng: np.random.Generator
     # A slower robot needs the same number of periods, hence longer pieces with softer ends, to stay
     # within its band.
     slow = min(1.0, top / 2)
-    piece_s = _PIECE_RAD / slow
+    whole_s = _PIECE_RAD / slow
+    piece_s = max(_PERIODS_MIN * 2 * math.pi / top, min(whole_s, duration_s))
     samples = max(_PIECE_SAMPLES_MIN, round(piece_s / spec.sample_time_s))
     pieces = math.ceil(duration_s / piece_s)
     highest = np.geomspace(min(max(slow, 3 * spec.omega_min_rad_s), top), top, _PARTS)

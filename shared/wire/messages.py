@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -269,12 +269,14 @@ class InstallRequest(Message):
 
 
 class RemovePriorRequest(Message):
-    """Request to remove all priors of a robot."""
+    """Request to remove all priors of a robot, or its model of itself."""
 
     sender: Identifier
     """Orchestrator that sends the request."""
     epoch: Epoch = 0
     """Epoch of its lease on the robot."""
+    what: Literal["priors", "own-model"] = "priors"
+    """What the robot is to forget. Without a model of itself it knows its baseline no longer."""
 
 
 WAYS_MAX = 32

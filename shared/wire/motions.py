@@ -75,6 +75,9 @@ class Way(Strict):
     """True if the flight falls back to the baseline once it does worse than the baseline would."""
     learn: bool = True
     """False if the prior is used as it is, without learning online."""
+    remember: bool = True
+    """False if the flight adds nothing to the robot's model of itself: the next one then begins
+    with the same knowledge, so that the two can be compared."""
 
     @model_validator(mode="after")
     def _complete(self) -> Self:

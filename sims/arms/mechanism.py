@@ -136,6 +136,16 @@ def nominal_inertia_kg_m2(settings: ArmSettings) -> FloatArray:
     return diagonal
 
 
+def servo_gains(settings: ArmSettings) -> tuple[FloatArray, FloatArray]:
+    """Return stiffness [N m/rad] and damping [N m s/rad] of each joint's controller, shape (2,).
+
+    The gains k = J ω_n² and d = 2 ζ J ω_n give a joint of the nominal inertia J the natural
+    frequency ω_n and the damping ratio ζ.
+    """
+    inertia, omega = nominal_inertia_kg_m2(settings), settings.natural_frequency_rad_s
+    return inertia * omega**2, inertia * 2 * settings.damping_ratio * omega
+
+
 def _bare_arm(shipped: _ShippedModel, rotor_inertia_kg_m2: float) -> Any:
     """Return the shipped arm with two moving joints, and without scenery, motors or contacts."""
     package = importlib.util.find_spec("gymnasium")
@@ -159,24 +169,19 @@ def _bare_arm(shipped: _ShippedModel, rotor_inertia_kg_m2: float) -> Any:
 
 
 def _controlled_arm(settings: ArmSettings) -> Any:
-    """Return the arm with payload, damping and a PD controller on each joint.
-
-    The gains k = J ω_n² and d = 2 ζ J ω_n give a joint of the nominal inertia J the natural
-    frequency ω_n and the damping ratio ζ.
-    """
+    """Return the arm with payload, damping, friction and a PD controller on each joint."""
     shipped = _MODELS[settings.model]
-    inertia = nominal_inertia_kg_m2(settings)
+    stiffness, damping = servo_gains(settings)
     spec = _bare_arm(shipped, settings.rotor_inertia_kg_m2)
     if settings.payload_kg > 0:
         spec.body(shipped.tip).add_geom(
             type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0, 0], mass=settings.payload_kg
         )
-    stiffness = inertia * settings.natural_frequency_rad_s**2
-    damping = inertia * 2 * settings.damping_ratio * settings.natural_frequency_rad_s
     names = (shipped.shoulder, shipped.elbow)
-    for name in names:
+    for name, friction_nm in zip(names, settings.joint_friction_nm, strict=True):
         joint = spec.joint(name)
         joint.damping = joint.damping * settings.joint_damping_scale
+        joint.frictionloss = friction_nm
         joint.actfrclimited = True
         joint.actfrcrange = [-settings.torque_max_nm, settings.torque_max_nm]
     for name, gain in zip(names, stiffness, strict=True):

@@ -7,7 +7,7 @@ import numpy as np
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
-from nufleet.sims.arms.mechanism import Mechanism
+from nufleet.sims.arms.mechanism import Mechanism, servo_gains
 from nufleet.sims.arms.settings import SAMPLE_TIME_S, ArmSettings
 from nufleet.sims.measurement_noise import MeasurementNoise
 from nufleet.sims.simulated_robot import RestRule, SimulatedRobot
@@ -20,7 +20,8 @@ ERROR_MAX_RAD = 1.0
 """Distance from its reference at which a joint has lost it, because the torque limit or a stop
 holds it back."""
 
-REST = RestRule(speed=0.5, position_max=0.005, velocity_max=0.01, patience_s=30.0)
+REST_MAX_RAD = 0.005
+"""Distance from its home angle within which a joint without friction counts as at rest there."""
 
 
 class Arm(SimulatedRobot):
@@ -33,7 +34,7 @@ class Arm(SimulatedRobot):
             _spec(settings),
             STATE_NAMES,
             MeasurementNoise(np.tile(sigma, (2, 1)), rng),
-            REST,
+            _rest_rule(settings),
         )
         self._mechanism = Mechanism(settings)
 
@@ -53,6 +54,18 @@ class Arm(SimulatedRobot):
                 f"motion: the error is {error_rad[k]:.2f} rad; drive it more gently"
             )
         return np.concatenate([before, after])
+
+
+def _rest_rule(settings: ArmSettings) -> RestRule:
+    # A proportional controller leaves a joint where friction balances the servo's spring.
+    stiffness, _ = servo_gains(settings)
+    stuck = np.array(settings.joint_friction_nm) / stiffness
+    return RestRule(
+        speed=0.5,
+        position_max=REST_MAX_RAD + float(stuck.max()),
+        velocity_max=0.01,
+        patience_s=30.0,
+    )
 
 
 def _spec(settings: ArmSettings) -> RobotSpec:

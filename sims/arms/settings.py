@@ -40,10 +40,10 @@ class ReferenceLimits(Strict):
 class ArmSettings(Strict):
     """One simulated arm: shoulder and elbow move, the other joints are locked.
 
-    The arm may differ from the shipped model in a payload at the tip, the joints' viscous damping,
-    and the inertia of the motors' rotors. The controller knows the shipped model with the given
-    rotors, but neither payload nor damping. On each joint it is a PD controller whose gains give
-    that nominal inertia the natural frequency and the damping ratio.
+    The arm may differ from the shipped model in a payload at the tip, the joints' viscous damping
+    and Coulomb friction, and the inertia of the motors' rotors. The controller knows the shipped
+    model with the given rotors, but neither payload nor damping nor friction. On each joint it is a
+    PD controller whose gains give that nominal inertia the natural frequency and the damping ratio.
     """
 
     model: Literal["pusher", "reacher"]
@@ -66,6 +66,9 @@ class ArmSettings(Strict):
 
     joint_damping_scale: Positive = 1.0
     """Factor on the viscous damping of the shipped joints."""
+
+    joint_friction_nm: tuple[NonNegative, NonNegative] = (0.0, 0.0)
+    """Coulomb friction of shoulder and elbow: the torque that either opposes to any motion."""
 
     velocity_reference: bool = True
     """Whether the controller also receives the reference's backward difference as velocity."""

@@ -7,4 +7,6 @@ from pathlib import Path
 ARMS = Path(__file__).with_name("arms.toml")
 PAPER_LINEAR = Path(__file__).with_name("paper_linear.toml")
 PAPER_QUADROTORS = Path(__file__).with_name("paper_quadrotors.toml")
+PARCELS = Path(__file__).with_name("parcels.toml")
 WEAK_SOURCE = Path(__file__).with_name("weak_source.toml")
+WORN_ARMS = Path(__file__).with_name("worn_arms.toml")

@@ -49,7 +49,7 @@ class QuadrotorDriver:
         hangar = Hangar()
         generators = rng.spawn(len(settings))
         return {
-            name: Quadrotor(name, entry, *hangar.plant(entry), own)
+            name: Quadrotor(name, entry, *hangar.plant(entry, own), own)
             for (name, entry), own in zip(settings.items(), generators, strict=True)
         }
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.sims.quadrotors.controllers import GroundStation, firmware_setpoint, offboard_command
+from nufleet.sims.quadrotors.moving_air import MovingAir, drag_force, next_gust
 from nufleet.sims.quadrotors.settings import CONTROL_HZ, PHYSICS_HZ, SAMPLE_TIME_S
 
 CHUNK_SAMPLES = 256
@@ -30,6 +31,9 @@ class Plant(NamedTuple):
 
     station: GroundStation | None
     """Off-board controller; None for a vehicle that takes full-state setpoints."""
+
+    air: MovingAir | None
+    """Air that resists the vehicle; None for air at rest."""
 
     reference: jax.Array
     """Last reference in m, shape (2,)."""
@@ -108,9 +112,19 @@ def _sample(step: Step, plant: Plant, reference: jax.Array) -> Plant:
     velocity = plant.velocity_gain * (reference - plant.reference) / SAMPLE_TIME_S
     plant = plant._replace(reference=reference)
     for _ in range(TICKS_PER_SAMPLE):
+        plant = _in_air(plant)
         plant = _command(plant, reference, velocity)
         plant = plant._replace(data=step(plant.data, STEPS_PER_TICK))
     return plant
+
+
+def _in_air(plant: Plant) -> Plant:
+    if plant.air is None:
+        return plant
+    air, states = next_gust(plant.air), plant.data.states
+    force = jnp.broadcast_to(drag_force(air, states.vel[0, 0]), states.force.shape)
+    data = plant.data.replace(states=states.replace(force=force))
+    return plant._replace(data=data, air=air)
 
 
 def _command(plant: Plant, reference: jax.Array, velocity: jax.Array) -> Plant:

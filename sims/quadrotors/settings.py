@@ -103,6 +103,24 @@ class AttitudeVehicle(Strict):
         return self
 
 
+class Air(Strict):
+    """The air that a vehicle flies through: drag that grows with the square of the airspeed, gusts.
+
+    The force on the vehicle is −½ ρ C_D A |v − w| (v − w), with its velocity v and the wind w. The
+    wind is horizontal; each of its components is a first-order Gauss-Markov process, as the
+    longitudinal gusts of the Dryden model are (MIL-F-8785C).
+    """
+
+    drag_area_m2: NonNegative
+    """Drag coefficient times frontal area, C_D A."""
+
+    gust_std_m_s: NonNegative = 0.0
+    """Standard deviation of either component of the wind."""
+
+    gust_time_s: Positive = 1.0
+    """Time in which the correlation of the wind with itself falls to 1/e."""
+
+
 class SensorNoise(Strict):
     """Standard deviations of the states recorded in flight, white from sample to sample.
 
@@ -145,6 +163,9 @@ class QuadrotorSettings(Strict):
 
     vehicle: Annotated[MellingerVehicle | AttitudeVehicle, Field(discriminator="controller")]
     """Vehicle and its baseline controller."""
+
+    air: Air | None = None
+    """Air that resists the vehicle beyond what its own dynamics contain; None for air at rest."""
 
     velocity_reference: bool = True
     """Whether the controller also receives the reference's backward difference as the wanted

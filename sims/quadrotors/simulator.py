@@ -10,9 +10,11 @@ from typing import Any
 
 import jax.numpy as jnp
 import mujoco
+import numpy as np
 
 from nufleet.sims.quadrotors.controllers import GRAVITY_M_S2, HOVER_HEIGHT_M, GroundStation
 from nufleet.sims.quadrotors.flight import Flight, Plant, Step
+from nufleet.sims.quadrotors.moving_air import moving_air
 from nufleet.sims.quadrotors.settings import (
     CONTROL_HZ,
     LINK_TICKS,
@@ -47,26 +49,34 @@ class Hangar:
 
     def __init__(self) -> None:
         self._simulators: dict[tuple[str, str], tuple[Any, Step]] = {}
-        self._flights: dict[tuple[str, str], Flight] = {}
+        self._flights: dict[tuple[str, str, bool], Flight] = {}
         # Otherwise MuJoCo would write its warnings to a file in the working directory.
         mujoco.set_mju_user_warning(lambda message: log.debug("mujoco: %s", message))
 
-    def plant(self, settings: QuadrotorSettings) -> tuple[Flight, Plant]:
-        """Return the program that flies a vehicle, and the vehicle in the air at the origin."""
+    def plant(self, settings: QuadrotorSettings, rng: np.random.Generator) -> tuple[Flight, Plant]:
+        """Return the program that flies a vehicle, and the vehicle in the air at the origin.
+
+        Args:
+            settings: Settings of the vehicle.
+            rng: Generator that gives the gusts their seed; unused in air at rest.
+        """
         vehicle = settings.vehicle
         if isinstance(vehicle, MellingerVehicle):
             simulator, step = self._simulator(vehicle.airframe, vehicle.dynamics, "state")
             data, station = _crazyflie(simulator, vehicle), None
-            kind = (vehicle.dynamics, "state")
+            kind = (vehicle.dynamics, "state", settings.air is not None)
         else:
             # The airframe only provides the structure: every parameter that acts is replaced.
             simulator, step = self._simulator("cf2x_L250", "so_rpy_rotor_drag", "attitude")
             data, station = _attitude_vehicle(simulator, vehicle), _ground_station(vehicle)
-            kind = ("so_rpy_rotor_drag", "attitude")
+            kind = ("so_rpy_rotor_drag", "attitude", settings.air is not None)
         position = data.states.pos.at[..., 2].set(HOVER_HEIGHT_M)
         data = data.replace(states=data.states.replace(pos=position))
         gain = jnp.float32(1.0 if settings.velocity_reference else 0.0)
-        plant = Plant(data, station, jnp.zeros(2), gain)
+        air = None
+        if settings.air is not None:
+            air = moving_air(settings.air, int(rng.integers(2**31)))
+        plant = Plant(data, station, air, jnp.zeros(2), gain)
         if kind not in self._flights:
             self._flights[kind] = Flight(step, plant)
         return self._flights[kind], plant

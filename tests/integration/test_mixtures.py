@@ -104,7 +104,9 @@ def test_all_priors_are_put_back_in_their_order(fleet: Fleet) -> None:
     assert held(fleet) == ["source-1", "source-2", "source-3"]
 
 
-def test_an_evaluation_flies_the_mixture_of_all_sources_last(sources: Fleet) -> None:
+def test_an_evaluation_flies_every_way_and_its_own_model_again_after_more_flying(
+    sources: Fleet,
+) -> None:
     before = experience("somebody", seed=9)
     install(sources, "target", "prior", before)
     pilot, target = Pilot(sources, "run"), sources.describe("target")
@@ -122,16 +124,34 @@ def test_an_evaluation_flies_the_mixture_of_all_sources_last(sources: Fleet) -> 
         guarded=True,
         observers=(),
         psi=psi,
+        own_flight_s=(0.0, 5.0, 12.0),
     )
-    assert [flight.inverse for flight in flights][-4:] == [*names, "mixture"]
-    weights = flights[-1].weights
-    assert weights is not None
-    assert set(weights) == {*names, "none"}
+    assert [flight.inverse for flight in flights] == [
+        *("own", "baseline", "none", "source-1", "source-2", "source-3", "mixture", "own", "own"),
+    ]
+    mixed = next(flight for flight in flights if flight.inverse == "mixture")
+    assert mixed.weights is not None
+    assert set(mixed.weights) == {*names, "none"}
     assert held(sources) == ["somebody"]
     estimates = {source: Psi(value, 0.01) for source, value in psi.items()}
     result = summarise("target", flights, estimates, "preview", unit="m", guarded=True, run="")
     assert result.mixture is not None
-    assert result.mixture.rms_m == flights[-1].rms_m
+    assert result.mixture.rms_m == mixed.rms_m
+    # Only its own rich flights taught it more about itself.
+    beyond_s = [flight.beyond_tests_s for flight in flights]
+    assert beyond_s == pytest.approx([0.0] * 7 + [5.0, 12.0], abs=0.1)
+    known_s = [flight.own_flight_s for flight in flights]
+    assert known_s[:7] == [known_s[0]] * 7
+    assert known_s[7] != known_s[0]
+
+
+def test_a_robot_forgets_what_it_knows_of_itself(fleet: Fleet) -> None:
+    pilot = Pilot(fleet, "run")
+    pilot.baseline("target", PATH, "baseline")
+    assert fleet.describe("target").baseline_known
+    fleet.forget_own_model("target")
+    assert not fleet.describe("target").baseline_known
+    assert refusal(lambda: pilot.own("target", PATH, "own")) == "no-own-model"
 
 
 def transferred(lab: Lab, runs_root: Path, source: str) -> TransferResult:

@@ -10,6 +10,7 @@ from scipy.stats import kendalltau
 
 from nufleet.orchestrator.evaluation.pairs import PairsResult, compare_pairs
 from nufleet.orchestrator.evaluation.report import pairs_table
+from nufleet.orchestrator.evaluation.results import IntervalCoverage
 
 
 def test_every_ordered_pair_is_there_with_its_share_of_the_baseline() -> None:
@@ -87,3 +88,26 @@ def test_the_document_is_read_back_as_it_was_written() -> None:
     result = compare_pairs([A, B, C], "runs/1")
     assert PairsResult.model_validate_json(result.document()) == result
     assert not math.isnan(result.kendall_tau or 0.0)
+
+
+def test_the_ways_that_the_predictions_choose_are_judged_by_their_regret() -> None:
+    counted = {"own": IntervalCoverage(flights=4, inside=3)}
+    a = A.model_copy(update={"chosen_way": "own", "regret_m": 0.01, "coverage": counted})
+    b = B.model_copy(
+        update={
+            "chosen_way": "a",
+            "regret_m": 0.04,
+            "coverage": counted,
+            "worse_than_baseline": 3,
+            "chosen_worse_than_baseline": 1,
+        }
+    )
+    result = compare_pairs([a, b, C], "runs/1")
+    chosen = result.chosen
+    assert chosen is not None
+    assert chosen.ways == {"a": "own", "b": "a"}
+    assert (chosen.regret, chosen.regret_max) == pytest.approx(((0.05 + 0.4) / 2, 0.4))
+    assert (chosen.worse_than_baseline, result.worse_than_baseline) == (1, 3)
+    assert (result.coverage.inside, result.coverage.flights) == (6, 8)
+    assert "6 of 8 errors" in str(pairs_table(result).caption)
+    assert compare_pairs([A, B, C], "runs/1").chosen is None

@@ -41,10 +41,15 @@ def test_references_keep_to_every_limit_and_reach_one(seed: int) -> None:
     st.sampled_from([(0.01, 0.3), (0.001, 0.02), (0.1, 1.0), (0.5, 5.0), (10.0, 30.0)]),
     st.sampled_from([0.02, 0.1, 1.0]),
     st.sampled_from([0.0, 0.3, 5.0]),
+    st.sampled_from([5.0, 60.0]),
     st.integers(0, 1000),
 )
 def test_references_stay_in_the_band_of_a_robot_of_any_speed(
-    band_rad_s: tuple[float, float], sample_time_s: float, settling_time_s: float, seed: int
+    band_rad_s: tuple[float, float],
+    sample_time_s: float,
+    settling_time_s: float,
+    duration_s: float,
+    seed: int,
 ) -> None:
     lowest, highest = band_rad_s
     assume(highest < np.pi / sample_time_s)
@@ -56,7 +61,7 @@ def test_references_stay_in_the_band_of_a_robot_of_any_speed(
             "settling_time_s": settling_time_s,
         }
     )
-    references = rich_references(spec, 60.0, np.random.default_rng(seed))
+    references = rich_references(spec, duration_s, np.random.default_rng(seed))
     speeds, accelerations = speeds_and_accelerations(references, sample_time_s)
     assert np.abs(references).max() <= (1 + 1e-9) * LIMITS.position_max
     assert speeds.max() <= (1 + 1e-9) * LIMITS.speed_max
@@ -64,6 +69,14 @@ def test_references_stay_in_the_band_of_a_robot_of_any_speed(
     power = (np.abs(np.fft.rfft(references, axis=0)) ** 2).sum(axis=1)
     omega_rad_s = 2 * np.pi * np.fft.rfftfreq(len(references), sample_time_s)
     assert power[omega_rad_s > highest].sum() < 0.05 * power.sum()
+
+
+@pytest.mark.parametrize("duration_s", [5.0, 10.0, 15.0, 60.0])
+def test_a_flight_lasts_as_long_as_it_is_asked_to(duration_s: float) -> None:
+    spec = LaggedRobot().spec
+    references = rich_references(spec, duration_s, np.random.default_rng(0))
+    assert len(references) * spec.sample_time_s == pytest.approx(duration_s, abs=0.1)
+    assert np.abs(references).max() > 0.1
 
 
 def test_the_same_generator_gives_the_same_references() -> None:

@@ -292,7 +292,12 @@ STRATEGIES: dict[type[Message], st.SearchStrategy[Message]] = {
     InstallRequest: st.builds(
         InstallRequest, sender=identifiers, epoch=epochs, sha256=digests, payload=st.binary()
     ),
-    RemovePriorRequest: st.builds(RemovePriorRequest, sender=identifiers, epoch=epochs),
+    RemovePriorRequest: st.builds(
+        RemovePriorRequest,
+        sender=identifiers,
+        epoch=epochs,
+        what=st.sampled_from(["priors", "own-model"]),
+    ),
     ForecastRequest: st.builds(
         ForecastRequest, desired=flights, ways=st.lists(ways, min_size=1, max_size=4).map(tuple)
     ),

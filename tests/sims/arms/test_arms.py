@@ -17,7 +17,7 @@ from nufleet.shared.models.linear_model import LinearModel
 from nufleet.shared.robots.drivers import RobotDriver
 from nufleet.shared.robots.fleet_file import FleetFile
 from nufleet.sims.arms.driver import DRIVER
-from nufleet.sims.arms.mechanism import STEPS_PER_SAMPLE, nominal_inertia_kg_m2
+from nufleet.sims.arms.mechanism import STEPS_PER_SAMPLE, nominal_inertia_kg_m2, servo_gains
 from nufleet.sims.arms.robot import Arm
 from nufleet.sims.arms.settings import ArmSettings, EncoderNoise
 
@@ -208,6 +208,55 @@ def test_an_arm_held_back_by_its_torque_limit_fails_until_it_is_connected_anew(
         robot.step(np.zeros(2))
     robot.connect()
     robot.rest()
+
+
+FRICTION_NM = (0.3, 0.04)
+
+
+@pytest.fixture
+def worn(settings: dict[str, ArmSettings]) -> Robot:
+    """The target with friction in its joints, without measurement noise, connected."""
+    silence = EncoderNoise(position_rad=0.0, velocity_rad_s=0.0)
+    own = settings["target"].model_copy(update={"noise": silence, "joint_friction_nm": FRICTION_NM})
+    robot = DRIVER.build({"worn": own}, np.random.default_rng(0))["worn"]
+    robot.connect()
+    return robot
+
+
+@pytest.mark.parametrize("speed_rad_s", [0.02, 0.1, -0.1])
+def test_friction_takes_the_same_torque_from_the_servo_at_any_speed(
+    speed_rad_s: float, settings: dict[str, ArmSettings], worn: Robot
+) -> None:
+    """At constant speed the spring of the servo balances friction: k e = f + b v."""
+    times_s = np.arange(200)[:, np.newaxis] * 0.02
+    references = np.tile(speed_rad_s * times_s, (1, 2))
+    # The reference moves in steps; on average it is where it was half a sample ago.
+    lag_rad = (references - worn.run(references))[-1] - 0.01 * speed_rad_s
+    stiffness, _ = servo_gains(settings["target"])
+    expected = np.sign(speed_rad_s) * np.array(FRICTION_NM)
+    expected += np.array(SHIPPED_DAMPING_NMS["pusher"]) * speed_rad_s
+    np.testing.assert_allclose(lag_rad, expected / stiffness, rtol=0.1)
+
+
+def test_friction_holds_a_joint_where_it_stopped_and_that_is_rest(
+    settings: dict[str, ArmSettings], worn: Robot
+) -> None:
+    stiffness, _ = servo_gains(settings["target"])
+    worn.run(wandering(233))
+    worn.rest()
+    away = np.abs(worn.measure_output())
+    assert away.max() > 0.001
+    assert (away <= 1.1 * np.array(FRICTION_NM) / stiffness).all()
+
+
+def test_the_worn_fleet_differs_in_friction_load_and_tuning(
+    fleet_file: Callable[[str], FleetFile],
+    settings_of: Callable[[FleetFile, RobotDriver], dict[str, Any]],
+) -> None:
+    worn: dict[str, ArmSettings] = settings_of(fleet_file("worn_arms"), DRIVER)
+    assert len(set(worn.values())) == len(worn) == 5
+    assert worn["source-2"].joint_friction_nm == (0.0, 0.0)
+    assert worn["target"].joint_friction_nm == worn["source-1"].joint_friction_nm == FRICTION_NM
 
 
 def test_a_minute_is_one_call_of_a_compiled_program(
