@@ -6,6 +6,7 @@ there (`nufleet rank --help`); the fields of the results are documented where th
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +16,8 @@ from rich.console import Console
 from nufleet.orchestrator.history.catalogue import Run, read_run
 from nufleet.orchestrator.runs.folder import find_run
 from nufleet.shared.robots.fleet_file import find_fleet_file
-from nufleet.shared.wire.transport import DEFAULT_ENDPOINT
+from nufleet.shared.wire.identity import IDENTITY_VARIABLE
+from nufleet.shared.wire.openness import LOCAL_ENDPOINT, chosen_address, open_is_accepted
 
 if TYPE_CHECKING:
     from nufleet.orchestrator.conduct.rank_run import Algorithm
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
 def rank(
     fleet: str | Path | None = None,
     *,
-    connect: str = DEFAULT_ENDPOINT,
+    connect: str | None = None,
     fleet_name: str | None = None,
     target: str | None = None,
     sources: Sequence[str] | None = None,
@@ -55,7 +57,8 @@ def rank(
     Args:
         fleet: Path of a fleet file, or name of an installed one, whose robots are started for the
             ranking and ended after it; None for the fleet that runs at `connect`.
-        connect: Endpoint of the running fleet.
+        connect: Endpoint of the running fleet, or `identity/FILE`; None for what the command takes
+            without an option. An endpoint of another machine needs NUFLEET_OPEN=1.
         fleet_name: Name of the running fleet; None when only one is running there.
         target: Name of the robot that needs experience; None for the target of the fleet file.
         sources: Names of the robots that have experience; None for all but the target.
@@ -87,7 +90,7 @@ def rank(
 
     command = RankCommand(
         fleet_file=None if fleet is None else find_fleet_file(str(fleet)),
-        connect=connect,
+        connect=_address(connect) if fleet is None else LOCAL_ENDPOINT,
         fleet_name=fleet_name,
         target=target,
         sources=None if sources is None else tuple(sources),
@@ -114,7 +117,7 @@ def transfer(
     *,
     file: str | Path | None = None,
     architecture: Architecture | None = None,
-    connect: str = DEFAULT_ENDPOINT,
+    connect: str | None = None,
     fleet_name: str | None = None,
     runs_root: str | Path = "runs",
     repository: str | None = None,
@@ -129,7 +132,8 @@ def transfer(
             `file` is given.
         file: File of an experience; None to take one from a source.
         architecture: Architecture of the experience; None for the only one there is.
-        connect: Endpoint of the running fleet.
+        connect: Endpoint of the running fleet, or `identity/FILE`; None for what the command takes
+            without an option. An endpoint of another machine needs NUFLEET_OPEN=1.
         fleet_name: Name of the running fleet; None when only one is running there.
         runs_root: Folder that holds the folders of all runs, rankings among them.
         repository: Address of the repository; None for the one in `runs_root`.
@@ -145,7 +149,7 @@ def transfer(
     from nufleet.orchestrator.jobs.transfer import transfer as work
 
     command = TransferCommand(
-        connect=connect,
+        connect=_address(connect),
         fleet_name=fleet_name,
         target=target,
         source=source,
@@ -169,7 +173,7 @@ def track(
     guarded: bool = True,
     rich_flight_s: float | None = None,
     live: bool = False,
-    connect: str = DEFAULT_ENDPOINT,
+    connect: str | None = None,
     fleet_name: str | None = None,
     runs_root: str | Path = "runs",
     repository: str | None = None,
@@ -192,7 +196,8 @@ def track(
         rich_flight_s: Duration in s of a rich flight before the drawings, from which the robot
             learns more of itself; None for none, unless its guard knows nothing yet.
         live: Whether to serve the recording to viewers during the flights.
-        connect: Endpoint of the running fleet.
+        connect: Endpoint of the running fleet, or `identity/FILE`; None for what the command takes
+            without an option. An endpoint of another machine needs NUFLEET_OPEN=1.
         fleet_name: Name of the running fleet; None when only one is running there.
         runs_root: Folder in which the run leaves its own folder.
         repository: Address of the repository; None for the one in `runs_root`.
@@ -208,7 +213,7 @@ def track(
     from nufleet.orchestrator.jobs.track import track as work
 
     command = TrackCommand(
-        connect=connect,
+        connect=_address(connect),
         fleet_name=fleet_name,
         target=target,
         drawings=(drawings,) if isinstance(drawings, str) else tuple(drawings),
@@ -241,3 +246,10 @@ def load_run(run: str | Path = "latest", *, runs_root: str | Path = "runs") -> R
         InvalidInputError: There is no such run, or its files are damaged.
     """
     return read_run(find_run(Path(runs_root), str(run)))
+
+
+def _address(connect: str | None) -> str:
+    """Return the address of a running fleet as a command without other options finds it."""
+    given = os.environ.get(IDENTITY_VARIABLE) if connect is None else None
+    identity = None if given is None else Path(given)
+    return chosen_address(connect, identity, allow_open=open_is_accepted())

@@ -13,16 +13,21 @@ import time
 import uuid
 from collections.abc import Callable
 from contextlib import ExitStack
+from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
+from nufleet.robot_agent.commands import Commands
 from nufleet.robot_agent.decisions import Decisions
 from nufleet.robot_agent.experience_service import ExperienceService
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.forecast_service import ForecastService
+from nufleet.robot_agent.journal.audit_log import AuditLog
 from nufleet.robot_agent.journal.journal import Journal
 from nufleet.robot_agent.journal.unrecorded import Unrecorded
 from nufleet.robot_agent.motion.watched_robot import WatchedRobot
 from nufleet.robot_agent.motion_worker import MotionWorker
+from nufleet.robot_agent.network.certificate_watch import CertificateWatch
 from nufleet.robot_agent.network.endpoint import (
     MAX_LARGE_REQUEST_BYTES,
     MAX_REQUEST_BYTES,
@@ -88,6 +93,10 @@ class Agent:
         self._boot_id = uuid.uuid4().hex
         self._rivals = Rivals(name, self._boot_id, time.monotonic)
         self._freezes = Freezes(time.monotonic())
+        identity = session.identity
+        self._certificate = (
+            None if identity is None else CertificateWatch(identity, partial(datetime.now, UTC))
+        )
         self._changed = threading.Event()
         self._memory = Memory(None if state_folder is None else state_folder / "learned")
         self._looks: list[Callable[[], None]] = []
@@ -150,6 +159,10 @@ class Agent:
         )
         self._decisions = Decisions(self._boot_id, planner, journal, self._changed)
         change = self._decisions.change
+        audit = None if folder is None else AuditLog(folder, self._name)
+        if audit is not None:
+            opened.callback(audit.close)
+        self._commands = Commands(audit)
         self._experiences = ExperienceService(self._name, robot, memory, change)
         self._forecasts = ForecastService(planner, lambda: self._decisions.running)
         opened.callback(self._forecasts.close)
@@ -157,14 +170,15 @@ class Agent:
     def _join(self, opened: ExitStack) -> None:
         """Open all services in the order of their dependencies; they close in reverse order."""
         session, keys, name, decisions = self._session, self._keys, self._name, self._decisions
+        experiences, command = self._experiences, self._commands.handler
         heard = self._rivals.heard
         state_key = keys.robot(name, "state")
         opened.callback(session.subscribe(state_key, heard, max_bytes=MAX_STATE_BYTES).withdraw)
         states = session.state_publisher(keys.robot(name, "state"))
         opened.callback(Heartbeat(name, states, self._state, self._changed).close)
-        stops = StopService(name, decisions)
+        stops = StopService(name, decisions, keys, self._commands)
         opened.callback(stops.close)
-        for stop_key in (keys.robot(name, "stop"), keys.stop):
+        for stop_key in (keys.robot(name, "**/stop"), *keys.every_stop):
             stop = session.subscribe(stop_key, stops.heard, max_bytes=MAX_REQUEST_BYTES)
             opened.callback(stop.withdraw)
         everyone = keys.every_orchestrator_alive
@@ -184,26 +198,33 @@ class Agent:
         )
         opened.callback(self._motions.close)
         self._looks += [self._motions.look_after_robot, self._forecasts.look]
-        learned = self._experiences
         endpoint = Endpoint(
             session,
             keys,
             name,
             handlers={
                 "describe": self._describe,
-                "goal": self._take_goal,
-                "cancel": self._cancel,
                 "result": _decoding(messages.ResultRequest, lambda r: decisions.result(r.goal_id)),
-                "acknowledge": self._acknowledge,
-                "release": self._release,
-                "experience": _decoding(messages.FetchRequest, learned.fetch),
-                "experience/install": _decoding(
-                    messages.InstallRequest, learned.install_experience
-                ),
-                "prior": _decoding(messages.FetchRequest, learned.fetch),
-                "prior/install": _decoding(messages.InstallRequest, learned.install_prior),
-                "prior/remove": _decoding(messages.RemovePriorRequest, learned.remove_prior),
+                "experience": _decoding(messages.FetchRequest, experiences.fetch),
+                "prior": _decoding(messages.FetchRequest, experiences.fetch),
                 "forecast": _decoding(messages.ForecastRequest, self._forecasts.asked),
+            },
+            commands={
+                "goal": command("goal", messages.GoalRequest, self._take_goal),
+                "cancel": command("cancel", messages.CancelRequest, self._cancel),
+                "acknowledge": command(
+                    "acknowledge", messages.AcknowledgeRequest, self._acknowledge
+                ),
+                "release": command("release", messages.ReleaseRequest, self._release),
+                "experience/install": command(
+                    "experience/install", messages.InstallRequest, experiences.install_experience
+                ),
+                "prior/install": command(
+                    "prior/install", messages.InstallRequest, experiences.install_prior
+                ),
+                "prior/remove": command(
+                    "prior/remove", messages.RemovePriorRequest, experiences.remove_prior
+                ),
             },
             large=("goal", "forecast", "experience/install", "prior/install"),
             urgent={"stop": stops.asked},
@@ -252,11 +273,12 @@ class Agent:
             epoch=0 if commander is None else commander.epoch,
         )
 
-    def _take_goal(self, payload: bytes) -> Answer:
-        request = _decoded(payload, messages.GoalRequest)
+    def _take_goal(self, request: messages.GoalRequest) -> Answer:
         refusal = self._rivals.refusal()
         if refusal is None and not self._decisions.knows(request.goal_id):
             refusal = self._freezes.refusal(time.monotonic())
+            if refusal is None and self._certificate is not None:
+                refusal = self._certificate.refusal()
         if refusal is not None:
             return refusal
         self._await_owner(request.owner)
@@ -277,18 +299,15 @@ class Agent:
         if self._session.alive(self._keys.orchestrator_alive(owner), timeout_s=OWNER_PATIENCE_S):
             self._decisions.wait_for_owner(owner, timeout_s=OWNER_PATIENCE_S)
 
-    def _cancel(self, payload: bytes) -> Answer:
-        request = _decoded(payload, messages.CancelRequest)
+    def _cancel(self, request: messages.CancelRequest) -> Answer:
         sender = Commander(request.sender, request.epoch)
         return self._decisions.cancel(request.goal_id, sender) or messages.Done()
 
-    def _acknowledge(self, payload: bytes) -> Answer:
-        request = _decoded(payload, messages.AcknowledgeRequest)
+    def _acknowledge(self, request: messages.AcknowledgeRequest) -> Answer:
         sender = Commander(request.sender, request.epoch)
         return self._decisions.acknowledge(request.goal_ids, sender) or messages.Done()
 
-    def _release(self, payload: bytes) -> Answer:
-        request = _decoded(payload, messages.ReleaseRequest)
+    def _release(self, request: messages.ReleaseRequest) -> Answer:
         refusal = self._decisions.release(request.sender)
         if refusal is not None:
             return refusal

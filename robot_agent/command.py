@@ -21,11 +21,27 @@ import click
 )
 @click.option(
     "--connect",
-    default="tcp/127.0.0.1:7447",
-    show_default=True,
     envvar="NUFLEET_ROUTER",
     metavar="ENDPOINT",
-    help="Address of the router.  [env: NUFLEET_ROUTER]",
+    help="Router of an open fleet.  [env: NUFLEET_ROUTER; default: tcp/127.0.0.1:7447]",
+)
+@click.option(
+    "--identity",
+    "identities",
+    multiple=True,
+    type=click.Path(dir_okay=False, path_type=Path),
+    envvar="NUFLEET_IDENTITY",
+    metavar="FILE",
+    help="Identity of the robot in a closed fleet; one for each robot if there are several.  [env: "
+    "NUFLEET_IDENTITY; default: the only one in ~/.config/nufleet]",
+)
+@click.option(
+    "--open",
+    "allow_open",
+    is_flag=True,
+    envvar="NUFLEET_OPEN",
+    help="Accept a router that every machine of the network can use without proof of who it is.  "
+    "[env: NUFLEET_OPEN]",
 )
 @click.option(
     "--realtime",
@@ -54,6 +70,9 @@ import click
 def agent(
     fleet_file: str,
     robots: tuple[str, ...],
+    connect: str | None,
+    identities: tuple[Path, ...],
+    allow_open: bool,
     state_folder: Path | None,
     forget_owner: bool,
     **options: Any,
@@ -65,6 +84,7 @@ def agent(
     disappears, and when anyone stops it. A stop outlasts the agent; so does what it did, so that
     no goal moves the robot twice.
     """
+    from nufleet.robot_agent.network.addresses import agent_addresses
     from nufleet.shared.robots.drivers import needed_environment
     from nufleet.shared.robots.fleet_file import find_fleet_file, read_fleet_file
     from nufleet.shared.state_folder import default_state_folder
@@ -76,7 +96,9 @@ def agent(
 
         return forget_owners(path, robots, state_folder)
     fleet = read_fleet_file(path)
-    needed = needed_environment(fleet, [r for r in robots if r in fleet.robots] or fleet.robots)
+    addresses = agent_addresses(fleet, robots, connect, identities, allow_open=allow_open)
+    robots = tuple(addresses)
+    needed = needed_environment(fleet, [r for r in robots if r in fleet.robots])
     missing = {name: value for name, value in needed.items() if os.environ.get(name) != value}
     if missing:
         # Some simulators read these variables while they are imported, so this process starts over
@@ -85,4 +107,4 @@ def agent(
 
     from nufleet.robot_agent.serve import serve
 
-    return serve(path, robots, state_folder=state_folder, **options)
+    return serve(path, addresses=addresses, state_folder=state_folder, **options)

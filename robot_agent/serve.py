@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -68,9 +68,8 @@ def build_robots(fleet: FleetFile, path: Path, names: tuple[str, ...]) -> dict[s
 
 def serve(
     fleet_file: Path,
-    names: tuple[str, ...],
     *,
-    connect: str,
+    addresses: Mapping[str, str],
     realtime: float | None,
     until_stdin_closes: bool,
     state_folder: Path,
@@ -83,8 +82,8 @@ def serve(
 
     Args:
         fleet_file: Path of the fleet file.
-        names: Names of the robots to serve; all robots of the file when empty.
-        connect: Endpoint at which the router listens.
+        addresses: Robots to serve, by name, with the address of the fleet for each: an endpoint, or
+            the address of the robot's identity.
         realtime: Multiple of real time at which simulated robots play; None for as fast as they
             can.
         until_stdin_closes: Whether to end when standard input closes.
@@ -92,8 +91,7 @@ def serve(
             subfolder named after its fleet and itself.
     """
     fleet = read_fleet_file(fleet_file)
-    chosen = names or tuple(fleet.robots)
-    robots = build_robots(fleet, fleet_file, chosen)
+    robots = build_robots(fleet, fleet_file, tuple(addresses))
     ended = threading.Event()
     if until_stdin_closes:
         when_stdin_closes(ended.set)
@@ -106,8 +104,9 @@ def serve(
         try:
             for name, robot in robots.items():
                 session = sessions.enter_context(
-                    open_client(connect, timeout_s=None, given_up=ended)
+                    open_client(addresses[name], timeout_s=None, given_up=ended)
                 )
+                session.check_admitted()
                 own = state_folder / fleet.name / name
                 agent = Agent(
                     session,
@@ -119,8 +118,9 @@ def serve(
                     allow_unguarded=fleet.robots[name].allow_unguarded,
                 )
                 agents.append(agent.__enter__())
-            at = without_secrets(connect)
-            click.echo(f"serving {', '.join(chosen)} of fleet {fleet.name} at {at}", err=True)
+            at = ", ".join(sorted({without_secrets(address) for address in addresses.values()}))
+            names = ", ".join(addresses)
+            click.echo(f"serving {names} of fleet {fleet.name} at {at}", err=True)
             ended.wait()
         finally:
             interrupts.hold()

@@ -6,12 +6,14 @@ import logging
 import threading
 from concurrent.futures import Future, ThreadPoolExecutor
 
+from nufleet.robot_agent.commands import Commands
 from nufleet.robot_agent.decisions import Decisions
 from nufleet.robot_agent.journal.ledger import JournalError
 from nufleet.robot_agent.network.endpoint import MAX_REQUEST_BYTES, SHUTTING_DOWN
 from nufleet.robot_agent.rules.supervisor import StopOrder
 from nufleet.shared.errors import MalformedMessageError
 from nufleet.shared.wire.codec import Message, decode
+from nufleet.shared.wire.keys import FleetKeys, principal_of
 from nufleet.shared.wire.messages import Done, Refusal, StopRequest
 
 _log = logging.getLogger(__name__)
@@ -20,9 +22,13 @@ _log = logging.getLogger(__name__)
 class StopService:
     """Handles the stops of one robot on Zenoh's threads; a thread of its own stores them."""
 
-    def __init__(self, robot: str, decisions: Decisions) -> None:
+    def __init__(
+        self, robot: str, decisions: Decisions, keys: FleetKeys, commands: Commands
+    ) -> None:
         self._robot = robot
         self._decisions = decisions
+        self._keys = keys
+        self._commands = commands
         self._writer = ThreadPoolExecutor(1, thread_name_prefix=f"{robot}-stops")
         self._lock = threading.Lock()
         self._storing: Future[Message] | None = None
@@ -31,12 +37,14 @@ class StopService:
     def heard(self, key: str, payload: bytes) -> None:
         """Handle a stop sent as a put; no reply is expected."""
         try:
-            self.asked(payload)
+            self.asked(self._keys.principal_of_stop(key), payload)
         except MalformedMessageError as error:
             _log.warning("%s: malformed stop on %s: %s", self._robot, key, error)
 
-    def asked(self, payload: bytes) -> Future[Message]:
+    def asked(self, principal: str | None, payload: bytes) -> Future[Message]:
         """Handle a stop sent as a query; the motion has been halted when this returns.
+
+        A stop is obeyed from every sender; the order names the principal that the key proves.
 
         Returns:
             The reply to come. It is sent once the stop is stored too, so that a confirmed stop
@@ -49,10 +57,15 @@ class StopService:
             request = decode(payload, StopRequest, max_bytes=MAX_REQUEST_BYTES)
         except MalformedMessageError as error:
             # The sender wants this robot to stop, so a garbled order stops it as well.
-            self._decisions.stop(StopOrder("unknown", f"a malformed stop: {error}"))
+            order = StopOrder(principal or "unknown", f"a malformed stop: {error}")
+            self._decisions.stop(order)
             self._stored()
+            self._commands.stopped(principal, None)
             raise
-        self._decisions.stop(StopOrder(request.sender, request.reason))
+        proven = principal is None or principal_of(request.sender) == principal
+        sender = request.sender if proven else f"{principal}.as-{request.sender}"[:200]
+        self._decisions.stop(StopOrder(sender, request.reason))
+        self._commands.stopped(principal, request)
         return self._stored()
 
     def close(self) -> None:

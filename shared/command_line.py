@@ -27,8 +27,9 @@ from nufleet.shared.text import printable
 ENTRY_POINT_GROUP = "nufleet.commands"
 _DISK_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 _GROUP_HELP = {
+    "audit": "Look at the audit log of a robot: who asked it for what.",
     "drawing": "Import, draw and look at the drawings that robots track.",
-    "fleet": "Start a fleet of simulated robots, or show the robots of a running one.",
+    "fleet": "Start a simulated fleet, show a running one, or close one with certificates.",
     "runs": "Look at earlier runs, or resume one that was interrupted.",
 }
 

@@ -36,6 +36,27 @@ def write_privately(path: Path, data: bytes) -> None:
     os.close(replace_privately(path, data, path.with_name(f"{path.name}.part")))
 
 
+def create_privately(path: Path, data: bytes) -> None:
+    """Write a new file that only its owner may read, and never replace one that exists.
+
+    Args:
+        path: File to create.
+        data: Contents of the file.
+
+    Raises:
+        FileExistsError: there is such a file already; it is unchanged.
+        OSError: the file could not be written.
+    """
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    descriptor = os.open(path, flags, 0o600)
+    try:
+        write_all(descriptor, data)
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+    synchronise_folder(path.parent)
+
+
 def replace_privately(path: Path, data: bytes, part: Path) -> int:
     """Replace `path` durably by a new file, and return its descriptor, opened for appending.
 

@@ -11,6 +11,7 @@ from polling import PATIENCE_S, wait_until
 from nufleet.orchestrator.fleet.processes import GRACE_S
 from nufleet.robot_agent.motion.watched_robot import SLOW_CALL_MAX_S
 from nufleet.shared.command_line import command_line
+from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.robots.fleet_file import read_fleet_file
 from nufleet.shared.wire import codec
 from nufleet.shared.wire.transport import (
@@ -29,7 +30,7 @@ def test_the_router_configuration_opens_a_router_that_clients_reach(tmp_path: Pa
     assert "tcp/0.0.0.0:7447" in shipped
     private = tmp_path / "router.json5"
     private.write_text(shipped.replace("tcp/0.0.0.0:7447", "tcp/127.0.0.1:0"))
-    with open_configured_router(private) as router:
+    with open_configured_router(private, allow_open=False) as router:
         (endpoint,) = router.listening_on()
         with (
             open_client(endpoint, timeout_s=PATIENCE_S) as one,
@@ -72,6 +73,28 @@ def test_what_a_service_writes_is_nobody_elses_to_read(unit: Path) -> None:
     assert "UMask=0077" in lines
     if "StateDirectory=nufleet" in lines:
         assert "StateDirectoryMode=0700" in lines
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.name)
+def test_a_service_has_no_more_rights_than_it_needs(unit: Path) -> None:
+    """`systemd-analyze security --offline=true` rates the agent 2.1 and the router 1.3."""
+    lines = set(unit.read_text().splitlines())
+    assert {
+        *("NoNewPrivileges=yes", "CapabilityBoundingSet=", "RestrictNamespaces=yes"),
+        *("SystemCallFilter=@system-service", "SystemCallArchitectures=native"),
+        *("ProtectSystem=strict", "ProtectHome=yes", "ProtectProc=invisible", "ProtectClock=yes"),
+        *("ProtectKernelModules=yes", "ProtectKernelTunables=yes", "ProtectControlGroups=yes"),
+        *("PrivateTmp=yes", "RestrictSUIDSGID=yes", "LockPersonality=yes", "User=nufleet"),
+    } <= lines
+    assert any(line.startswith("MemoryMax=") for line in lines)
+
+
+def test_an_open_router_is_reached_by_its_own_machine_alone() -> None:
+    compose = (DEPLOY / "containers" / "compose.yaml").read_text()
+    ports = [line.strip() for line in compose.splitlines() if "ports:" in line]
+    assert ports == ['ports: ["127.0.0.1:7447:7447"]']
+    with pytest.raises(InvalidInputError, match=r"tcp/0\.0\.0\.0:7447 is open.*--open"):
+        open_configured_router(DEPLOY / "zenoh" / "router.json5", allow_open=False).__enter__()
 
 
 def test_an_agents_service_and_its_container_keep_its_state() -> None:

@@ -52,6 +52,8 @@ LEAVES: dict[str, type[Message]] = {
 OVERSIZED_BYTES = (65 * 2**10, 9 * 2**20)
 OVERSIZED_EVERY = 400
 ANSWER_TIMEOUT_S = 30.0
+SENDER = "me"
+"""Sender of the example messages, so that the requests are refused for what was altered."""
 
 
 def fuzz_agent(
@@ -67,12 +69,14 @@ def fuzz_agent(
     for leaf, payload in _questions(count, rng):
         if leaf == "stop" and stops.payloads <= tallies[leaf].payloads:  # a put and a query in turn
             everyone = stops.payloads % 2 == 1
-            session.put_urgent(keys.stop if everyone else keys.robot(robot, "stop"), payload)
+            key = keys.stop(SENDER) if everyone else keys.command(robot, SENDER, "stop")
+            session.put_urgent(key, payload)
             stops.payloads += 1
             continue
         tally = tallies[leaf]
         began_s = time.perf_counter()
-        replies = session.ask_all(keys.robot(robot, leaf), payload, timeout_s=ANSWER_TIMEOUT_S)
+        key = keys.request(robot, SENDER, leaf)
+        replies = session.ask_all(key, payload, timeout_s=ANSWER_TIMEOUT_S)
         tally.slowest_s = max(tally.slowest_s, time.perf_counter() - began_s)
         tally.payloads += 1
         if len(replies) != 1:

@@ -146,7 +146,7 @@ def example_messages() -> list[Message]:
         DescribeRequest(),
         Description(robot="a", boot_id="b00f", spec=SPEC, experiences=(offer,), prior=offer),
         *(
-            GoalRequest(goal_id=f"g{k}", owner="orchestrator-1", motion=m, acknowledges=("g0",))
+            GoalRequest(goal_id=f"g{k}", owner="me", motion=m, acknowledges=("g0",))
             for k, m in enumerate(motions)
         ),
         GoalAccepted(goal_id="g", boot_id="b00f", plan=PLAN, wall_duration_s=1.0),

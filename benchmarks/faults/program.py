@@ -51,7 +51,9 @@ class Program:
         self._arguments = [sys.executable, "-m", module, *arguments]
         self._folder, self._namespace = folder, namespace
         path = os.pathsep.join([str(folder), str(_ROOT), os.environ.get("PYTHONPATH", "")])
-        self._environment = {**os.environ, "PYTHONPATH": path, **(environment or {})}
+        # The networks of these processes are their own, so their fleets may be open.
+        added = {"PYTHONPATH": path, "NUFLEET_OPEN": "1", **(environment or {})}
+        self._environment = {**os.environ, **added}
         self._log = folder / f"{what.replace(' ', '-')}.log"
         self._said_before = 0
         self._process: subprocess.Popen[bytes] | None = None

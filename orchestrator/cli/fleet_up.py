@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from nufleet.orchestrator.cli.options import open_option
 from nufleet.orchestrator.cli.types import fleet_file
 
 
@@ -16,8 +17,9 @@ from nufleet.orchestrator.cli.types import fleet_file
     default="tcp/127.0.0.1:7447",
     show_default=True,
     metavar="ENDPOINT",
-    help="Endpoint of the router, such as tcp/0.0.0.0:7447 to admit other machines.",
+    help="Endpoint of the router, such as tcp/127.0.0.1:7448.",
 )
+@open_option
 @click.option("--processes", is_flag=True, help="Give every robot a process of its own.")
 @click.option(
     "--realtime",

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import click
 
@@ -14,17 +15,28 @@ from nufleet.orchestrator.jobs.environment import (
     ROUTER_VARIABLE,
     RUNS_VARIABLE,
 )
+from nufleet.shared.wire.identity import IDENTITY_VARIABLE
+from nufleet.shared.wire.openness import LOCAL_ENDPOINT, OPEN_VARIABLE, chosen_address
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-_connect_option = click.option(
-    "--connect",
-    default="tcp/127.0.0.1:7447",
-    show_default=True,
-    envvar=ROUTER_VARIABLE,
-    metavar="ENDPOINT",
-    help="Router of a running fleet.  [env: NUFLEET_ROUTER]",
+open_option = click.option(
+    "--open",
+    "allow_open",
+    is_flag=True,
+    envvar=OPEN_VARIABLE,
+    help="Accept an address that every machine of the network can use without proof of who it is.  "
+    "[env: NUFLEET_OPEN]",
+)
+
+_identity_option = click.option(
+    "--identity",
+    type=click.Path(dir_okay=False, path_type=Path),
+    envvar=IDENTITY_VARIABLE,
+    metavar="FILE",
+    help="Identity in a closed fleet; names its router too.  [env: NUFLEET_IDENTITY; default: "
+    "the only one in ~/.config/nufleet]",
 )
 
 _fleet_name_option = click.option(
@@ -33,10 +45,34 @@ _fleet_name_option = click.option(
     help="Name of the fleet at that router.  [default: the only one there]",
 )
 
+_connect_option = click.option(
+    "--connect",
+    envvar=ROUTER_VARIABLE,
+    metavar="ENDPOINT",
+    help="Router of a running open fleet.  [env: NUFLEET_ROUTER; default: tcp/127.0.0.1:7447]",
+)
+
 
 def connect_options(command: F) -> F:
-    """Add --connect and --fleet-name."""
-    return _connect_option(_fleet_name_option(command))
+    """Add --connect, --identity, --open and --fleet-name.
+
+    The command is called with the address of the fleet as `connect`, and with `fleet_name`.
+    """
+
+    @wraps(command)
+    def reached(
+        *args: Any, connect: str | None, identity: Path | None, allow_open: bool, **options: Any
+    ) -> Any:
+        if options.get("fleet_file") is None:
+            connect = chosen_address(connect, identity, allow_open=allow_open)
+        return command(*args, connect=connect or LOCAL_ENDPOINT, **options)
+
+    return cast(F, address_options(reached))
+
+
+def address_options(command: F) -> F:
+    """Add the options of `connect_options` and pass them on as they were given."""
+    return _connect_option(_identity_option(open_option(_fleet_name_option(command))))
 
 
 def wait_option(help_text: str) -> Callable[[F], F]:

@@ -132,9 +132,9 @@ def _resume(run: str, options: dict[str, Any]) -> None:
     }
     resumable = {field.name for field in fields(ResumeCommand)}
     for name, option in typed.items():
-        if name not in {"resume", *resumable}:
+        if name not in {"resume", "identity", "allow_open", *resumable}:
             raise click.UsageError(f"{option} is already set by the run; omit it with --resume")
-    if "connect" not in typed:
+    if not typed.keys() & {"connect", "identity"}:
         options["connect"] = None  # the default would replace the router that the run used
     taken = {name: value for name, value in options.items() if name in resumable}
     resume_and_print(ResumeCommand(run=run, **taken))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from nufleet.orchestrator.cli.options import open_option
 from nufleet.orchestrator.cli.types import Endpoint
 
 
@@ -17,7 +18,7 @@ from nufleet.orchestrator.cli.types import Endpoint
     envvar="NUFLEET_LISTEN",
     metavar="ENDPOINT",
     help=(
-        "Endpoint to listen on, such as tcp/0.0.0.0:7447 to admit other machines; may be repeated. "
+        "Endpoint to listen on, such as tcp/127.0.0.1:7448; may be repeated. "
         " [env: NUFLEET_LISTEN; default: tcp/127.0.0.1:7447]"
     ),
 )
@@ -25,16 +26,20 @@ from nufleet.orchestrator.cli.types import Endpoint
     "--config",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="Zenoh configuration (JSON5) instead, for example deploy/zenoh/router.json5.",
+    help="Zenoh configuration (JSON5) instead, such as `nufleet fleet init` writes.",
 )
 @click.option("--until-stdin-closes", is_flag=True, hidden=True)
-def router(listen: tuple[str, ...], config: Path | None, until_stdin_closes: bool) -> None:
+@open_option
+def router(
+    listen: tuple[str, ...], config: Path | None, until_stdin_closes: bool, allow_open: bool
+) -> None:
     """Route messages between orchestrators and robots until Ctrl-C.
 
-    One router per fleet is enough; agents and orchestrators reconnect when it restarts.
+    One router per fleet is enough; agents and orchestrators reconnect when it restarts. It admits
+    other machines only with the configuration of a closed fleet, or with --open.
     """
     if config is not None and listen:
         raise click.UsageError("the file given with --config sets the endpoints: omit --listen")
     from nufleet.orchestrator.jobs.router import run_router
 
-    run_router(listen, config, until_stdin_closes=until_stdin_closes)
+    run_router(listen, config, until_stdin_closes=until_stdin_closes, allow_open=allow_open)

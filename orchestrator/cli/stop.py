@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 
-from nufleet.orchestrator.cli.options import connect_options
+from nufleet.orchestrator.cli.options import address_options, connect_options
+from nufleet.shared.wire.openness import chosen_addresses
 
 
 @click.command()
@@ -16,21 +19,30 @@ from nufleet.orchestrator.cli.options import connect_options
     show_default=True,
     help="Reason that the robots store and show.",
 )
-@connect_options
+@address_options
 def stop(
-    robots: tuple[str, ...], everyone: bool, reason: str, connect: str, fleet_name: str | None
+    robots: tuple[str, ...],
+    everyone: bool,
+    reason: str,
+    connect: str | None,
+    identity: Path | None,
+    allow_open: bool,  # noqa: ARG001 - see below
+    fleet_name: str | None,
 ) -> None:
     """Stop robots at once; they stay stopped until they are released.
 
     A robot stops even while it is busy and whichever orchestrator commands it. Without --fleet-name
-    robots of every fleet at the router are stopped. Ends with exit code 1 and a prominent message
+    robots of every fleet at the router are stopped; with several identities and no choice among
+    them, those of every fleet of which you have one. Ends with exit code 1 and a prominent message
     when a robot does not confirm that it has stopped.
     """
     if everyone == bool(robots):
         raise click.UsageError("name the robots to stop, or give --all")
-    from nufleet.orchestrator.jobs.stop import stop_and_print
+    from nufleet.orchestrator.jobs.stop import stop_fleets
 
-    if not stop_and_print(connect, fleet_name, None if everyone else robots, reason):
+    # A stop of robots that any machine could command is not refused for that reason.
+    fleets = chosen_addresses(connect, identity, allow_open=True)
+    if not stop_fleets(fleets, fleet_name, None if everyone else robots, reason):
         raise click.exceptions.Exit(1)
 
 

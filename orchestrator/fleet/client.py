@@ -14,7 +14,7 @@ from nufleet.orchestrator.fleet.robot_watch import RobotWatch
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import MalformedMessageError, NoReplyError, RefusedError, RobotLostError
 from nufleet.shared.wire.codec import Message, decode, encode
-from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.keys import READS, RELEASE, STOP, FleetKeys, principal_of
 from nufleet.shared.wire.messages import (
     AcknowledgeRequest,
     CancelRequest,
@@ -288,17 +288,18 @@ class Fleet:
     def stop(self, robot: str, reason: str) -> None:
         """Stop a robot; return once it confirms the stop, and raise if it does not."""
         request = StopRequest(sender=self.orchestrator_id, reason=reason)
-        self._session.put_urgent(self._keys.robot(robot, "stop"), encode(request))
-        self._ask(robot, "stop", request, Done)
+        self._session.put_urgent(self._key(robot, STOP), encode(request))
+        self._ask(robot, STOP, request, Done)
 
     def stop_everyone(self, reason: str) -> None:
         """Send one unconfirmed stop to the whole fleet; call `stop` on each robot to confirm it."""
         request = StopRequest(sender=self.orchestrator_id, reason=reason)
-        self._session.put_urgent(self._keys.stop, encode(request))
+        key = self._keys.stop(principal_of(self.orchestrator_id))
+        self._session.put_urgent(key, encode(request))
 
     def release(self, robot: str) -> None:
         """Let a stopped robot move again."""
-        self._ask(robot, "release", ReleaseRequest(sender=self.orchestrator_id), Done)
+        self._ask(robot, RELEASE, ReleaseRequest(sender=self.orchestrator_id), Done)
 
     def _ask(
         self,
@@ -309,11 +310,13 @@ class Fleet:
         *,
         timeout_s: float = QUERY_TIMEOUT_S,
     ) -> R:
-        key = self._keys.robot(robot, leaf)
+        key = self._key(robot, leaf)
         began_s = time.monotonic()
         replies = self._session.ask_all(key, encode(request), timeout_s=timeout_s)
         if not replies:
             gone = time.monotonic() - began_s < timeout_s
+            if gone and self._denied(robot, leaf, request):
+                raise RefusedError("not-allowed", self._why_denied(leaf), robot)
             raise NoReplyError(_no_reply(robot, leaf, request, None if gone else timeout_s))
         if len(replies) > 1:
             raise RobotLostError(
@@ -332,6 +335,28 @@ class Fleet:
                 f"robot {robot} sent an unexpected reply of type {type(reply).__name__}"
             )
         return reply
+
+    def _key(self, robot: str, leaf: str) -> str:
+        return self._keys.request(robot, principal_of(self.orchestrator_id), leaf)
+
+    def _denied(self, robot: str, leaf: str, request: Message) -> bool:
+        """Return whether the router of a closed fleet keeps a command from a robot.
+
+        Its answer is the same as that of a robot that is gone. A robot that answers a read, which
+        every principal may ask, and then still not the command, is not gone.
+        """
+        if self._session.identity is None or leaf in READS:
+            return False
+        described = self._keys.robot(robot, READS[0])
+        for key, asked in ((described, DescribeRequest()), (self._key(robot, leaf), request)):
+            replies = self._session.ask_all(key, encode(asked), timeout_s=QUERY_TIMEOUT_S)
+            if bool(replies) != (key == described):
+                return False
+        return True
+
+    def _why_denied(self, leaf: str) -> str:
+        principal = principal_of(self.orchestrator_id)
+        return f"{principal} may not ask {leaf!r} in this fleet; the inventory says who may"
 
     # Network threads.
 

@@ -17,7 +17,7 @@ from nufleet.shared.redaction import without_secrets
 from nufleet.shared.robots.drivers import check_settings
 from nufleet.shared.robots.fleet_file import FleetFile
 from nufleet.shared.wire.keys import FleetKeys
-from nufleet.shared.wire.transport import open_client
+from nufleet.shared.wire.transport import Session, open_client
 
 CONNECT_TIMEOUT_S = 5.0
 START_TIMEOUT_S = 60.0
@@ -55,11 +55,14 @@ def running_fleet(
 
     Raises:
         NoRouterError: No router answers.
-        InvalidInputError: There is no fleet, or there are several and none was named.
+        InvalidInputError: There is no fleet, or there are several and none was named, or the
+            identity belongs to another one.
         RobotLostError: A robot that has to be alive did not appear.
     """
     deadline_s = time.monotonic() + wait_s
     with open_client(endpoint, timeout_s=max(CONNECT_TIMEOUT_S, wait_s)) as session:
+        session.check_admitted()
+        fleet_name = fleet_at(session, fleet_name)
         while fleet_name is None:
             found = sorted({fleet for fleet, _ in robots_at(session)})
             if len(found) == 1:
@@ -73,10 +76,30 @@ def running_fleet(
                 )
             else:
                 time.sleep(0.2)
-        fleet = Fleet(session, FleetKeys(fleet_name), new_orchestrator_id())
+        fleet = Fleet(session, FleetKeys(fleet_name), new_orchestrator_id(session.principal))
         if wait_s > 0:
             fleet.wait_for(robots, timeout_s=max(0.0, deadline_s - time.monotonic()))
         yield Connection(fleet, fleet_name, fleet.robots())
+
+
+def fleet_at(session: Session, named: str | None) -> str | None:
+    """Return the name of the fleet that a command is for: that of the identity, or the one named.
+
+    Args:
+        session: Session to the fleet's router.
+        named: Name that the user gave; None for none.
+
+    Raises:
+        InvalidInputError: The identity belongs to another fleet than the one named.
+    """
+    identity = session.identity
+    if identity is None:
+        return named
+    if named not in (None, identity.fleet):
+        raise InvalidInputError(
+            f"the identity {identity.path} belongs to fleet {identity.fleet}, not to {named}"
+        )
+    return identity.fleet
 
 
 @contextmanager

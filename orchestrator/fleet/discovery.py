@@ -11,9 +11,14 @@ DISCOVERY_TIMEOUT_S = 3.0
 def robots_at(session: Session) -> tuple[tuple[str, str], ...]:
     """Return the fleet and the name of every robot that is alive at a router, sorted.
 
-    Tokens that are not valid names are ignored. Call this before the session watches any tokens.
+    With an identity, these are the robots of its own fleet; the router shows no others. Tokens that
+    are not valid names are ignored. Call this before the session watches any tokens.
     """
-    keys = session.alive(EVERY_FLEETS_ROBOTS_ALIVE, timeout_s=DISCOVERY_TIMEOUT_S)
+    identity = session.identity
+    everywhere = EVERY_FLEETS_ROBOTS_ALIVE
+    if identity is not None:
+        everywhere = FleetKeys(identity.fleet).every_robot("alive")
+    keys = session.alive(everywhere, timeout_s=DISCOVERY_TIMEOUT_S)
     found = set()
     for key in keys:
         fleet = fleet_of(key)

@@ -16,6 +16,8 @@ from nufleet.shared.errors import EndpointInUseError, NufleetError
 from nufleet.shared.interrupts import Interrupts
 from nufleet.shared.robots.drivers import load_driver
 from nufleet.shared.robots.fleet_file import FleetFile
+from nufleet.shared.wire.identity import IDENTITY_VARIABLE
+from nufleet.shared.wire.openness import OPEN_VARIABLE
 from nufleet.shared.wire.transport import open_client
 
 GRACE_S = 90.0
@@ -149,12 +151,17 @@ class FleetProcesses:
             stdin=subprocess.PIPE,
             stdout=log,
             stderr=subprocess.STDOUT,
-            env={**os.environ, **environment},
+            # Its endpoint has been chosen and accepted here; an identity would name another one.
+            env={**_without_identity(), OPEN_VARIABLE: "1", **environment},
             start_new_session=True,  # a Ctrl-C is for the parent, which ends the children in order
         )
         child = _Child(what, process, log)
         self._children.append(child)
         return child
+
+
+def _without_identity() -> dict[str, str]:
+    return {name: value for name, value in os.environ.items() if name != IDENTITY_VARIABLE}
 
 
 def _end(children: list[_Child]) -> None:

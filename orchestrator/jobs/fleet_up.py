@@ -18,13 +18,21 @@ from nufleet.shared.redaction import without_secrets
 from nufleet.shared.robots.drivers import check_settings
 from nufleet.shared.robots.fleet_file import read_fleet_file
 from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.openness import check_closed
 from nufleet.shared.wire.transport import open_client
 
 AGENT_PROCESSES = 2
 """Number of processes that the robots are spread over, unless each robot gets one of its own."""
 
 
-def fleet_up(fleet_file: Path, *, listen: str, processes: bool, realtime: float | None) -> None:
+def fleet_up(
+    fleet_file: Path,
+    *,
+    listen: str,
+    processes: bool,
+    realtime: float | None,
+    allow_open: bool,
+) -> None:
     """Run a router and the robots of a fleet file until Ctrl-C, with a live table on a terminal.
 
     Args:
@@ -32,12 +40,14 @@ def fleet_up(fleet_file: Path, *, listen: str, processes: bool, realtime: float 
         listen: Endpoint on which the router listens.
         processes: Whether each robot gets a process of its own.
         realtime: Speed of the simulated robots relative to real time; None for as fast as possible.
+        allow_open: Whether the router may listen where every machine could command the robots.
 
     Raises:
         FleetFileError: The file is not valid.
         EndpointInUseError: The router cannot listen on that endpoint.
         NufleetError: A process of the fleet ended by itself.
     """
+    check_closed(listen, allow_open=allow_open)
     file = read_fleet_file(fleet_file)
     check_settings(file, fleet_file)
     console = stderr_console()

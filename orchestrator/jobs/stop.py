@@ -15,7 +15,12 @@ from nufleet.orchestrator.fleet.discovery import robots_at
 from nufleet.orchestrator.fleet.orchestrator_id import new_orchestrator_id
 from nufleet.shared.errors import InvalidInputError, NufleetError, RobotLostError
 from nufleet.shared.wire.frame import stop_frame
-from nufleet.shared.wire.keys import EVERY_FLEETS_STOP, FleetKeys, robot_in_every_fleet
+from nufleet.shared.wire.keys import (
+    STOP,
+    FleetKeys,
+    every_fleets_stop,
+    robot_in_every_fleet,
+)
 from nufleet.shared.wire.transport import Session, open_client
 
 if TYPE_CHECKING:
@@ -25,6 +30,31 @@ CONNECT_TIMEOUT_S = 5.0
 MOST_AT_ONCE = 64
 
 _log = logging.getLogger(__name__)
+
+
+def stop_fleets(
+    addresses: tuple[str, ...],
+    fleet_name: str | None,
+    robots: tuple[str, ...] | None,
+    reason: str,
+) -> bool:
+    """Stop robots at several addresses one after the other; see `stop_and_print`.
+
+    An error at one address does not keep the stop from the others.
+
+    Raises:
+        NufleetError: The error of the only address.
+    """
+    if len(addresses) == 1:
+        return stop_and_print(addresses[0], fleet_name, robots, reason)
+    confirmed = True
+    for address in addresses:
+        try:
+            confirmed &= stop_and_print(address, fleet_name, robots, reason)
+        except NufleetError as error:
+            confirmed = False
+            _print_failure(f"{address}: {error}")
+    return confirmed
 
 
 def stop_and_print(
@@ -47,11 +77,14 @@ def stop_and_print(
         InvalidInputError: The fleet's name is not valid.
         RobotLostError: The stop was sent, but no robot is there that could confirm it.
     """
-    sender = new_orchestrator_id()
-    order = stop_frame(sender, reason)
-    keys = _keys(robots, fleet_name)
     with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as telling:
-        for key in keys:
+        principal = telling.principal
+        sender = new_orchestrator_id(principal)
+        order = stop_frame(sender, reason)
+        if telling.identity is not None:
+            # A stop asks no questions: another fleet's name is not known to this router anyway.
+            fleet_name = telling.identity.fleet
+        for key in _keys(robots, fleet_name, principal):
             telling.put_urgent(key, order)
         # Confirmations use a session of their own: a robot that does not read may make the router
         # hold up the session on which the stop was sent.
@@ -59,7 +92,7 @@ def stop_and_print(
             there = robots_at(asking)
             for fleet, robot in there:
                 if fleet_name in (None, fleet) and (robots is None or robot in robots):
-                    asking.put_urgent(FleetKeys(fleet).robot(robot, "stop"), order)
+                    asking.put_urgent(FleetKeys(fleet).command(robot, principal, STOP), order)
             fleets = tuple(sorted({fleet for fleet, _ in there}))
             confirmed = _all_confirm(asking, fleets, sender, robots, reason, fleet_name)
     if not confirmed:
@@ -106,16 +139,16 @@ def stop_robots(fleet: Fleet, robots: tuple[str, ...], reason: str) -> dict[str,
     return unconfirmed
 
 
-def _keys(robots: tuple[str, ...] | None, fleet_name: str | None) -> list[str]:
+def _keys(robots: tuple[str, ...] | None, fleet_name: str | None, principal: str) -> list[str]:
     """Return the keys that reach the robots to stop, before it is known which are alive."""
     fleet = None if fleet_name is None else FleetKeys(fleet_name)
     if robots is None:
-        return [EVERY_FLEETS_STOP if fleet is None else fleet.stop]
+        return [every_fleets_stop(principal) if fleet is None else fleet.stop(principal)]
     keys = []
     for robot in robots:
         try:
-            in_all = robot_in_every_fleet(robot, "stop")
-            keys.append(in_all if fleet is None else fleet.robot(robot, "stop"))
+            in_all = robot_in_every_fleet(robot, f"by/{principal}/{STOP}")
+            keys.append(in_all if fleet is None else fleet.command(robot, principal, STOP))
         except InvalidInputError:
             continue  # reported when its confirmation is requested; the others are stopped anyway
     return keys
@@ -155,6 +188,7 @@ def _all_confirm(
         asked.update(new)
         _stop(new, reason, told)
     if not asked:
+        session.check_admitted()
         everyone = "all robots" if fleet_name is None else f"all robots of fleet {fleet_name}"
         found = f"fleets {', '.join(there)}" if there else "no robots"
         raise RobotLostError(

@@ -18,7 +18,7 @@ from typing import TypeVar
 from nufleet.robot_agent.journal.ledger import JournalError
 from nufleet.shared.errors import MalformedMessageError, RefusedError, TransportError
 from nufleet.shared.wire.codec import Message, encode
-from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.keys import FleetKeys, attributed
 from nufleet.shared.wire.messages import Refusal
 from nufleet.shared.wire.transport import Request, Session
 
@@ -39,6 +39,12 @@ Handler = Callable[[bytes], Answer]
 """Function that takes a payload and returns the reply or its future; it may raise RefusedError,
 JournalError or MalformedMessageError."""
 
+CommandHandler = Callable[[str, bytes], Answer]
+"""Handler of a command, which also takes the principal that the key names."""
+
+StopHandler = Callable[[str | None, bytes], Answer]
+"""Handler of a stop, whose key may name no principal."""
+
 A = TypeVar("A")
 _log = logging.getLogger(__name__)
 SHUTTING_DOWN = Refusal(code="shutting-down", reason="this agent is shutting down")
@@ -54,7 +60,8 @@ class Endpoint:
         robot: str,
         *,
         handlers: Mapping[str, Handler],
-        urgent: Mapping[str, Handler],
+        commands: Mapping[str, CommandHandler],
+        urgent: Mapping[str, StopHandler],
         large: Collection[str] = (),
     ) -> None:
         """Begin to serve.
@@ -65,11 +72,14 @@ class Endpoint:
             robot: Name of the robot.
             handlers: Handlers of the queries, by the part of their key behind the robot's name; all
                 are called from one thread.
+            commands: Handlers of the queries on keys that name a principal, by the part of their
+                key behind that name; called from the same thread.
             urgent: Handlers of the queries that cannot wait, called from Zenoh's thread.
-            large: Keys whose requests may have up to `MAX_LARGE_REQUEST_BYTES`.
+            large: Ends of keys whose requests may have up to `MAX_LARGE_REQUEST_BYTES`.
         """
         self._prefix = keys.robot(robot, "")
         self._handlers = handlers
+        self._commands = commands
         self._urgent = urgent
         self._large = frozenset(large)
         self._lock = threading.Lock()
@@ -92,18 +102,18 @@ class Endpoint:
         self._worker.join()
 
     def _on_request(self, request: Request) -> None:
-        leaf = request.key.removeprefix(self._prefix)
+        principal, leaf = self._parsed(request)
         urgent = self._urgent.get(request.key.rpartition("/")[2] if request.is_wildcard else leaf)
         most = MAX_LARGE_REQUEST_BYTES if leaf in self._large else MAX_REQUEST_BYTES
         too_large = request.size_bytes > most
         if urgent is not None:
             # An urgent query must not be refused for its size, so an oversized payload is dropped
             # and the query answered without it.
-            _reply(request, partial(urgent, b"" if too_large else request.payload))
+            _reply(request, partial(urgent, principal, b"" if too_large else request.payload))
         elif request.is_wildcard:
             _send(request, Refusal(code="wildcard", reason="ask each robot on its own key"))
-        elif leaf not in self._handlers:
-            reason = f"this robot does not serve {leaf[:200]!r}"
+        elif self._handler(principal, leaf) is None:
+            reason = f"this robot does not serve {request.key.removeprefix(self._prefix)[:200]!r}"
             _send(request, Refusal(code="unknown-key", reason=reason))
         elif too_large:
             reason = f"the request has {request.size_bytes} bytes; at most {most} are accepted"
@@ -129,8 +139,21 @@ class Endpoint:
         while (request := self._waiting.get()) is not None:
             with self._lock:
                 self._waiting_bytes -= request.size_bytes
-            handler = self._handlers[request.key.removeprefix(self._prefix)]
-            _reply(request, partial(handler, request.payload))
+            handler = self._handler(*self._parsed(request))
+            if handler is not None:  # it was found when the request was enqueued
+                _reply(request, partial(handler, request.payload))
+
+    def _parsed(self, request: Request) -> tuple[str | None, str]:
+        """Return the principal that a request's key names, if any, and the end of the key."""
+        if request.is_wildcard:
+            return attributed(f"by/{request.key.rpartition('/by/')[2]}")
+        return attributed(request.key.removeprefix(self._prefix))
+
+    def _handler(self, principal: str | None, leaf: str) -> Handler | None:
+        if principal is None:
+            return self._handlers.get(leaf)
+        command = self._commands.get(leaf)
+        return None if command is None else partial(command, principal)
 
 
 def _reply(request: Request, ask: Callable[[], Answer]) -> None:

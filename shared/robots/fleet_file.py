@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from collections import Counter
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -25,6 +26,48 @@ class RobotEntry(Strict):
     """Settings of its driver, validated by `RobotDriver.settings`."""
     allow_unguarded: bool = False
     """True if the robot accepts requests to fly with a learned inverse and without the guard."""
+
+
+class RouterEntry(Strict):
+    """The router of a closed fleet."""
+
+    addresses: Annotated[
+        tuple[Annotated[str, Field(pattern=r"^[0-9A-Za-z.:-]{1,253}$")], ...],
+        Field(min_length=1, max_length=64),
+    ]
+    """IP addresses and host names at which the router is reached; identities name the first."""
+    port: Annotated[int, Field(ge=1, le=65535)] = 7447
+    """Port on which it listens."""
+    listen: Annotated[str, Field(pattern=r"^[0-9A-Za-z.:-]{1,253}$")] = "0.0.0.0"  # noqa: S104
+    """Address on which it listens; every interface unless given."""
+
+
+class OrchestratorEntry(Strict):
+    """A principal that may watch, command, stop and release robots."""
+
+    description: str = ""
+    """Description, for people."""
+
+
+class OperatorEntry(Strict):
+    """A principal that may watch and stop robots."""
+
+    description: str = ""
+    """Description, for people."""
+    may_release: bool = False
+    """Whether it may also release robots that were stopped."""
+
+
+class WatcherEntry(Strict):
+    """A principal that may only watch."""
+
+    description: str = ""
+    """Description, for people."""
+
+
+PRINCIPAL_MAX_CHARACTERS = 50
+"""Longest name of a fleet or principal in a closed fleet: certificates have room for 64 characters
+including a number."""
 
 
 class StudyDefaults(Strict):
@@ -51,6 +94,42 @@ class FleetFile(Strict):
     """Defaults for a ranking of this fleet."""
     robots: Annotated[dict[Name, RobotEntry], Field(min_length=1, max_length=4096)]
     """The robots, by name."""
+    router: RouterEntry | None = None
+    """Router of a closed fleet; None for a fleet without certificates."""
+    orchestrators: Annotated[dict[Name, OrchestratorEntry], Field(default_factory=dict)]
+    """Principals that may command robots, by name."""
+    operators: Annotated[dict[Name, OperatorEntry], Field(default_factory=dict)]
+    """Principals that may stop robots, by name."""
+    watchers: Annotated[dict[Name, WatcherEntry], Field(default_factory=dict)]
+    """Principals that may only watch, by name."""
+
+    @property
+    def principals(self) -> dict[str, str]:
+        """Role of each principal, by name."""
+        return {
+            name: role
+            for role, entries in (
+                ("robot", self.robots),
+                ("orchestrator", self.orchestrators),
+                ("operator", self.operators),
+                ("watcher", self.watchers),
+            )
+            for name in entries
+        }
+
+    @model_validator(mode="after")
+    def _principals_are_distinct(self) -> FleetFile:
+        names = [*self.robots, *self.orchestrators, *self.operators, *self.watchers]
+        for name, times in Counter(names).items():
+            if times > 1:
+                raise ValueError(f"{name} is listed in two roles; a principal has one")
+        too_long = [n for n in (self.name, *names) if len(n) > PRINCIPAL_MAX_CHARACTERS]
+        if self.router is not None and too_long:
+            raise ValueError(
+                f"{too_long[0]} is too long for a certificate: at most {PRINCIPAL_MAX_CHARACTERS} "
+                "characters in a closed fleet"
+            )
+        return self
 
     @model_validator(mode="after")
     def _target_exists(self) -> FleetFile:

@@ -10,8 +10,45 @@ from nufleet.shared.text import is_identifier, is_name
 EVERY_FLEETS_ROBOTS_ALIVE = "nufleet/*/robot/*/alive"
 """Key expression that matches the liveliness tokens of all robots of all fleets at a router."""
 
-EVERY_FLEETS_STOP = "nufleet/*/stop"
-"""Key expression on which a put stops every robot of every fleet at a router."""
+READS = ("describe", "result", "experience", "prior", "forecast")
+"""Ends of the keys on which a robot answers anyone who may watch the fleet."""
+
+STOP, RELEASE = "stop", "release"
+
+COMMANDS = (
+    *("goal", "cancel", "acknowledge"),
+    *("experience/install", "prior/install", "prior/remove"),
+)
+"""Ends of the keys on which orchestrators command a robot, below `by/{principal}/`; stops and
+releases are given in the same way."""
+
+DEFAULT_PRINCIPAL = "orchestrator"
+"""Principal of a sender without an identity, in a fleet that is open."""
+
+
+def principal_of(sender: str) -> str:
+    """Return the principal that an orchestrator's id names: the part before its first dot."""
+    return sender.partition(".")[0]
+
+
+def every_fleets_stop(principal: str) -> str:
+    """Return the key on which a principal's put stops every robot of every fleet at a router."""
+    return f"nufleet/*/by/{checked_name(principal, 'principal')}/{STOP}"
+
+
+def attributed(leaf: str) -> tuple[str | None, str]:
+    """Split the end of a robot's key into the principal that it names and the rest.
+
+    Args:
+        leaf: Part of the key below the robot's name, for example `by/desk/goal`.
+
+    Returns:
+        The principal, or None if the key names none, and the end of the key, for example `goal`.
+    """
+    by, _, rest = leaf.partition("/")
+    principal, _, below = rest.partition("/")
+    named = by == "by" and below and is_name(principal)
+    return (principal, below) if named else (None, leaf)
 
 
 def checked_name(value: str, what: str) -> str:
@@ -97,6 +134,26 @@ class FleetKeys:
         """
         return f"{self.root}/robot/{checked_name(robot, 'robot')}/{leaf}"
 
+    def command(self, robot: str, principal: str, leaf: str) -> str:
+        """Return the key on which a principal commands a robot.
+
+        A router with access control lets each principal write below its own name only, which proves
+        the sender to the robot.
+
+        Args:
+            robot: Name of the robot.
+            principal: Name of the sender in the fleet's inventory.
+            leaf: End of the key, one of `COMMANDS`, `STOP` or `RELEASE`.
+
+        Raises:
+            InvalidInputError: `robot` or `principal` is not a name.
+        """
+        return self.robot(robot, f"by/{checked_name(principal, 'principal')}/{leaf}")
+
+    def request(self, robot: str, principal: str, leaf: str) -> str:
+        """Return the key of any request: see `command`; reads name no principal."""
+        return self.robot(robot, leaf) if leaf in READS else self.command(robot, principal, leaf)
+
     def every_robot(self, leaf: str) -> str:
         """Return the key expression that matches the key with this `leaf` of all robots."""
         return f"{self.root}/robot/*/{leaf}"
@@ -125,10 +182,24 @@ class FleetKeys:
         orchestrator = self._below(key, "orchestrator")
         return orchestrator if is_identifier(orchestrator) else None
 
+    def stop(self, principal: str) -> str:
+        """Return the key on which a principal's put stops every robot of the fleet."""
+        return f"{self.root}/by/{checked_name(principal, 'principal')}/{STOP}"
+
     @property
-    def stop(self) -> str:
-        """Key on which a put stops every robot of the fleet."""
-        return f"{self.root}/stop"
+    def every_stop(self) -> tuple[str, ...]:
+        """Key expressions that a robot hears for stops of the whole fleet.
+
+        The second names no principal; only a router without access control lets it through.
+        """
+        return f"{self.root}/by/*/{STOP}", f"{self.root}/{STOP}"
+
+    def principal_of_stop(self, key: str) -> str | None:
+        """Return the principal that the key of a stop names; None if it names none."""
+        below = key.removeprefix(f"{self.root}/")
+        if below.startswith("robot/"):
+            below = below.removeprefix("robot/").partition("/")[2]
+        return attributed(below)[0]
 
     def _below(self, key: str, kind: str) -> str:
         prefix = f"{self.root}/{kind}/"

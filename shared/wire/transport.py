@@ -31,9 +31,13 @@ from nufleet.shared.errors import (
     TransportError,
 )
 from nufleet.shared.redaction import without_secrets
+from nufleet.shared.wire.handshake import why_refused
+from nufleet.shared.wire.identity import Identity, identity_at
+from nufleet.shared.wire.keys import DEFAULT_PRINCIPAL
+from nufleet.shared.wire.openness import LOCAL_ENDPOINT, check_closed
 from nufleet.shared.wire.presence import OnPresence, Presence
 
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+DEFAULT_ENDPOINT = LOCAL_ENDPOINT
 PRESENCE_TIMEOUT_S = 3.0
 """Longest wait for the liveliness tokens that exist when a watch begins."""
 
@@ -62,6 +66,9 @@ MAX_STATE_BYTES = 64 * 1024
 
 PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream")
 """Protocols with which an endpoint may begin."""
+
+ADMITTED_TIMEOUT_S = 3.0
+"""Longest wait for a router's answer to the question whether it lists an identity."""
 
 LONGEST_TRY_S = 3.0
 """Longest duration of one attempt to reach a router, during which Zenoh cannot be interrupted."""
@@ -152,9 +159,37 @@ D = TypeVar("D", bound=Declaration)
 class Session:
     """An open Zenoh session; a context manager, because an unclosed one keeps its process alive."""
 
-    def __init__(self, session: zenoh.Session) -> None:
+    def __init__(self, session: zenoh.Session, identity: Identity | None = None) -> None:
         self._session = session
         self._declarations: list[Declaration] = []
+        self.identity = identity
+        """Identity with which the session was opened; None in an open fleet."""
+
+    @property
+    def principal(self) -> str:
+        """Name under which requests are sent."""
+        return DEFAULT_PRINCIPAL if self.identity is None else self.identity.principal
+
+    def check_admitted(self) -> None:
+        """Check that the router of a closed fleet lists the identity of this session.
+
+        A router silently drops all that it does not allow. The one question that it answers to
+        every principal in its list tells a revoked identity from a fleet without robots.
+
+        Raises:
+            NoRouterError: The router does not answer.
+        """
+        if self.identity is None:
+            return
+        with _transport_errors("asking the router"):
+            replies = self._session.get("@/*/router", timeout=ADMITTED_TIMEOUT_S)
+            if any(reply.ok is not None for reply in replies):
+                return
+        raise NoRouterError(
+            f"{self.identity.principal} ({self.identity.path}) is not in the list of the router at "
+            f"{self.identity.router}: it was revoked, or the router was not restarted since it was "
+            "added to the inventory"
+        )
 
     def __enter__(self) -> Session:
         return self
@@ -374,22 +409,36 @@ def open_router(listen: list[str], *, connect: list[str] | None = None) -> Itera
 
 
 @contextmanager
-def open_configured_router(path: Path) -> Iterator[Session]:
+def open_configured_router(path: Path, *, allow_open: bool) -> Iterator[Session]:
     """Open a router with the settings of a Zenoh configuration file.
 
     Args:
         path: Configuration file in JSON5.
+        allow_open: Whether it may listen where every machine could command the robots.
 
     Raises:
-        InvalidInputError: the file is not a Zenoh configuration.
+        InvalidInputError: the file is not a Zenoh configuration, or is open.
         EndpointInUseError: one of its endpoints is taken or may not be used.
     """
     try:
         config = zenoh.Config.from_file(path)
     except zenoh.ZError as error:
         raise InvalidInputError(f"{path}: not a Zenoh configuration: {_cause(error)}") from error
+    _resolve_certificates(config, path.absolute().parent)
+    listen = json.loads(config.get_json("listen/endpoints"))
+    for endpoint in listen if isinstance(listen, list) else listen.get("router", []):
+        check_closed(endpoint, allow_open=allow_open)
     with _opened_router(config, f"the endpoints of {path}") as opened:
         yield opened
+
+
+def _resolve_certificates(config: zenoh.Config, folder: Path) -> None:
+    """Make the names of certificates and keys relative to the folder of their configuration."""
+    for name in ("root_ca_certificate", "listen_certificate", "listen_private_key"):
+        key = f"transport/link/tls/{name}"
+        value = json.loads(config.get_json(key))
+        if isinstance(value, str):
+            config.insert_json5(key, json.dumps(str(folder / value)))
 
 
 @contextmanager
@@ -412,18 +461,25 @@ def open_client(
     """Open a session through the router at an endpoint; it survives restarts of the router.
 
     Args:
-        connect: Endpoint of the router.
+        connect: Endpoint of the router, or the address of an identity (`identity/FILE`), which
+            holds the endpoint.
         timeout_s: Longest time to try to reach the router; None tries forever.
         given_up: Event that ends the attempts when it is set from another thread.
 
     Raises:
         InvalidInputError: the endpoint is malformed.
-        NoRouterError: no router answered.
+        IdentityError: the identity cannot be used.
+        NoRouterError: no router answered, or it refused the identity; the message says why.
     """
+    identity = identity_at(connect)
     config = _base_config("client")
-    _insert_endpoints(config, "connect", [connect])
+    _insert_endpoints(config, "connect", [connect if identity is None else identity.router])
     config.insert_json5("connect/exit_on_failure", "true")
-    with Session(_reach(config, connect, timeout_s, given_up)) as opened:
+    if identity is not None:
+        config.insert_json5("transport/link/protocols", '["tls"]')
+        config.insert_json5("transport/link/tls", json.dumps(identity.zenoh_settings()))
+    reached = _reach(config, connect, identity, timeout_s, given_up)
+    with Session(reached, identity) as opened:
         yield opened
 
 
@@ -440,11 +496,16 @@ def _insert_endpoints(config: zenoh.Config, role: str, endpoints: list[str]) -> 
 
 
 def _reach(
-    config: zenoh.Config, connect: str, timeout_s: float | None, given_up: threading.Event | None
+    config: zenoh.Config,
+    connect: str,
+    identity: Identity | None,
+    timeout_s: float | None,
+    given_up: threading.Event | None,
 ) -> zenoh.Session:
     """Open a client session in short attempts, because `zenoh.open` cannot be interrupted."""
     deadline = None if timeout_s is None else time.monotonic() + timeout_s
     try_s = 0.2
+    tries = 0
     while True:
         try_s = min(1.5 * try_s, LONGEST_TRY_S)
         left_s = try_s if deadline is None else deadline - time.monotonic()
@@ -455,11 +516,21 @@ def _reach(
         except zenoh.ZError as error:
             over = deadline is not None and time.monotonic() >= deadline
             if over or (given_up is not None and given_up.is_set()):
-                raise NoRouterError(
-                    f"no router answers at {without_secrets(connect)}: start one with "
-                    "`nufleet router` or `nufleet fleet up FLEET.toml`, or give another address "
-                    "with --connect"
-                ) from error
+                raise NoRouterError(_no_router(connect, identity)) from error
+            # A failed handshake makes a router wait for 0.1 s before it accepts others.
+            if deadline is None and identity is not None and tries % 10 == 0:
+                _log.warning("%s; it tries again", _no_router(connect, identity))
+            tries += 1
+
+
+def _no_router(connect: str, identity: Identity | None) -> str:
+    if identity is None:
+        return (
+            f"no router answers at {without_secrets(connect)}: start one with `nufleet router` or "
+            "`nufleet fleet up FLEET.toml`, or give another address with --connect"
+        )
+    why = why_refused(identity) or "its handshake succeeds, so the router may be overloaded"
+    return f"{identity.principal} cannot reach the router at {identity.router}: {why}"
 
 
 def _on_sample(handler: OnSample, max_bytes: int) -> Callable[[zenoh.Sample], None]:

@@ -135,7 +135,7 @@ def test_an_agent_that_is_being_restarted_takes_a_goal_when_it_is_back(
         asked.set()
 
     with open_client(lab.endpoint, timeout_s=PATIENCE_S) as session, ThreadPoolExecutor(1) as pool:
-        session.serve(KEYS.robot("a", "goal"), ending)
+        session.serve(KEYS.command("a", "orchestrator-1", "goal"), ending)
         session.declare_alive(KEYS.robot("a", "alive"))
         fleet = lab.orchestrator("a")
         running = pool.submit(GoalRunner(fleet).run, "a", "g", SHORT)

@@ -57,8 +57,8 @@ def test_a_stop_behind_one_that_a_full_link_holds_up_arrives_soon_all_the_same(l
                 time.sleep(0.05)
             began_s = time.monotonic()
             # The router serves them in this order.
-            stopping.put_urgent(KEYS.robot("b", "stop"), STOP)
-            stopping.put_urgent(KEYS.robot("a", "stop"), STOP)
+            stopping.put_urgent(KEYS.command("b", "me", "stop"), STOP)
+            stopping.put_urgent(KEYS.command("a", "me", "stop"), STOP)
             wait_until(lambda: bool(told_s(lab, "a")))
         finally:
             ended.set()

@@ -42,7 +42,7 @@ def test_an_agent_refuses_every_request_of_another_version_and_stays_at_rest(lab
                 for version in OTHERS:
                     asked.add(leaf)
                     payload = of_version(encode(message), version)
-                    key = KEYS.robot("a", leaf)
+                    key = KEYS.request("a", "me", leaf)
                     (reply,) = session.ask_all(key, payload, timeout_s=PATIENCE_S)
                     refusal = decode(reply, Refusal)
                     assert refusal.code == "malformed"

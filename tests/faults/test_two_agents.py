@@ -26,7 +26,7 @@ def test_two_agents_of_one_robot_both_refuse_until_one_has_ended(lab: Lab) -> No
     with open_client(lab.endpoint, timeout_s=PATIENCE_S) as session:
 
         def refusals() -> list[Refusal]:
-            key = KEYS.robot("a", "goal")
+            key = KEYS.command("a", request.owner, "goal")
             replies = session.ask_all(key, encode(request), timeout_s=PATIENCE_S)
             answers = [decode(reply, Refusal) for reply in replies]
             return [answer for answer in answers if answer.code == "two-agents"]

@@ -322,10 +322,10 @@ def test_a_goal_of_an_owner_nobody_could_miss_is_refused(lab: Lab) -> None:
     robot = PuppetRobot()
     lab.agent("a", robot)
     orchestrator = lab.orchestrator()
-    request = orchestrator.request("g").model_copy(update={"owner": "ghost"})
+    request = orchestrator.request("g").model_copy(update={"owner": "orchestrator-1.ghost"})
     assert refusal(lambda: orchestrator.fleet.submit("a", request)) == "owner-not-alive"
     assert robot.motions == 0
-    orchestrator.session.declare_alive(KEYS.orchestrator_alive("ghost"))
+    orchestrator.session.declare_alive(KEYS.orchestrator_alive("orchestrator-1.ghost"))
     assert orchestrator.fleet.submit("a", request).goal_id == "g"
     orchestrator.result("a", "g")
 

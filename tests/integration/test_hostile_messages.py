@@ -72,7 +72,7 @@ MALFORMED = {
 
 
 def asked(session: Session, leaf: str, payload: bytes) -> Message:
-    (reply,) = session.ask_all(KEYS.robot("a", leaf), payload, timeout_s=PATIENCE_S)
+    (reply,) = session.ask_all(KEYS.request("a", "me", leaf), payload, timeout_s=PATIENCE_S)
     return decode(reply, *ANY_REPLY)
 
 
@@ -173,7 +173,7 @@ def test_a_question_that_would_stop_many_robots_stops_them(
     lab.agent("b", PuppetRobot())
     orchestrator.fleet.wait_for(("b",), timeout_s=PATIENCE_S)
     replies = orchestrator.session.ask_all(
-        KEYS.every_robot("stop"), encode(VALID["stop"]), timeout_s=PATIENCE_S
+        KEYS.every_robot("by/me/stop"), encode(VALID["stop"]), timeout_s=PATIENCE_S
     )
     assert [type(decode(reply, Done, Refusal)) for reply in replies] == [Done, Done]
     for name in ("a", "b"):
@@ -185,7 +185,7 @@ def test_a_question_that_would_stop_many_robots_stops_them(
 def test_a_garbled_stop_stops(
     kind: str, everyone: bool, orchestrator: Orchestrator, robot: PuppetRobot
 ) -> None:
-    key = KEYS.stop if everyone else KEYS.robot("a", "stop")
+    key = KEYS.stop("me") if everyone else KEYS.command("a", "me", "stop")
     orchestrator.session.put_urgent(key, MALFORMED[kind])
     orchestrator.state("a", lambda s: s.status is RobotStatus.STOPPED)
     assert_well(orchestrator, robot, "g")
@@ -200,7 +200,7 @@ def test_puts_of_many_megabytes_cost_an_agent_no_memory_and_a_stop_among_them_st
     try:
         for _ in range(6):
             stranger.put_urgent(KEYS.robot("a", "state"), long)
-            stranger.put_urgent(KEYS.robot("a", "stop"), long)
+            stranger.put_urgent(KEYS.command("a", "me", "stop"), long)
         orchestrator.state("a", lambda s: s.status is RobotStatus.STOPPED)
         # An agent that reads this message has read the earlier ones.
         asked(orchestrator.session, "describe", encode(DescribeRequest()))

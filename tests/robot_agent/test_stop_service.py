@@ -12,6 +12,7 @@ from agent_lives import EXCITATION
 from polling import PATIENCE_S, wait_until
 from puppet_robot import puppet_spec
 
+from nufleet.robot_agent.commands import Commands
 from nufleet.robot_agent.decisions import Decisions
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.journal.journal import Journal
@@ -20,6 +21,7 @@ from nufleet.robot_agent.stop_service import StopService
 from nufleet.shared import private_files
 from nufleet.shared.errors import MalformedMessageError
 from nufleet.shared.wire.codec import encode
+from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.messages import Done, GoalRequest, Outcome, Refusal, StopRequest
 
 STOP = encode(StopRequest(sender="alice", reason="smoke"))
@@ -39,7 +41,7 @@ def decisions(journal: Journal) -> Decisions:
 
 @pytest.fixture
 def stops(decisions: Decisions) -> Iterator[StopService]:
-    stops = StopService("r", decisions)
+    stops = StopService("r", decisions, FleetKeys("lab"), Commands(None))
     yield stops
     stops.close()
 
@@ -54,14 +56,14 @@ def stored_stop(tmp_path: Path, journal: Journal) -> str | None:
 def test_a_stop_is_answered_when_it_is_stored(
     stops: StopService, tmp_path: Path, journal: Journal
 ) -> None:
-    assert stops.asked(STOP).result(PATIENCE_S) == Done()
+    assert stops.asked("alice", STOP).result(PATIENCE_S) == Done()
     assert stored_stop(tmp_path, journal) == "alice: smoke"
 
 
 def test_a_stop_on_the_fleets_key_is_stored_too(
     stops: StopService, tmp_path: Path, journal: Journal
 ) -> None:
-    stops.heard("nufleet/lab/stop", STOP)
+    stops.heard("nufleet/lab/by/alice/stop", STOP)
     stops.close()
     assert stored_stop(tmp_path, journal) == "alice: smoke"
 
@@ -82,10 +84,10 @@ def test_a_thousand_stops_halt_at_once_while_the_disk_is_stuck(
         write(descriptor, data)
 
     monkeypatch.setattr(private_files, "write_all", write_slowly)
-    first = stops.asked(STOP)
+    first = stops.asked("alice", STOP)
     assert motion.switch.order == (Outcome.ABORTED, "stopped by alice: smoke")
     assert stuck.wait(PATIENCE_S)
-    answers = {stops.asked(STOP) for _ in range(1000)}
+    answers = {stops.asked("alice", STOP) for _ in range(1000)}
     assert len(answers) == 1, "all that wait together wait for one write"
     assert not first.done()
     goes_on.set()
@@ -103,25 +105,25 @@ def test_a_stop_that_cannot_be_stored_halts_and_says_so_and_the_next_one_tries_a
 
     with monkeypatch.context() as disk:
         disk.setattr(private_files, "write_all", full)
-        answer = stops.asked(STOP).result(PATIENCE_S)
+        answer = stops.asked("alice", STOP).result(PATIENCE_S)
         assert isinstance(answer, Refusal)
         assert answer.code == "journal"
         assert "it was halted, but the stop will not outlast its agent" in answer.reason
         assert "No space left" in answer.reason
-    assert stops.asked(STOP).result(PATIENCE_S) == Done()
+    assert stops.asked("alice", STOP).result(PATIENCE_S) == Done()
     assert stored_stop(tmp_path, journal) == "alice: smoke"
 
 
 def test_a_garbled_stop_is_a_stop(stops: StopService, tmp_path: Path, journal: Journal) -> None:
     with pytest.raises(MalformedMessageError):
-        stops.asked(b"stop!!")
+        stops.asked("alice", b"stop!!")
     stops.close()
-    assert stored_stop(tmp_path, journal) == "unknown: a malformed stop: not a nufleet message"
+    assert stored_stop(tmp_path, journal) == "alice: a malformed stop: not a nufleet message"
 
 
 def test_who_asks_an_agent_that_ends_is_told_so(stops: StopService, decisions: Decisions) -> None:
     stops.close()
-    answer = stops.asked(STOP).result(PATIENCE_S)
+    answer = stops.asked("alice", STOP).result(PATIENCE_S)
     assert isinstance(answer, Refusal)
     assert answer.code == "shutting-down"
     wait_until(lambda: not [t for t in threading.enumerate() if t.name.startswith("r-stops")])

@@ -25,6 +25,7 @@ from nufleet.orchestrator.jobs.track import TrackCommand
 from nufleet.orchestrator.jobs.train import TrainCommand
 from nufleet.orchestrator.jobs.transfer import TransferCommand
 from nufleet.shared.errors import FleetFileError
+from nufleet.shared.wire.identity import IdentityError
 from nufleet.sims.fleets import PAPER_LINEAR
 
 JOBS: dict[str, tuple[click.Command, type[Any]]] = {
@@ -44,8 +45,9 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     found: list[Any] = []
     for name in JOBS:
         monkeypatch.setattr(f"nufleet.orchestrator.jobs.{name}.{name}_and_print", found.append)
-    for variable in ("NUFLEET_ROUTER", "NUFLEET_RUNS", "NUFLEET_REPOSITORY"):
+    for variable in ("NUFLEET_ROUTER", "NUFLEET_IDENTITY", "NUFLEET_RUNS", "NUFLEET_REPOSITORY"):
         monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setenv("XDG_CONFIG_HOME", "/nonexistent")
     return found
 
 
@@ -57,8 +59,10 @@ def typed(name: str, *arguments: str, **environment: str) -> Result:
 def test_the_options_of_a_command_are_the_fields_of_its_job(name: str) -> None:
     command, job = JOBS[name]
     options = {parameter.name for parameter in command.params}
-    # `rank --resume` is another job; how many processes a fleet gets only scripts choose.
-    assert options - {"resume"} == {field.name for field in fields(job)} - {"processes"}
+    # `rank --resume` is another job; how many processes a fleet gets only scripts choose; and the
+    # address of the fleet is chosen before the job begins.
+    taken = {field.name for field in fields(job)}
+    assert options - {"resume", "identity", "allow_open"} == taken - {"processes"}
 
 
 @pytest.mark.parametrize("name", ["rank", "resume"])
@@ -67,6 +71,23 @@ def test_options_that_are_left_out_are_what_the_job_takes_by_default(
 ) -> None:
     assert typed(name).exit_code == 0
     assert asked == [JOBS[name][1](runs_root=Path("runs"))]
+
+
+def test_a_fleet_that_is_started_for_the_command_needs_no_identity(
+    asked: list[Any], tmp_path: Path
+) -> None:
+    folder = tmp_path / "nufleet"
+    folder.mkdir()
+    for name in ("anna", "desk"):
+        (folder / f"{name}.nufleet").touch()
+    mine = {"XDG_CONFIG_HOME": str(tmp_path)}
+    assert typed("rank", "--fleet", "paper_linear", **mine).exit_code == 0
+    assert len(asked) == 1
+    which = typed("rank", **mine).exception
+    assert isinstance(which, IdentityError)
+    chosen = folder / "anna.nufleet"
+    assert typed("rank", "--identity", str(chosen), **mine).exit_code == 0
+    assert asked[-1].connect == f"identity/{chosen}"
 
 
 def test_options_of_rank_reach_the_job_converted(asked: list[Any]) -> None:
@@ -157,7 +178,7 @@ def test_rank_can_resume_as_runs_resume_does(asked: list[Any]) -> None:
 def test_a_resumed_run_is_looked_for_where_it_was_unless_a_router_is_typed(
     asked: list[Any],
 ) -> None:
-    router = "tcp/10.0.0.1:7447"
+    router = "tcp/127.0.0.1:7448"
     assert typed("rank", "--resume", "latest", NUFLEET_ROUTER=router).exit_code == 0
     assert typed("rank", "--resume", "latest", "--connect", router).exit_code == 0
     assert [command.connect for command in asked] == [None, router]

@@ -95,7 +95,9 @@ def test_a_goal_that_its_agent_died_of_moves_nothing_after_an_interrupt(
     (test,) = lab.open_tests(r9=TEST)
     with ThreadPoolExecutor(1) as pool:
         with open_client(lab.endpoint, timeout_s=5.0) as dying:
-            dying.serve(KEYS.robot("r9", "goal"), lambda request: asked.set())
+            dying.serve(
+                KEYS.command("r9", "orchestrator-test", "goal"), lambda request: asked.set()
+            )
             dying.declare_alive(KEYS.robot("r9", "alive"))
             lab.fleet.wait_for(("r9",), timeout_s=PATIENCE_S)
             running = pool.submit(dispatcher.run, [test])

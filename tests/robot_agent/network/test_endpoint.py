@@ -59,7 +59,7 @@ def goes_on() -> Iterator[threading.Event]:
 def session(goes_on: threading.Event) -> Iterator[Session]:
     """An endpoint whose worker is stuck in the first request until it is released."""
 
-    def slow(_payload: bytes) -> Message:
+    def slow(_principal: str, _payload: bytes) -> Message:
         assert goes_on.wait(PATIENCE_S)
         return Done()
 
@@ -68,7 +68,8 @@ def session(goes_on: threading.Event) -> Iterator[Session]:
         session,  # type: ignore[arg-type]
         FleetKeys("lab"),
         "a",
-        handlers={"goal": slow},
+        handlers={},
+        commands={"goal": slow},
         urgent={},
         large=("goal",),
     )
@@ -80,7 +81,9 @@ def session(goes_on: threading.Event) -> Iterator[Session]:
 def test_large_requests_that_wait_take_no_more_memory_than_allowed(
     session: Session, goes_on: threading.Event
 ) -> None:
-    requests = [Request("nufleet/lab/robot/a/goal", MAX_LARGE_REQUEST_BYTES) for _ in range(30)]
+    requests = [
+        Request("nufleet/lab/robot/a/by/me/goal", MAX_LARGE_REQUEST_BYTES) for _ in range(30)
+    ]
     session.ask(requests[0])
     wait_until(lambda: requests[0].copies == 1)
     for request in requests[1:]:
@@ -96,13 +99,13 @@ def test_large_requests_that_wait_take_no_more_memory_than_allowed(
     goes_on.set()
     wait_until(lambda: all(request.answers for request in requests))
     # There is room again for what comes now.
-    again = Request("nufleet/lab/robot/a/goal", MAX_LARGE_REQUEST_BYTES)
+    again = Request("nufleet/lab/robot/a/by/me/goal", MAX_LARGE_REQUEST_BYTES)
     session.ask(again)
     wait_until(lambda: again.answers == [Done()])
 
 
 def test_what_is_too_large_is_refused_unread(session: Session) -> None:
-    request = Request("nufleet/lab/robot/a/goal", MAX_LARGE_REQUEST_BYTES + 1)
+    request = Request("nufleet/lab/robot/a/by/me/goal", MAX_LARGE_REQUEST_BYTES + 1)
     session.ask(request)
     (answer,) = request.answers
     assert isinstance(answer, Refusal)

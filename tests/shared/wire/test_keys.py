@@ -8,11 +8,16 @@ from hypothesis import strategies as st
 
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.wire.keys import (
+    COMMANDS,
     EVERY_FLEETS_ROBOTS_ALIVE,
-    EVERY_FLEETS_STOP,
+    READS,
+    RELEASE,
+    STOP,
     FleetKeys,
+    attributed,
     checked_identifier,
     checked_name,
+    every_fleets_stop,
     fleet_of,
     robot_in_every_fleet,
 )
@@ -50,7 +55,7 @@ def test_a_key_says_which_robot_it_belongs_to(fleet: str, robot: str, leaf: str)
     # With `*` for the fleet, the same keys.
     assert robot_in_every_fleet(robot, leaf).replace("*", fleet) == keys.robot(robot, leaf)
     assert EVERY_FLEETS_ROBOTS_ALIVE.replace("*", fleet, 1) == keys.every_robot("alive")
-    assert EVERY_FLEETS_STOP.replace("*", fleet) == keys.stop
+    assert every_fleets_stop("desk").replace("*", fleet) == keys.stop("desk")
 
 
 @given(fleet=names, orchestrator=identifiers)
@@ -63,7 +68,39 @@ def test_a_token_says_which_orchestrator_it_belongs_to(fleet: str, orchestrator:
 def test_fleets_keep_apart(fleet: str, other: str, robot: str) -> None:
     mine, theirs = FleetKeys(fleet), FleetKeys(other)
     assert (mine.robot(robot, "goal") == theirs.robot(robot, "goal")) == (fleet == other)
-    assert (mine.stop == theirs.stop) == (fleet == other)
+    assert (mine.stop("desk") == theirs.stop("desk")) == (fleet == other)
+
+
+@given(robot=names, principal=names, leaf=st.sampled_from((*COMMANDS, STOP, RELEASE)))
+def test_the_key_of_a_command_names_its_principal(robot: str, principal: str, leaf: str) -> None:
+    keys = FleetKeys("lab")
+    below = keys.command(robot, principal, leaf).removeprefix(keys.robot(robot, ""))
+    assert attributed(below) == (principal, leaf)
+    assert keys.request(robot, principal, leaf) == keys.command(robot, principal, leaf)
+
+
+@pytest.mark.parametrize("leaf", READS)
+def test_a_read_names_no_principal(leaf: str) -> None:
+    assert FleetKeys("lab").request("a", "desk", leaf) == FleetKeys("lab").robot("a", leaf)
+    assert attributed(leaf) == (None, leaf)
+
+
+@pytest.mark.parametrize(
+    "leaf", ["goal", "by/goal", "by//goal", "by/A/goal", "by/*/goal", "bye/a/b"]
+)
+def test_a_key_without_a_valid_principal_names_none(leaf: str) -> None:
+    assert attributed(leaf) == (None, leaf)
+
+
+@given(fleet=names, robot=names, principal=names)
+def test_the_key_of_a_stop_names_the_principal_that_gave_it(
+    fleet: str, robot: str, principal: str
+) -> None:
+    keys = FleetKeys(fleet)
+    assert keys.principal_of_stop(keys.command(robot, principal, STOP)) == principal
+    assert keys.principal_of_stop(keys.stop(principal)) == principal
+    assert keys.principal_of_stop(keys.robot(robot, STOP)) is None
+    assert keys.principal_of_stop(f"{keys.root}/stop") is None
 
 
 @pytest.mark.parametrize("name", NOT_NAMES)

@@ -1,0 +1,219 @@
+"""The work of the commands that close a fleet: `nufleet fleet init`, `enroll`, `who` and others."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+
+import click
+from rich.table import Table
+
+from nufleet.orchestrator.authority.authority import (
+    FOLDER_SUFFIX,
+    PRINCIPAL_DAYS,
+    Authority,
+    Enrolled,
+    make_request,
+)
+from nufleet.orchestrator.authority.certificates import utc_now
+from nufleet.orchestrator.authority.ledger import Enrolment
+from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.shared.errors import InvalidInputError, NufleetError
+from nufleet.shared.wire.identity import identity_folder
+from nufleet.shared.wire.keys import FleetKeys, checked_name, principal_of
+from nufleet.shared.wire.transport import open_client
+
+WHO_TIMEOUT_S = 5.0
+ALARM = 1 / 3
+"""Part of a certificate's life that is left when it is shown as due."""
+
+
+def init_and_print(inventory: Path, folder: Path | None) -> None:
+    """Make the authority of a fleet and print how to start its router.
+
+    Args:
+        inventory: Path of the fleet file that lists the principals.
+        folder: Folder to create; None for one beside the inventory.
+
+    Raises:
+        InvalidInputError, FleetFileError: See `Authority.create`.
+    """
+    folder = folder or inventory.with_suffix(FOLDER_SUFFIX)
+    authority = Authority.create(inventory, folder)
+    names = ", ".join(authority.inventory.principals)
+    click.echo(f"made the authority of fleet {authority.inventory.name} in {folder}", err=True)
+    click.echo(f"start the router:  nufleet router --config {authority.configuration}", err=True)
+    click.echo(f"then enroll each of {names}:  nufleet fleet enroll NAME", err=True)
+
+
+def request_and_print(name: str, folder: Path | None) -> None:
+    """Make a key and a request, and print what to do with the request.
+
+    Args:
+        name: Principal of the inventory.
+        folder: Folder for both; None for the user's folder for identities.
+
+    Raises:
+        InvalidInputError: The name is not valid, or there is a key of this name.
+    """
+    key, request = make_request(checked_name(name, "principal"), folder or identity_folder())
+    click.echo(f"the key {key} stays on this machine", err=True)
+    click.echo(
+        f"take {request} to the authority:  nufleet fleet enroll {name} --request {request.name}",
+        err=True,
+    )
+    click.echo(f"and put the {name}.nufleet that it writes into {key.parent}", err=True)
+
+
+def enroll_and_print(
+    name: str, folder: Path | None, out: Path, *, request: Path | None, days: int
+) -> None:
+    """Write the identity of a principal and print what to do with it.
+
+    Args:
+        name: Principal of the inventory.
+        folder: Folder of the authority; None for the only one here.
+        out: Folder for the identity.
+        request: Request of the principal; None to make its key here.
+        days: Days for which the certificate is valid.
+
+    Raises:
+        InvalidInputError: See `Authority.enroll`.
+    """
+    authority = Authority(found_authority(folder))
+    enrolled = authority.enroll(name, out, request=request, days=days)
+    _print(authority, name, enrolled)
+
+
+def renew_and_print(
+    names: tuple[str, ...], folder: Path | None, out: Path, *, router: bool, days: int
+) -> None:
+    """Write new certificates for the keys of enrolled principals or of the router.
+
+    Args:
+        names: Principals; empty for all that are enrolled, unless the router alone is renewed.
+        folder: Folder of the authority; None for the only one here.
+        out: Folder for the identities.
+        router: Whether to renew the certificate of the router.
+        days: Days for which the certificates of principals are valid.
+
+    Raises:
+        InvalidInputError: See `Authority.renew`.
+    """
+    authority = Authority(found_authority(folder))
+    if router:
+        expires = authority.renew_router()
+        click.echo(
+            f"the router's certificate is valid until {expires:%Y-%m-%d}; restart the router",
+            err=True,
+        )
+    enrolled = [name for name, one in authority.ledger.enrolments.items() if not one.revoked]
+    for name in names or ([] if router else enrolled):
+        _print(authority, name, authority.renew(name, out, days=days))
+
+
+def revoke_and_print(name: str, folder: Path | None) -> None:
+    """Take a principal out of the router's list.
+
+    Args:
+        name: Principal that is enrolled.
+        folder: Folder of the authority; None for the only one here.
+
+    Raises:
+        InvalidInputError: The principal is not enrolled.
+    """
+    authority = Authority(found_authority(folder))
+    authority.revoke(name)
+    click.secho(f"restart the router now: until then {name} is still admitted", bold=True, err=True)
+    click.echo(f"  nufleet router --config {authority.configuration}", err=True)
+
+
+def who_and_print(folder: Path | None, connect: str) -> None:
+    """Print all principals: role, certificate, and whether they are connected.
+
+    Args:
+        folder: Folder of the authority; None for the only one here.
+        connect: Address of the fleet.
+
+    Raises:
+        InvalidInputError: There is no authority here.
+        NoRouterError: The router cannot be reached; the table is printed before.
+    """
+    authority = Authority(found_authority(folder))
+    fleet, ledger = authority.inventory, authority.ledger
+    connected: set[str] | None = None
+    error = None
+    try:
+        connected = _connected(connect, fleet.name)
+    except NufleetError as raised:  # raised again below the table
+        error = raised
+    table = Table(title=f"principals of fleet {fleet.name}")
+    for heading in ("principal", "role", "certificate", "connected"):
+        table.add_column(heading)
+    for name, role in fleet.principals.items():
+        # Watchers and operators leave no sign of their presence in the fleet.
+        seen = role in ("robot", "orchestrator") and connected is not None
+        there = ("yes" if name in (connected or ()) else "no") if seen else "not known"
+        table.add_row(name, role, _certificate(ledger.enrolments.get(name)), there)
+    table.add_row("the router", "router", _left(ledger.router_expires), "")
+    stderr_console().print(table)
+    if error is not None:
+        raise error
+
+
+def found_authority(folder: Path | None) -> Path:
+    """Return the folder of the authority that was given, or the only one in this folder.
+
+    Raises:
+        InvalidInputError: None was given, and there is none here, or several.
+    """
+    if folder is not None:
+        return folder
+    found = sorted(Path().glob(f"*{FOLDER_SUFFIX}"))
+    if len(found) == 1:
+        return found[0]
+    there = f"there are {', '.join(map(str, found))}" if found else "there is none here"
+    raise InvalidInputError(
+        f"which authority? {there}; give its folder with --authority, or make one with "
+        "`nufleet fleet init INVENTORY`"
+    )
+
+
+def _connected(connect: str, fleet: str) -> set[str]:
+    """Return the robots and orchestrators whose tokens the router of a fleet shows."""
+    keys = FleetKeys(fleet)
+    with open_client(connect, timeout_s=WHO_TIMEOUT_S) as session:
+        session.check_admitted()
+        robots = session.alive(keys.every_robot("alive"), timeout_s=WHO_TIMEOUT_S)
+        others = session.alive(keys.every_orchestrator_alive, timeout_s=WHO_TIMEOUT_S)
+    found = {keys.robot_of(key) for key in robots}
+    found |= {principal_of(keys.orchestrator_of(key) or "") for key in others}
+    return {name for name in found if name}
+
+
+def _certificate(enrolment: Enrolment | None) -> str:
+    if enrolment is None:
+        return "not enrolled"
+    return "revoked" if enrolment.revoked else _left(enrolment.expires)
+
+
+def _left(expires: datetime) -> str:
+    days = (expires - utc_now()).total_seconds() / 86400
+    if days <= 0:
+        return f"[red]expired {expires:%Y-%m-%d}[/]"
+    due = days < ALARM * PRINCIPAL_DAYS
+    return f"{'[yellow]' if due else ''}{expires:%Y-%m-%d}, {days:.0f} d left{'[/]' if due else ''}"
+
+
+def _print(authority: Authority, name: str, enrolled: Enrolled) -> None:
+    role = authority.inventory.principals[name]
+    what = f"{enrolled.identity} ({role}, until {enrolled.expires:%Y-%m-%d})"
+    click.echo(f"wrote {what}", err=True)
+    if enrolled.key is not None:
+        click.echo(
+            f"and its key {enrolled.key}: move both to the machine of {name}, over a channel that "
+            "you trust, and delete the key here",
+            err=True,
+        )
+    if enrolled.router_changed:
+        click.echo(f"restart the router: {authority.configuration} changed", err=True)

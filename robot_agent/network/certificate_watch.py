@@ -1,0 +1,63 @@
+"""Watches the end of a robot's certificate, at which the router closes its link.
+
+A goal is not accepted when it could still run at that moment: the motion would end as if its owner
+had died. A renewed identity file takes effect at the next connection, so until the old certificate
+has ended, the old one counts.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from datetime import datetime
+
+from nufleet.shared.wire.handshake import validity
+from nufleet.shared.wire.identity import Identity, IdentityError, read_identity
+from nufleet.shared.wire.messages import Refusal
+
+LAST_S = 600.0
+"""Time before the end of a certificate in which no goal is begun; longer than most motions."""
+
+WARN_BELOW = 1 / 3
+"""Part of a certificate's life that is left when warnings begin."""
+
+_log = logging.getLogger(__name__)
+
+
+class CertificateWatch:
+    """Tells whether a goal may begin; used from the endpoint's thread."""
+
+    def __init__(self, identity: Identity, now: Callable[[], datetime]) -> None:
+        """Begin with the certificate under which the robot is connected.
+
+        Args:
+            identity: Identity with which the robot's session was opened.
+            now: Function that returns the present time in UTC.
+        """
+        self._identity, self._now = identity, now
+        begins, self._ends = validity(identity)
+        if (self._ends - now()) < WARN_BELOW * (self._ends - begins):
+            _log.warning("%s", self._due())
+
+    def refusal(self) -> Refusal | None:
+        """Return why no goal may begin now; None when one may."""
+        if self._now() >= self._ends:
+            # The robot is still heard, so it has connected again, with the file as it is now.
+            self._read_again()
+        if (self._ends - self._now()).total_seconds() > LAST_S:
+            return None
+        return Refusal(code="certificate", reason=self._due())
+
+    def _read_again(self) -> None:
+        try:
+            self._ends = validity(read_identity(self._identity.path))[1]
+        except IdentityError as error:
+            _log.warning("%s", error)
+
+    def _due(self) -> str:
+        name = self._identity.principal
+        return (
+            f"the certificate of {name} ends at {self._ends:%Y-%m-%d %H:%M} UTC, and its link with "
+            f"it: `nufleet fleet renew {name}`, copy the identity to {self._identity.path}, and "
+            "restart the agent when the robot is at rest"
+        )

@@ -1,0 +1,103 @@
+"""Which endpoints any machine could use, and how a command is told the fleet that it is for."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+from pathlib import Path
+
+from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.redaction import without_secrets
+from nufleet.shared.wire.identity import (
+    IDENTITY_VARIABLE,
+    IdentityError,
+    address_of,
+    found_identities,
+)
+
+LOCAL_ENDPOINT = "tcp/127.0.0.1:7447"
+OPEN_VARIABLE = "NUFLEET_OPEN"
+PLAIN_PROTOCOLS = ("tcp", "udp", "ws")
+"""Protocols that prove neither side to the other."""
+
+HOW_TO_CLOSE = (
+    "close the fleet with `nufleet fleet init INVENTORY` and give each machine an identity "
+    "(docs/security.md), or accept this with --open on a network of the fleet's own"
+)
+
+
+def is_open(endpoint: str) -> bool:
+    """Return whether an endpoint admits other machines without proof of who they are."""
+    protocol, _, address = endpoint.partition("/")
+    if protocol not in PLAIN_PROTOCOLS:
+        return False
+    host = address.partition("#")[0].partition("?")[0].rpartition(":")[0].strip("[]")
+    if host == "localhost":
+        return False
+    try:
+        return not ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return True
+
+
+def check_closed(endpoint: str, *, allow_open: bool) -> str:
+    """Return an endpoint that may be used.
+
+    Args:
+        endpoint: Endpoint to listen on or to connect to.
+        allow_open: Whether the user accepts an open fleet.
+
+    Raises:
+        InvalidInputError: The endpoint is open and this was not accepted.
+    """
+    if allow_open or not is_open(endpoint):
+        return endpoint
+    raise InvalidInputError(
+        f"{without_secrets(endpoint)} is open: every machine that reaches it could command the "
+        f"robots; {HOW_TO_CLOSE}"
+    )
+
+
+def chosen_address(connect: str | None, identity: Path | None, *, allow_open: bool) -> str:
+    """Return the one address of a fleet that `chosen_addresses` finds.
+
+    Raises:
+        IdentityError: There are several identities in the user's folder.
+        InvalidInputError: The endpoint is open and this was not accepted.
+    """
+    found = chosen_addresses(connect, identity, allow_open=allow_open)
+    if len(found) > 1:
+        names = ", ".join(str(path) for path in found_identities())
+        raise IdentityError(
+            f"which identity? {names}: choose one with --identity or {IDENTITY_VARIABLE}"
+        )
+    return found[0]
+
+
+def chosen_addresses(
+    connect: str | None, identity: Path | None, *, allow_open: bool
+) -> tuple[str, ...]:
+    """Return the addresses of fleets from what the user gave, or else from where they are kept.
+
+    The order is: an identity that was given (option or NUFLEET_IDENTITY), an endpoint that was
+    given (option or NUFLEET_ROUTER), the identities in the user's folder, this machine. A script
+    that is given an endpoint in NUFLEET_ROUTER thus never uses the identity of its user.
+
+    Args:
+        connect: Endpoint that was given; None for none.
+        identity: Identity file that was given; None for none.
+        allow_open: Whether the user accepts an open fleet.
+
+    Raises:
+        InvalidInputError: The endpoint is open and this was not accepted.
+    """
+    if identity is not None:
+        return (address_of(identity),)
+    if connect is None:
+        return tuple(address_of(path) for path in found_identities()) or (LOCAL_ENDPOINT,)
+    return (check_closed(connect, allow_open=allow_open),)
+
+
+def open_is_accepted() -> bool:
+    """Return whether the environment accepts an open fleet."""
+    return os.environ.get(OPEN_VARIABLE, "") not in ("", "0")
