@@ -40,17 +40,8 @@ def test_rank_prints_the_documented_json_alone_on_stdout(tmp_path: Path) -> None
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
     assert list(document) == [
-        *("schema", "target", "band_rad_s", "selected", "ranking", "iterations"),
-        *(
-            "robot_time_s",
-            "run",
-            "verdicts",
-            "findings",
-            "ways_path",
-            "ways_unit",
-            "ways",
-            "chosen_way",
-        ),
+        *("schema", "target", "band_rad_s", "selected", "ranking", "iterations", "robot_time_s"),
+        *("run", "verdicts", "findings", "ways_path", "ways_unit", "ways", "chosen_way"),
     ]
     assert document["schema"] == 1
     assert document["target"] == "target"
@@ -124,6 +115,7 @@ def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(tmp_path:
     assert list(document) == [
         *("schema", "target", "band_rad_s", "selected", "ranking", "iterations", "robot_time_s"),
         *("run", "confidence", "eliminated", "stopped_because", "verdicts", "findings"),
+        *("ways_path", "ways_unit", "ways", "chosen_way"),
     ]
     assert document["selected"] == "source-2"
     assert document["confidence"] >= 0.95
