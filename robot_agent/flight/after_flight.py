@@ -58,4 +58,9 @@ def _after(belief: ErrorBelief, reference: FloatArray) -> ErrorBelief:
     shown = np.maximum(power, 0.0) / belief.noise_std**2
     directions = belief.factor @ turn
     left = directions / np.sqrt(1 + shown)
-    return replace(belief, factor=left, flown_s=belief.flown_s + evidence.flown_s)
+    return replace(
+        belief,
+        factor=left,
+        flown_s=belief.flown_s + evidence.flown_s,
+        largest=max(belief.largest, evidence.largest),
+    )

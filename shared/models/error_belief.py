@@ -9,7 +9,7 @@ adds its rows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
 from typing import Annotated
@@ -40,6 +40,8 @@ _NOISES = np.geomspace(1.0, 1e-12, 241)  # noise variances, as shares of the mea
 _SURE = 2.0  # standard deviations of the noise's mean square that may hide what is not linear
 _JITTER = 1e-10
 _TINY = float(np.finfo(np.float64).tiny)
+_DISTORTION = 0.43  # of a Coulomb friction's force under a sinusoidal velocity, by its fundamental
+_STICKS = 0.15  # share of its error beyond a linear answer that an axis leaves which sticks
 _LARGEST = 1e9  # no robot goes farther, in m or rad, and no square of it overflows
 
 
@@ -62,6 +64,12 @@ class Evidence(Strict):
     """Sum of the squares of the reference's deviations from its mean, in unit²."""
     flown_s: NonNegative
     """Duration of the flights in s."""
+    answered: NonNegative = 0.0
+    """Sum of the squares of the output's deviations from its mean, in unit²."""
+    sensed: NonNegative = 0.0
+    """Sum of the squares of the sensor's noise, as far as it is new at each sample, in unit²."""
+    largest: NonNegative = 0.0
+    """Root mean square of the reference's deviations from its mean in the largest flight."""
 
     @model_validator(mode="after")
     def _square(self) -> Evidence:
@@ -110,6 +118,31 @@ class Evidence(Strict):
             rows=samples - 1,
             moved=float(np.sum((reference - reference.mean()) ** 2)),
             flown_s=samples * basis.sample_time_s,
+            answered=float(np.sum((output - output.mean()) ** 2)),
+            sensed=_white(output) * (samples - 1),
+            largest=float(np.std(reference)),
+        )
+
+    def thinned(self, lasting: float) -> Evidence:
+        """Return the evidence of a record in which what is unexplained lasts several samples.
+
+        It shows no more than as many times fewer samples with noise that is new at each of them.
+
+        Args:
+            lasting: Correlation time of what is unexplained, in samples, at least 1.
+        """
+        rows = max(1, round(self.rows / lasting))
+        share = rows / self.rows
+        return Evidence(
+            normal=tuple(share * each for each in self.normal),
+            right=tuple(share * each for each in self.right),
+            squares=share * self.squares,
+            rows=rows,
+            moved=share * self.moved,
+            flown_s=self.flown_s,
+            answered=share * self.answered,
+            sensed=share * self.sensed,
+            largest=self.largest,
         )
 
     def __add__(self, other: Evidence) -> Evidence:
@@ -121,7 +154,32 @@ class Evidence(Strict):
             rows=self.rows + other.rows,
             moved=self.moved + other.moved,
             flown_s=self.flown_s + other.flown_s,
+            answered=self.answered + other.answered,
+            sensed=self.sensed + other.sensed,
+            largest=max(self.largest, other.largest),
         )
+
+    def bounded(self, noise_std: float) -> float:
+        """Return the share of the error that may not grow with the size of the motion.
+
+        An axis with dry friction F, held by a stiffness K, is off by up to F/K however far it
+        moves: from a small motion, this looks like a part of its answer. The distortion that comes
+        with it gives it away. While the axis slides, a force with the sign of a sinusoidal velocity
+        is distorted by 0.43 of its fundamental; while it sticks, which is linear in its way, less
+        is left.
+
+        Args:
+            noise_std: Standard deviation of what no linear response explains, in the axis's unit.
+        """
+        if self.largest > 0 and self.answered <= 2 * self.sensed:
+            return 1.0  # it never left its place, as far as its sensor shows
+        # The fewer samples, the more of their noise's mean square is chance.
+        noise = self.sensed / self.rows * (1 + _SURE * float(np.sqrt(2 / self.rows)))
+        least = min(self.squares, self.answered) if self.largest > 0 else self.squares
+        if noise_std**2 <= noise or least <= 0:
+            return 0.0
+        odd_share = float(np.sqrt((noise_std**2 - noise) * self.rows / least))
+        return min(1.0, max(odd_share / _DISTORTION, (odd_share / _STICKS) ** 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +201,19 @@ class ErrorBelief:
     model_error: float = MODEL_ERROR
     """Standard deviation of the relative size of what is not linear: `MODEL_ERROR`, or less where
     the noise of the motions could not have hidden as much."""
+    bounded: float = 0.0
+    """Share of the error that may not grow with the size of the motion; see `Evidence.bounded`."""
+    largest: float = np.inf
+    """Root mean square of the reference in the largest motion that the belief rests on, in the
+    axis's unit; that of a larger one makes the bounded share of its error count."""
+
+    def open(self, size: float) -> float:
+        """Return the share of the error by which a motion may leave less than a linear loop would.
+
+        Args:
+            size: Root mean square of the reference's deviations from its mean, in the axis's unit.
+        """
+        return self.bounded * (1 - min(1.0, self.largest / max(size, _TINY)))
 
     def error(self, reference: FloatArray, before: float) -> FloatArray:
         """Predict the error u − y along a reference, shape (samples,), without noise.
@@ -159,14 +230,19 @@ class ErrorBelief:
         steps = 1.0 - self.error(np.ones(last + 1), 0.0)
         return np.diff(steps)
 
-    def draws(self, count: int, rng: np.random.Generator, *, flown: bool = True) -> FloatArray:
+    def draws(
+        self, count: int, rng: np.random.Generator, size: float, *, flown: bool = True
+    ) -> FloatArray:
         """Draw parameters x from the belief, shape (size, count).
 
-        Each draw is larger or smaller as a whole by what no linear response is better known than.
+        Each draw is larger or smaller as a whole by what no linear response is better known than,
+        and smaller where its error may not grow with the size of the motion.
 
         Args:
             count: Number of draws.
             rng: Generator of the draws.
+            size: Root mean square of the deviations of the motion to foresee from its mean, in the
+                axis's unit.
             flown: False for an axis that tests alone have moved. They show neither how axes act on
                 each other nor what larger motions change, so it is not known how linear it is.
         """
@@ -175,6 +251,7 @@ class ErrorBelief:
         if not flown:
             error = MODEL_ERROR * np.exp(rng.standard_normal(count))
         scale = 1 + error * rng.standard_normal(count)
+        scale *= 1 - self.open(size) * (rng.permutation(count) + rng.random(count)) / count
         return np.asarray((self.mean[:, None] + self.factor @ normal) * scale)
 
     def response(self, omega_rad_s: FloatArray) -> tuple[ComplexArray, FloatArray]:
@@ -187,20 +264,27 @@ class ErrorBelief:
         variance = np.sum(np.abs(features @ self.factor) ** 2, axis=1)
         return np.asarray(1 - features @ self.mean), np.asarray(variance)
 
-    def surprise(self, evidence: Evidence, model_error: float = MODEL_ERROR) -> float:
+    def surprise(
+        self, evidence: Evidence, model_error: float = MODEL_ERROR, noise_std: float = 0.0
+    ) -> float:
         """Return the root mean square error of new flights, as a multiple of the one expected.
 
         It is near 1 for the robot that the belief was learned from, and larger for one that has
-        changed, or whose response depends on the size of its motion.
+        changed, or is less linear than its motions have shown.
 
         Args:
             evidence: Evidence of the new flights.
             model_error: Standard deviation of the share of the error that is not linear.
+            noise_std: Standard deviation of what no linear response could explain of the new
+                flights, in the axis's unit, if it is known.
         """
         normal, right = _arrays(evidence)
         left = float(evidence.squares - 2 * self.mean @ right + self.mean @ normal @ self.mean)
         spread = float(np.sum(self.factor * (normal @ self.factor)))
-        expected = evidence.rows * self.noise_std**2 + spread + model_error**2 * evidence.squares
+        size = max(evidence.largest, float(np.sqrt(evidence.moved / evidence.rows)))
+        foreseen = float(self.mean @ normal @ self.mean)
+        expected = evidence.rows * max(self.noise_std, noise_std) ** 2 + spread
+        expected += model_error**2 * evidence.squares + self.open(size) ** 2 * foreseen
         return float(np.sqrt(max(0.0, left) / max(expected, _TINY)))
 
 
@@ -257,7 +341,12 @@ def believe(basis: ErrorBasis, evidence: Evidence) -> ErrorBelief:
             best = float(cost[at]), belief
     if best is None:
         raise InvalidInputError("an axis without evidence")
-    return best[1]
+    found = best[1]
+    return replace(
+        found,
+        bounded=evidence.bounded(found.noise_std),
+        largest=max(evidence.largest, float(np.sqrt(moved))),
+    )
 
 
 def like(beliefs: list[ErrorBelief]) -> ErrorBelief:
@@ -290,7 +379,16 @@ def like(beliefs: list[ErrorBelief]) -> ErrorBelief:
         ),
         max(belief.noise_std for belief in beliefs),
         0.0,
+        bounded=max(belief.bounded for belief in beliefs),
+        largest=min(belief.largest for belief in beliefs),
     )
+
+
+def _white(output: FloatArray) -> float:
+    """Return the variance of noise that is new at each sample, in unit²: a smooth motion hardly has
+    a fourth difference, and noise is 70 times its variance there."""
+    fourth = np.diff(output, 4)
+    return float(np.mean(fourth**2)) / 70 if len(fourth) else 0.0
 
 
 def _arrays(evidence: Evidence) -> tuple[FloatArray, FloatArray]:
