@@ -251,7 +251,9 @@ class ErrorBelief:
         if not flown:
             error = MODEL_ERROR * np.exp(rng.standard_normal(count))
         scale = 1 + error * rng.standard_normal(count)
-        scale *= 1 - self.open(size) * (rng.permutation(count) + rng.random(count)) / count
+        less = self.open(size)
+        if less > 0:
+            scale *= 1 - less * (rng.permutation(count) + rng.random(count)) / count
         return np.asarray((self.mean[:, None] + self.factor @ normal) * scale)
 
     def response(self, omega_rad_s: FloatArray) -> tuple[ComplexArray, FloatArray]:
