@@ -14,8 +14,9 @@ import numpy as np
 from nufleet.robot_agent.flight.state_model import StateEvidence
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.models.error_belief import MODEL_ERROR, ErrorBelief, Evidence, believe, like
+from nufleet.shared.models.error_belief import MODEL_ERROR, ErrorBelief, believe, like
 from nufleet.shared.models.error_response import ErrorBasis
+from nufleet.shared.models.evidence import Evidence
 from nufleet.shared.models.path_inverse import inverted
 from nufleet.shared.models.unexplained import LAGS_MAX, Unexplained, correlation_samples
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec

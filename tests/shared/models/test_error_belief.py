@@ -11,8 +11,9 @@ from scipy.signal import dlsim
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.models.error_belief import MODEL_ERROR, ErrorBelief, Evidence, believe, like
+from nufleet.shared.models.error_belief import MODEL_ERROR, ErrorBelief, believe, like
 from nufleet.shared.models.error_response import ErrorBasis
+from nufleet.shared.models.evidence import Evidence
 from nufleet.shared.models.linear_model import LinearModel
 from nufleet.sims.double_integrator import DoubleIntegratorSettings, closed_loop
 
