@@ -32,7 +32,7 @@ class Evidence(Strict):
     squares: NonNegative
     """eᵀe in unit²."""
     rows: Annotated[int, Field(ge=1)]
-    """Number of samples, less one for each flight's offset."""
+    """Number of samples that count (see `thinned`), less one for each flight's offset."""
     moved: NonNegative
     """Sum of the squares of the reference's deviations from its mean, in unit²."""
     flown_s: NonNegative

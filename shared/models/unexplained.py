@@ -114,7 +114,7 @@ def spectrum(covariance: FloatArray, length: int) -> FloatArray:
 
 
 def correlation_samples(left: FloatArray) -> float:
-    """Return how many samples what is unexplained lasts, at least 1, which is that of white noise.
+    """Return how many samples what is unexplained lasts: 1 for white noise, otherwise more.
 
     Args:
         left: What is unexplained of one record, shape (samples,), without its mean.

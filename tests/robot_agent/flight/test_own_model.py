@@ -7,6 +7,7 @@ import pytest
 from robots_that_learn import LaggedRobot
 from scipy.signal import lfilter
 
+from nufleet.robot_agent.flight.forecast import forecast_of
 from nufleet.robot_agent.flight.own_model import AxisRecord, basis_of, evidence_in, settle
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.models.error_belief import believe
@@ -48,6 +49,23 @@ def test_a_robot_with_friction_has_not_changed_because_it_moves_more() -> None:
     assert flown.findings == ()
     assert flown.model is not None
     assert flown.model.axes[0].flown_s == pytest.approx(2 * len(TIME_S) * SPEC.sample_time_s)
+
+
+def test_a_robot_with_friction_flies_with_its_model_once_it_has_moved_as_far_as_the_path() -> None:
+    small, large = waves(0.008, 1), waves(0.4, 2)
+    path = waves(0.3, 3)
+    error = float(np.std((worn(path) - path)[:, 0]))
+    tested = settle({"x": record(small, worn(small))}, SPEC)
+    vague = forecast_of(tested.model, path)
+    assert vague is not None
+    assert not vague.own_helps
+    assert vague.baseline.low < 1.1 * error
+    new = evidence_in(SPEC, large, worn(large))["x"]
+    flown = settle({"x": tested.records["x"].with_new(new)}, SPEC)
+    known = forecast_of(flown.model, path)
+    assert known is not None
+    assert known.own_helps
+    assert known.baseline.low < 1.1 * error
 
 
 def test_a_robot_that_is_pushed_about_has_not_changed_by_the_next_flight() -> None:
