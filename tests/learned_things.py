@@ -8,7 +8,7 @@ from nufleet.robot_agent.flight.own_model import evidence_in
 from nufleet.shared.experience.file import Experience, encode_experience
 from nufleet.shared.experience.layout import Architecture, InverseLayout
 from nufleet.shared.experience.manifest import ExperienceManifest
-from nufleet.shared.models.error_belief import Evidence
+from nufleet.shared.models.evidence import Evidence
 from nufleet.shared.robots.spec import RobotSpec
 
 

@@ -15,7 +15,8 @@ from nufleet.robot_agent.flight.own_model import OwnModel
 from nufleet.robot_agent.flight.own_way import own_way
 from nufleet.robot_agent.flight.rich_flight import rich_references
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.models.error_belief import ErrorBelief, Evidence
+from nufleet.shared.models.error_belief import ErrorBelief
+from nufleet.shared.models.evidence import Evidence
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.motions import PredictedError
 
@@ -58,4 +59,9 @@ def _after(belief: ErrorBelief, reference: FloatArray) -> ErrorBelief:
     shown = np.maximum(power, 0.0) / belief.noise_std**2
     directions = belief.factor @ turn
     left = directions / np.sqrt(1 + shown)
-    return replace(belief, factor=left, flown_s=belief.flown_s + evidence.flown_s)
+    return replace(
+        belief,
+        factor=left,
+        flown_s=belief.flown_s + evidence.flown_s,
+        largest=max(belief.largest, evidence.largest),
+    )

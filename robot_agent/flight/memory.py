@@ -30,7 +30,7 @@ from nufleet.shared.experience.file import (
 )
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.experience.manifest import ExperienceManifest
-from nufleet.shared.models.error_belief import Evidence
+from nufleet.shared.models.evidence import Evidence
 from nufleet.shared.models.unexplained import Unexplained
 from nufleet.shared.private_files import make_private_folder, synchronise_folder, write_privately
 from nufleet.shared.robots.spec import RobotSpec

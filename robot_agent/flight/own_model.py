@@ -14,10 +14,11 @@ import numpy as np
 from nufleet.robot_agent.flight.state_model import StateEvidence
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.models.error_belief import MODEL_ERROR, ErrorBelief, Evidence, believe, like
+from nufleet.shared.models.error_belief import MODEL_ERROR, ErrorBelief, believe, like
 from nufleet.shared.models.error_response import ErrorBasis
+from nufleet.shared.models.evidence import Evidence
 from nufleet.shared.models.path_inverse import inverted
-from nufleet.shared.models.unexplained import LAGS_MAX, Unexplained
+from nufleet.shared.models.unexplained import LAGS_MAX, Unexplained, correlation_samples
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 from nufleet.shared.strict import Strict
 from nufleet.shared.wire.motions import PredictedError
@@ -113,7 +114,7 @@ class OwnModel:
         found = np.empty((DRAWS, *desired.shape))
         for i, (belief, seen) in enumerate(zip(self.axes, self.unexplained, strict=True)):
             reference, wanted = desired[:, i] + correction[:, i], desired[:, i]
-            draws = belief.draws(DRAWS, rng, flown=seen is not None)
+            draws = belief.draws(DRAWS, rng, float(np.std(wanted)), flown=seen is not None)
             done = 0
             for columns in belief.basis.blocks(reference, float(wanted[0])):
                 rows = slice(done, done + len(columns))
@@ -167,10 +168,18 @@ def evidence_in(
     """
     basis = basis_of(spec)
     return {
-        axis.name: Evidence.of(basis, references[:, i], outputs[:, i], float(references[0, i]))
+        axis.name: _evidence(basis, references[:, i], outputs[:, i])
         for i, axis in enumerate(spec.axes)
         if len(references) and np.ptp(references[:, i]) > 0
     }
+
+
+def _evidence(basis: ErrorBasis, reference: FloatArray, output: FloatArray) -> Evidence:
+    """Return the evidence of one axis, which counts for less where gusts or friction last."""
+    before = float(reference[0])
+    evidence = Evidence.of(basis, reference, output, before)
+    left = believe(basis, evidence).error(reference, before) - (reference - output)
+    return evidence.thinned(correlation_samples(left - left.mean()))
 
 
 def telling(
@@ -193,7 +202,7 @@ def telling(
         if new is None:
             continue
         agrees = belief.flown_s == 0 or belief.surprise(new) <= _AGREES
-        if agrees or belief.surprise(new, _not_linear(seen)) > STALE:
+        if agrees or _surprise(belief, new, seen) > STALE:
             found[axis.name] = new
     return found
 
@@ -289,7 +298,7 @@ def settle(records: Mapping[str, AxisRecord], spec: RobotSpec) -> Settled:
             )
             new = None
         if old is not None and new is not None:
-            surprise = believe(basis, old).surprise(new, _not_linear(unexplained))
+            surprise = _surprise(believe(basis, old), new, unexplained)
             if surprise > STALE:
                 findings.append(
                     f"axis {axis.name}: its last motions differ from the earlier ones by "
@@ -344,6 +353,12 @@ def _not_linear(unexplained: Unexplained | None) -> float:
     lasting = float(unexplained.parts()[0][0])
     share = float(np.sqrt(lasting / max(unexplained.error_square, _TINY)))
     return max(MODEL_ERROR, _PATHS_DIFFER * share)
+
+
+def _surprise(belief: ErrorBelief, new: Evidence, unexplained: Unexplained | None) -> float:
+    """Return how much new motions contradict a belief: what no linear loop explains does not."""
+    alone = believe(belief.basis, new).noise_std
+    return belief.surprise(new, _not_linear(unexplained), alone)
 
 
 def _answers(belief: ErrorBelief, evidence: Evidence) -> bool:

@@ -118,7 +118,8 @@ def own_way(model: OwnModel, desired: FloatArray, baseline_square: float) -> Own
     """
     correction = model.correction(desired)
     left = model.left(desired, correction)
-    axes = [_axis(model, i, left[:, :, i], baseline_square) for i in range(desired.shape[1])]
+    sizes = np.std(desired, axis=0)
+    axes = [_axis(model, i, left[:, :, i], baseline_square, sizes[i]) for i in range(len(sizes))]
     found = [axis.feedback(model.acceleration_max) for axis in axes]
     known, fed = _Expected.of(axes, [None] * len(axes)), _Expected.of(axes, found)
     ahead, closed = known.measured, fed.measured
@@ -163,11 +164,12 @@ class _Expected:
         return _Expected(predicted_error(squares + noise), squares)
 
 
-def _axis(model: OwnModel, i: int, left: FloatArray, baseline_square: float) -> _Axis:
+def _axis(model: OwnModel, i: int, left: FloatArray, baseline_square: float, size: float) -> _Axis:
     belief, seen = model.axes[i], model.unexplained[i]
+    wrong = belief.open(size)
     if seen is None:
         lags = max(3, int(belief.basis.nodes[-1]))
-        return _Axis(belief, left, np.zeros(lags), belief.noise_std**2, MODEL_ERROR)
+        return _Axis(belief, left, np.zeros(lags), belief.noise_std**2, max(MODEL_ERROR, wrong))
     lasting, noise = seen.parts()
     ratio = lasting[0] / seen.error_square if seen.error_square > 0 else 0.0
     scale = baseline_square / seen.error_square if seen.error_square > 0 else 1.0
@@ -176,5 +178,5 @@ def _axis(model: OwnModel, i: int, left: FloatArray, baseline_square: float) -> 
         left,
         lasting * float(np.clip(scale, *_SCALES)),
         noise,
-        max(belief.model_error, min(1.0, float(np.sqrt(ratio)))),
+        max(belief.model_error, wrong, min(1.0, float(np.sqrt(ratio)))),
     )

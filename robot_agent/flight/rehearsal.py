@@ -109,7 +109,9 @@ class Rehearsal:
             raise RobotError("the robot does not track")
         rng = np.random.default_rng(seed)
         samples = len(motion.desired) + len(approach(self.spec, motion.desired[0], limits))
-        robot = RehearsedRobot(self.spec, self.states.names, self._draw(samples, rng), rng)
+        robot = RehearsedRobot(
+            self.spec, self.states.names, self._draw(samples, motion.desired, rng), rng
+        )
         equipment = equipment_for(motion, robot, self.memory, forecast)
         record = track(
             robot,
@@ -124,9 +126,11 @@ class Rehearsal:
             raise RobotError(f"its rehearsal ended early: {record.failure}")
         return record.rms_error
 
-    def _draw(self, samples: int, rng: np.random.Generator) -> LoopDraw:
+    def _draw(self, samples: int, desired: FloatArray, rng: np.random.Generator) -> LoopDraw:
         axes = self.model.axes
-        responses = np.concatenate([belief.draws(1, rng) for belief in axes], axis=1)
+        sizes = np.std(desired, axis=0)
+        drawn = [b.draws(1, rng, float(size)) for b, size in zip(axes, sizes, strict=True)]
+        responses = np.concatenate(drawn, axis=1)
         # An output that is measured before its reference acts has not answered it, in any draw.
         responses[0] = 1.0
         return LoopDraw(

@@ -9,18 +9,16 @@ adds its rows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field, model_validator
 
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.models.error_response import ErrorBasis
-from nufleet.shared.strict import NonNegative, Strict
+from nufleet.shared.models.evidence import Evidence
 
 MODEL_ERROR = 0.03
 """Share of its error by which a loop is never better known than a linear response: friction,
@@ -40,88 +38,6 @@ _NOISES = np.geomspace(1.0, 1e-12, 241)  # noise variances, as shares of the mea
 _SURE = 2.0  # standard deviations of the noise's mean square that may hide what is not linear
 _JITTER = 1e-10
 _TINY = float(np.finfo(np.float64).tiny)
-_LARGEST = 1e9  # no robot goes farther, in m or rad, and no square of it overflows
-
-
-class Evidence(Strict):
-    """What flights tell about one axis: the normal equations of e = A x + offset + noise.
-
-    The offset of each flight is eliminated, so that a sensor's bias is no error response. Evidence
-    on the same basis adds up.
-    """
-
-    normal: Annotated[tuple[float, ...], Field(min_length=1)]
-    """AᵀA, row by row, size × size numbers in unit²."""
-    right: Annotated[tuple[float, ...], Field(min_length=1)]
-    """Aᵀe, size numbers in unit²."""
-    squares: NonNegative
-    """eᵀe in unit²."""
-    rows: Annotated[int, Field(ge=1)]
-    """Number of samples, less one for each flight's offset."""
-    moved: NonNegative
-    """Sum of the squares of the reference's deviations from its mean, in unit²."""
-    flown_s: NonNegative
-    """Duration of the flights in s."""
-
-    @model_validator(mode="after")
-    def _square(self) -> Evidence:
-        if len(self.normal) != len(self.right) ** 2:
-            raise ValueError(f"{len(self.right)} parameters with {len(self.normal)} products")
-        return self
-
-    @staticmethod
-    def of(basis: ErrorBasis, reference: FloatArray, output: FloatArray, before: float) -> Evidence:
-        """Return the evidence in one flight's record.
-
-        Args:
-            basis: Parameters of the error response.
-            reference: References sent, shape (samples,), in the axis's unit.
-            output: Outputs measured before each reference acted, shape (samples,).
-            before: Reference at which the robot rested before the record.
-
-        Raises:
-            InvalidInputError: The record has fewer than two samples, numbers that are not finite,
-                or absurd ones.
-        """
-        if len(reference) < 2 or not (np.isfinite(reference).all() and np.isfinite(output).all()):
-            raise InvalidInputError(
-                f"a record of {len(reference)} samples, or one with numbers that are not finite, "
-                "tells nothing of a robot"
-            )
-        largest = max(float(np.abs(reference).max()), float(np.abs(output).max()))
-        if largest > _LARGEST:
-            raise InvalidInputError(f"a record that reaches {largest:.3g} tells nothing of a robot")
-        samples = len(reference)
-        error = reference - output
-        error = error - error.mean()
-        normal = np.zeros((basis.size, basis.size))
-        right, sums = np.zeros(basis.size), np.zeros(basis.size)
-        done = 0
-        for columns in basis.blocks(reference, before):
-            normal += columns.T @ columns
-            right += columns.T @ error[done : done + len(columns)]
-            sums += columns.sum(axis=0)
-            done += len(columns)
-        normal -= np.outer(sums, sums) / samples  # the offset takes every column's mean
-        return Evidence(
-            normal=tuple(normal.ravel().tolist()),
-            right=tuple(right.tolist()),
-            squares=float(error @ error),
-            rows=samples - 1,
-            moved=float(np.sum((reference - reference.mean()) ** 2)),
-            flown_s=samples * basis.sample_time_s,
-        )
-
-    def __add__(self, other: Evidence) -> Evidence:
-        """Return the evidence of both; they must be on the same basis."""
-        return Evidence(
-            normal=tuple(a + b for a, b in zip(self.normal, other.normal, strict=True)),
-            right=tuple(a + b for a, b in zip(self.right, other.right, strict=True)),
-            squares=self.squares + other.squares,
-            rows=self.rows + other.rows,
-            moved=self.moved + other.moved,
-            flown_s=self.flown_s + other.flown_s,
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +59,19 @@ class ErrorBelief:
     model_error: float = MODEL_ERROR
     """Standard deviation of the relative size of what is not linear: `MODEL_ERROR`, or less where
     the noise of the motions could not have hidden as much."""
+    bounded: float = 0.0
+    """Share of the error that may not grow with the size of the motion; see `Evidence.bounded`."""
+    largest: float = np.inf
+    """Root mean square of the reference in the largest motion that the belief rests on, in the
+    axis's unit; that of a larger one makes the bounded share of its error count."""
+
+    def open(self, size: float) -> float:
+        """Return the share of the error by which a motion may leave less than a linear loop would.
+
+        Args:
+            size: Root mean square of the reference's deviations from its mean, in the axis's unit.
+        """
+        return self.bounded * (1 - min(1.0, self.largest / max(size, _TINY)))
 
     def error(self, reference: FloatArray, before: float) -> FloatArray:
         """Predict the error u − y along a reference, shape (samples,), without noise.
@@ -159,14 +88,19 @@ class ErrorBelief:
         steps = 1.0 - self.error(np.ones(last + 1), 0.0)
         return np.diff(steps)
 
-    def draws(self, count: int, rng: np.random.Generator, *, flown: bool = True) -> FloatArray:
+    def draws(
+        self, count: int, rng: np.random.Generator, size: float, *, flown: bool = True
+    ) -> FloatArray:
         """Draw parameters x from the belief, shape (size, count).
 
-        Each draw is larger or smaller as a whole by what no linear response is better known than.
+        Each draw is larger or smaller as a whole by what no linear response is better known than,
+        and smaller where its error may not grow with the size of the motion.
 
         Args:
             count: Number of draws.
             rng: Generator of the draws.
+            size: Root mean square of the deviations of the motion to foresee from its mean, in the
+                axis's unit.
             flown: False for an axis that tests alone have moved. They show neither how axes act on
                 each other nor what larger motions change, so it is not known how linear it is.
         """
@@ -175,6 +109,9 @@ class ErrorBelief:
         if not flown:
             error = MODEL_ERROR * np.exp(rng.standard_normal(count))
         scale = 1 + error * rng.standard_normal(count)
+        less = self.open(size)
+        if less > 0:
+            scale *= 1 - less * (rng.permutation(count) + rng.random(count)) / count
         return np.asarray((self.mean[:, None] + self.factor @ normal) * scale)
 
     def response(self, omega_rad_s: FloatArray) -> tuple[ComplexArray, FloatArray]:
@@ -187,20 +124,27 @@ class ErrorBelief:
         variance = np.sum(np.abs(features @ self.factor) ** 2, axis=1)
         return np.asarray(1 - features @ self.mean), np.asarray(variance)
 
-    def surprise(self, evidence: Evidence, model_error: float = MODEL_ERROR) -> float:
+    def surprise(
+        self, evidence: Evidence, model_error: float = MODEL_ERROR, noise_std: float = 0.0
+    ) -> float:
         """Return the root mean square error of new flights, as a multiple of the one expected.
 
         It is near 1 for the robot that the belief was learned from, and larger for one that has
-        changed, or whose response depends on the size of its motion.
+        changed, or is less linear than its motions have shown.
 
         Args:
             evidence: Evidence of the new flights.
             model_error: Standard deviation of the share of the error that is not linear.
+            noise_std: Standard deviation of what no linear response could explain of the new
+                flights, in the axis's unit, if it is known.
         """
         normal, right = _arrays(evidence)
         left = float(evidence.squares - 2 * self.mean @ right + self.mean @ normal @ self.mean)
         spread = float(np.sum(self.factor * (normal @ self.factor)))
-        expected = evidence.rows * self.noise_std**2 + spread + model_error**2 * evidence.squares
+        size = max(evidence.largest, float(np.sqrt(evidence.moved / evidence.rows)))
+        foreseen = float(self.mean @ normal @ self.mean)
+        expected = evidence.rows * max(self.noise_std, noise_std) ** 2 + spread
+        expected += model_error**2 * evidence.squares + self.open(size) ** 2 * foreseen
         return float(np.sqrt(max(0.0, left) / max(expected, _TINY)))
 
 
@@ -257,7 +201,12 @@ def believe(basis: ErrorBasis, evidence: Evidence) -> ErrorBelief:
             best = float(cost[at]), belief
     if best is None:
         raise InvalidInputError("an axis without evidence")
-    return best[1]
+    found = best[1]
+    return replace(
+        found,
+        bounded=evidence.bounded(found.noise_std),
+        largest=max(evidence.largest, float(np.sqrt(moved))),
+    )
 
 
 def like(beliefs: list[ErrorBelief]) -> ErrorBelief:
@@ -290,6 +239,8 @@ def like(beliefs: list[ErrorBelief]) -> ErrorBelief:
         ),
         max(belief.noise_std for belief in beliefs),
         0.0,
+        bounded=max(belief.bounded for belief in beliefs),
+        largest=min(belief.largest for belief in beliefs),
     )
 
 

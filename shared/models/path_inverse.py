@@ -35,6 +35,7 @@ def inverted(belief: ErrorBelief, desired: FloatArray) -> FloatArray:
     before, after = np.full(rest, desired[0]), np.full(rest, desired[-1])
     periodic = np.concatenate([before, desired, after, way])
     z, variance = belief.response(2 * np.pi * rfftfreq(total, step_s))
-    variance = variance + (MODEL_ERROR * np.abs(1 - z)) ** 2
+    wrong = max(MODEL_ERROR, belief.open(float(np.std(desired))))
+    variance = variance + (wrong * np.abs(1 - z)) ** 2
     filtered = rfft(periodic) * np.conj(z) / (np.abs(z) ** 2 + variance)
     return np.asarray(irfft(filtered, total)[rest : rest + samples])

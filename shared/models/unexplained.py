@@ -20,6 +20,9 @@ LAGS_MAX = 1000
 """Largest number of lags that are kept."""
 
 
+_SURE = 2.0  # standard deviations of the correlation of noise that is white
+
+
 class Unexplained(Strict):
     """Sums over flights of the products of what is unexplained on one axis, a lag apart.
 
@@ -108,6 +111,22 @@ def spectrum(covariance: FloatArray, length: int) -> FloatArray:
     taper = 0.5 + 0.5 * np.cos(np.pi * np.arange(len(covariance)) / len(covariance))
     half = covariance * taper
     return np.asarray(np.maximum(2 * rfft(half, length).real - half[0], 0.0))
+
+
+def correlation_samples(left: FloatArray) -> float:
+    """Return how many samples what is unexplained lasts: 1 for white noise, otherwise more.
+
+    Args:
+        left: What is unexplained of one record, shape (samples,), without its mean.
+    """
+    samples = len(left)
+    covariance = autocovariance(left[np.newaxis], min(samples, LAGS_MAX))
+    if not covariance[0] > 0:
+        return 1.0
+    # Beyond the first lag that chance could explain, sums over the lags gather little but chance.
+    shares = covariance[1:] / covariance[0]
+    chance = np.flatnonzero(shares < _SURE / np.sqrt(samples))
+    return float(1 + 2 * np.sum(shares[: chance[0] if len(chance) else len(shares)]))
 
 
 def autocovariance(rows: FloatArray, lags: int) -> FloatArray:

@@ -11,8 +11,9 @@ from scipy.signal import dlsim
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.models.error_belief import MODEL_ERROR, ErrorBelief, Evidence, believe, like
+from nufleet.shared.models.error_belief import MODEL_ERROR, ErrorBelief, believe, like
 from nufleet.shared.models.error_response import ErrorBasis
+from nufleet.shared.models.evidence import Evidence
 from nufleet.shared.models.linear_model import LinearModel
 from nufleet.sims.double_integrator import DoubleIntegratorSettings, closed_loop
 
@@ -46,6 +47,24 @@ def evidence(
 @lru_cache
 def belief(noise_std: float = 2e-3, seed: int = 0) -> ErrorBelief:
     return believe(BASIS, evidence(noise_std, seed))
+
+
+HELD = 6e-3
+"""How far off friction holds an axis, in m."""
+
+
+def worn(reference: FloatArray) -> FloatArray:
+    """A servo of 8 rad/s with dry friction, and a sensor with noise of 0.2 mm."""
+    steps, stiffness, damping = 20, 64.0, 11.2
+    step_s, place, speed, found = BASIS.sample_time_s / steps, 0.0, 0.0, []
+    for wanted in reference:
+        found.append(place)
+        for _ in range(steps):
+            pull = speed + step_s * (stiffness * (wanted - place) - damping * speed)
+            # What friction takes in a step is at most all of the speed.
+            speed = math.copysign(max(0.0, abs(pull) - step_s * stiffness * HELD), pull)
+            place += step_s * speed
+    return np.array(found) + 2e-4 * np.random.default_rng(0).standard_normal(len(found))
 
 
 def exact(omega: FloatArray, model: LinearModel = LOOP) -> np.ndarray:
@@ -111,10 +130,37 @@ def test_the_error_on_a_path_is_predicted_with_its_uncertainty() -> None:
     made = path - played(path)
     predicted = belief().error(path, 0.0)
     assert np.sqrt(np.mean((predicted - made) ** 2)) < 0.03 * np.sqrt(np.mean(made**2))
-    drawn = BASIS.columns(path, 0.0) @ belief().draws(200, np.random.default_rng(0))
+    drawn = BASIS.columns(path, 0.0) @ belief().draws(
+        200, np.random.default_rng(0), float(np.std(path))
+    )
     rms = np.sqrt(np.mean(drawn**2, axis=0))
     low, high = np.quantile(rms, [0.01, 0.99])
     assert low < np.sqrt(np.mean(made**2)) < high
+
+
+@pytest.mark.parametrize("size", [0.5, 1.0, 2.0, 4.0, 16.0])
+def test_an_axis_with_dry_friction_is_not_believed_to_leave_more_than_it_does(size: float) -> None:
+    """Whatever the test's size, in multiples of what friction holds the axis by."""
+    test = size * HELD / float(np.std(tones())) * tones()
+    found = believe(BASIS, Evidence.of(BASIS, test, worn(test), 0.0))
+    path = 0.3 * np.sin(1.6 * np.arange(1000) * BASIS.sample_time_s)
+    made = float(np.std(path - worn(path)))
+    drawn = BASIS.columns(path, 0.0) @ found.draws(
+        400, np.random.default_rng(0), float(np.std(path))
+    )
+    assert np.quantile(np.std(drawn, axis=0), 0.05) < 1.1 * made
+
+
+def test_a_linear_loop_is_believed_to_leave_as_much_more_as_the_path_is_larger() -> None:
+    for seed in range(5):
+        assert belief(seed=seed).open(100 * float(np.std(tones()))) < 0.05
+
+
+def test_an_axis_that_a_test_did_not_move_may_follow_a_larger_motion_at_once() -> None:
+    still = 1e-3 * np.random.default_rng(0).standard_normal(len(tones()))
+    found = believe(BASIS, Evidence.of(BASIS, tones(), still, 0.0))
+    assert found.open(100 * float(np.std(tones()))) == pytest.approx(0.99, abs=0.01)
+    assert found.open(float(np.std(tones()))) == 0.0
 
 
 def test_a_changed_robot_surprises_and_the_same_one_does_not() -> None:
