@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, field_serializer
 
 from nufleet.orchestrator.flights.ways import WayRecord
 from nufleet.orchestrator.runs.response_record import ResponseRecord
@@ -82,12 +81,14 @@ class RankResult(Document):
     chosen_way: str | None = None
     """Name of the one with the least expected error among those that can be flown now."""
 
+    @field_serializer("ways")
+    def _all_of_each_way(self, ways: tuple[WayRecord, ...]) -> list[dict[str, Any]]:
+        # What was not predicted or not flown is null, as it is in the documents of flights.
+        return [way.model_dump(mode="json") for way in ways]
+
     def document(self) -> str:
         """Return the JSON that other programs read, without fields the algorithm does not set."""
-        parts = self.model_dump(mode="json", by_alias=True, exclude_none=True)
-        # What was not predicted or not flown is null, as it is in the documents of flights.
-        parts["ways"] = [way.model_dump(mode="json") for way in self.ways]
-        return json.dumps(parts)
+        return self.model_dump_json(by_alias=True, exclude_none=True)
 
 
 class IterationRecord(Strict):
