@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -84,10 +83,7 @@ class RankResult(Document):
 
     def document(self) -> str:
         """Return the JSON that other programs read, without fields the algorithm does not set."""
-        parts = self.model_dump(mode="json", by_alias=True, exclude_none=True)
-        # What was not predicted or not flown is null, as it is in the documents of flights.
-        parts["ways"] = [way.model_dump(mode="json") for way in self.ways]
-        return json.dumps(parts)
+        return self.model_dump_json(by_alias=True, exclude_none=True)
 
 
 class IterationRecord(Strict):

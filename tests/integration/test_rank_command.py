@@ -124,6 +124,7 @@ def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(tmp_path:
     assert list(document) == [
         *("schema", "target", "band_rad_s", "selected", "ranking", "iterations", "robot_time_s"),
         *("run", "confidence", "eliminated", "stopped_because", "verdicts", "findings"),
+        *("ways_path", "ways_unit", "ways", "chosen_way"),
     ]
     assert document["selected"] == "source-2"
     assert document["confidence"] >= 0.95
