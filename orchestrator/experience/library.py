@@ -42,7 +42,13 @@ class KnownExperience:
 class ExperienceLibrary:
     """Finds the experiences of a fleet's robots, which need not be there if these are stored."""
 
-    def __init__(self, fleet: Fleet, store: RobotStore | None = None, name: str = "") -> None:
+    def __init__(
+        self,
+        fleet: Fleet,
+        store: RobotStore | None = None,
+        name: str = "",
+        known: Mapping[str, Description] | None = None,
+    ) -> None:
         """Prepare to search.
 
         Args:
@@ -50,8 +56,11 @@ class ExperienceLibrary:
             store: Store of the repository; None for a fleet that exists for one run only, whose
                 robots share nothing but their names with those of other runs.
             name: Name of the fleet in that store.
+            known: Descriptions of robots that learn nothing meanwhile, so that these are not asked
+                for what they offer.
         """
         self._fleet, self._store, self._name = fleet, store, name
+        self._known = known or {}
 
     def keeping(self, robots: Iterable[Description], run: str) -> Callable[[Trained], None]:
         """Return a function that stores an experience which one of the robots has learned.
@@ -88,7 +97,7 @@ class ExperienceLibrary:
         stored = self._stored(source)
         learned_at = {one.sha256: one.learned_at for one in stored}
         try:
-            offers = self._fleet.describe(source).experiences
+            offers = (self._known.get(source) or self._fleet.describe(source)).experiences
         except NoReplyError:
             if not stored:
                 raise InvalidInputError(self._unknown(source)) from None

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
+
+from pydantic import model_serializer
 
 from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 from nufleet.shared.strict import NonNegative, Strict
@@ -40,6 +42,11 @@ class WayRecord(Strict):
     """Why the guard withdrew it in flight; None if it did not, or if it was not flown."""
     reason: str | None = None
     """Why nothing is expected of it."""
+
+    @model_serializer
+    def _serialised(self) -> dict[str, Any]:
+        # What was not predicted or not flown is null, also in documents that leave nulls out.
+        return {name: getattr(self, name) for name in type(self).model_fields}
 
     @staticmethod
     def of(way: str, own_flight_s: float, found: Foreseen) -> WayRecord:

@@ -56,7 +56,7 @@ def foreseen(
         store = run.repository.robots if run.choice.file is None else None
         psi = {one.robot: one.psi for one in result.ranking}
         pilot = Pilot(fleet, run.folder.study_id)
-        library = ExperienceLibrary(fleet, store, name)
+        library = ExperienceLibrary(fleet, store, name, ready.descriptions)
         return foresee(fleet, pilot, library, target, tuple(psi), leg, psi), leg
     except _UNANSWERED as error:
         run.console.print(f"[yellow]which way to fly could not be predicted: {error}[/]")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, field_serializer
+from pydantic import Field
 
 from nufleet.orchestrator.flights.ways import WayRecord
 from nufleet.orchestrator.runs.response_record import ResponseRecord
@@ -80,11 +80,6 @@ class RankResult(Document):
     """Ways of flying it, with the error that the target expects of each."""
     chosen_way: str | None = None
     """Name of the one with the least expected error among those that can be flown now."""
-
-    @field_serializer("ways")
-    def _all_of_each_way(self, ways: tuple[WayRecord, ...]) -> list[dict[str, Any]]:
-        # What was not predicted or not flown is null, as it is in the documents of flights.
-        return [way.model_dump(mode="json") for way in ways]
 
     def document(self) -> str:
         """Return the JSON that other programs read, without fields the algorithm does not set."""
