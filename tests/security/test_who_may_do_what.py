@@ -241,7 +241,7 @@ def test_an_action_works_for_those_whom_the_inventory_allows(
     observed = action.attempt(stage, actor, name)
     try:
         if name in action.allowed:
-            wait_until(observed, timeout_s=10.0)
+            wait_until(observed)
         else:
             stage.settle(actor)
             assert not observed()
