@@ -58,10 +58,12 @@ def router_configuration(
     principals, keys = fleet.principals, FleetKeys(fleet.name)
     people, robots = _people(keys), _robots(keys)
     own = _own_rules(fleet, keys)
+    names = {name: common_name(name, revocations.get(name, 0)) for name in principals}
     shared = {name: robots if role == "robot" else people for name, role in principals.items()}
     configuration = {
         "mode": "router",
-        "metadata": {"fleet": fleet.name},
+        # Robots ask for this list, to know whose signatures count.
+        "metadata": {"fleet": fleet.name, "robots": [names[name] for name in fleet.robots]},
         "listen": {"endpoints": [router_endpoint(router, router.listen)]},
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "timestamping": {"enabled": True},
@@ -75,7 +77,7 @@ def router_configuration(
             "subjects": [
                 {
                     "id": name,
-                    "cert_common_names": [common_name(name, revocations.get(name, 0))],
+                    "cert_common_names": [names[name]],
                     "link_protocols": ["tls"],
                 }
                 for name in principals
