@@ -12,8 +12,8 @@ import argparse
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,7 +26,6 @@ from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.transport import Session, open_client, open_configured_router, open_router
 
 KEYS = FleetKeys("lab")
-ROBOTS = 32
 PATIENCE_S = 60.0
 DESCRIPTION = b"d" * 3000
 
@@ -46,8 +45,11 @@ class Side:
         with open_client(self.address, timeout_s=PATIENCE_S):
             self._took("open a session", began_s)
         began_s = time.perf_counter()
-        self.orchestrator.ask(KEYS.robot("r0", "describe"), b"?", timeout_s=PATIENCE_S)
+        described = KEYS.robot("r0", "describe")
+        replies = self.orchestrator.ask_all(described, b"?", timeout_s=PATIENCE_S)
         self._took("ask a robot for 3 kB", began_s)
+        if replies != [DESCRIPTION]:
+            raise AssertionError(f"a request at {self.address} had {len(replies)} answers")
         self.heard.clear()
         began_s = time.perf_counter()
         self.orchestrator.put_urgent(KEYS.command("r0", "desk", "stop"), stop_frame("desk.x", "-"))
@@ -62,30 +64,33 @@ class Side:
 @contextmanager
 def side(address: str, robots: dict[str, str]) -> Iterator[Side]:
     """Join robots and an orchestrator at a router; the first robot answers and hears stops."""
-    heard = threading.Event()
-    with open_client(address, timeout_s=PATIENCE_S) as orchestrator:
-        sessions = []
+    heard, complete = threading.Event(), threading.Event()
+    there: set[str] = set()
+
+    def appeared(token: str, _alive: bool) -> None:
+        there.add(token)
+        if len(there) == len(robots):
+            complete.set()
+
+    with ExitStack() as sessions:
+        orchestrator = sessions.enter_context(open_client(address, timeout_s=PATIENCE_S))
+        orchestrator.watch_alive(KEYS.every_robot("alive"), appeared)
         for name, at in robots.items():
-            session = open_client(at, timeout_s=PATIENCE_S)
-            sessions.append(session)
-            robot = session.__enter__()
+            robot = sessions.enter_context(open_client(at, timeout_s=PATIENCE_S))
             robot.serve(KEYS.robot(name, "**"), lambda request: request.answer(DESCRIPTION))
             key = KEYS.robot(name, "**/stop")
             robot.subscribe(key, lambda _key, _payload: heard.set(), max_bytes=1000)
+            # Last: where its token has arrived, what was declared before it has arrived too.
             robot.declare_alive(KEYS.robot(name, "alive"))
-        while len(orchestrator.alive(KEYS.every_robot("alive"), timeout_s=1.0)) < len(robots):
-            time.sleep(0.05)
-        try:
-            yield Side(address, orchestrator, heard)
-        finally:
-            for session in sessions:
-                session.__exit__(None, None, None)
+        if not complete.wait(PATIENCE_S):
+            raise AssertionError(f"{len(there)} of {len(robots)} robots appeared at {address}")
+        yield Side(address, orchestrator, heard)
 
 
 @contextmanager
-def closed_fleet(folder: Path, port: int) -> Iterator[tuple[str, dict[str, str]]]:
+def closed_fleet(folder: Path, port: int, robots: int) -> Iterator[tuple[str, dict[str, str]]]:
     """Run the router of a closed fleet; yield the address of desk and those of the robots."""
-    names = [f"r{k}" for k in range(ROBOTS)]
+    names = [f"r{k}" for k in range(robots)]
     listed = "".join(f'[robots.{name}]\ndriver = "double_integrator"\n' for name in names)
     router = f'[router]\naddresses = ["127.0.0.1"]\nlisten = "127.0.0.1"\nport = {port}\n'
     inventory = folder / "lab.toml"
@@ -97,15 +102,16 @@ def closed_fleet(folder: Path, port: int) -> Iterator[tuple[str, dict[str, str]]
         yield desk, found
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=1000)
+    parser.add_argument("--robots", type=int, default=32)
     parser.add_argument("--port", type=int, default=7467, help="port of the closed fleet's router")
-    options = parser.parse_args()
+    options = parser.parse_args(arguments)
     with (
         tempfile.TemporaryDirectory() as folder,
         open_router(["tcp/127.0.0.1:0"]) as router,
-        closed_fleet(Path(folder), options.port) as (desk, identities),
+        closed_fleet(Path(folder), options.port, options.robots) as (desk, identities),
     ):
         plain = router.listening_on()[0]
         with (
@@ -115,7 +121,8 @@ def main() -> None:
             for _ in range(options.rounds):
                 opened.measure()
                 closed.measure()
-        print(f"{ROBOTS} robots, {options.rounds} rounds; open, closed (ms), and their ratio")
+        what = f"{options.robots} robots, {options.rounds} rounds"
+        print(f"{what}; open, closed (ms), and their ratio")
         for what, times_ms in opened.times_ms.items():
             for label, percent in (("median", 50.0), ("p99", 99.0)):
                 one = float(np.percentile(times_ms, percent))
