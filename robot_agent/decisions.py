@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from nufleet.robot_agent.journal.journal import Journal
@@ -64,6 +64,8 @@ class Decisions:
         planner: Planner,
         journal: Journal | Unrecorded,
         changed: threading.Event,
+        *,
+        may_last: Callable[[float], Refusal | None] = lambda duration_s: None,
     ) -> None:
         """Begin in the state that the journal holds from earlier agent processes.
 
@@ -72,7 +74,10 @@ class Decisions:
             planner: Planner of the robot's motions.
             journal: Journal of the robot.
             changed: Event to set when the state to be published has changed.
+            may_last: Function that returns why a motion of this duration on the wall clock, in s,
+                may not begin now; None when it may.
         """
+        self._may_last = may_last
         self._robot = planner.robot
         self._boot_id = boot_id
         self._planner = planner
@@ -352,6 +357,10 @@ class Decisions:
         # lock, and the checks made before it are repeated after it.
         plan = None if answer.new else self._known_plan(request.goal_id)
         plan = plan or self._planner.plan(request.motion)
+        if answer.new:
+            too_long = self._may_last(self._planner.wall_duration_s(plan))
+            if too_long is not None:
+                return too_long, None
         motion = None
         with self._lock:
             self._goals, answer = self._submitted(request, sha256)
