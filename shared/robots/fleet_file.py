@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, Field, model_validator
 
-from nufleet.shared.errors import FleetFileError
+from nufleet.shared.errors import FleetFileError, system_errors_as
 from nufleet.shared.strict import Name, Strict, validation_errors_as
 
 ENTRY_POINT_GROUP = "nufleet.fleets"
@@ -157,8 +157,9 @@ def find_fleet_file(path_or_name: str) -> Path:
         'paper_linear.toml'
     """
     path = Path(path_or_name)
-    if path.exists() and not path.is_dir():  # a folder may happen to have a fleet's name
-        return path
+    with system_errors_as(FleetFileError, f"{path}: cannot be read"):
+        if path.exists() and not path.is_dir():  # a folder may happen to have a fleet's name
+            return path
     installed = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
     if path_or_name not in installed:
         names = ", ".join(sorted(installed))
