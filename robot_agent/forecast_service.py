@@ -37,11 +37,18 @@ PATIENCE_S = 3.0
 REMEMBERED = 256
 """Number of predictions that are remembered until the flights that they are of."""
 
+LEAST_URGENT = 19
+"""Niceness of the process that rehearses."""
+
 _log = logging.getLogger(__name__)
 
 
 class ForecastService:
-    """Rehearses flights in a process of their own; called from the endpoint's thread."""
+    """Rehearses flights in a process of their own.
+
+    The endpoint's thread asks for forecasts, and alone begins them. Every other method returns at
+    once even while that plans, so that no heartbeat waits.
+    """
 
     def __init__(
         self,
@@ -79,28 +86,32 @@ class ForecastService:
         key = hashlib.sha256(payload).hexdigest()
         with self._lock:
             job = self._job
-            if job is None or job.key != key:
-                if job is not None and job.lasts and self._clock() - job.asked_s <= PATIENCE_S:
-                    reason = "it is rehearsing other flights; ask again later"
-                    return Refusal(code="busy", reason=reason)
-                request = decode(payload, ForecastRequest, max_bytes=MAX_LARGE_REQUEST_BYTES)
-                if job is not None:
-                    job.end()
-                job = self._job = self._begun(key, request)
-            job.asked_s = self._clock()
-            found = job.found()
-        return PathForecast(foreseen=found)
+            if job is not None and job.key == key:
+                job.asked_s = self._clock()
+                return PathForecast(foreseen=job.found())
+        if job is not None and job.lasts and self._clock() - job.asked_s <= PATIENCE_S:
+            return Refusal(code="busy", reason="it is rehearsing other flights; ask again later")
+        request = decode(payload, ForecastRequest, max_bytes=MAX_LARGE_REQUEST_BYTES)
+        self.end()
+        job = self._begun(key, request)
+        with self._lock:
+            self._job = job
+        return PathForecast(foreseen=job.found())
 
     def foretold(self, motion: Tracking) -> PredictedError | None:
         """Return the error that was last predicted for a flight; None if it never was."""
+        key = digest(motion)
         with self._lock:
-            return self._remembered.get(digest(motion))
+            return self._remembered.get(key)
 
     def look(self) -> None:
         """End a forecast whose requester is gone; to be called regularly."""
-        job = self._job
-        if job is not None and self._clock() - job.asked_s > PATIENCE_S:
-            self._ended()
+        with self._lock:
+            job = self._job
+            if job is None or self._clock() - job.asked_s <= PATIENCE_S:
+                return
+            self._job = None
+        job.end()
 
     def end(self) -> None:
         """End the forecast in progress, since the robot is about to move; returns at once."""
@@ -126,7 +137,7 @@ class ForecastService:
             reason = "it knows nothing of itself yet: let it fly a path, or a rich flight, first"
             nothing = Foreseen(code="no-own-model", reason=reason)
             refused = [found or nothing for found in refused]
-        job = _Job(key, request, refused, self._keep)
+        job = _Job(key, request, refused, self._keep, self._clock())
         open_ways = tuple(
             way for way, found in zip(request.ways, refused, strict=True) if found is None
         )
@@ -174,6 +185,7 @@ class _Job:
         request: ForecastRequest,
         refused: Sequence[Foreseen | None],
         keep: Callable[[ForecastRequest, ForeseenWay, Foreseen], None],
+        asked_s: float,
     ) -> None:
         """Prepare.
 
@@ -182,15 +194,21 @@ class _Job:
             request: What was asked for.
             refused: Why a way cannot be flown, for every way of the request; None where it can.
             keep: Function that takes every prediction as it comes.
+            asked_s: Time of the latest request for it, in s, which its owner keeps up to date.
         """
-        self.key, self.asked_s = key, 0.0
+        self.key, self.asked_s = key, asked_s
         self._request, self._found, self._keep = request, list(refused), keep
         self._process: subprocess.Popen[bytes] | None = None
         self._thread: threading.Thread | None = None
+        self._ended = False
 
     def begin(self, task: RehearsalTask, priors: Sequence[bytes]) -> None:
         """Have a process rehearse the ways that are not refused; returns at once."""
-        self._process = process = _started()
+        try:
+            self._process = process = _started()
+        except OSError as error:
+            self._fail(f"its rehearsal could not begin: {error}")
+            return
         self._thread = threading.Thread(
             target=self._work, args=(process, task, priors), name="forecast", daemon=True
         )
@@ -207,6 +225,7 @@ class _Job:
 
     def end(self) -> None:
         """End the process, if it runs; returns at once."""
+        self._ended = True
         if self._process is not None:
             self._process.kill()
 
@@ -234,25 +253,36 @@ class _Job:
                 self._found[place] = found
         except (OSError, ValueError) as error:
             failure = f"{failure}: {error}"
-            _log.warning("a forecast failed: %s", error)
         finally:
             process.kill()
             with suppress(OSError):
                 commands.close()  # which first writes what the process no longer takes
             answers.close()
             process.wait()
-            for place in places:
-                if self._found[place] is None:
-                    self._found[place] = Foreseen(code="rehearsal", reason=failure)
+            if self.lasts:
+                self._fail(failure)
+
+    def _fail(self, reason: str) -> None:
+        """Answer what is still open with the reason why nothing came of it."""
+        if not self._ended:
+            _log.warning("a forecast failed: %s", reason)
+        nothing = Foreseen(code="rehearsal", reason=reason)
+        self._found = [found or nothing for found in self._found]
 
 
 def _started() -> subprocess.Popen[bytes]:
     # One thread each: a companion computer has other work, and small matrices gain nothing.
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    return subprocess.Popen(
+    process = subprocess.Popen(
         [sys.executable, "-P", "-m", "nufleet.robot_agent.flight.rehearsing"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env=environment,
         start_new_session=True,  # a Ctrl-C is for the agent, which ends it
     )
+    # At once, since its imports alone take seconds. An agent may run with real-time priority, which
+    # the process has inherited, and to which niceness means nothing.
+    if sys.platform == "linux":
+        os.sched_setscheduler(process.pid, os.SCHED_BATCH, os.sched_param(0))
+    os.setpriority(os.PRIO_PROCESS, process.pid, LEAST_URGENT)
+    return process

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
-from nufleet.shared.errors import NufleetError
+from nufleet.shared.errors import NufleetError, system_errors_as
 
 
 def installed(group: str) -> dict[str, EntryPoint]:
@@ -23,8 +23,9 @@ def find_file(path_or_name: str, group: str, what: str, kind: type[NufleetError]
         kind: Type of the error if there is neither such a file nor such a name.
     """
     path = Path(path_or_name)
-    if path.exists() and not path.is_dir():
-        return path
+    with system_errors_as(kind, f"{path}: cannot be read"):
+        if path.exists() and not path.is_dir():
+            return path
     entries = installed(group)
     if path_or_name not in entries:
         names = ", ".join(sorted(entries)) or "none"

@@ -154,6 +154,8 @@ def test_a_fleet_is_found_by_path_or_by_the_name_it_is_installed_under(tmp_path:
     assert read_fleet_file(find_fleet_file("paper_linear")).name == "paper-linear"
     with pytest.raises(FleetFileError, match=r"no such fleet file; known by name: .*paper_linear"):
         find_fleet_file("paper_liner")
+    with pytest.raises(FleetFileError, match="cannot be read: File name too long"):
+        find_fleet_file("f" * 300)
 
 
 def test_a_folder_that_has_the_name_of_an_installed_fleet_does_not_hide_it(
