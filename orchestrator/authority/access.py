@@ -22,6 +22,9 @@ from nufleet.shared.wire.transport import (
 
 Rule = dict[str, Any]
 
+STATES_HZ = 500.0
+"""Highest rate of each robot's states; the router drops what a stolen robot sends beyond it."""
+
 _HEADER = """\
 // Made by `nufleet fleet`: changes made by hand are lost. Start the router with
 //   nufleet router --config THIS-FILE
@@ -92,6 +95,14 @@ def router_configuration(
             ],
         },
         "low_pass_filter": [_small_messages(keys)],
+        "downsampling": [
+            {
+                "id": "states",
+                "flows": ["ingress"],
+                "messages": ["put"],
+                "rules": [{"key_expr": keys.every_robot("state"), "freq": STATES_HZ}],
+            }
+        ],
     }
     return _HEADER + json.dumps(configuration, indent=2) + "\n"
 

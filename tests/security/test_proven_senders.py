@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -10,12 +11,12 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from closed_lab import KEYS, ClosedLab, closed_lab
+from closed_lab import KEYS, ClosedLab, closed_lab, settle
 from fleet_lab import Orchestrator
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
-from nufleet.orchestrator.authority.access import common_name
+from nufleet.orchestrator.authority.access import STATES_HZ, common_name
 from nufleet.orchestrator.authority.certificates import (
     Issuer,
     certificate_pem,
@@ -37,7 +38,7 @@ from nufleet.shared.private_files import write_privately
 from nufleet.shared.wire.codec import decode, encode
 from nufleet.shared.wire.identity import Identity, address_of, identity_text, read_identity
 from nufleet.shared.wire.messages import Outcome, Refusal, RobotStatus, StopRequest
-from nufleet.shared.wire.transport import _base_config, open_client
+from nufleet.shared.wire.transport import MAX_STATE_BYTES, _base_config, open_client
 
 
 @dataclass
@@ -172,6 +173,24 @@ def test_a_stolen_robot_can_be_no_other_robot_in_any_mode(mode: str, fleet: Flee
         own.undeclare()
     assert desk.state("a", lambda state: True).status is RobotStatus.IDLE
     assert (fleet.robot.motions, fleet.audit()) == (motions, before)
+
+
+def test_a_robot_that_floods_its_state_is_heard_no_more_often_than_the_router_allows(
+    fleet: Fleetlet,
+) -> None:
+    thief, watcher = fleet.lab.session("c"), fleet.lab.session("screen")
+    heard: list[bytes] = []
+    key = KEYS.robot("c", "state")
+    watcher.subscribe(key, lambda _, payload: heard.append(payload), max_bytes=MAX_STATE_BYTES)
+    states = thief.state_publisher(key)
+    wait_until(lambda: states.put(b"first") or bool(heard))
+    began_s = time.monotonic()
+    for _ in range(2000):
+        states.put(b"x" * 100)
+    settle(thief, watcher)
+    lasted_s = time.monotonic() - began_s
+    assert 1 < len(heard) < 2000
+    assert heard.count(b"x" * 100) <= 2 + STATES_HZ * lasted_s
 
 
 def short_lived(lab: ClosedLab, folder: Path, life: timedelta) -> Identity:
