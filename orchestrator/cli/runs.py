@@ -15,6 +15,7 @@ from nufleet.orchestrator.cli.options import (
     storage_options,
     wait_option,
 )
+from nufleet.shared.command_line import folder_option
 
 
 @click.command("list")
@@ -63,10 +64,8 @@ def show(run: str, runs_root: Path, as_json: bool) -> None:
 
 @click.command()
 @click.argument("run", default="latest")
-@click.option(
+@folder_option(
     "--to",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="FOLDER",
     help="Folder for the files, one per robot.  [default: `responses` in the run's folder]",
 )
 @click.option(
