@@ -66,6 +66,8 @@ class Decisions:
         journal: Journal | Unrecorded,
         changed: threading.Event,
         clock: Callable[[], float] = time.monotonic,
+        *,
+        may_last: Callable[[float], Refusal | None] = lambda duration_s: None,
     ) -> None:
         """Begin in the state that the journal holds from earlier agent processes.
 
@@ -75,7 +77,10 @@ class Decisions:
             journal: Journal of the robot.
             changed: Event to set when the state to be published has changed.
             clock: Function that returns the time in s, which never decreases.
+            may_last: Function that returns why a motion of this duration on the wall clock, in s,
+                may not begin now; None when it may.
         """
+        self._may_last = may_last
         self._robot = planner.robot
         self._boot_id = boot_id
         self._planner = planner
@@ -356,6 +361,10 @@ class Decisions:
         # lock, and the checks made before it are repeated after it.
         plan = None if answer.new else self._known_plan(request.goal_id)
         plan = plan or self._planner.plan(request.motion)
+        if answer.new:
+            too_long = self._may_last(self._planner.wall_duration_s(plan))
+            if too_long is not None:
+                return too_long, None
         motion = None
         with self._lock:
             self._goals, answer = self._submitted(request, sha256)

@@ -18,9 +18,10 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from nufleet.robot_agent.flight.rehearsing import RehearsalTask, write_task
+from nufleet.robot_agent.network.endpoint import MAX_LARGE_REQUEST_BYTES
 from nufleet.robot_agent.planner import Planner, digest
 from nufleet.shared.errors import RefusedError
-from nufleet.shared.wire.codec import Message, encode
+from nufleet.shared.wire.codec import Message, decode
 from nufleet.shared.wire.messages import (
     ForecastRequest,
     Foreseen,
@@ -36,8 +37,12 @@ PATIENCE_S = 3.0
 REMEMBERED = 256
 """Number of predictions that are remembered until the flights that they are of."""
 
-LEAST_URGENT = 19
-"""Niceness of the process that rehearses."""
+LESS_URGENT = 5
+"""Niceness of the process that rehearses.
+
+A third of the weight of a normal process. With the least, a machine whose processors are all busy
+would let the person who ranks wait for minutes.
+"""
 
 _log = logging.getLogger(__name__)
 
@@ -68,17 +73,29 @@ class ForecastService:
         self._job: _Job | None = None
         self._remembered: dict[str, PredictedError] = {}
 
-    def asked(self, request: ForecastRequest) -> Message:
-        """Return what has been predicted for a request until now; the first one begins it."""
-        key = hashlib.sha256(encode(request)).hexdigest()
+    def asked(self, payload: bytes) -> Message:
+        """Return what has been predicted for a request until now; the first one begins it.
+
+        Args:
+            payload: The request, encoded. Everyone who may watch the fleet can send a large one at
+                any time, so it is not read while the robot moves.
+
+        Raises:
+            MalformedMessageError: The payload is not a request for a forecast.
+        """
+        goal = self._moving()
+        if goal is not None:
+            reason = f"running goal {goal}; it rehearses at rest alone"
+            return Refusal(code="busy", reason=reason)
+        key = hashlib.sha256(payload).hexdigest()
         with self._lock:
             job = self._job
             if job is not None and job.key == key:
                 job.asked_s = self._clock()
                 return PathForecast(foreseen=job.found())
-        refusal = self._refusal(job)
-        if refusal is not None:
-            return refusal
+        if job is not None and job.lasts and self._clock() - job.asked_s <= PATIENCE_S:
+            return Refusal(code="busy", reason="it is rehearsing other flights; ask again later")
+        request = decode(payload, ForecastRequest, max_bytes=MAX_LARGE_REQUEST_BYTES)
         self.end()
         job = self._begun(key, request)
         with self._lock:
@@ -116,15 +133,6 @@ class ForecastService:
         if job is not None:
             job.end()
         return job
-
-    def _refusal(self, job: _Job | None) -> Refusal | None:
-        goal = self._moving()
-        if goal is not None:
-            reason = f"running goal {goal}; it rehearses at rest alone"
-            return Refusal(code="busy", reason=reason)
-        if job is not None and job.lasts and self._clock() - job.asked_s <= PATIENCE_S:
-            return Refusal(code="busy", reason="it is rehearsing other flights; ask again later")
-        return None
 
     def _begun(self, key: str, request: ForecastRequest) -> _Job:
         planner, memory = self._planner, self._planner.memory
@@ -280,5 +288,5 @@ def _started() -> subprocess.Popen[bytes]:
     # the process has inherited, and to which niceness means nothing.
     if sys.platform == "linux":
         os.sched_setscheduler(process.pid, os.SCHED_BATCH, os.sched_param(0))
-    os.setpriority(os.PRIO_PROCESS, process.pid, LEAST_URGENT)
+    os.setpriority(os.PRIO_PROCESS, process.pid, LESS_URGENT)
     return process

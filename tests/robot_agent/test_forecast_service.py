@@ -17,11 +17,13 @@ from rehearsals import rehearsals
 from robots_that_learn import LaggedRobot
 
 from nufleet.robot_agent.flight.memory import Memory
-from nufleet.robot_agent.forecast_service import LEAST_URGENT, ForecastService
+from nufleet.robot_agent.forecast_service import LESS_URGENT, ForecastService
 from nufleet.robot_agent.planner import Planner
+from nufleet.shared.errors import MalformedMessageError
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.paths.trajectories import travel
-from nufleet.shared.wire.messages import ForecastRequest, ForeseenWay, PathForecast
+from nufleet.shared.wire.codec import encode
+from nufleet.shared.wire.messages import ForecastRequest, ForeseenWay, PathForecast, Refusal
 from nufleet.shared.wire.motions import Motion, MotionPlan, Tracking
 
 LONG = travel(np.array([[0.0, 0.0], [0.3, 0.2], [0.0, 0.0]]), 0.01, 1.0, 0.02)
@@ -39,10 +41,11 @@ class Lab:
     def __init__(self, memory: Memory, planner: type[Planner] = Planner) -> None:
         robot, self.now_s = LaggedRobot(), 0.0
         planned = planner("a", robot.spec, robot.state_names, memory, None)
-        self.service = ForecastService(planned, lambda: None, clock=lambda: self.now_s)
+        self.goal: str | None = None
+        self.service = ForecastService(planned, lambda: self.goal, clock=lambda: self.now_s)
 
     def found(self, request: ForecastRequest) -> PathForecast:
-        answer = self.service.asked(request)
+        answer = self.service.asked(encode(request))
         assert isinstance(answer, PathForecast)
         return answer
 
@@ -57,11 +60,21 @@ def lab() -> Iterator[Lab]:
     lab.service.close()
 
 
-def test_it_takes_only_what_nothing_else_wants_from_its_first_instruction(lab: Lab) -> None:
+def test_it_is_less_urgent_than_normal_processes_from_its_first_instruction(lab: Lab) -> None:
     lab.found(LEARNS)
     (process,) = rehearsals()
-    assert process.nice() == LEAST_URGENT
+    assert process.nice() == LESS_URGENT
     assert os.sched_getscheduler(process.pid) == os.SCHED_BATCH
+
+
+def test_a_request_is_not_even_read_while_the_robot_moves(lab: Lab) -> None:
+    lab.goal = "g1"
+    answer = lab.service.asked(b"no message")
+    assert isinstance(answer, Refusal)
+    assert answer.code == "busy"
+    lab.goal = None
+    with pytest.raises(MalformedMessageError):
+        lab.service.asked(b"no message")
 
 
 def test_a_forecast_that_is_ended_is_no_failure(lab: Lab, caplog: pytest.LogCaptureFixture) -> None:

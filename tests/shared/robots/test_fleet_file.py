@@ -175,3 +175,33 @@ def test_no_robot_flies_unguarded_unless_its_fleet_file_says_so(tmp_path: Path) 
     )
     robots = read_fleet_file(path).robots
     assert [robots[name].allow_unguarded for name in ("a", "b")] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("address", "words"),
+    [
+        ("192.168.1.10:7447", "neither an IP address nor a host name; `port` holds the port"),
+        ("base:7447", "neither an IP address nor a host name; `port` holds the port"),
+        ("192.168.1", "192.168.1 is neither an IP address nor a host name"),
+        ("192.168.1.300", "192.168.1.300 is neither an IP address nor a host name"),
+        ("base..example", "is no host name: there is nothing between two of its dots"),
+        ("tcp/base", "pattern"),
+        ("", "pattern"),
+    ],
+)
+def test_an_address_that_no_router_can_have_is_named(
+    address: str, words: str, tmp_path: Path
+) -> None:
+    for field in (f'addresses = ["{address}"]', f'addresses = ["base"]\nlisten = "{address}"'):
+        assert words in complaint(tmp_path, f"{GOOD}[router]\n{field}\n")
+
+
+@pytest.mark.parametrize(
+    "address", ["192.168.1.10", "::1", "fe80::1", "base", "base-2.example.org"]
+)
+def test_an_address_without_a_port_is_taken(address: str, tmp_path: Path) -> None:
+    router = read_fleet_file(
+        written(tmp_path, f'{GOOD}[router]\naddresses = ["{address}"]\n')
+    ).router
+    assert router is not None
+    assert router.addresses == (address,)
