@@ -7,8 +7,8 @@ import pytest
 from robots_that_learn import LaggedRobot
 
 from nufleet.robot_agent.flight.after_flight import own_error_after
-from nufleet.robot_agent.flight.flights import learn
 from nufleet.robot_agent.flight.forecast import forecast_of
+from nufleet.robot_agent.flight.learning import learn
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.own_model import OwnModel
 from nufleet.robot_agent.flight.rich_flight import rich_references

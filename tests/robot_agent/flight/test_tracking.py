@@ -12,7 +12,7 @@ from robots_that_learn import LIMITS, LaggedRobot, double_integrator
 from nufleet.orchestrator.experience.lesson_record import LearningRecord, pooled_pairs
 from nufleet.orchestrator.experience.linear_inverse import linear_experience
 from nufleet.orchestrator.experience.training import Origin, TrainingData
-from nufleet.robot_agent.flight.flights import guard_for
+from nufleet.robot_agent.flight.equipment import guard_for
 from nufleet.robot_agent.flight.forecast import forecast_of
 from nufleet.robot_agent.flight.guard import Guard
 from nufleet.robot_agent.flight.inverse_model import InverseModel, NetworkInverse
@@ -20,7 +20,8 @@ from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.online_gp import OnlineGp
 from nufleet.robot_agent.flight.own_model import evidence_in
 from nufleet.robot_agent.flight.rich_flight import FlightRecord, fly_record, rich_references
-from nufleet.robot_agent.flight.tracking import Learner, TrackingRecord, track
+from nufleet.robot_agent.flight.tracking import Learner, track
+from nufleet.robot_agent.flight.tracking_record import TrackingRecord
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.layout import Architecture, InverseLayout
