@@ -247,6 +247,8 @@ class _Flight:
                 )
             self._reference[self._span + k] = reference
             self._step_time_s[k] = time.perf_counter() - begin_s
+            if not np.isfinite(reference).all():
+                return f"the inverse model asked for a value that is not finite at sample {k}"
             try:
                 self._actual[k] = self._robot.step(reference)
             except Halted:
