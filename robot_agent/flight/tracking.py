@@ -233,18 +233,7 @@ class _Flight:
             if observed is not None and not np.isfinite(observed).all():
                 return f"the sensor returned a value that is not finite at sample {k}"
             if self._learner is not None and observed is not None:
-                if self._guard is not None:
-                    sent = self._reference[self._span + k - 1] - self._desired[max(0, k - 1)]
-                    error = observed[:, 0] - self._desired[max(0, k - self._late)]
-                    self._share[k] = self._guard.judge(k, error, sent)
-                if self._loop is not None and k > 0:
-                    previous = self._reference[self._span + k - 1]
-                    self._fed[k] = self._loop.correction(k, previous, self._actual[k - 1])
-                correction, reference = (
-                    self._choose(self._learner, k, observed)
-                    if isinstance(self._learner, Learner)
-                    else self._played(self._learner, k)
-                )
+                correction, reference = self._corrected(self._learner, k, observed)
             self._reference[self._span + k] = reference
             self._step_time_s[k] = time.perf_counter() - begin_s
             if not np.isfinite(reference).all():
@@ -259,6 +248,21 @@ class _Flight:
             if self._watch is not None:
                 self._watch(k, wanted, self._actual[k], correction, float(self._share[k]))
         return None
+
+    def _corrected(
+        self, learner: Learner | Ahead, k: int, observed: FloatArray
+    ) -> tuple[Correction, FloatArray]:
+        """Return the correction of a sample, as far as the guard lets it act, and the reference."""
+        if self._guard is not None:
+            sent = self._reference[self._span + k - 1] - self._desired[max(0, k - 1)]
+            error = observed[:, 0] - self._desired[max(0, k - self._late)]
+            self._share[k] = self._guard.judge(k, error, sent)
+        if self._loop is not None and k > 0:
+            previous = self._reference[self._span + k - 1]
+            self._fed[k] = self._loop.correction(k, previous, self._actual[k - 1])
+        if isinstance(learner, Learner):
+            return self._choose(learner, k, observed)
+        return self._played(learner, k)
 
     def _observed(self, k: int) -> FloatArray:
         """Return the latest states, shape (axes, states): those of sample k, or the output before.
