@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from nufleet.shared.command_line import folder_option
+
 
 @click.command()
 @click.argument("fleet_file", metavar="FLEET")
@@ -49,12 +51,10 @@ import click
     metavar="FACTOR",
     help="Run simulated robots at this multiple of real time.  [default: as fast as they can]",
 )
-@click.option(
+@folder_option(
     "--state",
     "state_folder",
-    type=click.Path(file_okay=False, path_type=Path),
     envvar="NUFLEET_STATE",
-    metavar="FOLDER",
     help="Folder for everything that has to survive this process: the goals of each robot, whether "
     "it is stopped, what it has learned. Only one agent at a time may use a robot's part of it.  "
     "[env: NUFLEET_STATE; default: nufleet in XDG_STATE_HOME or ~/.local/state]",

@@ -115,7 +115,7 @@ def serve(
                     robot,
                     realtime=realtime,
                     state_folder=own,
-                    allow_unguarded=fleet.robots[name].allow_unguarded,
+                    policy=fleet.robots[name],
                 )
                 agents.append(agent.__enter__())
             at = ", ".join(sorted({without_secrets(address) for address in addresses.values()}))

@@ -13,17 +13,18 @@ import os
 import shutil
 import signal
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.metadata import EntryPoint, entry_points, version
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn, TypeVar
 
 import click
 
 from nufleet.shared.errors import NufleetError
 from nufleet.shared.text import printable
 
+F = TypeVar("F", bound=Callable[..., Any])
 ENTRY_POINT_GROUP = "nufleet.commands"
 _DISK_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 _GROUP_HELP = {
@@ -32,6 +33,12 @@ _GROUP_HELP = {
     "fleet": "Start a simulated fleet, show a running one, or close one with certificates.",
     "runs": "Look at earlier runs, or resume one that was interrupted.",
 }
+
+
+def folder_option(*names: str, **settings: Any) -> Callable[[F], F]:
+    """Return an option of a command that takes a folder, with further settings for click."""
+    folder = click.Path(file_okay=False, path_type=Path)
+    return click.option(*names, type=folder, metavar="FOLDER", **settings)
 
 
 class _OneLine(logging.Formatter):

@@ -15,6 +15,7 @@ from nufleet.orchestrator.jobs.environment import (
     ROUTER_VARIABLE,
     RUNS_VARIABLE,
 )
+from nufleet.shared.command_line import folder_option
 from nufleet.shared.wire.identity import IDENTITY_VARIABLE
 from nufleet.shared.wire.openness import LOCAL_ENDPOINT, OPEN_VARIABLE, chosen_address
 
@@ -87,10 +88,9 @@ def wait_option(help_text: str) -> Callable[[F], F]:
     )
 
 
-runs_option = click.option(
+runs_option = folder_option(
     "--runs",
     "runs_root",
-    type=click.Path(file_okay=False, path_type=Path),
     default=Path("runs"),
     show_default=True,
     envvar=RUNS_VARIABLE,
@@ -123,6 +123,14 @@ live_option = click.option(
     "--live",
     is_flag=True,
     help="Serve the recording during the run; `nufleet view --live` shows it.",
+)
+
+rehearsal_option = click.option(
+    "--no-rehearsal",
+    "rehearses",
+    flag_value=False,
+    default=True,
+    help="Do not wait for the errors that the target expects of its flights.",
 )
 
 unguarded_option = click.option(

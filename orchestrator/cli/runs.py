@@ -10,10 +10,12 @@ import click
 from nufleet.orchestrator.cli.options import (
     json_option,
     live_option,
+    rehearsal_option,
     runs_option,
     storage_options,
     wait_option,
 )
+from nufleet.shared.command_line import folder_option
 
 
 @click.command("list")
@@ -34,6 +36,7 @@ def list_runs(runs_root: Path, as_json: bool) -> None:
     help="Router of the fleet.  [default: the one that the run used, or its own fleet restarted]",
 )
 @wait_option("How long to wait for the router and the robots.")
+@rehearsal_option
 @live_option
 @storage_options
 def resume(**options: Any) -> None:
@@ -61,10 +64,8 @@ def show(run: str, runs_root: Path, as_json: bool) -> None:
 
 @click.command()
 @click.argument("run", default="latest")
-@click.option(
+@folder_option(
     "--to",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="FOLDER",
     help="Folder for the files, one per robot.  [default: `responses` in the run's folder]",
 )
 @click.option(

@@ -13,9 +13,9 @@ from nufleet.orchestrator.authority.authority import (
     PRINCIPAL_DAYS,
     Authority,
     Enrolled,
-    make_request,
 )
 from nufleet.orchestrator.authority.certificates import utc_now
+from nufleet.orchestrator.authority.key_files import make_request
 from nufleet.orchestrator.authority.ledger import Enrolment
 from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.shared.errors import InvalidInputError, NufleetError
@@ -108,8 +108,38 @@ def renew_and_print(
             err=True,
         )
     enrolled = [name for name, one in authority.ledger.enrolments.items() if not one.revoked]
+    listed = authority.inventory.principals
     for name in names or ([] if router else enrolled):
-        _print(authority, name, authority.renew(name, out, days=days))
+        if names or name in listed:
+            _print(authority, name, authority.renew(name, out, days=days))
+        else:
+            click.echo(f"{name} is no longer in the inventory and is not renewed", err=True)
+
+
+def replace_and_print(folder: Path | None) -> None:
+    """Begin to replace the key of an authority, or end it, and print what comes next.
+
+    Args:
+        folder: Folder of the authority; None for the only one here.
+
+    Raises:
+        InvalidInputError: See `Authority.finish_replacing`.
+    """
+    authority = Authority(found_authority(folder))
+    if authority.replaced:
+        expires = authority.finish_replacing()
+        said = f"""\
+the former authority is trusted no longer, and the router's certificate is valid until {expires:%F}.
+Identities that were not copied to their machines stop working when the router is restarted: restart
+it when all are there."""
+    else:
+        authority.replace()
+        said = f"""\
+a new authority signs from now on; {authority.folder} trusts the former one as well.
+1. restart the router
+2. `nufleet fleet renew`, and copy each identity to its machine
+3. `nufleet fleet renew --replace-authority` once more, and restart the router"""
+    click.echo(said, err=True)
 
 
 def revoke_and_print(name: str, folder: Path | None) -> None:

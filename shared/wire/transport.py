@@ -179,15 +179,34 @@ class Session:
         Raises:
             NoRouterError: The router does not answer.
         """
+        if self.identity is not None:
+            self._ask_router(self.identity)
+
+    def admitted_robots(self) -> frozenset[str]:
+        """Return the common names under which the router of a closed fleet admits robots now.
+
+        Raises:
+            NoRouterError: The router does not answer, or its configuration does not say so.
+        """
         if self.identity is None:
-            return
+            return frozenset()
+        try:
+            return frozenset(json.loads(self._ask_router(self.identity))["metadata"]["robots"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise NoRouterError(
+                f"the router at {self.identity.router} does not say which robots it admits: write "
+                "its configuration again with `nufleet fleet renew --router`, and restart it"
+            ) from error
+
+    def _ask_router(self, identity: Identity) -> bytes:
+        """Return what the router of a closed fleet says about itself, as JSON."""
         with _transport_errors("asking the router"):
-            replies = self._session.get("@/*/router", timeout=ADMITTED_TIMEOUT_S)
-            if any(reply.ok is not None for reply in replies):
-                return
+            for reply in self._session.get("@/*/router", timeout=ADMITTED_TIMEOUT_S):
+                if reply.ok is not None:
+                    return reply.ok.payload.to_bytes()
         raise NoRouterError(
-            f"{self.identity.principal} ({self.identity.path}) is not in the list of the router at "
-            f"{self.identity.router}: it was revoked, or the router was not restarted since it was "
+            f"{identity.principal} ({identity.path}) is not in the list of the router at "
+            f"{identity.router}: it was revoked, or the router was not restarted since it was "
             "added to the inventory"
         )
 
