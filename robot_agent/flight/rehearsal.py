@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from nufleet.robot_agent.flight.after_flight import own_error_after
-from nufleet.robot_agent.flight.flights import equipment_for
+from nufleet.robot_agent.flight.equipment import equipment_for
 from nufleet.robot_agent.flight.forecast import Forecast, forecast_of
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.own_model import HIGH, OwnModel
