@@ -37,8 +37,12 @@ PATIENCE_S = 3.0
 REMEMBERED = 256
 """Number of predictions that are remembered until the flights that they are of."""
 
-LEAST_URGENT = 19
-"""Niceness of the process that rehearses."""
+LESS_URGENT = 5
+"""Niceness of the process that rehearses.
+
+A third of the weight of a normal process. With the least, a machine whose processors are all busy
+would let the person who ranks wait for minutes.
+"""
 
 _log = logging.getLogger(__name__)
 
@@ -284,5 +288,5 @@ def _started() -> subprocess.Popen[bytes]:
     # the process has inherited, and to which niceness means nothing.
     if sys.platform == "linux":
         os.sched_setscheduler(process.pid, os.SCHED_BATCH, os.sched_param(0))
-    os.setpriority(os.PRIO_PROCESS, process.pid, LEAST_URGENT)
+    os.setpriority(os.PRIO_PROCESS, process.pid, LESS_URGENT)
     return process

@@ -58,7 +58,7 @@ def postponed() -> Iterator[None]:
     """Deliver signals of `ENDING` only when the block has ended; for the main thread.
 
     An interrupt between the start of a process and the assignment of it to a variable would leave
-    a process that nobody ends.
+    a process that no code ends.
     """
     arrived = list[int]()
     before = _handled_by(lambda number, _frame: arrived.append(number))

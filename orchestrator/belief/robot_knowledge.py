@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from nufleet.orchestrator.belief.loop_features import LOOP_PARAMETERS, ResponsePrior
 from nufleet.orchestrator.belief.loop_fit import Tones
@@ -182,7 +182,7 @@ class RobotKnowledge:
         covariance = np.cov(parts.T) + np.diag(noise)
         miss = np.concatenate([new.z.real, new.z.imag]) - parts.mean(axis=0)
         distance = float(miss @ np.linalg.solve(covariance, miss))
-        limit = float(chi2.isf(CHANGE_SIGNIFICANCE, len(miss)))
+        limit = float(chdtri(len(miss), CHANGE_SIGNIFICANCE))
         if distance <= limit:
             return 0.0
         excess = np.abs(new.z - expected.mean(axis=0)) ** 2

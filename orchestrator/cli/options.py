@@ -125,6 +125,14 @@ live_option = click.option(
     help="Serve the recording during the run; `nufleet view --live` shows it.",
 )
 
+rehearsal_option = click.option(
+    "--no-rehearsal",
+    "rehearses",
+    flag_value=False,
+    default=True,
+    help="Do not wait for the errors that the target expects of its flights.",
+)
+
 unguarded_option = click.option(
     "--no-guard",
     "guarded",

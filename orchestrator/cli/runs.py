@@ -10,6 +10,7 @@ import click
 from nufleet.orchestrator.cli.options import (
     json_option,
     live_option,
+    rehearsal_option,
     runs_option,
     storage_options,
     wait_option,
@@ -35,6 +36,7 @@ def list_runs(runs_root: Path, as_json: bool) -> None:
     help="Router of the fleet.  [default: the one that the run used, or its own fleet restarted]",
 )
 @wait_option("How long to wait for the router and the robots.")
+@rehearsal_option
 @live_option
 @storage_options
 def resume(**options: Any) -> None:

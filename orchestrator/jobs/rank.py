@@ -54,6 +54,8 @@ class RankCommand(AnyFleetCommand):
     """Time to wait for a running fleet's router and robots."""
     live: bool = False
     """Whether to serve the recording to live viewers."""
+    rehearses: bool = True
+    """Whether the target is asked what error it expects of each way to fly."""
     processes: int | None = 2
     """Number of processes that the robots of a fleet file are spread over; None for one each."""
     trajectory: str | None = None
@@ -120,7 +122,7 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
             ready.descriptions,
             stored,
         )
-        return show_study(run, ready, study, request.drawing)
+        return show_study(run, ready, study, request.drawing, rehearses=command.rehearses)
 
 
 def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:

@@ -50,6 +50,8 @@ class ResumeCommand(StoredCommand):
     """Time to wait for the fleet's router and robots."""
     live: bool = False
     """Whether to serve the recording to live viewers."""
+    rehearses: bool = True
+    """Whether the target is asked what error it expects of each way to fly."""
 
 
 def resume_and_print(command: ResumeCommand) -> None:
@@ -83,7 +85,8 @@ def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
         run.say_how_to_resume()
         run.record(live=command.live)
         # Read again: the orchestrator that held the robots until now may have ended the study.
-        return show_study(run, ready, _open_study(path, run.repository))
+        study = _open_study(path, run.repository)
+        return show_study(run, ready, study, rehearses=command.rehearses)
 
 
 def can_reach_again(folder: Path) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from nufleet.robot_agent.flight.after_flight import own_error_after
-from nufleet.robot_agent.flight.flights import equipment_for
+from nufleet.robot_agent.flight.equipment import equipment_for
 from nufleet.robot_agent.flight.forecast import Forecast, forecast_of
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.own_model import HIGH, OwnModel
@@ -29,6 +29,10 @@ from nufleet.shared.wire.motions import PredictedError, Tracking
 
 DRAWS = 4
 """Number of robots that a flight is rehearsed on; the bounds allow for so few."""
+
+ROUGH = 0.01
+"""Least standard deviation of the logarithm of a rehearsed error. Without disturbances all
+rehearsals end alike, and yet no model answers exactly as its robot does."""
 
 _SEED = 0  # every way of flying meets the same robots and the same noise, so that they compare
 
@@ -141,7 +145,7 @@ def predicted_from(errors: Sequence[float]) -> PredictedError:
         errors: Root mean square errors, at least two, above 0.
     """
     logarithms, count = np.log(errors), len(errors)
-    spread = float(np.std(logarithms, ddof=1)) * np.sqrt(1 + 1 / count)
+    spread = np.hypot(float(np.std(logarithms, ddof=1)), ROUGH) * np.sqrt(1 + 1 / count)
     reach = float(stdtrit(count - 1, HIGH)) * spread
     middle = float(np.mean(logarithms))
     low, rms, high = np.exp([middle - reach, middle, middle + reach])

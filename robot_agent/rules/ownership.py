@@ -9,7 +9,7 @@ far above the last one is therefore refused.
 
 A motion of a live orchestrator is not ended by a higher epoch, but it is the last one under the
 lower epoch: the orchestrator that waits commands the robot next. It waits for as long as it keeps
-asking; one that has given up, or is gone, keeps nobody else from the robot.
+asking; one that has given up, or is gone, keeps no other from the robot.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from command_processes import NUFLEET, PATIENCE_S, nufleet, trial_statuses
+from command_processes import NUFLEET, PATIENCE_S, Typed, nufleet, trial_statuses
 from lifeline import started_with
 from polling import wait_until
 
@@ -88,6 +88,7 @@ def test_rank_for_a_trajectory_names_what_leaves_the_smallest_error_on_it(tmp_pa
     rows = (f"{np.cos(a)},{np.sin(a)}" for a in angles)
     circle.write_text("x_m,y_m\n" + "\n".join(rows) + "\n")
     arguments = ("rank", "--fleet", str(FLEET), "--trajectory", str(circle), "--speed", "0.5")
+    arguments = (*arguments, "--no-rehearsal")
     for algorithm in ("paper", "adaptive"):
         done = nufleet(*arguments, "--algorithm", algorithm, "--json", cwd=tmp_path)
         assert done.returncode == 0, done.stderr
@@ -108,14 +109,13 @@ def test_rank_for_a_trajectory_names_what_leaves_the_smallest_error_on_it(tmp_pa
 
 
 def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(tmp_path: Path) -> None:
-    arguments = ("rank", "--fleet", str(FLEET), "--json")
+    arguments = ("rank", "--fleet", str(FLEET), "--no-rehearsal", "--json")
     adaptive = nufleet(*arguments, cwd=tmp_path)
     assert adaptive.returncode == 0, adaptive.stderr
     document = json.loads(adaptive.stdout)
     assert list(document) == [
         *("schema", "target", "band_rad_s", "selected", "ranking", "iterations", "robot_time_s"),
-        *("run", "confidence", "eliminated", "stopped_because", "verdicts", "findings"),
-        *("ways_path", "ways_unit", "ways", "chosen_way"),
+        *("run", "confidence", "eliminated", "stopped_because", "verdicts", "findings", "ways"),
     ]
     assert document["selected"] == "source-2"
     assert document["confidence"] >= 0.95
@@ -142,7 +142,8 @@ def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(tmp_path:
 
 def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(tmp_path: Path) -> None:
     done = nufleet(
-        *("rank", "--fleet", str(FLEET), "--algorithm", "paper", "--iterations", "2", "--json"),
+        *("rank", "--fleet", str(FLEET), "--algorithm", "paper", "--iterations", "2"),
+        *("--no-rehearsal", "--json"),
         cwd=tmp_path,
     )
     assert done.returncode == 0, done.stderr
@@ -161,7 +162,8 @@ def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(tmp_path: Path)
 def test_the_demo_ranks_as_rank_does_and_shows_what_the_readme_shows(tmp_path: Path) -> None:
     alone = nufleet("demo", "--json", cwd=tmp_path)
     together = nufleet(
-        *("rank", "--fleet", "weak_source", "--algorithm", "paper", "--seed", "0", "--json"),
+        *("rank", "--fleet", "weak_source", "--algorithm", "paper", "--seed", "0"),
+        *("--no-rehearsal", "--json"),
         cwd=tmp_path,
     )
     assert alone.returncode == 0, alone.stderr
@@ -247,9 +249,9 @@ def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, moment: s
     ],
 )
 def test_a_request_that_cannot_be_right_is_refused_with_the_reason(
-    tmp_path: Path, arguments: list[str], code: int, words: str
+    typed: Typed, tmp_path: Path, arguments: list[str], code: int, words: str
 ) -> None:
-    done = nufleet("rank", "--fleet", str(FLEET), *arguments, "--json", cwd=tmp_path)
+    done = typed("rank", "--fleet", str(FLEET), *arguments, "--json", cwd=tmp_path)
     assert done.returncode == code
     assert done.stdout == ""
     assert words in done.stderr
@@ -257,10 +259,12 @@ def test_a_request_that_cannot_be_right_is_refused_with_the_reason(
     assert not list(tmp_path.glob("runs/*/telemetry.parquet"))
 
 
-def test_a_typo_in_a_fleet_file_names_file_field_and_expectation(tmp_path: Path) -> None:
+def test_a_typo_in_a_fleet_file_names_file_field_and_expectation(
+    typed: Typed, tmp_path: Path
+) -> None:
     fleet = tmp_path / "typo.toml"
     fleet.write_text(FLEET.read_text().replace("alpha = 0.85", 'alpha = "big"'))
-    done = nufleet("rank", "--fleet", str(fleet), cwd=tmp_path)
+    done = typed("rank", "--fleet", str(fleet), cwd=tmp_path)
     assert done.returncode == 2
     assert "typo.toml" in done.stderr
     assert "robots.target.settings" in done.stderr
@@ -317,13 +321,13 @@ def test_a_runs_folder_that_cannot_be_written_is_refused_before_anything_starts(
     assert "iteration 1" not in done.stderr
 
 
-def test_help_is_there_for_every_command(tmp_path: Path) -> None:
-    top = nufleet("--help", cwd=tmp_path)
+def test_help_is_there_for_every_command(typed: Typed, tmp_path: Path) -> None:
+    top = typed("--help", cwd=tmp_path)
     assert top.returncode == 0
     commands = ("demo", "rank", "train", "transfer", "track", "evaluate", "router", "agent", "view")
     for command in (*commands, "runs", "fleet", "stop", "doctor"):
         assert command in top.stdout
-        shown = nufleet(command, "--help", cwd=tmp_path)
+        shown = typed(command, "--help", cwd=tmp_path)
         assert shown.returncode == 0
         assert "Usage: nufleet" in shown.stdout
 
@@ -355,14 +359,14 @@ def test_a_running_fleet_is_shown_ranked_stopped_and_released(
         assert {state["status"] for state in status["robots"].values()} == {"idle"}
         ranked = nufleet(
             *("rank", *join, "--target", "target", "--band", "0.5", "10"),
-            *("--iterations", "3", "--json"),
+            *("--iterations", "3", "--no-rehearsal", "--json"),
             cwd=tmp_path,
         )
         assert json.loads(ranked.stdout)["selected"] == "source-2"
         assert nufleet("stop", "source-2", *join, cwd=tmp_path).returncode == 0
         without = nufleet(
             *("rank", *join, "--target", "target", "--band", "0.5", "10"),
-            *("--iterations", "3", "--json"),
+            *("--iterations", "3", "--no-rehearsal", "--json"),
             cwd=tmp_path,
         )
         assert [r["robot"] for r in json.loads(without.stdout)["ranking"]] == [

@@ -17,7 +17,7 @@ from rehearsals import rehearsals
 from robots_that_learn import LaggedRobot
 
 from nufleet.robot_agent.flight.memory import Memory
-from nufleet.robot_agent.forecast_service import LEAST_URGENT, ForecastService
+from nufleet.robot_agent.forecast_service import LESS_URGENT, ForecastService
 from nufleet.robot_agent.planner import Planner
 from nufleet.shared.errors import MalformedMessageError
 from nufleet.shared.experience.layout import InverseLayout
@@ -60,10 +60,10 @@ def lab() -> Iterator[Lab]:
     lab.service.close()
 
 
-def test_it_takes_only_what_nothing_else_wants_from_its_first_instruction(lab: Lab) -> None:
+def test_it_is_less_urgent_than_normal_processes_from_its_first_instruction(lab: Lab) -> None:
     lab.found(LEARNS)
     (process,) = rehearsals()
-    assert process.nice() == LEAST_URGENT
+    assert process.nice() == LESS_URGENT
     assert os.sched_getscheduler(process.pid) == os.SCHED_BATCH
 
 
