@@ -90,7 +90,7 @@ def describe_validation(error: ValidationError) -> str:
     found = error.errors(include_url=False, include_context=False, include_input=False)
     problems = [
         f"{_shortened('.'.join(str(part) for part in item['loc']) or 'message')}: "
-        f"{_shortened(item['msg'])}"
+        f"{_shortened(item['msg'].removeprefix('Value error, '))}"
         for item in found[:_SHOWN_PROBLEMS]
     ]
     more = f" (and {len(found) - len(problems)} more)" if len(found) > len(problems) else ""
