@@ -16,6 +16,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from nufleet.shared.arrays import arrow
 from nufleet.shared.errors import InvalidInputError, system_errors_as
 from nufleet.shared.private_files import write_privately
 from nufleet.shared.redaction import without_secrets
@@ -116,9 +117,9 @@ class RunFolder:
     def write_samples(self, iteration: int, measured: Measured) -> None:
         """Append one test's raw samples, so that a better estimator can be run on them later."""
         import numpy as np
-        import pyarrow as pa
         import pyarrow.parquet as pq
 
+        pa = arrow()
         result = measured.result
         count = len(result.reference)
         table = pa.table(
