@@ -10,6 +10,7 @@ import click
 from nufleet.orchestrator.cli.options import (
     json_option,
     live_option,
+    recording_option,
     rehearsal_option,
     runs_option,
     storage_options,
@@ -38,6 +39,7 @@ def list_runs(runs_root: Path, as_json: bool) -> None:
 @wait_option("How long to wait for the router and the robots.")
 @rehearsal_option
 @live_option
+@recording_option
 @storage_options
 def resume(**options: Any) -> None:
     """Resume the interrupted run RUN: a folder, its name, or `latest`.

@@ -16,7 +16,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from nufleet.shared.arrays import arrow
 from nufleet.shared.errors import InvalidInputError, system_errors_as
 from nufleet.shared.private_files import write_privately
 from nufleet.shared.redaction import without_secrets
@@ -118,6 +117,8 @@ class RunFolder:
         """Append one test's raw samples, so that a better estimator can be run on them later."""
         import numpy as np
         import pyarrow.parquet as pq
+
+        from nufleet.shared.arrays import arrow
 
         pa = arrow()
         result = measured.result

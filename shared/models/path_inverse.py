@@ -35,7 +35,8 @@ def inverted(belief: ErrorBelief, desired: FloatArray) -> FloatArray:
     way = desired[-1] + (desired[0] - desired[-1]) * (0.5 - 0.5 * np.cos(back))
     before, after = np.full(rest, desired[0]), np.full(rest, desired[-1])
     periodic = np.concatenate([before, desired, after, way])
-    z, variance = belief.response(2 * np.pi * rfftfreq(total, step_s))
+    omega_rad_s = np.asarray(2 * np.pi * rfftfreq(total, step_s), dtype=np.float64)
+    z, variance = belief.response(omega_rad_s)
     wrong = max(MODEL_ERROR, belief.open(float(np.std(desired))))
     variance = variance + (wrong * np.abs(1 - z)) ** 2
     filtered = rfft(periodic) * np.conj(z) / (np.abs(z) ** 2 + variance)

@@ -89,7 +89,7 @@ def wiener_feedback(
     if answer > _SAMPLES_MAX or not covariance[0] > 0:
         return None
     length = fast_length(2 * (answer + len(covariance)))
-    omega_rad_s = 2 * np.pi * rfftfreq(length, step_s)
+    omega_rad_s = np.asarray(2 * np.pi * rfftfreq(length, step_s), dtype=np.float64)
     lasting = spectrum(covariance, length)
     total = lasting + noise_variance
     z, variance = belief.response(omega_rad_s)

@@ -86,8 +86,7 @@ def test_help_loads_nothing_but_the_words(workplace: Path, command: tuple[str, .
     [
         ("import nufleet.robot_agent.serve, nufleet.sims.drivers", HEAVY - {"zenoh"} | {"scipy"}),
         (
-            "import nufleet.orchestrator.jobs.rank; from nufleet.shared.arrays import arrow; "
-            "arrow().array([1.0])",
+            "import nufleet.orchestrator.jobs.rank, nufleet.shared.arrays as a; a.arrow().array([1])",
             {"alembic", "psycopg", "pandas", "rerun", "matplotlib", "numba", "torch"},
         ),
     ],
