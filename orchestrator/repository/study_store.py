@@ -211,7 +211,7 @@ _RESPONSES = (
 
 def _intend(connection: Connection, intent: TrialIntent) -> TrialRecord:
     row = {**intent_row(intent), "intended_at": utc_now()}
-    if connection.execute(insert_new(connection, TRIALS, row)).rowcount == 1:
+    if connection.execute(insert_new(connection, TRIALS), row).rowcount == 1:
         return TrialRecord(intent, TrialStatus.INTENDED)
     known = _locked(connection, intent.goal_id)
     if known is None:

@@ -84,10 +84,13 @@ def test_help_loads_nothing_but_the_words(workplace: Path, command: tuple[str, .
 @pytest.mark.parametrize(
     ("loading", "unneeded"),
     [
-        ("import nufleet.robot_agent.serve, nufleet.sims.drivers", HEAVY - {"zenoh"} | {"scipy"}),
         (
-            "import nufleet.orchestrator.jobs.rank, nufleet.shared.arrays as a; a.arrow().array([1])",
-            {"alembic", "psycopg", "pandas", "rerun", "matplotlib", "numba", "torch"},
+            "import nufleet.robot_agent.serve, nufleet.sims.drivers",
+            HEAVY - {"zenoh"} | {"scipy"},
+        ),
+        (
+            "import nufleet.orchestrator.jobs.rank, nufleet.shared.arrays as a; a.arrow()",
+            HEAVY - {"zenoh", "sqlalchemy", "pyarrow"} | {"pandas"},
         ),
     ],
     ids=["agent", "rank"],

@@ -316,6 +316,17 @@ def test_a_withdrawn_handler_hears_no_more(clients: Callable[[], Session]) -> No
     wait_until(lambda: not asker.ask_all("gone", b"", timeout_s=PATIENCE_S))
 
 
+def test_a_session_need_not_hear_what_it_puts_itself(clients: Callable[[], Session]) -> None:
+    one, other = clients(), clients()
+    heard: queue.Queue[bytes] = queue.Queue()
+    one.subscribe("k", lambda _key, payload: heard.put(payload), max_bytes=9, own=False)
+    publisher = one.state_publisher("k")
+    publisher.put(b"own")
+    others = other.state_publisher("k")
+    wait_until(lambda: (others.put(b"other"), not heard.empty())[1])
+    assert heard.get() == b"other"
+
+
 def test_an_urgent_message_arrives(clients: Callable[[], Session]) -> None:
     listener, sender = clients(), clients()
     heard: queue.Queue[tuple[str, bytes]] = queue.Queue()
