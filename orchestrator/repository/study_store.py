@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pydantic import JsonValue
-from sqlalchemy import Connection, bindparam, select
+from sqlalchemy import Connection, bindparam, or_, select
 
 from nufleet.orchestrator.repository.array_blob import pack_array
 from nufleet.orchestrator.repository.database import Database
@@ -176,6 +176,19 @@ class StudyStore:
         if row is None:
             raise UnknownRecordError(f"no samples of goal {goal_id} are stored")
         return goal_result(row)
+
+    def forget_samples(self, run_id: str) -> int:
+        """Delete the samples of all studies that a run conducted; return how many tests had some.
+
+        Args:
+            run_id: Id of the run: that of its study, or the first part, before a dot, of several.
+        """
+        of_run = or_(
+            TRIALS.c.study_id == run_id, TRIALS.c.study_id.startswith(f"{run_id}.", autoescape=True)
+        )
+        tests = select(TRIALS.c.goal_id).where(of_run)
+        with self._database.write() as connection:
+            return connection.execute(SAMPLES.delete().where(SAMPLES.c.goal_id.in_(tests))).rowcount
 
     def responses(
         self, fleet: str, robot: str, axis: str, *, usable: bool = True

@@ -415,7 +415,7 @@ def open_router(listen: list[str], *, connect: list[str] | None = None) -> Itera
     Args:
         listen: Endpoints to listen on, such as `tcp/0.0.0.0:7447`, `tcp/127.0.0.1:0` or
             `unixsock-stream//path`.
-        connect: Endpoints of other routers to join.
+        connect: Endpoints of other routers to link with, now or as soon as they are there.
 
     Raises:
         InvalidInputError: an endpoint is malformed.

@@ -340,6 +340,22 @@ def test_an_urgent_message_arrives(clients: Callable[[], Session]) -> None:
     assert heard.get() == ("lab/stop", b"now")
 
 
+def test_linked_routers_serve_one_fleet_also_after_the_one_in_the_middle_came_back(
+    tmp_path: Path,
+) -> None:
+    at = {name: f"unixsock-stream/{tmp_path}/{name}.sock" for name in ("left", "middle", "right")}
+    with ExitStack() as stack:
+        for end in ("left", "right"):  # both before the router that they link with
+            stack.enter_context(open_router([at[end]], connect=[at["middle"]]))
+        robot = stack.enter_context(open_client(at["left"], timeout_s=PATIENCE_S))
+        asker = stack.enter_context(open_client(at["right"], timeout_s=PATIENCE_S))
+        robot.serve("robot", echo)
+        for _ in range(2):
+            with open_router([at["middle"]]):
+                served(asker, "robot")
+            wait_until(lambda: not asker.ask_all("robot", b"", timeout_s=0.1))
+
+
 # Opening and closing.
 
 
