@@ -125,6 +125,14 @@ live_option = click.option(
     help="Serve the recording during the run; `nufleet view --live` shows it.",
 )
 
+recording_option = click.option(
+    "--no-recording",
+    "draws",
+    flag_value=False,
+    default=True,
+    help="Draw neither a recording nor plots, which saves processor time.",
+)
+
 rehearsal_option = click.option(
     "--no-rehearsal",
     "rehearses",

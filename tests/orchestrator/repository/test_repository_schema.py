@@ -28,10 +28,11 @@ from nufleet.orchestrator.repository.errors import (
     RepositoryUrlError,
     SchemaVersionError,
 )
+from nufleet.orchestrator.repository.migration import upgrade
 from nufleet.orchestrator.repository.records import ExperienceRecord, RobotRecord
-from nufleet.orchestrator.repository.repository import Repository, open_repository
+from nufleet.orchestrator.repository.repository import open_repository
 from nufleet.orchestrator.repository.schema import MIGRATIONS
-from nufleet.orchestrator.repository.tables import METADATA
+from nufleet.orchestrator.repository.tables import METADATA, REVISION
 
 NEXT_SCHEMA = """
 from alembic import op
@@ -57,13 +58,19 @@ def newer(tmp_path: Path) -> Path:
     return folder
 
 
-def test_migrations_arrive_at_the_tables_that_the_code_uses(
-    repository: Repository, address: str
+@pytest.mark.parametrize("migrated", [True, False], ids=["migrated", "created"])
+def test_migrations_arrive_at_the_tables_that_the_code_uses_and_creates(
+    address: str, migrated: bool
 ) -> None:
+    if not migrated:
+        open_repository(address).close()
     engine = create_engine(parse_url(address))
-    with engine.connect() as connection:
+    with engine.begin() as connection:
+        if migrated:
+            upgrade(connection, None, MIGRATIONS, address)
         context = MigrationContext.configure(connection, opts={"compare_type": True})
         assert compare_metadata(context, METADATA) == []
+        assert context.get_current_revision() == REVISION
     engine.dispose()
 
 
