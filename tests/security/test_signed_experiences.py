@@ -166,7 +166,14 @@ def test_the_fleet_file_of_the_target_decides_whose_priors_it_takes(
         if refusal is not None:
             allowed = ", ".join(robots) or "no robot"
             assert f"take priors from {allowed} (`priors_from` of a), not from b" in refusal.reason
-    assert trust(lab, "a", RobotPolicy(priors_from=())).refusal(experience("a")) is None
+
+
+@pytest.mark.parametrize(("robots", "learns"), [(None, True), (("b", "a"), True), (("b",), False)])
+def test_a_robot_tries_what_is_trained_from_its_flights_if_its_fleet_file_lets_it_learn(
+    robots: tuple[str, ...] | None, learns: bool, lab: ClosedLab
+) -> None:
+    refusal = trust(lab, "a", RobotPolicy(priors_from=robots)).refusal(experience("a"))
+    assert (refusal is None) == learns
 
 
 def test_an_agent_signs_what_it_learned_before_and_gives_up_priors_that_it_may_not_have(
