@@ -80,7 +80,11 @@ def decode_experience(payload: bytes, sha256: str | None = None) -> Experience:
         )
     metadata = _metadata(payload)
     manifest = _read(ExperienceManifest, metadata, _MANIFEST_KEY, "manifest")
-    signature = _read(Signature, metadata, _SIGNATURE_KEY, "signature") if _SIGNATURE_KEY in metadata else None
+    signature = (
+        _read(Signature, metadata, _SIGNATURE_KEY, "signature")
+        if _SIGNATURE_KEY in metadata
+        else None
+    )
     try:
         arrays = safetensors.numpy.load(payload)
     except (safetensors.SafetensorError, KeyError, ValueError, TypeError) as error:
