@@ -37,7 +37,7 @@ _identity_option = click.option(
     envvar=IDENTITY_VARIABLE,
     metavar="FILE",
     help="Identity in a closed fleet; names its router too.  [env: NUFLEET_IDENTITY; default: "
-    "the only one in ~/.config/nufleet]",
+    "the only one in ~/.config/nufleet that is no robot's]",
 )
 
 _fleet_name_option = click.option(

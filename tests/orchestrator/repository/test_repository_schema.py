@@ -193,7 +193,7 @@ def test_the_password_of_a_server_may_stand_in_the_file_that_pgpassfile_names(
         connection.execute("CREATE ROLE careful LOGIN SUPERUSER PASSWORD 'se/c@ret'")
         connection.execute("SELECT pg_reload_conf()")
         server.empty_database()
-        address = f"postgresql://careful@/postgres?host={server.folder}"
+        address = f"postgresql://careful@/postgres?host={server.folder}&port={server.port}"
 
         def refused() -> bool:  # from the moment on at which the server has read its rules
             try:
@@ -215,7 +215,7 @@ def test_the_password_of_a_server_may_stand_in_the_file_that_pgpassfile_names(
 
 def test_a_database_that_its_server_does_not_have_is_named(server: PostgresqlServer) -> None:
     with pytest.raises(RepositoryUnreachableError, match="missing"):
-        open_repository(f"postgresql://nufleet@/missing?host={server.folder}")
+        open_repository(f"postgresql://nufleet@/missing?host={server.folder}&port={server.port}")
 
 
 def test_a_file_that_is_no_database_is_refused_and_left_alone(tmp_path: Path) -> None:
