@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 from nufleet.robot_agent.flight.after_flight import own_error_after
 from nufleet.robot_agent.flight.equipment import equipment_for
@@ -144,6 +143,9 @@ def predicted_from(errors: Sequence[float]) -> PredictedError:
     Args:
         errors: Root mean square errors, at least two, above 0.
     """
+    # Agents only write the task of a rehearsal, and do without a third of a second of loading.
+    from scipy.special import stdtrit
+
     logarithms, count = np.log(errors), len(errors)
     spread = np.hypot(float(np.std(logarithms, ddof=1)), ROUGH) * np.sqrt(1 + 1 / count)
     reach = float(stdtrit(count - 1, HIGH)) * spread
