@@ -32,6 +32,7 @@ from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.experience.manifest import ExperienceManifest
 from nufleet.shared.strict import Digest, Document, Strict
+from nufleet.shared.text import split_names
 from nufleet.shared.wire.messages import ForeseenWay
 
 
@@ -104,6 +105,7 @@ def transfer(command: TransferCommand, console: Console) -> TransferResult:
         RefusedError: The target refuses the experience.
     """
     payload = None if command.file is None else read_experience(command.file)
+    split_names(command.source or "none")  # wrong names are refused before a router is looked for
     with Opening(command, console) as run:
         fleet, name, there = run.reach(command.fleet())
         check_robots((command.target,), there)
@@ -159,7 +161,7 @@ def _sources(
         return (_best(command, run),)
     if command.source == "all":
         return _all(command, run, there, library)
-    sources = tuple(command.source.split(","))
+    sources = split_names(command.source)
     check_names(command.target, sources, (command.target, *sources))
     return sources
 

@@ -307,7 +307,7 @@ def test_a_port_in_use_is_an_error_that_names_it(tmp_path: Path) -> None:
         ):
             done = nufleet(*command, cwd=tmp_path)
             assert done.returncode == 1
-            assert endpoint in done.stderr
+            assert f"cannot listen on {endpoint}: Address already in use. Is a" in done.stderr
 
 
 def test_a_runs_folder_that_cannot_be_written_is_refused_before_anything_starts(
