@@ -93,11 +93,11 @@ def describe_validation(error: ValidationError) -> str:
     """
     found = error.errors(include_url=False, include_context=False, include_input=False)
     missing = [item["loc"] for item in found if item["type"] == "missing"]
-    problems = [
-        f"{_shortened('.'.join(str(part) for part in item['loc']) or 'message')}: "
-        f"{_shortened(in_words(item['type'], item['msg'], item['loc'], missing))}"
-        for item in found[:_SHOWN_PROBLEMS]
-    ]
+    problems = []
+    for item in found[:_SHOWN_PROBLEMS]:
+        where = ".".join(str(part) for part in item["loc"])
+        what = _shortened(in_words(item["type"], item["msg"], item["loc"], missing))
+        problems.append(f"{_shortened(where)}: {what}" if where else what)
     more = f" (and {len(found) - len(problems)} more)" if len(found) > len(problems) else ""
     return "; ".join(problems) + more
 

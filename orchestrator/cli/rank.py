@@ -10,6 +10,7 @@ from nufleet.orchestrator.cli.options import (
     connect_options,
     fleet_option,
     live_option,
+    recording_option,
     refuse_in_vain,
     rehearsal_option,
     seed_option,
@@ -92,6 +93,7 @@ from nufleet.orchestrator.cli.types import Names, Number, PositiveNumber
 )
 @rehearsal_option
 @live_option
+@recording_option
 @click.option(
     "--resume",
     metavar="RUN",
