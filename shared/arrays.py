@@ -25,7 +25,7 @@ class _NoPandas(MetaPathFinder):
 def arrow() -> ModuleType:
     """Return pyarrow, which does not load pandas.
 
-    It would do so at the first array, wherever pandas is installed, only to ask whether the array
+    It would do so at the first array, if pandas is installed, only to ask whether the array
     is one of pandas's; that takes a third of a second. A program that has loaded pandas keeps it,
     and one that loads it later can.
     """

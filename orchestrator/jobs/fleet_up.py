@@ -47,7 +47,7 @@ def fleet_up(
 
     Raises:
         FleetFileError: The file is not valid.
-        InvalidInputError: The machine has no room for so many robots.
+        InvalidInputError: The machine has no room for all robots of the file.
         EndpointInUseError: The router cannot listen on that endpoint.
         NufleetError: A process of the fleet ended by itself.
     """
