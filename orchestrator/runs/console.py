@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from rich.console import Console
 from rich.table import Table
 
-from nufleet.orchestrator.runs.rank_result import ClosedForm
+from nufleet.orchestrator.runs.rank_result import ClosedForm, deviation_text
 from nufleet.orchestrator.study.interface import Question, Report, SourceEstimate
 from nufleet.orchestrator.study.outcomes import Measured, TestOutcome
 
@@ -68,14 +68,9 @@ class ConsoleObserver:
             leader = "  [green]← closest[/]" if estimate.robot == report.selected else ""
             self._console.print(
                 f"  {estimate.robot:<16} {measured:<12}  "
-                f"ψ* = {estimate.psi:.4f} ± {_deviation(estimate.psi_std)} "
+                f"ψ* = {estimate.psi:.4f} ± {deviation_text(estimate.psi_std)} "
                 f"at {estimate.omega_rad_s:.3f} rad/s{leader}"
             )
-
-
-def _deviation(std: float) -> str:
-    """Return a standard deviation to four decimal places, never rounded to zero."""
-    return f"{std:.4f}" if std >= 5e-5 else "<0.0001"
 
 
 def ranking_table(
@@ -93,7 +88,7 @@ def ranking_table(
         row = [
             estimate.robot,
             f"{estimate.psi:.4f}",
-            _deviation(estimate.psi_std),
+            deviation_text(estimate.psi_std),
             f"{estimate.omega_rad_s:.3f}",
             str(estimate.tests),
         ]

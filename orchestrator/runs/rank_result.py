@@ -15,6 +15,11 @@ from nufleet.shared.strict import Document, NonNegative, Strict
 Count = Annotated[int, Field(ge=0)]
 
 
+def deviation_text(std: float) -> str:
+    """Return a standard deviation to four decimal places, never rounded to zero."""
+    return f"{std:.4f}" if std >= 5e-5 else "<0.0001"
+
+
 class StoredResponses(Strict):
     """The stored tests and flights that replaced the first test of a source."""
 

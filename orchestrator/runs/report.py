@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nufleet.orchestrator.runs.figures import COLOURS, new_figure, plain, save
-from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord
+from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord, deviation_text
 from nufleet.orchestrator.runs.verdict_table import verdict_markdown
 from nufleet.orchestrator.runs.way_table import way_markdown
 from nufleet.orchestrator.study.interface import Curve
@@ -139,7 +139,7 @@ def write_report(folder: Path, record: RunRecord, *, draws: bool = True) -> None
     for estimate in result.ranking:
         exact = record.closed_form.get(estimate.robot)
         lines.append(
-            f"| {estimate.robot} | {estimate.psi:.4f} | {estimate.psi_std:.4f} "
+            f"| {estimate.robot} | {estimate.psi:.4f} | {deviation_text(estimate.psi_std)} "
             f"| {estimate.omega_rad_s:.3f} | {estimate.tests} "
             f"| {'' if exact is None else f'{exact.psi:.4f}'} |"
         )
