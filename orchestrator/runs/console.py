@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from rich.console import Console
 from rich.table import Table
 
-from nufleet.orchestrator.runs.rank_result import ClosedForm, deviation_text
+from nufleet.orchestrator.runs.rank_result import ClosedForm, RunRecord, deviation_text
 from nufleet.orchestrator.study.interface import Question, Report, SourceEstimate
 from nufleet.orchestrator.study.outcomes import Measured, TestOutcome
 
@@ -73,14 +73,37 @@ class ConsoleObserver:
             )
 
 
+def record_table(record: RunRecord) -> Table:
+    """Return the final table of a ranking.
+
+    The adaptive algorithm stops as soon as the choice is sure, and its ± covers frequencies that it
+    did not test. Beside its estimates stands the largest distance that was measured; only the
+    paper's algorithm, which estimates ψ* itself to the end, is compared with the closed form.
+    """
+    result = record.result
+    if result.confidence is None:
+        return ranking_table(result.ranking, record.closed_form)
+    return ranking_table(result.ranking, {}, record.largest_measured())
+
+
 def ranking_table(
-    ranking: tuple[SourceEstimate, ...], closed_form: Mapping[str, ClosedForm]
+    ranking: tuple[SourceEstimate, ...],
+    closed_form: Mapping[str, ClosedForm],
+    measured: Mapping[str, float] | None = None,
 ) -> Table:
-    """Return the final table, beside the closed form where robots know their models."""
+    """Return a table of estimates.
+
+    Args:
+        ranking: Estimates, best first.
+        closed_form: True distances, by source, where robots know their models.
+        measured: Largest distance that was measured, by source; None for no such column.
+    """
     table = Table(title="worst-case chordal distance to the target", title_justify="left")
     table.add_column("source")
     for heading in ("ψ*", "± σ", "at ω, rad/s", "tests"):
         table.add_column(heading, justify="right")
+    if measured is not None:
+        table.add_column("largest measured", justify="right")
     if closed_form:
         table.add_column("closed form", justify="right")
         table.add_column("error", justify="right")
@@ -92,6 +115,9 @@ def ranking_table(
             f"{estimate.omega_rad_s:.3f}",
             str(estimate.tests),
         ]
+        if measured is not None:
+            largest = measured.get(estimate.robot)
+            row.append("" if largest is None else f"{largest:.4f}")
         if closed_form:
             exact = closed_form.get(estimate.robot)
             if exact is None:

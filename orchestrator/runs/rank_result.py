@@ -142,3 +142,11 @@ class RunRecord(Strict):
     """Wall time of the run in s; of a resumed run, since it was resumed."""
     responses: Annotated[dict[str, tuple[ResponseRecord, ...]], Field(default_factory=dict)]
     """All responses known of each robot, by robot."""
+
+    def largest_measured(self) -> dict[str, float]:
+        """Return the largest distance that was measured in any round, by source."""
+        largest: dict[str, float] = {}
+        for entry in self.history:
+            for source, psi in entry.sampled_psi.items():
+                largest[source] = max(psi, largest.get(source, 0.0))
+        return largest
