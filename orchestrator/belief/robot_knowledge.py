@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.stats import chi2
 
@@ -12,10 +14,11 @@ from nufleet.orchestrator.belief.response_belief import ResponseModel
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.frequency_test.frequency_response import Flight, FrequencyResponse
+from nufleet.shared.frequency_test.ring_down import DECAYS_UNTIL_SETTLED
 from nufleet.shared.robots.spec import RobotSpec
 
-DECAYS_UNTIL_SETTLED = 3.0
-"""Least number of time constants of the slowest mode in a robot's declared settling time."""
+MISSTATED = 1.2
+"""Ratio of a measured settling time to the stated one from which the stated one is reported."""
 
 NONLINEAR_DEVIATION = 0.02
 """Assumed relative change of a nonlinear robot's response at another amplitude."""
@@ -39,9 +42,9 @@ class RobotKnowledge:
     def __init__(self, robot: str, spec: RobotSpec, omega_max_rad_s: float) -> None:
         self.robot = robot
         self.spec = spec
-        self.prior = ResponsePrior(
-            omega_max_rad_s, DECAYS_UNTIL_SETTLED / max(spec.settling_time_s, 1e-3)
-        )
+        self.settling_time_s = spec.settling_time_s
+        """Settling time in s: what the spec states or, if that is too short, what tests measured."""
+        self._omega_max_rad_s = omega_max_rad_s
         self.responses: list[FrequencyResponse] = []
         self.findings: tuple[str, ...] = ()
         self.flight_doubt = 0.0
@@ -82,7 +85,10 @@ class RobotKnowledge:
         for finding in response.quality.warnings:
             if finding.code == "nonlinear":
                 self._find(finding.text)
-                variance = variance + (NONLINEAR_DEVIATION * np.abs(z)) ** 2
+                share = max(NONLINEAR_DEVIATION, finding.value or 0.0)
+                variance = variance + (share * np.abs(z)) ** 2
+            if finding.code == "ringing" and (finding.value or 0.0) > self.settling_time_s:
+                self._settle_in(finding.value or 0.0)
         new = Tones(omega, z, variance)
         doubt = self._contradiction(new, flight, rng) if check and not first else 0.0
         self.responses.append(response)
@@ -121,6 +127,45 @@ class RobotKnowledge:
             Tones(t.omega_rad_s, t.z, t.variance + variance * at_stake)
             for t, at_stake in zip(self._tones, doubted, strict=True)
         ]
+
+    def _settle_in(self, settling_time_s: float) -> None:
+        """Replace a settling time that is too short."""
+        stated = self.spec.settling_time_s
+        if settling_time_s > MISSTATED * stated:
+            self._find(
+                f"its settling time is stated as {stated:.3g} s, and it was measured to be "
+                f"{settling_time_s:.3g} s: later tests wait as long; correct what its driver states"
+            )
+        self.settling_time_s = settling_time_s
+        self._model = None
+
+    @property
+    def prior(self) -> ResponsePrior:
+        """The belief about the robot before its tests, but for its settling time."""
+        decay_min_1_s = DECAYS_UNTIL_SETTLED / max(self.settling_time_s, 1e-3)
+        return ResponsePrior(self._omega_max_rad_s, decay_min_1_s)
+
+    @property
+    def settle_s(self) -> float | None:
+        """Time in s for which a test has to wait, where the robot itself would not wait as long."""
+        return None if self.settling_time_s <= self.spec.settling_time_s else self.settling_time_s
+
+    @property
+    def lowest_rad_s(self) -> float:
+        """Lowest tested frequency in rad/s; infinite before the first test."""
+        return min((float(t.omega_rad_s.min()) for t in self._tones), default=math.inf)
+
+    @property
+    def silent(self) -> bool:
+        """Whether the robot was tested, and no test of it found a response."""
+        return bool(self.responses) and all(
+            any(finding.code == "no-response" for finding in response.quality.warnings)
+            for response in self.responses
+        )
+
+    def forget(self) -> None:
+        """Forget all tests."""
+        self.responses, self._tones, self._noise, self._model = [], [], [], None
 
     @property
     def tests(self) -> int:

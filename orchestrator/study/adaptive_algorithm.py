@@ -28,7 +28,7 @@ from nufleet.orchestrator.study.interface import (
     StudyPlan,
 )
 from nufleet.orchestrator.study.selection_belief import SelectionBelief
-from nufleet.orchestrator.study.tone_choice import ToneChoice, closer_looks, first_look
+from nufleet.orchestrator.study.tone_choice import ToneChoice, closer_looks, first_look, lowest_look
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum
 from nufleet.orchestrator.study.value_of_tests import expected_gain
 from nufleet.shared.arrays import ComplexArray, FloatArray
@@ -36,6 +36,9 @@ from nufleet.shared.distance.chordal import chordal_distance
 from nufleet.shared.errors import StudyError
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.robots.spec import RobotSpec
+
+REACHED = 1.25
+"""Ratio of the lowest tone of a robot's tests to that of its lowest look from which it is due."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,8 @@ class AdaptiveSettings:
     """Least length of the first test's measuring part, in periods of the band's upper end."""
     share_of_settling: float = 0.7
     """Least length of the first test's measuring part, as a share of the settling time."""
+    lowest_octave: float = 2.0
+    """Lowest tone that a claim rests on, as a multiple of the band's lower end."""
     lengths: tuple[float, ...] = (1.0, 1.7, 3.0)
     """Lengths of later tests, as multiples of the first test's measuring time."""
     window_tones: int = 5
@@ -111,15 +116,16 @@ class AdaptiveStudy:
         self._dropped: dict[str, str] = {}
         self._grounded = dict.fromkeys(absent, "it is not there")
         self._share_doubt()
-        self._first: dict[str, ToneChoice] = {
-            name: first_look(
-                plan.band_rad_s,
-                robot.spec,
-                self._settings.first_periods,
-                self._settings.share_of_settling,
+        self._first: dict[str, ToneChoice] = {}
+        self._low: dict[str, ToneChoice] = {}
+        for name, robot in self._robots.items():
+            settings = self._settings
+            self._first[name] = first_look(
+                plan.band_rad_s, robot.spec, settings.first_periods, settings.share_of_settling
             )
-            for name, robot in self._robots.items()
-        }
+            self._low[name] = lowest_look(
+                plan.band_rad_s, robot.spec, settings.lowest_octave * low, self._first[name]
+            )
         self._next: dict[str, ToneChoice] = {
             name: self._first[name]
             for name in (plan.target, *plan.sources)
@@ -140,7 +146,10 @@ class AdaptiveStudy:
         if not self._next:
             return None
         self._asked += 1
-        tests = {n: choice.excitation(self._plan.axis) for n, choice in self._next.items()}
+        tests = {
+            name: choice.excitation(self._plan.axis, settle_s=self._robots[name].settle_s)
+            for name, choice in self._next.items()
+        }
         self._open = Question(self._asked, tests)
         return self._open
 
@@ -156,6 +165,7 @@ class AdaptiveStudy:
             else:
                 self._lose(name, failed.get(name, "it returned no response"))
         self._share_doubt()
+        self._lose_the_silent()
         sources = self._remaining()
         # Distances are compared over the band that is tested; a motion reaches far below it.
         draw = ResponseModel.draw if self._spectrum is None else draw_resting
@@ -169,29 +179,7 @@ class AdaptiveStudy:
         )
         leader, confidence = belief.leader(self._settings.epsilon, self._settings.delta)
         hopeless = belief.hopeless(leader, self._settings.delta)
-        stopped = self._stop(belief, leader, confidence)
-        misled = self._misled_by_flights(sources)
-        # What flights alone say is claimed only once a test has confirmed it.
-        if misled and self._asked < self._plan.iterations:
-            confidence = min(confidence, 1 - 2 * self._settings.delta)
-            stopped = None
-            self._next = {name: self._first[name] for name in misled}
-        elif self._robots[leader].flown_only and confidence >= 1 - self._settings.delta:
-            confidence = 1 - 2 * self._settings.delta
-            if leader in self._grounded or self._asked >= self._plan.iterations:
-                stopped = f"{leader} is known from flights alone, and no test could confirm them"
-                self._next = {}
-            else:
-                stopped = None
-                self._next = {leader: self._first[leader]}
-        else:
-            self._next = {} if stopped else self._choose(belief, draws, leader, hopeless)
-        if self._flights_mislead and stopped is not None:
-            confidence = min(confidence, 1 - 2 * self._settings.delta)
-            stopped = (
-                f"{leader} is selected without a claim: flights and tests differ, so that the "
-                "responses of this fleet depend on the amplitude"
-            )
+        self._next, confidence, stopped = self._decide(belief, draws, leader, confidence, hopeless)
         if not self._next and stopped is None:
             stopped = f"no further test would help; P(correct selection) = {confidence:.3f}"
         return Report(
@@ -202,11 +190,116 @@ class AdaptiveStudy:
             curves=tuple(self._curve(n, source, belief) for n, source in enumerate(sources)),
             ranking=self._ranking(belief, leader),
             dropped=dict(self._dropped),
-            confidence=confidence,
+            confidence=confidence * self._share_measured,
             eliminated=hopeless,
-            findings=tuple(f for robot in self._robots.values() for f in robot.findings),
-            stopped_because=stopped,
+            findings=self._findings(),
+            stopped_because=None if stopped is None else stopped + self._unsettled(),
         )
+
+    def _decide(
+        self,
+        belief: SelectionBelief,
+        draws: Mapping[str, ComplexArray],
+        leader: str,
+        confidence: float,
+        hopeless: Mapping[str, str],
+    ) -> tuple[dict[str, ToneChoice], float, str | None]:
+        """Return the next round, the confidence, and why the study ends where it does.
+
+        What flights alone say, or tests that did not look at the lower end of the band, is claimed
+        only once a test has confirmed it.
+        """
+        sure, doubtful = 1 - self._settings.delta, 1 - 2 * self._settings.delta
+        rounds_left = self._asked < self._plan.iterations
+        misled = self._misled_by_flights(belief.sources)
+        if misled and rounds_left:
+            return {name: self._first[name] for name in misled}, min(confidence, doubtful), None
+        if self._flights_mislead and (confidence >= sure or not rounds_left):
+            return (
+                {},
+                min(confidence, doubtful),
+                (
+                    f"{leader} is selected without a claim: flights and tests differ, so that the "
+                    "responses of this fleet depend on the amplitude"
+                ),
+            )
+        if confidence >= sure:
+            if self._robots[leader].flown_only:
+                if leader not in self._grounded and rounds_left:
+                    return {leader: self._first[leader]}, doubtful, None
+                return (
+                    {},
+                    doubtful,
+                    (f"{leader} is known from flights alone, and no test could confirm them"),
+                )
+            looks = self._low_looks((self._plan.target, *belief.sources), hopeless)
+            if looks and rounds_left:
+                return looks, doubtful, None
+            if looks:
+                return (
+                    {},
+                    doubtful,
+                    (
+                        f"all {self._asked} rounds have been used, and none of them played the lower "
+                        f"end of the band on {', '.join(looks)}"
+                    ),
+                )
+            return {}, confidence, self._claim(belief, leader, confidence)
+        if not rounds_left:
+            return (
+                {},
+                confidence,
+                (
+                    f"all {self._asked} rounds have been used; P(correct selection) = {confidence:.3f}"
+                ),
+            )
+        return self._choose(belief, draws, leader, hopeless), confidence, None
+
+    def _low_looks(self, robots: Sequence[str], hopeless: Collection[str]) -> dict[str, ToneChoice]:
+        """Return tests down to the lower end of the band, of those that were not tested there."""
+        return {
+            name: self._low[name]
+            for name in robots
+            if name not in hopeless
+            and name not in self._grounded
+            and self._robots[name].lowest_rad_s > REACHED * self._low[name].omega_rad_s[0]
+        }
+
+    def _lose_the_silent(self) -> None:
+        """Drop the robots that respond to no tone, down to the lowest that they can be asked."""
+        for name, robot in self._robots.items():
+            lowest_rad_s = self._low[name].omega_rad_s[0]
+            if robot.silent and robot.lowest_rad_s <= REACHED * lowest_rad_s:
+                robot.forget()
+                self._lose(
+                    name,
+                    f"it responds to no tone from {lowest_rad_s:.3g} rad/s on: it is not armed, or "
+                    "its dead zone is larger than the amplitudes that it allows",
+                )
+
+    @property
+    def _share_measured(self) -> float:
+        """Probability that the best source is among the measured ones, which nothing tells apart
+        from the others beforehand."""
+        return len(self._remaining()) / len(self._plan.sources)
+
+    def _unsettled(self) -> str:
+        """Return in words what would settle which source is the best, where tests failed."""
+        if not self._dropped:
+            return ""
+        named = "; ".join(f"{source} ({why})" for source, why in self._dropped.items())
+        return f"; any source that was not measured may be closer, so test again: {named}"
+
+    def _findings(self) -> tuple[str, ...]:
+        found = [finding for robot in self._robots.values() for finding in robot.findings]
+        for name in self._grounded:
+            robot = self._robots[name]
+            if robot.tests and robot.lowest_rad_s > REACHED * self._low[name].omega_rad_s[0]:
+                found.append(
+                    f"{name}: nothing is known of it below {robot.lowest_rad_s:.3g} rad/s, and "
+                    "nothing is claimed there; test it again from the lower end of the band on"
+                )
+        return tuple(found)
 
     @property
     def _flights_mislead(self) -> bool:
@@ -246,21 +339,15 @@ class AdaptiveStudy:
             lost = "; ".join(f"{source}: {why}" for source, why in self._dropped.items())
             raise StudyError(f"no source is left: {lost}")
 
-    def _stop(self, belief: SelectionBelief, leader: str, confidence: float) -> str | None:
-        if confidence >= 1 - self._settings.delta:
-            best = "is the closest" if self._spectrum is None else "leaves the smallest error"
-            alone = float(belief.probability_best()[belief.sources.index(leader)])
-            if alone >= 1 - self._settings.delta:
-                return f"{leader} {best} with probability {alone:.3f}"
-            return (
-                f"{leader} {best}, or within {self._settings.epsilon:g} of it, with probability "
-                f"{confidence:.3f}"
-            )
-        if self._asked >= self._plan.iterations:
-            return (
-                f"all {self._asked} rounds have been used; P(correct selection) = {confidence:.3f}"
-            )
-        return None
+    def _claim(self, belief: SelectionBelief, leader: str, confidence: float) -> str:
+        best = "is the closest" if self._spectrum is None else "leaves the smallest error"
+        alone = float(belief.probability_best()[belief.sources.index(leader)])
+        if alone >= 1 - self._settings.delta:
+            return f"{leader} {best} with probability {alone:.3f}"
+        return (
+            f"{leader} {best}, or within {self._settings.epsilon:g} of it, with probability "
+            f"{confidence:.3f}"
+        )
 
     def _choose(
         self,
@@ -299,14 +386,15 @@ class AdaptiveStudy:
         robot, first_s = self._robots[name], self._first[name].measure_s
         price = self._settings.simulated_cost if robot.spec.simulated else 1.0
         best: tuple[float, ToneChoice | None] = (0.0, None)
-        for choice in closer_looks(
+        looks = closer_looks(
             self._plan.band_rad_s,
             first_s,
             self._settings.lengths,
             centres_rad_s,
             self._settings.window_tones,
-        ):
-            cost_s = choice.duration_s(robot.spec)
+        )
+        for choice in (*looks, self._low[name]):
+            cost_s = choice.duration_s(robot.spec, robot.settle_s)
             if cost_s > robot.spec.duration_max_s:
                 continue
             # Samples exist on the grid only, so each tone takes them from the next grid point.

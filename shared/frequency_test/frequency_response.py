@@ -32,6 +32,7 @@ from nufleet.shared.frequency_test.quality import (
     unsettled,
     verdict,
 )
+from nufleet.shared.frequency_test.ring_down import ring_down, still_ringing
 from nufleet.shared.frequency_test.sensor_faults import sensor_faults
 from nufleet.shared.frequency_test.sinusoid_fit import (
     SinusoidFit,
@@ -159,7 +160,12 @@ def estimate_frequency_response(
     if y_scale > GAIN_MAX * u_scale:
         text = f"the output reaches {y_scale:.2g} with a reference of {u_scale:.2g}: it ran away"
         return _failed(omegas, plan, "unexplained", text)
-    return _estimate(_Samples(u / u_scale, y / (y_scale or 1.0), u_scale, y_scale), omegas, plan)
+    before = response[plan.ramp_samples : first]
+    if not np.all(np.isfinite(before)) or np.max(np.abs(before), initial=0.0) > GAIN_MAX * u_scale:
+        before = before[:0]
+    y_unit = y_scale or 1.0
+    samples = _Samples(u / u_scale, y / y_unit, before / y_unit, u_scale, y_scale)
+    return _estimate(samples, omegas, plan)
 
 
 @dataclass(frozen=True)
@@ -170,6 +176,8 @@ class _Samples:
     """Scaled reference, shape (samples,)."""
     y: FloatArray
     """Scaled output, shape (samples,)."""
+    settling: FloatArray
+    """Output between the ramp and the measuring part, in the same unit, shape (samples,)."""
     u_scale: float
     """Largest magnitude of the reference, in the axis's unit."""
     y_scale: float
@@ -192,9 +200,16 @@ def _estimate(samples: _Samples, omegas: FloatArray, plan: ExcitationPlan) -> Fr
     tones, step_s = len(omegas), plan.sample_time_s
     extra = resolvable_harmonics(omegas, step_s, len(samples.u) * step_s)
     every_omega = np.concatenate([omegas, extra])
+    ringing = ring_down(
+        np.concatenate([samples.settling, samples.y]), every_omega, step_s, len(samples.settling)
+    )
     try:
         input_fit, output_fit = fit_sinusoids(
-            [samples.u, samples.y], every_omega, step_s, plan.segments
+            [samples.u, samples.y],
+            every_omega,
+            step_s,
+            plan.segments,
+            ringing.columns(len(samples.y), step_s),
         )
     except UnresolvableError as error:
         return _failed(omegas, plan, "unresolvable", str(error))
@@ -224,6 +239,7 @@ def _estimate(samples: _Samples, omegas: FloatArray, plan: ExcitationPlan) -> Fr
     degrees = output_fit.scatter_degrees[:tones]
     estimates = _Estimates(gain * segment_z, variance, degrees)
     findings = _findings(tested, samples, input_fit, output_fit, estimates, plan)
+    findings.append(still_ringing(ringing, len(samples.settling) * step_s))
     return FrequencyResponse(
         omega_rad_s=omegas,
         z=gain * scaled_z,

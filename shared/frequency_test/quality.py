@@ -24,9 +24,10 @@ SETTLED_SIGNIFICANCE = 1e-3
 WINDOWS_MAX = 64
 """Largest number of windows in which a tone's response is examined for a change."""
 
+CHANGED_WINDOWS_MIN = 6
 CHANGED_SIGNIFICANCE = 1e-4
-"""Probability that white noise is taken for a change in the middle of a test; for slow noise it is
-several times higher."""
+"""Least number of windows in which a change is sought, and the probability that white noise is taken
+for one in the middle of a test; for slow noise it is several times higher."""
 
 R_SQUARED_REPORTED = 0.9
 R_SQUARED_MIN = 0.5
@@ -56,6 +57,8 @@ class Finding(Strict):
     """Kind of finding, for programs."""
     text: Reason
     """The finding in words, for people."""
+    value: float | None = None
+    """What was found to be how large, for programs: a time in s, or a share of the response."""
 
     def __str__(self) -> str:
         return self.text
@@ -194,6 +197,8 @@ def changed(
     for omega, scale in zip(omega_rad_s.tolist(), z_scale.tolist(), strict=True):
         edges = _half_periods(len(residual), omega * sample_time_s)
         windows = len(edges) - 1
+        if windows < CHANGED_WINDOWS_MIN:
+            continue
         turned = residual * np.exp(-1j * omega * sample_time_s * np.arange(len(residual)))
         # The phasor of the residual in each window: twice the mean of r(t) e^{−jωt}.
         values = 2 * np.add.reduceat(turned, edges[:-1]) / np.diff(edges)
@@ -251,8 +256,6 @@ FATAL = frozenset(
         "unsettled",
         "changed",
         "too-many-spikes",
-        "distorted",
-        "no-response",
         "uncertain",
     }
 )
