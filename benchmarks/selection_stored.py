@@ -22,7 +22,8 @@ import numpy as np
 from benchmarks.selection import CLAIM, RIGHT_BELOW
 from benchmarks.selection_fleets import BAND_RAD_S, FAMILIES, NOISE_LEVELS_M, random_fleet
 from benchmarks.selection_methods import ADAPTIVE_ROUNDS, follow
-from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveSettings, AdaptiveStudy
+from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
+from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.orchestrator.study.tone_choice import first_look
 from nufleet.shared.errors import InvalidInputError

@@ -133,7 +133,7 @@ def judged(family: str, sources: int, noise_m: float, seed: int, number: int) ->
     plans = [there, *(replace(there, target=s, sources=("target",)) for s in fleet.sources)]
     found = []
     for plan in plans:
-        ranking = [SourceEstimate(source, 0.0, 0.0, 0.0, 1) for source in plan.sources]
+        ranking = [SourceEstimate(source, 0.0, 0.0, 1.0, 0.0, 1) for source in plan.sources]
         verdicts = judge_transfers(plan, ranking, specs, study.responses, rng).verdicts
         for source, verdict in verdicts.items():
             loops = fleet.robots[source].loop, fleet.robots[plan.target].loop

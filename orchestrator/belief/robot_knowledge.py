@@ -43,10 +43,10 @@ class RobotKnowledge:
         self.robot = robot
         self.spec = spec
         self.settling_time_s = spec.settling_time_s
-        """Settling time in s: what the spec states or, if that is too short, what tests measured."""
+        """Settling time in s: what the spec states or, if it is too short, what tests measured."""
         self._omega_max_rad_s = omega_max_rad_s
         self.responses: list[FrequencyResponse] = []
-        self.findings: tuple[str, ...] = ()
+        self._found: tuple[str, ...] = ()
         self.flight_doubt = 0.0
         """Variance by which flights missed tests, or flights at other speeds, where they did."""
         self._tones: list[Tones] = []
@@ -87,8 +87,8 @@ class RobotKnowledge:
                 self._find(finding.text)
                 share = max(NONLINEAR_DEVIATION, finding.value or 0.0)
                 variance = variance + (share * np.abs(z)) ** 2
-            if finding.code == "ringing" and (finding.value or 0.0) > self.settling_time_s:
-                self._settle_in(finding.value or 0.0)
+            if finding.code == "ringing":
+                self.settling_time_s = max(self.settling_time_s, finding.value or 0.0)
         new = Tones(omega, z, variance)
         doubt = self._contradiction(new, flight, rng) if check and not first else 0.0
         self.responses.append(response)
@@ -128,16 +128,17 @@ class RobotKnowledge:
             for t, at_stake in zip(self._tones, doubted, strict=True)
         ]
 
-    def _settle_in(self, settling_time_s: float) -> None:
-        """Replace a settling time that is too short."""
-        stated = self.spec.settling_time_s
-        if settling_time_s > MISSTATED * stated:
-            self._find(
-                f"its settling time is stated as {stated:.3g} s, and it was measured to be "
-                f"{settling_time_s:.3g} s: later tests wait as long; correct what its driver states"
-            )
-        self.settling_time_s = settling_time_s
-        self._model = None
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What the tests showed that weakens what is believed of the robot, in words."""
+        stated, found = self.spec.settling_time_s, self.settling_time_s
+        if found <= MISSTATED * stated:
+            return self._found
+        misstated = (
+            f"{self.robot}: its settling time is stated as {stated:.3g} s, and it was measured to "
+            f"be {found:.3g} s: later tests wait as long; correct what its driver states"
+        )
+        return (misstated, *self._found)
 
     @property
     def prior(self) -> ResponsePrior:
@@ -154,6 +155,12 @@ class RobotKnowledge:
     def lowest_rad_s(self) -> float:
         """Lowest tested frequency in rad/s; infinite before the first test."""
         return min((float(t.omega_rad_s.min()) for t in self._tones), default=math.inf)
+
+    @property
+    def amplitude(self) -> float | None:
+        """Largest amplitude of the tests in the axis's unit; None where it is not known."""
+        played = [r.amplitude for r in self.responses if r.flight is None]
+        return max((one for one in played if one is not None), default=None)
 
     @property
     def silent(self) -> bool:
@@ -256,5 +263,5 @@ class RobotKnowledge:
 
     def _find(self, text: str) -> None:
         finding = f"{self.robot}: {text}"
-        if finding not in self.findings:
-            self.findings = (*self.findings, finding)
+        if finding not in self._found:
+            self._found = (*self._found, finding)

@@ -176,7 +176,7 @@ def _best(command: TransferCommand, run: Opening) -> str:
     leader = found.result.ranking[0]
     run.console.print(
         f"best source of {command.target}: [bold]{leader.robot}[/], "
-        f"ψ* = {leader.psi:.4f} ± {leader.psi_std:.4f}, from {found.run}"
+        f"ψ* = {leader.stated}, from {found.run}"
     )
     verdict = found.result.verdicts.get(leader.robot)
     if verdict is not None and verdict.verdict is not Verdict.TRANSFER:

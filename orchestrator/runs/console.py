@@ -29,7 +29,7 @@ class ConsoleObserver:
             tones = f"{len(played)} tones from {played[0]:.3f} to {played[-1]:.3f}"
         self._console.print(
             f"[bold]iteration {question.iteration}/{self._iterations}[/]  "
-            f"{len(question.robots)} robots play {tones} rad/s"
+            f"{len(question.robots)} robots play {tones} rad/s{_price(question)}"
         )
 
     def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
@@ -68,14 +68,16 @@ class ConsoleObserver:
             leader = "  [green]← closest[/]" if estimate.robot == report.selected else ""
             self._console.print(
                 f"  {estimate.robot:<16} {measured:<12}  "
-                f"ψ* = {estimate.psi:.4f} ± {_deviation(estimate.psi_std)} "
+                f"ψ* = {estimate.stated} "
                 f"at {estimate.omega_rad_s:.3f} rad/s{leader}"
             )
 
 
-def _deviation(std: float) -> str:
-    """Return a standard deviation to four decimal places, never rounded to zero."""
-    return f"{std:.4f}" if std >= 5e-5 else "<0.0001"
+def _price(question: Question) -> str:
+    """Return what a round costs and is for, in words."""
+    if question.robot_time_s is None:
+        return ""
+    return f" for {question.robot_time_s:.0f} robot-seconds: {question.purpose}"
 
 
 def ranking_table(
@@ -84,7 +86,7 @@ def ranking_table(
     """Return the final table, beside the closed form where robots know their models."""
     table = Table(title="worst-case chordal distance to the target", title_justify="left")
     table.add_column("source")
-    for heading in ("ψ*", "± σ", "at ω, rad/s", "tests"):
+    for heading in ("ψ*", "95 % interval", "at ω, rad/s", "measured", "tests"):
         table.add_column(heading, justify="right")
     if closed_form:
         table.add_column("closed form", justify="right")
@@ -93,8 +95,9 @@ def ranking_table(
         row = [
             estimate.robot,
             f"{estimate.psi:.4f}",
-            _deviation(estimate.psi_std),
+            f"{estimate.psi_low:.4f} to {estimate.psi_high:.4f}",
             f"{estimate.omega_rad_s:.3f}",
+            estimate.measured,
             str(estimate.tests),
         ]
         if closed_form:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from nufleet.orchestrator.flights.ways import WayRecord
 from nufleet.orchestrator.runs.response_record import ResponseRecord
@@ -13,6 +13,26 @@ from nufleet.orchestrator.study.verdict_document import TransferVerdict
 from nufleet.shared.strict import Document, NonNegative, Strict
 
 Count = Annotated[int, Field(ge=0)]
+
+
+def _with_intervals(ranking: object) -> object:
+    """Return the estimates of a document, which earlier versions wrote as a mean ± a deviation."""
+    if not isinstance(ranking, list | tuple):
+        return ranking
+    return [
+        {
+            **{name: value for name, value in one.items() if name != "psi_std"},
+            "psi_low": max(one["psi"] - 1.96 * one["psi_std"], 0.0),
+            "psi_high": min(one["psi"] + 1.96 * one["psi_std"], 1.0),
+        }
+        if isinstance(one, dict) and {"psi", "psi_std"} <= one.keys()
+        else one
+        for one in ranking
+    ]
+
+
+Ranking = Annotated[tuple[SourceEstimate, ...], BeforeValidator(_with_intervals)]
+"""Estimates of sources, best first."""
 
 
 class StoredResponses(Strict):
@@ -50,7 +70,7 @@ class RankResult(Document):
     """Lowest and highest frequency of the band in rad/s."""
     selected: str
     """Name of the selected source, the first of the ranking."""
-    ranking: tuple[SourceEstimate, ...]
+    ranking: Ranking
     """Estimates of all remaining sources, best first."""
     iterations: Count
     """Number of rounds of tests."""
@@ -95,7 +115,7 @@ class IterationRecord(Strict):
     """All frequencies that were played, in rad/s."""
     sampled_psi: dict[str, float]
     """Largest chordal distance measured in the round, by source."""
-    ranking: tuple[SourceEstimate, ...]
+    ranking: Ranking
     """Estimates after the round, best first."""
 
 

@@ -15,8 +15,8 @@ from nufleet.shared.frequency_test.multitone import multitone
 from nufleet.shared.robots.spec import RobotSpec
 
 SEGMENTS = 3
-"""Number of measuring segments, as few as possible, since each must be long enough to tell its tones
-apart. The variance, which few segments measure poorly, is pooled over tones."""
+"""Number of measuring segments, as few as possible, since each must be long enough to tell its
+tones apart. The variance, which few segments measure poorly, is pooled over tones."""
 
 SAMPLES_MIN = 256
 """Least number of measured samples of a first test, which tell the noise from the tones."""

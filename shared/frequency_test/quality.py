@@ -26,8 +26,8 @@ WINDOWS_MAX = 64
 
 CHANGED_WINDOWS_MIN = 6
 CHANGED_SIGNIFICANCE = 1e-4
-"""Least number of windows in which a change is sought, and the probability that white noise is taken
-for one in the middle of a test; for slow noise it is several times higher."""
+"""Least number of windows in which a change is sought, and the probability that white noise is
+taken for one in the middle of a test; for slow noise it is several times higher."""
 
 R_SQUARED_REPORTED = 0.9
 R_SQUARED_MIN = 0.5

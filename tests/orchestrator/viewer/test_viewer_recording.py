@@ -79,7 +79,7 @@ def test_messages_are_recorded_with_their_levels(tmp_path: Path) -> None:
     )
     assert column(path, "/log", "TextLog:text") == [
         ["    1.0 s  s1 is slow"],
-        ["    2.0 s  round 1 at ω = 2 rad/s: s1 is closest, worst ψ = 0.0200 ± 0.0040"],
+        ["    2.0 s  round 1 at ω = 2 rad/s: s1 is closest, worst ψ = 0.0200 (0.0160 to 0.0260)"],
         ["    2.0 s  s4 was dropped"],
     ]
     assert column(path, "/log", "TextLog:level") == [["WARN"], ["INFO"], ["INFO"]]
