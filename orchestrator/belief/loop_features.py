@@ -89,9 +89,9 @@ class ResponsePrior:
         counts = np.array([int(range_ / np.log1p(damping)) + 1 for damping in MODE_DAMPINGS])
         omega = np.concatenate([top * np.exp(-range_ * np.arange(n) / n) for n in counts])
         damping = np.repeat(MODE_DAMPINGS, counts)
-        # Uniform over the dampings and, for each, over ln ω₀; a settling time that is k times too
-        # short has a probability of about 1/k.
-        believed = np.minimum(damping * omega / self.decay_min_1_s, 1.0)
+        # Uniform over the dampings and, for each, over ln ω₀. Tests show whether a robot settles as
+        # it says, so that a time k times too short is left with a probability of about 1/k².
+        believed = np.minimum(damping * omega / self.decay_min_1_s, 1.0) ** 2
         weight = believed / np.repeat(counts, counts)
         return omega, damping, np.log(weight / weight.sum())
 

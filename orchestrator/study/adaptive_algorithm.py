@@ -12,7 +12,7 @@ it is selected: the response to a drawing need not be that to tones.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,15 +23,18 @@ from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.interface import Question, Report, Responses, StudyPlan
 from nufleet.orchestrator.study.looks import Looks
-from nufleet.orchestrator.study.ranking import curves_of, ranking_of, sampled_psi
+from nufleet.orchestrator.study.ranking import INTERVAL, curves_of, ranking_of, sampled_psi
 from nufleet.orchestrator.study.selection_belief import SelectionBelief
 from nufleet.orchestrator.study.tone_choice import ToneChoice
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum
-from nufleet.orchestrator.study.value_of_tests import expected_gain
-from nufleet.shared.arrays import ComplexArray
+from nufleet.orchestrator.study.value_of_tests import expected_gain, expected_narrowing
+from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.errors import StudyError
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.robots.spec import RobotSpec
+
+_Value = Callable[[ComplexArray, FloatArray], float]
+"""Value of a test, from samples of the response at its tones and the variances expected there."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +199,7 @@ class AdaptiveStudy:
             chance = f"P(correct selection) = {confidence:.3f}"
             if not rounds_left:
                 return _Verdict(confidence, why=f"{used}; {chance}")
-            tests = self._choose(belief, draws, leader, hopeless)
+            tests = self._choose(belief, draws, leader, hopeless, self._settling(belief, leader))
             why = "what is contested" if tests else f"no further test would help; {chance}"
             return _Verdict(confidence, tests, why)
         if self._robots[leader].flown_only:
@@ -215,7 +218,25 @@ class AdaptiveStudy:
         if looks:
             why = f"{used}, and the lower end of the band was not tested on {', '.join(looks)}"
             return _Verdict(doubtful, why=why)
-        return _Verdict(confidence, why=self._claim(belief, leader, confidence))
+        claim = self._claim(belief, leader, confidence)
+        low, _, high = np.quantile(belief.psi_star[belief.sources.index(leader)], INTERVAL)
+        wanted = self._plan.precision
+        if wanted is None or high - low <= wanted:
+            return _Verdict(confidence, why=claim)
+        wide = f"ψ* of {leader} is known to {high - low:.2g}, and {wanted:g} is wanted"
+        narrowing = self._narrowing(belief, leader)
+        tests = self._choose(belief, draws, leader, hopeless, narrowing) if rounds_left else {}
+        return _Verdict(confidence, tests, wide if tests else f"{claim}; {wide}")
+
+    def _settling(self, belief: SelectionBelief, leader: str) -> _Value:
+        """Return the value of a test that is to settle which source is the best."""
+        n, epsilon = belief.sources.index(leader), self._settings.epsilon
+        return lambda z, variance: expected_gain(belief.loss, n, z, variance, epsilon)
+
+    def _narrowing(self, belief: SelectionBelief, leader: str) -> _Value:
+        """Return the value of a test that is to narrow the interval of the selected source."""
+        psi_star = belief.psi_star[belief.sources.index(leader)]
+        return lambda z, variance: expected_narrowing(psi_star, z, variance)
 
     def _unseen_rad_s(self, names: Collection[str]) -> float:
         return max(self._robots[name].lowest_rad_s for name in names)
@@ -317,8 +338,9 @@ class AdaptiveStudy:
         draws: Mapping[str, ComplexArray],
         leader: str,
         hopeless: Mapping[str, str],
+        value: _Value,
     ) -> dict[str, ToneChoice]:
-        """Return the next round: each robot's best test, if its gain per second is competitive."""
+        """Return the next round: each robot's best test, if its value per second is competitive."""
         chances = belief.probability_best()
         rivals = sorted(
             (s for s in belief.sources if s not in hopeless and s != leader),
@@ -330,7 +352,7 @@ class AdaptiveStudy:
         for name in (self._plan.target, leader, *rivals):
             if name in self._grounded:
                 continue
-            rate, choice = self._best_test(name, draws[name], belief, leader, centres)
+            rate, choice = self._best_test(name, draws[name], centres, value)
             if choice is not None:
                 rates[name], choices[name] = rate, choice
         best = max(rates.values(), default=0.0)
@@ -338,24 +360,14 @@ class AdaptiveStudy:
         return {name: choice for name, choice in choices.items() if rates[name] >= enough}
 
     def _best_test(
-        self,
-        name: str,
-        z: ComplexArray,
-        belief: SelectionBelief,
-        leader: str,
-        centres_rad_s: Sequence[float],
+        self, name: str, z: ComplexArray, centres_rad_s: Sequence[float], value: _Value
     ) -> tuple[float, ToneChoice | None]:
         price = self._settings.simulated_cost if self._robots[name].spec.simulated else 1.0
         best: tuple[float, ToneChoice | None] = (0.0, None)
         for choice in self._looks.candidates(name, centres_rad_s):
             # Samples exist on the grid only, so each tone takes them from the next grid point.
-            gain = expected_gain(
-                belief.loss,
-                belief.sources.index(leader),
-                z[:, np.searchsorted(self._grid, choice.omega_rad_s).clip(0, len(self._grid) - 1)],
-                self._looks.expected_variance(name, choice),
-                self._settings.epsilon,
-            )
+            at = np.searchsorted(self._grid, choice.omega_rad_s).clip(0, len(self._grid) - 1)
+            gain = value(z[:, at], self._looks.expected_variance(name, choice))
             # Gains below the floor cannot be told from sampling noise; the cheapest test then wins.
             rate = max(gain, 1e-6) / (price * self._looks.duration_s(name, choice))
             if rate > best[0]:

@@ -48,6 +48,11 @@ class StudyPlan:
     """Name of the axis that is tested on every robot."""
     motion: DesiredMotion | None = None
     """Trajectory that the target is to fly, if one is known."""
+    precision: float | None = None
+    """Width of the selected source's 95 % interval of ψ* to go on to; None for any."""
+    amplitude: float | None = None
+    """Amplitude of the task, in the axis's unit, at which ψ is meant; None for the one that each
+    robot chooses."""
 
 
 @dataclass(frozen=True)

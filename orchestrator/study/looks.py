@@ -20,6 +20,7 @@ from nufleet.orchestrator.study.tone_choice import (
 )
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.excitation import Excitation
+from nufleet.shared.frequency_test.multitone import largest_amplitude
 
 REACHED = 1.25
 """Ratio of the lowest tone that a robot played to that of its lowest look from which that is due.
@@ -100,8 +101,12 @@ class Looks:
         return choice == self.lowest[name] != self.first[name]
 
     def _amplitude(self, name: str, choice: ToneChoice) -> float | None:
-        """Return the amplitude of a test, which is the robot's own choice but for the lowest look."""
-        played = self._robots[name].amplitude
-        if played is None or not self._is_lowest(name, choice):
+        """Return the amplitude of a test; None where the robot chooses it itself."""
+        if self._is_lowest(name, choice):
+            played = self._robots[name].amplitude
+            return None if played is None else self._settings.other_amplitude * played
+        if self._plan.amplitude is None:
             return None
-        return self._settings.other_amplitude * played
+        axis = self._robots[name].spec.axis(self._plan.axis)
+        tones = choice.excitation(self._plan.axis).tones
+        return min(self._plan.amplitude, largest_amplitude(tones, axis))

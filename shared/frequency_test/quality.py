@@ -39,6 +39,9 @@ DISTURBED_SHARE = 0.1
 """A segment counts as disturbed if its residual has more than `DISTURBED_RATIO` times the power of
 the other segments' residuals, and more than `DISTURBED_SHARE` of the tones' root mean square."""
 
+STOPPED_RATIO = 1.25
+"""Motion before the measuring part, as a multiple of the noise in it, that is no noise."""
+
 NO_RESPONSE_SIGNIFICANCE = 1e-3
 """Probability that the noise of a robot that does not move at all is taken for a response."""
 
@@ -112,6 +115,22 @@ def unexplained(reference_rms: float, measured: FloatArray, residual: FloatArray
             text=f"the tones explain {100 * max(0.0, r_squared):.0f} % of the output's variance",
         )
     return None
+
+
+def stopped(before: float, residual: FloatArray) -> Finding | None:
+    """Return the finding that a robot moved while it settled, and not while it was measured.
+
+    Args:
+        before: Deviation of what no decay explains before the measuring part.
+        residual: Output minus the fit in the measuring part, shape (samples,), in the same unit.
+    """
+    if before <= STOPPED_RATIO * float(np.std(_detrended(residual[None]))):
+        return None
+    return Finding(
+        code="stopped",
+        text="the robot moved before it was measured, and responds to no tone from then on: it "
+        "stopped following its reference",
+    )
 
 
 def disturbed(residual: FloatArray, tones: FloatArray, segments: int) -> Finding | None:
@@ -250,6 +269,7 @@ def uncertain(
 FATAL = frozenset(
     {
         "frozen",
+        "stopped",
         "clipped",
         "unexplained",
         "disturbed",

@@ -8,14 +8,14 @@ tones. Noise does not decay: a transient has to stand out of the same record rea
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import minimize
 
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.frequency_test.quality import Finding
+from nufleet.shared.frequency_test.quality import BoolArray, Finding
 
 RATIO_MIN = 30.0
 """Power of a transient over that of the noise at its frequency from which it is believed. Noise
@@ -34,29 +34,54 @@ NEIGHBOURS = 17
 PHASE_PER_BLOCK = 0.4
 """Phase in rad by which the fastest tone may turn within a block of samples that are averaged."""
 
+HALF = 0.5
+"""Share of what tones leave from which a decay is believed without a comparison with noise."""
+
+SAMPLES_MAX = 2000
+"""Length of a record, in blocks, from which a transient stands out of it anyway."""
+
+REAL = 0.1
+"""Ratio of frequency and decay rate below which a part does not oscillate."""
+
 NEGLIGIBLE = 1e-5
 """Fraction of the output below which a transient does not matter."""
+
+UNEVEN = 2.0
+LASTING = 3e-4
+"""Share of the output's deviation in the measuring part below which a decay does no harm."""
+
+SLIGHT_BEFORE = 2e-2
+SLIGHT = 1e-3
+"""Deviation of what is unexplained in the first third, as a multiple of the rest's, above which
+decays do not explain the output, and shares of the output's deviation that are never too much: in
+the whole record, and in its measuring part."""
 
 DECAYS_UNTIL_SETTLED = 3.0
 """Number of time constants of the slowest part in a settling time, which leave 5 % of it."""
 
-DECAYS_GONE = 7.0
-"""Number of time constants after which a transient is gone."""
-
 
 @dataclass(frozen=True)
 class RingDown:
-    """The decaying oscillations that are left when the measuring part begins, slowest first."""
+    """The decaying oscillations that a ramp leaves, slowest first."""
 
     decay_1_s: FloatArray
     """Decay rates σ, shape (parts,)."""
     omega_rad_s: FloatArray
     """Frequencies ν, shape (parts,)."""
+    lasting: BoolArray
+    """True for those that disturb what is measured, shape (parts,)."""
+    unexplained: float = 0.0
+    """Deviation of what neither tones nor decays explain before the measuring part, in the output's
+    unit."""
 
     def columns(self, samples: int, sample_time_s: float) -> FloatArray:
-        """Return e^{−σt} cos νt and e^{−σt} sin νt of each part, shape (samples, 2 parts)."""
+        """Return what the transient may consist of, from the ramp on, shape (samples, columns)."""
         times_s = np.arange(samples) * sample_time_s
-        return _decaying(times_s, self.decay_1_s, self.omega_rad_s)
+        columns = _decaying(times_s, self.decay_1_s, self.omega_rad_s)
+        # A slightly different σ and ν change a part by multiples of these, times t.
+        late = times_s[:, None] * columns[:, np.tile(self.lasting, 2)]
+        both = np.concatenate([columns, late / times_s[-1]], axis=1)
+        return both[:, np.any(both != 0.0, axis=0)]
 
 
 def still_ringing(found: RingDown, settle_s: float) -> Finding | None:
@@ -68,15 +93,16 @@ def still_ringing(found: RingDown, settle_s: float) -> Finding | None:
         found: Transient that was left when the measuring part began.
         settle_s: Time that the test waited, after the ramp.
     """
-    if not len(found.decay_1_s):
+    if not found.lasting.any():
         return None
-    settling_s = DECAYS_UNTIL_SETTLED / float(found.decay_1_s[0])
+    slowest = int(np.argmax(found.lasting))
+    settling_s = DECAYS_UNTIL_SETTLED / float(found.decay_1_s[slowest])
     if settling_s <= settle_s:
         return None
     return Finding(
         code="ringing",
-        text=f"it needs {settling_s:.3g} s to settle to 5 %, at {found.omega_rad_s[0]:.3g} rad/s, "
-        f"and the test waited {settle_s:.3g} s",
+        text=f"it needs {settling_s:.3g} s to settle to 5 %, at "
+        f"{found.omega_rad_s[slowest]:.3g} rad/s, and the test waited {settle_s:.3g} s",
         value=settling_s,
     )
 
@@ -94,9 +120,10 @@ def ring_down(
         settle_samples: Number of samples before the measuring part.
 
     Returns:
-        The parts of the transient that noise does not hide; none in a record that is too short.
+        The parts of the transient that noise does not hide; none in a record that is too short, or
+        that decays do not explain.
     """
-    nothing = RingDown(np.empty(0), np.empty(0))
+    nothing = RingDown(np.empty(0), np.empty(0), np.empty(0, dtype=bool))
     top = float(omega_rad_s.max())
     block = max(1, int(PHASE_PER_BLOCK / (top * sample_time_s)))
     count = len(output) // block
@@ -115,17 +142,36 @@ def ring_down(
         left = y - basis @ (basis.T @ y)
         if float(np.std(left)) <= NEGLIGIBLE * size:
             break
-        start = _loudest(left, times_s, 1.3 * top)
+        start = _loudest(left, times_s, 1.3 * top) or _most(left, basis, times_s, 1.3 * top)
         if start is None:
             break
         decay, omega = _refined(left, basis, times_s, start)
         found.append((decay, omega))
         part = _decaying(times_s, np.array([decay]), np.array([omega]))
+        part = part[:, : 2 if omega else 1]
         part -= basis @ (basis.T @ part)
         basis = np.concatenate([basis, np.linalg.qr(part)[0]], axis=1)
-    settle_s = settle_samples * sample_time_s
-    late = sorted(one for one in found if one[0] * settle_s < DECAYS_GONE)
-    return RingDown(np.array([decay for decay, _ in late]), np.array([omega for _, omega in late]))
+    first = settle_samples // block
+    left = y - basis @ (basis.T @ y)
+    steady_basis = basis[:, : 2 * len(omega_rad_s) + 2]
+    if not found or _uneven(left, SLIGHT_BEFORE * size) or _uneven(left[first:], SLIGHT * size):
+        steady_left = y - steady_basis @ (steady_basis.T @ y)
+        return replace(nothing, unexplained=float(np.std(steady_left[:first])) if first else 0.0)
+    # Slowest first, and only what is left of them that would disturb the estimates.
+    parts = np.array(sorted(found))
+    columns = _decaying(times_s, parts[:, 0], parts[:, 1])
+    free, moved = (one - steady_basis @ (steady_basis.T @ one) for one in (columns, y))
+    weights = np.linalg.lstsq(free, moved, rcond=1e-9)[0]
+    late = np.mean((columns * weights)[first:] ** 2, axis=0).reshape(2, -1).sum(axis=0)
+    lasting = late > np.maximum(np.var(left[first:]) / (count - first), (LASTING * size) ** 2)
+    before = float(np.std(left[:first])) if first else 0.0
+    return RingDown(parts[:, 0], parts[:, 1], lasting, before)
+
+
+def _uneven(left: FloatArray, slight: float) -> bool:
+    """Return whether more is unexplained in the beginning: a crash or a change is no decay."""
+    beginning, rest = np.split(left, [len(left) // 3])
+    return bool(np.std(beginning) > max(UNEVEN * float(np.std(rest)), slight))
 
 
 def _decaying(times_s: FloatArray, decay_1_s: FloatArray, omega_rad_s: FloatArray) -> FloatArray:
@@ -155,6 +201,31 @@ def _loudest(left: FloatArray, times_s: FloatArray, top_rad_s: float) -> tuple[f
     return start
 
 
+def _most(
+    left: FloatArray, basis: FloatArray, times_s: FloatArray, top_rad_s: float
+) -> tuple[float, float] | None:
+    """Return decay and frequency of what explains most of the rest; None if less than half of it.
+
+    In a record shorter than the decay, tones take up so much of it that what they leave is loud at
+    both ends.
+    """
+    if len(times_s) > SAMPLES_MAX:
+        return None
+    best, start = HALF * float(left @ left), None
+    for decay in np.geomspace(0.5 / times_s[-1], max(top_rad_s, 2 / times_s[-1]), DECAYS):
+        omega = np.arange(0.0, top_rad_s, max(decay, np.pi / times_s[-1])) + REAL * decay
+        part = _decaying(times_s, np.full(len(omega), decay), omega)
+        part = (part - basis @ (basis.T @ part)).reshape(len(times_s), 2, -1)
+        (a, b), c = np.sum(part**2, axis=0), np.sum(part[:, 0] * part[:, 1], axis=0)
+        u, v = np.tensordot(left, part, 1)
+        # The energy that two columns explain, uᵀS⁻¹u with S = [[a, c], [c, b]].
+        determinant = np.maximum(a * b - c**2, 1e-9 * a * b)
+        gain = (b * u**2 - 2 * c * u * v + a * v**2) / np.maximum(determinant, 1e-300)
+        if gain.max() > best:
+            best, start = float(gain.max()), (float(decay), float(omega[np.argmax(gain)]))
+    return start
+
+
 def _refined(
     left: FloatArray, basis: FloatArray, times_s: FloatArray, start: tuple[float, float]
 ) -> tuple[float, float]:
@@ -178,4 +249,5 @@ def _refined(
         options={"initial_simplex": simplex, "maxfev": 80, "xatol": 1e-3, "fatol": 0.0},
     ).x
     decay = float(np.clip(np.exp(found[0]), 0.3 / times_s[-1], 1 / times_s[1]))
-    return decay, abs(float(found[1]))
+    omega = abs(float(found[1]))
+    return decay, omega if omega > REAL * decay else 0.0

@@ -128,10 +128,13 @@ def test_sources_with_stored_responses_stay_on_the_ground() -> None:
     rng = np.random.default_rng(0)
     test = first_look(BAND, SPEC, 11, 0.7).excitation("x")
     stored = {name: [FLEET[name].answer(test, 0.01, rng)] for name in SOURCES}
-    study = AdaptiveStudy(plan_of(FLEET), dict.fromkeys(FLEET, SPEC), rng, stored=stored)
+    specs = dict.fromkeys(FLEET, SPEC)
+    study = AdaptiveStudy(plan_of(FLEET), specs, rng, stored=stored, absent=SOURCES)
     questions, reports = to_the_end(study, FLEET, 0.01)
     assert all(question.robots == ("target",) for question in questions)
     assert reports[-1].selected == "near"
+    unseen = "near: nothing is known of it below 0.491 rad/s, and nothing is claimed there"
+    assert any(finding.startswith(unseen) for finding in reports[-1].findings)
 
 
 def test_sources_that_are_the_same_end_the_study_by_the_gap() -> None:
