@@ -28,6 +28,10 @@ multiple of the band's upper end; beyond it, the residual repeats."""
 MODE_DAMPINGS = (0.02, 0.045, 0.1, 0.22, 0.5)
 """Damping ratios ζ of the candidate modes."""
 
+SLOWER_EXPONENT = 8
+"""Exponent of the prior probability of modes that decay k times slower than the robot settles, k to
+the power of minus this. Tests show whether it settles as it says, so that it may be large."""
+
 MODE_LOWEST = 0.015
 MODE_HIGHEST = 1.3
 """Frequencies between which modes are sought, as multiples of the band's upper end."""
@@ -89,10 +93,9 @@ class ResponsePrior:
         counts = np.array([int(range_ / np.log1p(damping)) + 1 for damping in MODE_DAMPINGS])
         omega = np.concatenate([top * np.exp(-range_ * np.arange(n) / n) for n in counts])
         damping = np.repeat(MODE_DAMPINGS, counts)
-        # Uniform over the dampings and, for each, over ln ω₀. Tests show whether a robot settles as
-        # it says, so that a time k times too short is left with a probability of about 1/k².
-        believed = np.minimum(damping * omega / self.decay_min_1_s, 1.0) ** 2
-        weight = believed / np.repeat(counts, counts)
+        # Uniform over the dampings and, for each, between uniform over ω₀ and over ln ω₀.
+        believed = np.minimum(damping * omega / self.decay_min_1_s, 1.0) ** SLOWER_EXPONENT
+        weight = believed * np.sqrt(omega) / np.repeat(counts, counts)
         return omega, damping, np.log(weight / weight.sum())
 
 

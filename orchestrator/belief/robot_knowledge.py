@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
@@ -11,9 +12,10 @@ from nufleet.orchestrator.belief.loop_features import LOOP_PARAMETERS, ResponseP
 from nufleet.orchestrator.belief.loop_fit import Tones
 from nufleet.orchestrator.belief.noise_pooling import pooled_variance
 from nufleet.orchestrator.belief.response_belief import ResponseModel
-from nufleet.shared.arrays import FloatArray
+from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.frequency_test.frequency_response import Flight, FrequencyResponse
+from nufleet.shared.frequency_test.nonlinearity import nonlinearity_in_words
 from nufleet.shared.frequency_test.ring_down import DECAYS_UNTIL_SETTLED
 from nufleet.shared.robots.spec import RobotSpec
 
@@ -29,11 +31,37 @@ FLIGHT_TEST_STD = 0.02
 DEGREES_OF_A_VARIANCE = 2.0
 """A t distribution with d degrees of freedom has the variance d / (d − 2)."""
 
+AMPLITUDES_DIFFER = 1.25
+"""Ratio of two amplitudes from which a change of the response is laid to them."""
+
 CHANGE_SIGNIFICANCE = 1e-3
 CHECK_SAMPLES = 400
 VARIANCE_MIN = 1e-10
 """Lower bound of a variance: no response is known better than to 1e-5, and smaller variances would
 be lost to rounding."""
+
+
+@dataclass(frozen=True)
+class _Miss:
+    """How far a test misses what the earlier tests predict of it."""
+
+    expected: ComplexArray
+    """Mean of the prediction at each tone, shape (tones,)."""
+    squared: FloatArray
+    """Squared distance from it, shape (tones,)."""
+    usual: FloatArray
+    """Variance that the distance was expected to have, shape (tones,)."""
+    worst: float
+    """The most significant distance."""
+    worst_rad_s: float
+    """Its frequency in rad/s."""
+
+
+def _differ(one: float | None, other: float | None) -> bool:
+    """Return whether two amplitudes are known and clearly different."""
+    if one is None or other is None:
+        return False
+    return max(one, other) > AMPLITUDES_DIFFER * min(one, other)
 
 
 class RobotKnowledge:
@@ -49,6 +77,8 @@ class RobotKnowledge:
         self._found: tuple[str, ...] = ()
         self.flight_doubt = 0.0
         """Variance by which flights missed tests, or flights at other speeds, where they did."""
+        self._test_doubt = 0.0
+        """Variance by which tests missed each other, where only time differed between them."""
         self._tones: list[Tones] = []
         self._noise: list[FloatArray] = []
         self._model: ResponseModel | None = None
@@ -82,6 +112,8 @@ class RobotKnowledge:
             # A reference of no tones has its own spectrum, so no line in ln ω fits its variances.
             variance = response.variance[known] * degrees / (degrees - DEGREES_OF_A_VARIANCE)
         variance = np.maximum(variance, VARIANCE_MIN)
+        if flight is None:
+            variance = variance + self._test_doubt
         for finding in response.quality.warnings:
             if finding.code == "nonlinear":
                 self._find(finding.text)
@@ -90,11 +122,17 @@ class RobotKnowledge:
             if finding.code == "ringing":
                 self.settling_time_s = max(self.settling_time_s, finding.value or 0.0)
         new = Tones(omega, z, variance)
-        doubt = self._contradiction(new, flight, rng) if check and not first else 0.0
+        miss = self._miss(new, rng) if check and not first else None
+        before, self._model = self.amplitude, None
         self.responses.append(response)
         self._tones.append(new)
-        self._doubt(doubt)
-        self._model = None
+        if miss is None:
+            return
+        tests_only = all(one.flight is None for one in self.responses)
+        if tests_only and _differ(before, response.amplitude):
+            self._doubt_amplitudes(new, miss, before or 0.0, response.amplitude or 0.0)
+        else:
+            self._doubt(self._changed(new, miss, flight))
 
     def doubt_flights(self, variance: float) -> None:
         """Make all flights less certain, as flights of another robot missed its tests.
@@ -106,6 +144,29 @@ class RobotKnowledge:
         if more > 0 and any(response.flight is not None for response in self.responses):
             self._doubt(more)
             self._model = None
+
+    def _doubt_amplitudes(self, new: Tones, miss: _Miss, before: float, now: float) -> None:
+        """Make the tests less certain by what amplitude does to the response, at each frequency.
+
+        What halving the amplitude does, doubling it may do again, so that a test is the less
+        certain the further its amplitude is from the largest.
+        """
+        larger, smaller = (miss.expected, new.z) if before > now else (new.z, miss.expected)
+        unit = self.spec.axes[0].unit
+        self._find(
+            f"its response depends on the amplitude: at {now:.2g} {unit} it is "
+            f"{miss.worst:.3g} away from that at {before:.2g} {unit}, at "
+            f"{miss.worst_rad_s:.4g} rad/s{nonlinearity_in_words(larger, smaller)}"
+        )
+        excess = np.maximum(miss.squared - miss.usual, float(np.mean(miss.squared)) / 4)
+        top = self.amplitude or now
+        tones = []
+        for known, response in zip(self._tones, self.responses, strict=True):
+            halvings = math.log2(top / (response.amplitude or top))
+            at = np.interp(known.omega_rad_s, new.omega_rad_s, excess)
+            variance = known.variance + at * (1 + halvings) ** 2
+            tones.append(Tones(known.omega_rad_s, known.z, variance))
+        self._tones = tones
 
     def _doubt(self, variance: float) -> None:
         """Add a variance to all flights or, where there are none, to all tests.
@@ -122,6 +183,8 @@ class RobotKnowledge:
                 len(t.z) for t, of_flight in zip(self._tones, flown, strict=True) if of_flight
             )
             variance *= max(1.0, estimates / LOOP_PARAMETERS)
+        else:
+            self._test_doubt += variance
         doubted = flown if any(flown) else [True] * len(flown)
         self._tones = [
             Tones(t.omega_rad_s, t.z, t.variance + variance * at_stake)
@@ -222,8 +285,8 @@ class RobotKnowledge:
         nearest = np.argmin(np.abs(omega - omega_rad_s[:, None]), axis=1)
         return np.asarray(density[nearest] * len(omega_rad_s) / times_as_long)
 
-    def _contradiction(self, new: Tones, flight: Flight | None, rng: np.random.Generator) -> float:
-        """Return the variance to add to all tests if a new one contradicts the earlier ones.
+    def _miss(self, new: Tones, rng: np.random.Generator) -> _Miss | None:
+        """Return how far a new test misses what the earlier ones predict; None if it does not.
 
         The test statistic is the squared Mahalanobis distance of the new ẑ from its prediction; its
         distribution is χ² with one degree of freedom for each real and imaginary part.
@@ -234,25 +297,35 @@ class RobotKnowledge:
         covariance = np.cov(parts.T) + np.diag(noise)
         miss = np.concatenate([new.z.real, new.z.imag]) - parts.mean(axis=0)
         distance = float(miss @ np.linalg.solve(covariance, miss))
-        limit = float(chi2.isf(CHANGE_SIGNIFICANCE, len(miss)))
-        if distance <= limit:
-            return 0.0
-        excess = np.abs(new.z - expected.mean(axis=0)) ** 2
+        if distance <= float(chi2.isf(CHANGE_SIGNIFICANCE, len(miss))):
+            return None
+        squared = np.abs(new.z - expected.mean(axis=0)) ** 2
         usual = new.variance + np.var(expected, axis=0)
-        worst = int(np.argmax(excess / usual))
-        self._find(
-            f"its response changed between {self._motions(flight)}, by "
-            f"{np.sqrt(excess[worst]):.3g} at {new.omega_rad_s[worst]:.4g} rad/s: it depends on "
-            "the amplitude or on time"
+        worst = int(np.argmax(squared / usual))
+        return _Miss(
+            expected.mean(axis=0),
+            squared,
+            usual,
+            float(np.sqrt(squared[worst])),
+            float(new.omega_rad_s[worst]),
         )
-        if flight is None and all(response.flight is None for response in self.responses):
-            return float(np.mean(excess))
+
+    def _changed(self, new: Tones, miss: _Miss, flight: Flight | None) -> float:
+        """Return the variance to add to all tests if a new one contradicts the earlier ones."""
+        tests_only = all(one.flight is None for one in self.responses)
+        depends = "on time" if tests_only else "on the amplitude or on time"
+        self._find(
+            f"its response changed between {self._motions(flight)}, by {miss.worst:.3g} at "
+            f"{miss.worst_rad_s:.4g} rad/s: it depends {depends}"
+        )
+        if tests_only:
+            return float(np.mean(miss.squared))
         # A flight's estimates differ in certainty; the uncertain ones say nothing about the change.
-        return float(np.average(np.maximum(excess - usual, 0.0), weights=1 / usual))
+        return float(np.average(np.maximum(miss.squared - miss.usual, 0.0), weights=1 / miss.usual))
 
     def _motions(self, flight: Flight | None) -> str:
         """Return in words what a new response and the earlier ones were measured in."""
-        earlier = [one.flight for one in self.responses if one.flight is not None]
+        earlier = [one.flight for one in self.responses[:-1] if one.flight is not None]
         if flight is None:
             return "its flights and its test" if earlier else "tests"
         if not earlier:

@@ -204,7 +204,7 @@ def _estimate(
     tones, step_s = len(omegas), plan.sample_time_s
     extra = resolvable_harmonics(omegas, step_s, plan.segments * plan.segment_samples * step_s)
     every_omega = np.concatenate([omegas, extra])
-    ringing = ring_down(between.y, every_omega, step_s, settle_samples)
+    ringing = ring_down(between.y, every_omega, float(omegas.max()), step_s, settle_samples)
     start, transient = settle_samples, None
     if ringing.lasting.any():
         # A transient is known best where it is largest, so that all of it is fitted.

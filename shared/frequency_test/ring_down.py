@@ -8,6 +8,7 @@ tones. Noise does not decay: a transient has to stand out of the same record rea
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,11 +35,20 @@ NEIGHBOURS = 17
 PHASE_PER_BLOCK = 0.4
 """Phase in rad by which the fastest tone may turn within a block of samples that are averaged."""
 
+DEPENDENT = 1e-4
+"""Ratio of singular values below which parts of transients are not told apart."""
+
 HALF = 0.5
 """Share of what tones leave from which a decay is believed without a comparison with noise."""
 
-SAMPLES_MAX = 2000
+SAMPLES_MAX = 1000
 """Length of a record, in blocks, from which a transient stands out of it anyway."""
+
+HIGHER = 1.2
+"""Highest frequency of a transient, as a multiple of that of the highest tone."""
+
+NOISE_RATIO = 2.0
+"""Power of what tones leave over that of white noise from which there is more to explain."""
 
 REAL = 0.1
 """Ratio of frequency and decay rate below which a part does not oscillate."""
@@ -81,7 +91,9 @@ class RingDown:
         # A slightly different σ and ν change a part by multiples of these, times t.
         late = times_s[:, None] * columns[:, np.tile(self.lasting, 2)]
         both = np.concatenate([columns, late / times_s[-1]], axis=1)
-        return both[:, np.any(both != 0.0, axis=0)]
+        # Two parts may be nearly the same, as the poles of a critically damped loop are.
+        different, sizes, _ = np.linalg.svd(both, full_matrices=False)
+        return different[:, sizes > DEPENDENT * sizes[0]] * math.sqrt(samples)
 
 
 def still_ringing(found: RingDown, settle_s: float) -> Finding | None:
@@ -108,7 +120,11 @@ def still_ringing(found: RingDown, settle_s: float) -> Finding | None:
 
 
 def ring_down(
-    output: FloatArray, omega_rad_s: FloatArray, sample_time_s: float, settle_samples: int
+    output: FloatArray,
+    omega_rad_s: FloatArray,
+    top_rad_s: float,
+    sample_time_s: float,
+    settle_samples: int,
 ) -> RingDown:
     """Find the transient in the output between the ramps of a test.
 
@@ -116,6 +132,7 @@ def ring_down(
         output: Output while the reference consists of tones alone, that is while the robot settles
             and is measured, shape (samples,), in any unit.
         omega_rad_s: Frequencies of the tones and their harmonics, shape (F,).
+        top_rad_s: Frequency of the highest tone, up to which transients are sought.
         sample_time_s: Time between samples.
         settle_samples: Number of samples before the measuring part.
 
@@ -124,8 +141,7 @@ def ring_down(
         that decays do not explain.
     """
     nothing = RingDown(np.empty(0), np.empty(0), np.empty(0, dtype=bool))
-    top = float(omega_rad_s.max())
-    block = max(1, int(PHASE_PER_BLOCK / (top * sample_time_s)))
+    block = max(1, int(PHASE_PER_BLOCK / (top_rad_s * sample_time_s)))
     count = len(output) // block
     if count < 4 * len(omega_rad_s) + 8:
         return nothing
@@ -137,12 +153,16 @@ def ring_down(
     phase = np.outer(times_s, omega_rad_s)
     steady = [np.cos(phase), np.sin(phase), np.ones((count, 1)), times_s[:, None] / times_s[-1]]
     basis = np.linalg.qr(np.concatenate(steady, axis=1))[0]
+    # White noise, from what neighbouring samples differ by.
+    noise = float(np.mean(np.diff(output, 2) ** 2)) / (6 * block)
     found: list[tuple[float, float]] = []
     for _ in range(PARTS_MAX):
         left = y - basis @ (basis.T @ y)
         if float(np.std(left)) <= NEGLIGIBLE * size:
             break
-        start = _loudest(left, times_s, 1.3 * top) or _most(left, basis, times_s, 1.3 * top)
+        start = _loudest(left, times_s, HIGHER * top_rad_s)
+        if start is None and np.var(left) > NOISE_RATIO * noise:
+            start = _most(left, basis, times_s, HIGHER * top_rad_s)
         if start is None:
             break
         decay, omega = _refined(left, basis, times_s, start)
@@ -154,7 +174,10 @@ def ring_down(
     first = settle_samples // block
     left = y - basis @ (basis.T @ y)
     steady_basis = basis[:, : 2 * len(omega_rad_s) + 2]
-    if not found or _uneven(left, SLIGHT_BEFORE * size) or _uneven(left[first:], SLIGHT * size):
+    # What hardly decays in the record may as well be a drift or a step.
+    slow = any(decay * times_s[-1] < 1.0 for decay, _ in found)
+    odd = _uneven(left, SLIGHT_BEFORE * size) or _uneven(left[first:], SLIGHT * size)
+    if not found or slow or odd:
         steady_left = y - steady_basis @ (steady_basis.T @ y)
         return replace(nothing, unexplained=float(np.std(steady_left[:first])) if first else 0.0)
     # Slowest first, and only what is left of them that would disturb the estimates.

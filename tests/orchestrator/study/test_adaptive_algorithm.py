@@ -248,8 +248,8 @@ def test_a_robot_that_changes_between_its_tests_is_said_and_believed_less() -> N
             last[kind] = study.tell(answers(there, question, 0.02, rng), {})
     assert last["steady"].findings == ()
     assert len(last["worn"].findings) == 1
-    assert last["worn"].findings[0].startswith("target: its response changed between tests, by 0.0")
-    assert "depends on the amplitude or on time" in last["worn"].findings[0]
+    assert last["worn"].findings[0].startswith("target: its response changed between tests, by 0.1")
+    assert "it depends on time" in last["worn"].findings[0]
     steady, worn_out = (
         {e.robot: e.psi_high - e.psi_low for e in last[k].ranking} for k in ("steady", "worn")
     )

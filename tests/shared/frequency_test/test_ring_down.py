@@ -97,5 +97,5 @@ def test_noise_alone_hardly_ever_rings(memory: float) -> None:
     for seed in range(60):
         drawn = np.random.default_rng(seed).standard_normal(1300)
         noise = lfilter([1.0], [1.0, -memory], drawn)[300:]
-        rung += len(ring_down(noise, omega, STEP_S, 300).decay_1_s) > 0
+        rung += len(ring_down(noise, omega, 5.5, STEP_S, 300).decay_1_s) > 0
     assert rung <= 2
