@@ -23,14 +23,12 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import lsim
 
-from benchmarks.selection_fleets import (
+from benchmarks.selection_families import (
     BAND_RAD_S,
-    FAMILIES,
-    NOISE_LEVELS_M,
     SAMPLE_TIME_S,
     LinearLoop,
-    random_fleet,
 )
+from benchmarks.selection_fleets import NOISE_LEVELS_M, random_fleet
 from benchmarks.selection_methods import adaptive, follow
 from nufleet.orchestrator.study.interface import DesiredMotion, SourceEstimate, StudyPlan
 from nufleet.orchestrator.study.trajectory_spectrum import spectrum_of
@@ -45,7 +43,7 @@ FASTEST_RAD_S = (1.5, 5.0)
 LAPS = 3
 """Number of laps; the last one is measured, when even lightly damped transients have decayed."""
 
-LINEAR = tuple(family for family in FAMILIES if "nonlinear" not in family)
+LINEAR = ("second-order", "lightly-damped", "flexible", "gain-and-delay", "low-resonance")
 
 
 @dataclass(frozen=True)

@@ -17,18 +17,18 @@ Count = Annotated[int, Field(ge=0)]
 
 def _with_intervals(ranking: object) -> object:
     """Return the estimates of a document, which earlier versions wrote as a mean ± a deviation."""
-    if not isinstance(ranking, list | tuple):
+    if not isinstance(ranking, list):
         return ranking
-    return [
-        {
-            **{name: value for name, value in one.items() if name != "psi_std"},
-            "psi_low": max(one["psi"] - 1.96 * one["psi_std"], 0.0),
-            "psi_high": min(one["psi"] + 1.96 * one["psi_std"], 1.0),
-        }
-        if isinstance(one, dict) and {"psi", "psi_std"} <= one.keys()
-        else one
-        for one in ranking
-    ]
+    return tuple(_with_interval(one) for one in ranking)
+
+
+def _with_interval(estimate: object) -> object:
+    if not isinstance(estimate, dict) or "psi_std" not in estimate:
+        return estimate
+    psi, psi_std = estimate["psi"], estimate["psi_std"]
+    kept = {name: value for name, value in estimate.items() if name != "psi_std"}
+    low, high = max(psi - 1.96 * psi_std, 0.0), min(psi + 1.96 * psi_std, 1.0)
+    return {**kept, "psi_low": low, "psi_high": high}
 
 
 Ranking = Annotated[tuple[SourceEstimate, ...], BeforeValidator(_with_intervals)]

@@ -79,7 +79,8 @@ def _explained_share(values: FloatArray, z: ComplexArray, variance: FloatArray) 
     # Adjusted R²: even unrelated regressors explain about 1 / `samples` of the variance each, so
     # the share expected by chance is removed. A noisy tone counts as a part of a regressor.
     effective = float(np.sum(1 - noise / np.diag(covariance)))
-    return np.clip((share - effective / samples) / (1 - effective / samples), 0.0, 1.0)
+    adjusted = (share - effective / samples) / (1 - effective / samples)
+    return np.asarray(np.clip(adjusted, 0.0, 1.0))
 
 
 def _wrong(mean: FloatArray, deviation: FloatArray, epsilon: float) -> FloatArray:

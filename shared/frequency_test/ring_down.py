@@ -86,7 +86,7 @@ class RingDown:
 
     def columns(self, samples: int, sample_time_s: float) -> FloatArray:
         """Return what the transient may consist of, from the ramp on, shape (samples, columns)."""
-        times_s = np.arange(samples) * sample_time_s
+        times_s: FloatArray = np.arange(samples) * sample_time_s
         columns = _decaying(times_s, self.decay_1_s, self.omega_rad_s)
         # A slightly different σ and ν change a part by multiples of these, times t.
         late = times_s[:, None] * columns[:, np.tile(self.lasting, 2)]
@@ -146,7 +146,7 @@ def ring_down(
     if count < 4 * len(omega_rad_s) + 8:
         return nothing
     y = output[: count * block].reshape(count, block).mean(axis=1)
-    times_s = np.arange(count) * (block * sample_time_s)
+    times_s: FloatArray = np.arange(count) * (block * sample_time_s)
     size = float(np.std(y))
     if size == 0.0:
         return nothing
