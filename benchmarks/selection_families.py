@@ -204,7 +204,7 @@ def gusts(rng: np.random.Generator, output: FloatArray) -> FloatArray:
 
 
 def drops(rng: np.random.Generator, output: FloatArray) -> FloatArray:
-    """Hold the last sample wherever one was lost, one in ten."""
+    """Lose one sample in ten, and repeat the last one in its place."""
     kept = np.where(rng.random(len(output)) < 0.1, 0, np.arange(len(output)))
     return output[np.maximum.accumulate(kept)]
 

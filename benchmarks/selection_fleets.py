@@ -100,7 +100,7 @@ class Fleet:
 
 
 def spec_of(settling_time_s: float, sample_time_s: float = SAMPLE_TIME_S) -> RobotSpec:
-    """Return limits like a small quadrotor's."""
+    """Return limits like those of a small quadrotor."""
     return RobotSpec(
         kind="random-loop",
         axes=(

@@ -20,7 +20,7 @@ class AdaptiveSettings:
     lowest: float = 2.0
     """Lowest tone that a claim rests on, as a multiple of the band's lower end."""
     other_amplitude: float = 0.5
-    """Amplitude of that test, as a share of the first one's."""
+    """Amplitude of that test, as a share of the largest that was played."""
     dear: float = 0.5
     """Share of the robot time from which the price of that test is a finding."""
     lengths: tuple[float, ...] = (1.0, 1.7, 3.0)

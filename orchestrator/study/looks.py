@@ -102,11 +102,11 @@ class Looks:
 
     def _amplitude(self, name: str, choice: ToneChoice) -> float | None:
         """Return the amplitude of a test; None where the robot chooses it itself."""
+        wanted, played = self._plan.amplitude, self._robots[name].amplitude
         if self._is_lowest(name, choice):
-            played = self._robots[name].amplitude
-            return None if played is None else self._settings.other_amplitude * played
-        if self._plan.amplitude is None:
+            wanted = None if played is None else self._settings.other_amplitude * played
+        if wanted is None:
             return None
-        axis = self._robots[name].spec.axis(self._plan.axis)
         tones = choice.excitation(self._plan.axis).tones
-        return min(self._plan.amplitude, largest_amplitude(tones, axis))
+        axis = self._robots[name].spec.axis(self._plan.axis)
+        return min(wanted, largest_amplitude(tones, axis))

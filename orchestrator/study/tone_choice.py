@@ -90,7 +90,7 @@ def first_look(
         share_of_settling: Least measuring time, as a share of the settling time.
 
     Returns:
-        At most `TONES_MAX` tones.
+        At most `TONES_MAX` tones, for as long as the robot moves at most.
     """
     high = band_rad_s[1]
     wanted_s = max(share_of_settling * spec.settling_time_s, SAMPLES_MIN * spec.sample_time_s)
@@ -98,7 +98,11 @@ def first_look(
     highest += 1 - highest % 2  # odd like the lowest, 1
     while highest > 3:
         choice = _between(band_rad_s, highest * 2 * math.pi / high, 0)
-        if choice is not None and len(choice.harmonics) <= TONES_MAX:
+        if (
+            choice is not None
+            and len(choice.harmonics) <= TONES_MAX
+            and choice.duration_s(spec) <= spec.duration_max_s
+        ):
             return choice
         highest -= 2
     return _up_to(high, 3 * 2 * math.pi / high, (3,))
@@ -173,7 +177,7 @@ def _between(window_rad_s: tuple[float, float], measure_s: float, offset: int) -
     top = math.floor(window_rad_s[1] / base * (1 + 1e-9)) - offset
     lowest = max(1, math.ceil(window_rad_s[0] / base * (1 + 1e-9)))
     harmonics = tuple(range(top, lowest - 1, -STEP))[::-1]
-    # Of a single tone each segment holds a period, so that it would last longer than asked for.
+    # Each segment holds a period of a single tone, which would last longer than asked for.
     if len(harmonics) < 2 and harmonics < (SEGMENTS,):
         return None
     return _up_to(window_rad_s[1], measure_s, harmonics)

@@ -36,7 +36,7 @@ def multitone(
 
 
 def largest_amplitude(tones: tuple[Tone, ...], axis: AxisSpec) -> float:
-    """Return an amplitude at which a robot accepts these tones whatever their ramps.
+    """Return an amplitude at which a robot accepts these tones with any ramp.
 
     It is a bound, from the sums of the tones' own velocities and accelerations.
 

@@ -1,6 +1,6 @@
 """The transient that a test leaves: what still rings after the ramp, and how slowly it decays.
 
-After the ramp the reference consists of tones alone, so that whatever else the output does is noise
+After the ramp the reference consists of tones alone, so that everything else in the output is noise
 or the decay of what the ramp excited, Σ Re c e^{(−σ + jν)t}. Its slowest σ is measured for nothing,
 and with σ and ν known the transient is a few more columns of the least squares that estimate the
 tones. Noise does not decay: a transient has to stand out of the same record read backwards.
@@ -86,7 +86,7 @@ class RingDown:
 
     def columns(self, samples: int, sample_time_s: float) -> FloatArray:
         """Return what the transient may consist of, from the ramp on, shape (samples, columns)."""
-        times_s: FloatArray = np.arange(samples) * sample_time_s
+        times_s = sample_time_s * np.arange(samples, dtype=np.float64)
         columns = _decaying(times_s, self.decay_1_s, self.omega_rad_s)
         # A slightly different σ and ν change a part by multiples of these, times t.
         late = times_s[:, None] * columns[:, np.tile(self.lasting, 2)]
@@ -146,7 +146,7 @@ def ring_down(
     if count < 4 * len(omega_rad_s) + 8:
         return nothing
     y = output[: count * block].reshape(count, block).mean(axis=1)
-    times_s: FloatArray = np.arange(count) * (block * sample_time_s)
+    times_s = (block * sample_time_s) * np.arange(count, dtype=np.float64)
     size = float(np.std(y))
     if size == 0.0:
         return nothing
@@ -229,8 +229,8 @@ def _most(
 ) -> tuple[float, float] | None:
     """Return decay and frequency of what explains most of the rest; None if less than half of it.
 
-    In a record shorter than the decay, tones take up so much of it that what they leave is loud at
-    both ends.
+    In a record shorter than the decay, tones take up most of it, and leave something that is loud
+    at both ends.
     """
     if len(times_s) > SAMPLES_MAX:
         return None
