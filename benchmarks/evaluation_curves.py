@@ -15,13 +15,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from nufleet.orchestrator.evaluation.error_curve import curves_of, draw_curve
+from nufleet.orchestrator.evaluation.report import error_cell
 from nufleet.orchestrator.evaluation.results import (
     EVALUATION,
     EvaluationRecord,
     EvaluationResult,
     WayResult,
 )
-from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN, OWN_MIXTURE
+from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 from nufleet.orchestrator.runs.figures import new_figure, save
 
 SHOWN_S = (0, 15, 30, 120)
@@ -79,7 +80,7 @@ def summary(evaluations: Sequence[tuple[str, EvaluationRecord]]) -> list[str]:
         at = {(w.way, round(w.own_flight_s)): w for w in result.ways}
         flown = [curves[name][0] if name in curves else None for name in names]
         flown += [at.get((OWN, s)) for s in every]
-        cells = ["" if way is None else _milli(way.rms_m) for way in flown]
+        cells = ["" if way is None else error_cell(way) for way in flown]
         lines.append(
             f"| {fleet}, m{result.unit} | {' | '.join(cells)} | {result.chosen_way or ''} |"
         )
@@ -99,7 +100,7 @@ def rows_of(result: EvaluationResult) -> list[str]:
     ]
     ways = [way for name in (BASELINE, NO_PRIOR) for way in result.ways if way.way == name]
     ways += sources
-    ways += [w for name in (MIXTURE, OWN, OWN_MIXTURE) for w in result.ways if w.way == name]
+    ways += [w for name in (MIXTURE, OWN) for w in result.ways if w.way == name]
     return lines + [_row(way, named.get(way.way, way.way)) for way in ways]
 
 
@@ -111,7 +112,7 @@ def _row(way: WayResult, name: str) -> str:
             f"({_milli(way.predicted_low_m)} to {_milli(way.predicted_high_m)})"
         )
     less = "" if way.reduction_percent is None else f"{way.reduction_percent:.1f} %"
-    cells = (name, f"{way.own_flight_s:.0f}", _milli(way.rms_m), less, expected, way.taken_back)
+    cells = (name, f"{way.own_flight_s:.0f}", error_cell(way), less, expected, way.taken_back)
     return "| " + " | ".join(str(cell) for cell in cells) + " |"
 
 

@@ -37,11 +37,13 @@ from nufleet.robot_agent.network.endpoint import (
 )
 from nufleet.robot_agent.network.heartbeat import Heartbeat
 from nufleet.robot_agent.network.rivals import Rivals
+from nufleet.robot_agent.network.trust import Trust
 from nufleet.robot_agent.planner import Planner
 from nufleet.robot_agent.robot import Robot
 from nufleet.robot_agent.rules.freezes import Freezes
 from nufleet.robot_agent.rules.ownership import Commander
 from nufleet.robot_agent.stop_service import StopService
+from nufleet.shared.robots.fleet_file import RobotPolicy
 from nufleet.shared.wire import messages
 from nufleet.shared.wire.codec import M, decode
 from nufleet.shared.wire.keys import FleetKeys
@@ -65,7 +67,7 @@ class Agent:
         *,
         realtime: float | None,
         state_folder: Path | None = None,
-        allow_unguarded: bool = False,
+        policy: RobotPolicy | None = None,
     ) -> None:
         """Prepare the agent; nothing is connected before the context is entered.
 
@@ -78,7 +80,8 @@ class Agent:
                 can.
             state_folder: Folder for the state that has to survive this agent (journal and learned
                 models); None to keep nothing.
-            allow_unguarded: Whether the robot may fly with a learned inverse and without a guard.
+            policy: What the robot's fleet file lets others have it do; None for what a file says
+                that does not mention it.
 
         Raises:
             MemoryFolderError: A learned model in the state folder is damaged.
@@ -89,14 +92,10 @@ class Agent:
         self._robot = WatchedRobot(robot, realtime=realtime)
         self._realtime = realtime
         self._state_folder = state_folder
-        self._allow_unguarded = allow_unguarded
+        self._policy = policy or RobotPolicy()
         self._boot_id = uuid.uuid4().hex
         self._rivals = Rivals(name, self._boot_id, time.monotonic)
         self._freezes = Freezes(time.monotonic())
-        identity = session.identity
-        self._certificate = (
-            None if identity is None else CertificateWatch(identity, partial(datetime.now, UTC))
-        )
         self._changed = threading.Event()
         self._memory = Memory(None if state_folder is None else state_folder / "learned")
         self._looks: list[Callable[[], None]] = []
@@ -155,17 +154,28 @@ class Agent:
             robot.state_names,
             memory,
             self._realtime,
-            self._allow_unguarded,
+            self._policy.allow_unguarded,
         )
-        self._decisions = Decisions(self._boot_id, planner, journal, self._changed)
+        self._decisions = Decisions(
+            self._boot_id, planner, journal, self._changed, may_last=self._may_last()
+        )
         change = self._decisions.change
         audit = None if folder is None else AuditLog(folder, self._name)
         if audit is not None:
             opened.callback(audit.close)
         self._commands = Commands(audit)
-        self._experiences = ExperienceService(self._name, robot, memory, change)
+        session, most = self._session, self._policy.prior_output_max
+        trust = Trust(self._name, self._policy, session.identity, session.admitted_robots)
+        self._experiences = ExperienceService(self._name, robot, memory, change, trust, most)
         self._forecasts = ForecastService(planner, lambda: self._decisions.running)
         opened.callback(self._forecasts.close)
+
+    def _may_last(self) -> Callable[[float], messages.Refusal | None]:
+        """Return the function that refuses motions which would outlast the certificate."""
+        identity = self._session.identity
+        if identity is None:
+            return lambda duration_s: None
+        return CertificateWatch(identity, partial(datetime.now, UTC)).refusal
 
     def _join(self, opened: ExitStack) -> None:
         """Open all services in the order of their dependencies; they close in reverse order."""
@@ -173,7 +183,8 @@ class Agent:
         experiences, command = self._experiences, self._commands.handler
         heard = self._rivals.heard
         state_key = keys.robot(name, "state")
-        opened.callback(session.subscribe(state_key, heard, max_bytes=MAX_STATE_BYTES).withdraw)
+        rivals = session.subscribe(state_key, heard, max_bytes=MAX_STATE_BYTES, own=False)
+        opened.callback(rivals.withdraw)
         states = session.state_publisher(keys.robot(name, "state"))
         opened.callback(Heartbeat(name, states, self._state, self._changed).close)
         stops = StopService(name, decisions, keys, self._commands)
@@ -207,24 +218,18 @@ class Agent:
                 "result": _decoding(messages.ResultRequest, lambda r: decisions.result(r.goal_id)),
                 "experience": _decoding(messages.FetchRequest, experiences.fetch),
                 "prior": _decoding(messages.FetchRequest, experiences.fetch),
-                "forecast": _decoding(messages.ForecastRequest, self._forecasts.asked),
+                "forecast": self._forecasts.asked,
             },
             commands={
-                "goal": command("goal", messages.GoalRequest, self._take_goal),
-                "cancel": command("cancel", messages.CancelRequest, self._cancel),
-                "acknowledge": command(
-                    "acknowledge", messages.AcknowledgeRequest, self._acknowledge
-                ),
-                "release": command("release", messages.ReleaseRequest, self._release),
+                "goal": command(messages.GoalRequest, self._take_goal),
+                "cancel": command(messages.CancelRequest, self._cancel),
+                "acknowledge": command(messages.AcknowledgeRequest, self._acknowledge),
+                "release": command(messages.ReleaseRequest, self._release),
                 "experience/install": command(
-                    "experience/install", messages.InstallRequest, experiences.install_experience
+                    messages.InstallRequest, experiences.install_experience
                 ),
-                "prior/install": command(
-                    "prior/install", messages.InstallRequest, experiences.install_prior
-                ),
-                "prior/remove": command(
-                    "prior/remove", messages.RemovePriorRequest, experiences.remove_prior
-                ),
+                "prior/install": command(messages.InstallRequest, experiences.install_prior),
+                "prior/remove": command(messages.RemovePriorRequest, experiences.remove_prior),
             },
             large=("goal", "forecast", "experience/install", "prior/install"),
             urgent={"stop": stops.asked},
@@ -277,8 +282,6 @@ class Agent:
         refusal = self._rivals.refusal()
         if refusal is None and not self._decisions.knows(request.goal_id):
             refusal = self._freezes.refusal(time.monotonic())
-            if refusal is None and self._certificate is not None:
-                refusal = self._certificate.refusal()
         if refusal is not None:
             return refusal
         self._await_owner(request.owner)

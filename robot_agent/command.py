@@ -9,6 +9,8 @@ from typing import Any
 
 import click
 
+from nufleet.shared.command_line import folder_option
+
 
 @click.command()
 @click.argument("fleet_file", metavar="FLEET")
@@ -33,7 +35,7 @@ import click
     envvar="NUFLEET_IDENTITY",
     metavar="FILE",
     help="Identity of the robot in a closed fleet; one for each robot if there are several.  [env: "
-    "NUFLEET_IDENTITY; default: the only one in ~/.config/nufleet]",
+    "NUFLEET_IDENTITY; default: those of the file's robots in ~/.config/nufleet]",
 )
 @click.option(
     "--open",
@@ -49,12 +51,10 @@ import click
     metavar="FACTOR",
     help="Run simulated robots at this multiple of real time.  [default: as fast as they can]",
 )
-@click.option(
+@folder_option(
     "--state",
     "state_folder",
-    type=click.Path(file_okay=False, path_type=Path),
     envvar="NUFLEET_STATE",
-    metavar="FOLDER",
     help="Folder for everything that has to survive this process: the goals of each robot, whether "
     "it is stopped, what it has learned. Only one agent at a time may use a robot's part of it.  "
     "[env: NUFLEET_STATE; default: nufleet in XDG_STATE_HOME or ~/.local/state]",

@@ -50,16 +50,15 @@ class Commands:
         """
         self._audit = audit
 
-    def handler(self, leaf: str, kind: type[C], obey: Callable[[C], Answer]) -> CommandHandler:
+    def handler(self, kind: type[C], obey: Callable[[C], Answer]) -> CommandHandler:
         """Return the handler of one kind of command.
 
         Args:
-            leaf: End of the command's key, such as `goal`.
             kind: Type of the request.
             obey: Function that obeys the request or refuses it.
         """
 
-        def handle(principal: str, payload: bytes) -> Answer:
+        def handle(principal: str, leaf: str, payload: bytes) -> Answer:
             request = decode(payload, kind, max_bytes=MAX_LARGE_REQUEST_BYTES)
             try:
                 answer = self._refusal(principal, request) or obey(request)

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from nufleet.robot_agent.journal.journal import Journal
@@ -20,7 +21,7 @@ from nufleet.robot_agent.planner import Planner, digest
 from nufleet.robot_agent.rules import goal_machine, ownership, supervisor
 from nufleet.robot_agent.rules.goal_machine import Goal
 from nufleet.robot_agent.rules.kept_results import KeptResults
-from nufleet.robot_agent.rules.ownership import Commander
+from nufleet.robot_agent.rules.ownership import Commander, Waiting
 from nufleet.shared.wire.messages import (
     GoalAccepted,
     GoalRequest,
@@ -64,6 +65,9 @@ class Decisions:
         planner: Planner,
         journal: Journal | Unrecorded,
         changed: threading.Event,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        may_last: Callable[[float], Refusal | None] = lambda duration_s: None,
     ) -> None:
         """Begin in the state that the journal holds from earlier agent processes.
 
@@ -72,12 +76,17 @@ class Decisions:
             planner: Planner of the robot's motions.
             journal: Journal of the robot.
             changed: Event to set when the state to be published has changed.
+            clock: Function that returns the time in s, which never decreases.
+            may_last: Function that returns why a motion of this duration on the wall clock, in s,
+                may not begin now; None when it may.
         """
+        self._may_last = may_last
         self._robot = planner.robot
         self._boot_id = boot_id
         self._planner = planner
         self._journal = journal
         self._changed = changed
+        self._clock = clock
         self._lock = threading.Condition()
         # Each is held while the disk writes, so that memory and journal agree.
         self._taking = threading.Lock()
@@ -87,7 +96,7 @@ class Decisions:
         self._goals = found.goals
         owner = found.owner
         self._commander = None if owner is None else Commander(owner.owner, owner.epoch)
-        self._waiting: Commander | None = None
+        self._waiting: Waiting | None = None
         self._last_goal = found.lost[-1] if found.lost else None
         self._last_reason = (
             f"the previous agent process ended during {self._last_goal}" if found.lost else ""
@@ -352,6 +361,10 @@ class Decisions:
         # lock, and the checks made before it are repeated after it.
         plan = None if answer.new else self._known_plan(request.goal_id)
         plan = plan or self._planner.plan(request.motion)
+        if answer.new:
+            too_long = self._may_last(self._planner.wall_duration_s(plan))
+            if too_long is not None:
+                return too_long, None
         motion = None
         with self._lock:
             self._goals, answer = self._submitted(request, sha256)
@@ -432,7 +445,14 @@ class Decisions:
     ) -> tuple[goal_machine.Goals, goal_machine.Accepted | Refusal]:
         goal_id, owner, sender = request.goal_id, request.owner, _commander(request)
         refusal = self._refusal_to_command(sender)
-        self._waiting = ownership.waiting_next(self._waiting, sender, refusal)
+        self._waiting = ownership.waiting_next(
+            self._waiting,
+            sender,
+            refusal,
+            held=self._commander,
+            alive=self._owners_alive,
+            now_s=self._clock(),
+        )
         if refusal is not None:
             return self._goals, refusal
         if goal_machine.recognise(self._goals, goal_id=goal_id, digest=sha256) is None:
@@ -440,10 +460,9 @@ class Decisions:
                 return self._goals, Refusal(
                     code="shutting-down", reason="this agent is shutting down"
                 )
-            waiting, alive = self._waiting, owner in self._owners_alive
-            waits = waiting is not None and waiting.owner in self._owners_alive
+            alive = owner in self._owners_alive
             refusal = ownership.refusal_to_begin(
-                waiting, sender, waiting_alive=waits
+                self._waiting, sender
             ) or supervisor.refusal_to_start(self._supervision, owner=owner, owner_alive=alive)
             if refusal is not None:
                 return self._goals, refusal

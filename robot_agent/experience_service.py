@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from functools import partial
 
 from nufleet.robot_agent.flight.inverse_model import NetworkInverse
 from nufleet.robot_agent.flight.memory import Kept, Memory
 from nufleet.robot_agent.flight.prior_bounds import out_of_bounds
+from nufleet.robot_agent.network.trust import ROUTER_SILENT, Trust
 from nufleet.robot_agent.robot import Robot
 from nufleet.robot_agent.rules.ownership import Commander
 from nufleet.shared.errors import InvalidInputError, RefusedError
 from nufleet.shared.experience.combined_layout import CombinedLayout
-from nufleet.shared.experience.file import decode_experience
-from nufleet.shared.experience.manifest import misfit
+from nufleet.shared.experience.file import decode_experience, digest
+from nufleet.shared.experience.manifest import ExperienceManifest, misfit
 from nufleet.shared.wire.codec import Message
 from nufleet.shared.wire.messages import (
     Done,
@@ -25,6 +27,8 @@ from nufleet.shared.wire.messages import (
     RemovePriorRequest,
 )
 
+_log = logging.getLogger(__name__)
+
 
 class ExperienceService:
     """Installs and serves the experiences of one robot; called from the endpoint's thread."""
@@ -35,6 +39,8 @@ class ExperienceService:
         robot: Robot,
         memory: Memory,
         change: Callable[[Commander], Refusal | None],
+        trust: Trust,
+        output_max: float | None = None,
     ) -> None:
         """Prepare to serve a robot's memory.
 
@@ -44,8 +50,17 @@ class ExperienceService:
             memory: Learned models of the robot.
             change: Function that returns why a sender may not change the robot's learned models
                 now; None when it may.
+            trust: Decides whose experiences the robot takes, and signs its own.
+            output_max: Largest |γ| in unit/s that a prior may output; None for a bound that follows
+                from the robot's own.
+
+        Raises:
+            MemoryFolderError: An own experience that is signed now cannot be stored.
+            InvalidInputError: The robot's key cannot be read.
         """
         self._name, self._robot, self._memory, self._change = name, robot, memory, change
+        self._trust, self._output_max = trust, output_max
+        self._review()
 
     def offers(self) -> tuple[ExperienceOffer, ...]:
         """Return an offer of each experience learned on this robot."""
@@ -62,7 +77,7 @@ class ExperienceService:
 
     def install_experience(self, request: InstallRequest) -> Message:
         """Store an experience that was trained from this robot's own flights."""
-        return self._installed(request, self._memory.keep_experience, own=True)
+        return self._installed(request, lambda payload, _: self._keep_own(payload), own=True)
 
     def install_prior(self, request: InstallRequest) -> Message:
         """Store another robot's experience as the prior to fly with, or as one of several."""
@@ -94,6 +109,9 @@ class ExperienceService:
                 code="misfit",
                 reason=f"it was learned on {manifest.robot}; install it as a prior instead",
             )
+        refusal = None if own else self._trust.refusal(request.payload)
+        if refusal is not None:
+            return refusal
         for axis in manifest.axes:
             reason = misfit(manifest, self._robot.spec, self._robot.state_names, axis)
             if reason is not None:
@@ -107,14 +125,33 @@ class ExperienceService:
                     reason=f"the experience of {manifest.robot} cannot fly beside the priors that "
                     f"it holds: {error}",
                 )
-        if not own:
-            inverse = NetworkInverse(experience)
-            reason = out_of_bounds(inverse, manifest.layout, self._robot.spec)
-            if reason is not None:
-                return Refusal(
-                    code="bounds", reason=f"the experience of {manifest.robot}: {reason}"
-                )
-        return offer_of(keep(request.payload, request.sha256))
+        refusal = None if own else self._out_of_bounds(manifest, NetworkInverse(experience))
+        return refusal or offer_of(keep(request.payload, request.sha256))
+
+    def _review(self) -> None:
+        """Sign what was learned without this identity; remove priors that are no longer taken."""
+        for kept in self._memory.experiences:
+            if self._trust.signed(kept.payload) != kept.payload:
+                self._keep_own(kept.payload)
+        for kept in self._memory.priors:
+            refusal = self._trust.refusal(kept.payload)
+            refusal = refusal or self._out_of_bounds(kept.manifest, kept.inverse)
+            if refusal is not None and refusal.code != ROUTER_SILENT:
+                _log.warning("%s: its priors are removed: %s", self._name, refusal.reason)
+                self._memory.forget_prior()
+                break
+
+    def _out_of_bounds(
+        self, manifest: ExperienceManifest, inverse: NetworkInverse
+    ) -> Refusal | None:
+        reason = out_of_bounds(inverse, manifest.layout, self._robot.spec, most=self._output_max)
+        if reason is None:
+            return None
+        return Refusal(code="bounds", reason=f"the experience of {manifest.robot}: {reason}")
+
+    def _keep_own(self, payload: bytes) -> Kept:
+        signed = self._trust.signed(payload)
+        return self._memory.keep_experience(signed, digest(signed))
 
     def _found(self, sha256: str) -> Kept:
         kept = self._memory.find(sha256)

@@ -18,9 +18,10 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from nufleet.robot_agent.flight.rehearsing import RehearsalTask, write_task
+from nufleet.robot_agent.network.endpoint import MAX_LARGE_REQUEST_BYTES
 from nufleet.robot_agent.planner import Planner, digest
 from nufleet.shared.errors import RefusedError
-from nufleet.shared.wire.codec import Message, encode
+from nufleet.shared.wire.codec import Message, decode
 from nufleet.shared.wire.messages import (
     ForecastRequest,
     Foreseen,
@@ -36,11 +37,22 @@ PATIENCE_S = 3.0
 REMEMBERED = 256
 """Number of predictions that are remembered until the flights that they are of."""
 
+LESS_URGENT = 5
+"""Niceness of the process that rehearses.
+
+A third of the weight of a normal process. With the least, a machine whose processors are all busy
+would let the person who ranks wait for minutes.
+"""
+
 _log = logging.getLogger(__name__)
 
 
 class ForecastService:
-    """Rehearses flights in a process of their own; called from the endpoint's thread."""
+    """Rehearses flights in a process of their own.
+
+    The endpoint's thread asks for forecasts, and alone begins them. Every other method returns at
+    once even while that plans, so that no heartbeat waits.
+    """
 
     def __init__(
         self,
@@ -61,32 +73,49 @@ class ForecastService:
         self._job: _Job | None = None
         self._remembered: dict[str, PredictedError] = {}
 
-    def asked(self, request: ForecastRequest) -> Message:
-        """Return what has been predicted for a request until now; the first one begins it."""
-        key = hashlib.sha256(encode(request)).hexdigest()
+    def asked(self, payload: bytes) -> Message:
+        """Return what has been predicted for a request until now; the first one begins it.
+
+        Args:
+            payload: The request, encoded. Everyone who may watch the fleet can send a large one at
+                any time, so it is not read while the robot moves.
+
+        Raises:
+            MalformedMessageError: The payload is not a request for a forecast.
+        """
+        goal = self._moving()
+        if goal is not None:
+            reason = f"running goal {goal}; it rehearses at rest alone"
+            return Refusal(code="busy", reason=reason)
+        key = hashlib.sha256(payload).hexdigest()
         with self._lock:
             job = self._job
-            if job is None or job.key != key:
-                refusal = self._refusal(job)
-                if refusal is not None:
-                    return refusal
-                if job is not None:
-                    job.end()
-                job = self._job = self._begun(key, request)
-            job.asked_s = self._clock()
-            found = job.found()
-        return PathForecast(foreseen=found)
+            if job is not None and job.key == key:
+                job.asked_s = self._clock()
+                return PathForecast(foreseen=job.found())
+        if job is not None and job.lasts and self._clock() - job.asked_s <= PATIENCE_S:
+            return Refusal(code="busy", reason="it is rehearsing other flights; ask again later")
+        request = decode(payload, ForecastRequest, max_bytes=MAX_LARGE_REQUEST_BYTES)
+        self.end()
+        job = self._begun(key, request)
+        with self._lock:
+            self._job = job
+        return PathForecast(foreseen=job.found())
 
     def foretold(self, motion: Tracking) -> PredictedError | None:
         """Return the error that was last predicted for a flight; None if it never was."""
+        key = digest(motion)
         with self._lock:
-            return self._remembered.get(digest(motion))
+            return self._remembered.get(key)
 
     def look(self) -> None:
         """End a forecast whose requester is gone; to be called regularly."""
-        job = self._job
-        if job is not None and self._clock() - job.asked_s > PATIENCE_S:
-            self._ended()
+        with self._lock:
+            job = self._job
+            if job is None or self._clock() - job.asked_s <= PATIENCE_S:
+                return
+            self._job = None
+        job.end()
 
     def end(self) -> None:
         """End the forecast in progress, since the robot is about to move; returns at once."""
@@ -105,15 +134,6 @@ class ForecastService:
             job.end()
         return job
 
-    def _refusal(self, job: _Job | None) -> Refusal | None:
-        goal = self._moving()
-        if goal is not None:
-            reason = f"running goal {goal}; it rehearses at rest alone"
-            return Refusal(code="busy", reason=reason)
-        if job is not None and job.lasts and self._clock() - job.asked_s <= PATIENCE_S:
-            return Refusal(code="busy", reason="it is rehearsing other flights; ask again later")
-        return None
-
     def _begun(self, key: str, request: ForecastRequest) -> _Job:
         planner, memory = self._planner, self._planner.memory
         refused = [self._refused(way, request) for way in request.ways]
@@ -121,7 +141,7 @@ class ForecastService:
             reason = "it knows nothing of itself yet: let it fly a path, or a rich flight, first"
             nothing = Foreseen(code="no-own-model", reason=reason)
             refused = [found or nothing for found in refused]
-        job = _Job(key, request, refused, self._keep)
+        job = _Job(key, request, refused, self._keep, self._clock())
         open_ways = tuple(
             way for way, found in zip(request.ways, refused, strict=True) if found is None
         )
@@ -169,6 +189,7 @@ class _Job:
         request: ForecastRequest,
         refused: Sequence[Foreseen | None],
         keep: Callable[[ForecastRequest, ForeseenWay, Foreseen], None],
+        asked_s: float,
     ) -> None:
         """Prepare.
 
@@ -177,15 +198,21 @@ class _Job:
             request: What was asked for.
             refused: Why a way cannot be flown, for every way of the request; None where it can.
             keep: Function that takes every prediction as it comes.
+            asked_s: Time of the latest request for it, in s, which its owner keeps up to date.
         """
-        self.key, self.asked_s = key, 0.0
+        self.key, self.asked_s = key, asked_s
         self._request, self._found, self._keep = request, list(refused), keep
         self._process: subprocess.Popen[bytes] | None = None
         self._thread: threading.Thread | None = None
+        self._ended = False
 
     def begin(self, task: RehearsalTask, priors: Sequence[bytes]) -> None:
         """Have a process rehearse the ways that are not refused; returns at once."""
-        self._process = process = _started()
+        try:
+            self._process = process = _started()
+        except OSError as error:
+            self._fail(f"its rehearsal could not begin: {error}")
+            return
         self._thread = threading.Thread(
             target=self._work, args=(process, task, priors), name="forecast", daemon=True
         )
@@ -202,6 +229,7 @@ class _Job:
 
     def end(self) -> None:
         """End the process, if it runs; returns at once."""
+        self._ended = True
         if self._process is not None:
             self._process.kill()
 
@@ -229,25 +257,36 @@ class _Job:
                 self._found[place] = found
         except (OSError, ValueError) as error:
             failure = f"{failure}: {error}"
-            _log.warning("a forecast failed: %s", error)
         finally:
             process.kill()
             with suppress(OSError):
                 commands.close()  # which first writes what the process no longer takes
             answers.close()
             process.wait()
-            for place in places:
-                if self._found[place] is None:
-                    self._found[place] = Foreseen(code="rehearsal", reason=failure)
+            if self.lasts:
+                self._fail(failure)
+
+    def _fail(self, reason: str) -> None:
+        """Answer what is still open with the reason why nothing came of it."""
+        if not self._ended:
+            _log.warning("a forecast failed: %s", reason)
+        nothing = Foreseen(code="rehearsal", reason=reason)
+        self._found = [found or nothing for found in self._found]
 
 
 def _started() -> subprocess.Popen[bytes]:
     # One thread each: a companion computer has other work, and small matrices gain nothing.
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    return subprocess.Popen(
+    process = subprocess.Popen(
         [sys.executable, "-P", "-m", "nufleet.robot_agent.flight.rehearsing"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         env=environment,
         start_new_session=True,  # a Ctrl-C is for the agent, which ends it
     )
+    # At once, since its imports alone take seconds. An agent may run with real-time priority, which
+    # the process has inherited, and to which niceness means nothing.
+    if sys.platform == "linux":
+        os.sched_setscheduler(process.pid, os.SCHED_BATCH, os.sched_param(0))
+    os.setpriority(os.PRIO_PROCESS, process.pid, LESS_URGENT)
+    return process

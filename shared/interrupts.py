@@ -6,7 +6,8 @@ import os
 import signal
 import sys
 import threading
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
@@ -33,18 +34,11 @@ class Interrupts:
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Interrupts:
-        if threading.current_thread() is threading.main_thread():
-            for number in ENDING:
-                before = signal.getsignal(number)
-                if before is not signal.SIG_IGN:
-                    self._before[number] = before
-                    signal.signal(number, self._on_signal)
+        self._before = _handled_by(self._on_signal)
         return self
 
     def __exit__(self, *_: object) -> None:
-        for number, before in self._before.items():
-            signal.signal(number, before)
-        self._before.clear()
+        _restore(self._before)
 
     def hold(self) -> None:
         """Only announce signals from now on, because the process has begun to end."""
@@ -57,3 +51,36 @@ class Interrupts:
         with suppress(OSError):  # the terminal may be gone; what is being finished is not
             # Bypass sys.stderr, which the signal may have interrupted in the middle of a line.
             os.write(sys.stderr.fileno(), self._announcement)
+
+
+@contextmanager
+def postponed() -> Iterator[None]:
+    """Deliver signals of `ENDING` only when the block has ended; for the main thread.
+
+    An interrupt between the start of a process and the assignment of it to a variable would leave
+    a process that no code ends.
+    """
+    arrived = list[int]()
+    before = _handled_by(lambda number, _frame: arrived.append(number))
+    try:
+        yield
+    finally:
+        _restore(before)
+        for number in arrived:
+            signal.raise_signal(number)
+
+
+def _handled_by(handler: Callable[[int, FrameType | None], None]) -> dict[signal.Signals, Any]:
+    """Install a handler for all signals of `ENDING` that are not ignored; return those before."""
+    if threading.current_thread() is not threading.main_thread():
+        return {}
+    before = {number: signal.getsignal(number) for number in ENDING}
+    handled = {number: old for number, old in before.items() if old is not signal.SIG_IGN}
+    for number in handled:
+        signal.signal(number, handler)
+    return handled
+
+
+def _restore(handlers: dict[signal.Signals, Any]) -> None:
+    for number, handler in handlers.items():
+        signal.signal(number, handler)

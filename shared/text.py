@@ -1,8 +1,13 @@
-"""Checks for texts in keys, and conversion of other texts for display; light enough for a stop."""
+"""Texts: checks of those in keys, conversion for display, and TOML; light enough for a stop."""
 
 from __future__ import annotations
 
 import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from nufleet.shared.errors import NufleetError, system_errors_as
 
 NAME_PATTERN = r"^[a-z0-9][a-z0-9_-]{0,62}$"
 IDENTIFIER_PATTERN = r"^[0-9a-z][0-9a-z._-]{0,199}$"
@@ -33,6 +38,21 @@ def printable(text: str) -> str:
 def as_reason(text: object) -> str:
     """Return any object's text, such as a driver's error, as a reason: printable, cut to length."""
     return printable(str(text))[:REASON_MAX_CHARACTERS]
+
+
+def read_toml(path: Path, kind: type[NufleetError]) -> dict[str, Any]:
+    """Return the contents of a TOML file.
+
+    Args:
+        path: The file.
+        kind: Type of the error if the file cannot be read or is not valid TOML.
+    """
+    try:
+        with system_errors_as(kind, f"{path}: cannot be read"):
+            return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        # Invalid TOML or UTF-8, numbers too long for Python, or tables nested too deeply for it.
+        raise kind(f"{path}: not valid TOML: {error}") from error
 
 
 def _matches(pattern: str, text: str) -> bool:

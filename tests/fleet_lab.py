@@ -18,6 +18,7 @@ from nufleet.robot_agent.agent import Agent
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.errors import NoReplyError, RefusedError, RobotLostError
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.robots.fleet_file import RobotPolicy
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.messages import GoalAccepted, GoalRequest, GoalResult, RobotState
 from nufleet.shared.wire.transport import Session, open_client
@@ -99,7 +100,7 @@ class Lab:
         *,
         realtime: float | None = None,
         state_folder: Path | None = None,
-        allow_unguarded: bool = False,
+        policy: RobotPolicy | None = None,
     ) -> Agent:
         self.robots[name] = robot
         agent = Agent(
@@ -109,7 +110,7 @@ class Lab:
             robot,
             realtime=realtime,
             state_folder=state_folder,
-            allow_unguarded=allow_unguarded,
+            policy=policy,
         )
         return self.stack.enter_context(agent)
 

@@ -8,6 +8,7 @@ import multiprocessing
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from benchmarks.faults.figure import Figure
@@ -85,12 +86,8 @@ def _simulated(seeds: int, first: int, processes: int, without: str | None) -> I
 
 def _block(block: tuple[int, int, str | None]) -> Found:
     first, end, without = block
-    logging.disable(logging.CRITICAL)  # what goes wrong is meant to
-    gc.disable()  # collecting among the objects of one schedule takes a sixth of the time
-    gc.collect()
-    gc.freeze()  # and looking through those of all imported modules takes another one
     broken = list[tuple[int, str]]()
-    with taken_out(without):
+    with _undisturbed(), taken_out(without):
         for seed in range(first, end):
             why = violation(drawn(seed))
             if why is not None:
@@ -98,6 +95,23 @@ def _block(block: tuple[int, int, str | None]) -> Found:
             if seed % _COLLECTED_EVERY == 0:
                 gc.collect()
     return Found(end - first, tuple(broken))
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Log nothing and collect no garbage by itself, in this process and in here alone."""
+    disabled, collects = logging.root.manager.disable, gc.isenabled()
+    logging.disable(logging.CRITICAL)  # what goes wrong is meant to
+    gc.disable()  # collecting among the objects of one schedule takes a sixth of the time
+    gc.collect()
+    gc.freeze()  # and looking through those of all imported modules takes another one
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        if collects:
+            gc.enable()
+        logging.disable(disabled)
 
 
 def _show(seed: int, broken: str, without: str | None) -> None:

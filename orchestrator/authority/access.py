@@ -22,6 +22,9 @@ from nufleet.shared.wire.transport import (
 
 Rule = dict[str, Any]
 
+STATES_HZ = 500.0
+"""Highest rate of each robot's states; the router drops what a stolen robot sends beyond it."""
+
 _HEADER = """\
 // Made by `nufleet fleet`: changes made by hand are lost. Start the router with
 //   nufleet router --config THIS-FILE
@@ -58,10 +61,12 @@ def router_configuration(
     principals, keys = fleet.principals, FleetKeys(fleet.name)
     people, robots = _people(keys), _robots(keys)
     own = _own_rules(fleet, keys)
+    names = {name: common_name(name, revocations.get(name, 0)) for name in principals}
     shared = {name: robots if role == "robot" else people for name, role in principals.items()}
     configuration = {
         "mode": "router",
-        "metadata": {"fleet": fleet.name},
+        # Robots ask for this list, to know whose signatures count.
+        "metadata": {"fleet": fleet.name, "robots": [names[name] for name in fleet.robots]},
         "listen": {"endpoints": [router_endpoint(router, router.listen)]},
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "timestamping": {"enabled": True},
@@ -75,7 +80,7 @@ def router_configuration(
             "subjects": [
                 {
                     "id": name,
-                    "cert_common_names": [common_name(name, revocations.get(name, 0))],
+                    "cert_common_names": [names[name]],
                     "link_protocols": ["tls"],
                 }
                 for name in principals
@@ -90,6 +95,14 @@ def router_configuration(
             ],
         },
         "low_pass_filter": [_small_messages(keys)],
+        "downsampling": [
+            {
+                "id": "states",
+                "flows": ["ingress"],
+                "messages": ["put"],
+                "rules": [{"key_expr": keys.every_robot("state"), "freq": STATES_HZ}],
+            }
+        ],
     }
     return _HEADER + json.dumps(configuration, indent=2) + "\n"
 

@@ -8,10 +8,15 @@ lab.authority/router/           all that the router needs: `nufleet router --con
 
 from __future__ import annotations
 
+import fcntl
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 
+from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from nufleet.orchestrator.authority.access import (
@@ -20,33 +25,31 @@ from nufleet.orchestrator.authority.access import (
     router_endpoint,
 )
 from nufleet.orchestrator.authority.certificates import (
-    MAX_REQUEST_BYTES,
+    Issuer,
     authority_certificate,
     certificate_pem,
     key_pem,
     new_key,
-    principal_certificate,
     public_pem,
-    read_certificate,
+    read_issuers,
     read_key,
     read_public,
-    request_pem,
     requested_key,
-    router_certificate,
     utc_now,
+)
+from nufleet.orchestrator.authority.key_files import (
+    create_folder,
+    create_key,
+    named_files,
+    read_request,
 )
 from nufleet.orchestrator.authority.ledger import Enrolment, Ledger, read_ledger, write_ledger
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.private_files import (
-    create_privately,
-    make_private_folder,
-    write_privately,
-)
+from nufleet.shared.private_files import make_private_folder, write_privately
 from nufleet.shared.robots.fleet_file import FleetFile, RouterEntry, read_fleet_file
 from nufleet.shared.wire.identity import KEY_SUFFIX, SUFFIX, Identity, identity_text
 
 FOLDER_SUFFIX = ".authority"
-REQUEST_SUFFIX = ".request"
 ROUTER_DAYS = 365
 PRINCIPAL_DAYS = 90
 _KEY, _CERTIFICATE, _CONFIGURATION = "authority.key", "authority.pem", "router.json5"
@@ -71,28 +74,6 @@ class Enrolled:
     """Whether the router has to be restarted, because its list changed."""
 
 
-def make_request(name: str, folder: Path) -> tuple[Path, Path]:
-    """Make a key, and a request for a certificate of it, on the machine that will use the key.
-
-    Args:
-        name: Principal of the inventory.
-        folder: Folder for both files; created if necessary, and private.
-
-    Returns:
-        The paths of the key and of the request.
-
-    Raises:
-        InvalidInputError: There is a key of this name, which is never replaced.
-    """
-    make_private_folder(folder)
-    key = new_key()
-    path = folder / f"{name}{KEY_SUFFIX}"
-    _create_key(path, key_pem(key))
-    request = folder / f"{name}{REQUEST_SUFFIX}"
-    write_privately(request, request_pem(key, name))
-    return path, request
-
-
 class Authority:
     """A fleet's authority with its inventory, as both are on disk now."""
 
@@ -105,14 +86,15 @@ class Authority:
         """
         self.folder = folder
         self.ledger = read_ledger(folder)
-        self.inventory = read_fleet_file(Path(self.ledger.inventory))
-        self._router = router_of(self.inventory, Path(self.ledger.inventory))
+        self._listed_in = _inventory_of(self.ledger, folder)
+        self.inventory = read_fleet_file(self._listed_in)
+        self._router = router_of(self.inventory, self._listed_in)
         path = folder / _KEY
         try:
             if path.stat().st_mode & 0o077:
                 raise InvalidInputError(f"other users can read the key {path}: chmod 600 {path}")
-            self._key = read_key(path.read_bytes(), str(path))
-            self._certificate = read_certificate((folder / _CERTIFICATE).read_bytes())
+            key = read_key(path.read_bytes(), str(path))
+            self._issuer, self._former = read_issuers((folder / _CERTIFICATE).read_bytes(), key)
         except (OSError, ValueError) as error:
             raise InvalidInputError(f"{folder} is not complete: {error}") from error
 
@@ -125,7 +107,8 @@ class Authority:
             folder: Folder to create.
 
         Raises:
-            InvalidInputError: The folder exists, or the inventory names no router.
+            InvalidInputError: The folder exists or cannot be written, or the inventory names no
+                router.
             FleetFileError: The inventory is wrong.
         """
         fleet = read_fleet_file(inventory)
@@ -135,26 +118,27 @@ class Authority:
                 f"{folder} exists: an authority is never replaced, since all identities depend on "
                 "it; move it away to begin again"
             )
-        make_private_folder(folder / "router")
-        make_private_folder(folder)
-        key, router_key, now = new_key(), new_key(), utc_now()
-        certificate = authority_certificate(fleet.name, key, now)
-        _create_key(folder / _KEY, key_pem(key))
-        _create_key(folder / "router" / "router.key", key_pem(router_key))
-        for place in (folder, folder / "router"):
-            write_privately(place / _CERTIFICATE, certificate_pem(certificate).encode())
-        life = timedelta(days=ROUTER_DAYS)
-        signed = router_certificate(
-            certificate, key, router.addresses, router_key.public_key(), now, life
-        )
-        write_privately(folder / "router" / "router.pem", certificate_pem(signed).encode())
-        ledger = Ledger(
-            inventory=str(inventory.resolve()), router_expires=now + life, enrolments={}
-        )
-        configured = router_configuration(fleet, router, {})
-        write_privately(folder / "router" / _CONFIGURATION, configured.encode())
-        # Written last: a folder without it is not an authority.
-        write_ledger(folder, ledger)
+        with named_files():
+            make_private_folder(folder / "router")
+            make_private_folder(folder)
+            key, router_key, now = new_key(), new_key(), utc_now()
+            certificate = authority_certificate(fleet.name, key, now)
+            create_key(folder / _KEY, key_pem(key))
+            create_key(folder / "router" / "router.key", key_pem(router_key))
+            for place in (folder, folder / "router"):
+                write_privately(place / _CERTIFICATE, certificate_pem(certificate).encode())
+            life = timedelta(days=ROUTER_DAYS)
+            signed = Issuer(certificate, key).issue(
+                "router", router_key.public_key(), now, life, serves_at=router.addresses
+            )
+            write_privately(folder / "router" / "router.pem", certificate_pem(signed).encode())
+            ledger = Ledger(
+                inventory=str(inventory.resolve()), router_expires=now + life, enrolments={}
+            )
+            configured = router_configuration(fleet, router, {})
+            write_privately(folder / "router" / _CONFIGURATION, configured.encode())
+            # Written last: a folder without it is not an authority.
+            write_ledger(folder, ledger)
         return cls(folder)
 
     @property
@@ -178,32 +162,25 @@ class Authority:
             InvalidInputError: The inventory does not list the principal, it is enrolled already,
                 the request is wrong, or there is a key in `out`.
         """
-        self._check_listed(name)
-        known = self.ledger.enrolments.get(name)
-        if known is not None and not known.revoked:
-            raise InvalidInputError(
-                f"{name} is enrolled until {known.expires:%Y-%m-%d}: `nufleet fleet renew {name}` "
-                f"gives it a new certificate; if its key is lost, first `nufleet fleet revoke "
-                f"{name}`"
-            )
-        if not out.exists():
-            make_private_folder(out)
-        key = None
-        if request is None:
-            made, key = new_key(), out / f"{name}{KEY_SUFFIX}"
-            _create_key(key, key_pem(made))
-            public = made.public_key()
-        else:
-            public = requested_key(_bounded(request), name, str(request))
-        revocations = 0 if known is None else known.revocations
-        identity = out / f"{name}{SUFFIX}"
-        life = timedelta(days=days)
-        expires = self._sign(name, identity, public, revocations, life)
-        self._keep(
-            name,
-            Enrolment(public_key=public_pem(public), expires=expires, revocations=revocations),
-        )
-        return Enrolled(identity, key, expires, self._configure())
+        with self._changing():
+            self._check_listed(name)
+            known = self.ledger.enrolments.get(name)
+            if known is not None and not known.revoked:
+                raise InvalidInputError(
+                    f"{name} is enrolled until {known.expires:%Y-%m-%d}: `nufleet fleet renew "
+                    f"{name}` gives it a new certificate; if its key is lost, first `nufleet fleet "
+                    f"revoke {name}`"
+                )
+            create_folder(out)
+            key = None
+            if request is None:
+                made, key = new_key(), out / f"{name}{KEY_SUFFIX}"
+                create_key(key, key_pem(made))
+                public = made.public_key()
+            else:
+                public = requested_key(read_request(request), name, str(request))
+            revocations = 0 if known is None else known.revocations
+            return self._issue(name, public, revocations, out, days, key)
 
     def renew(self, name: str, out: Path, *, days: int = PRINCIPAL_DAYS) -> Enrolled:
         """Write a new certificate for the key of an enrolled principal.
@@ -211,24 +188,85 @@ class Authority:
         Raises:
             InvalidInputError: The principal is not enrolled, not listed, or was revoked.
         """
-        self._check_listed(name)
-        known = self.ledger.enrolments.get(name)
-        if known is None or known.revoked:
-            problem = "was revoked" if known is not None else "has never been enrolled"
-            raise InvalidInputError(f"{name} {problem}: `nufleet fleet enroll {name}`")
-        identity, public = out / f"{name}{SUFFIX}", read_public(known.public_key)
-        life = timedelta(days=days)
-        expires = self._sign(name, identity, public, known.revocations, life)
-        self._keep(name, known.model_copy(update={"expires": expires}))
-        return Enrolled(identity, None, expires, self._configure())
+        with self._changing():
+            self._check_listed(name)
+            known = self.ledger.enrolments.get(name)
+            if known is None or known.revoked:
+                problem = "was revoked" if known is not None else "has never been enrolled"
+                raise InvalidInputError(f"{name} {problem}: `nufleet fleet enroll {name}`")
+            create_folder(out)
+            return self._issue(name, read_public(known.public_key), known.revocations, out, days)
+
+    @property
+    def replaced(self) -> bool:
+        """Whether the authority is being replaced: a former one is trusted beside it."""
+        return bool(self._former)
 
     def renew_router(self) -> datetime:
-        """Write a new certificate for the router, for the addresses in the inventory; its end."""
+        """Write a new certificate for the router, for the addresses in the inventory; its end.
+
+        Raises:
+            InvalidInputError: The authority is being replaced, so that some identities would not
+                trust the new certificate.
+        """
+        if self.replaced:
+            raise InvalidInputError(
+                "the authority is being replaced, and the router's certificate is renewed at the "
+                "end of that: `nufleet fleet renew --replace-authority`"
+            )
+        with self._changing():
+            return self._sign_router()
+
+    def replace(self) -> None:
+        """Begin to replace the authority: from now on a new key signs, and both are trusted.
+
+        The router keeps its certificate, which identities of before trust as well.
+
+        Raises:
+            InvalidInputError: A file cannot be written.
+        """
+        with self._changing():
+            key = new_key()
+            certificate = authority_certificate(self.inventory.name, key, utc_now())
+            self._former = (self._issuer.certificate, *self._former)
+            # Before the key, which decides which of them is the authority.
+            self._write_certificates(certificate, *self._former)
+            write_privately(self.folder / _KEY, key_pem(key))
+            self._issuer = Issuer(certificate, key)
+
+    def finish_replacing(self) -> datetime:
+        """Trust the former authority no longer; return the end of the router's new certificate.
+
+        Raises:
+            InvalidInputError: A principal still has a certificate of the former authority.
+        """
+        with self._changing():
+            behind = [
+                name
+                for name, one in self.ledger.enrolments.items()
+                if not one.revoked and one.issuer != self._issuer.serial
+            ]
+            if behind:
+                raise InvalidInputError(
+                    f"{', '.join(behind)}: signed by the former authority. First `nufleet fleet "
+                    "renew` and copy each identity to its machine; revoke those that are gone"
+                )
+            expires = self._sign_router()
+            self._write_certificates(self._issuer.certificate)
+            self._former = ()
+        return expires
+
+    def _write_certificates(self, *certificates: x509.Certificate) -> None:
+        text = "".join(map(certificate_pem, certificates)).encode()
+        for place in (self.folder / "router", self.folder):
+            write_privately(place / _CERTIFICATE, text)
+
+    def _sign_router(self) -> datetime:
         folder = self.folder / "router"
         key = read_key((folder / "router.key").read_bytes(), str(folder / "router.key"))
         now, life = utc_now(), timedelta(days=ROUTER_DAYS)
-        signed = router_certificate(
-            self._certificate, self._key, self._router.addresses, key.public_key(), now, life
+        signed = self._issuer.issue(
+            "router", key.public_key(), now, life, serves_at=self._router.addresses
         )
         write_privately(folder / "router.pem", certificate_pem(signed).encode())
         self.ledger = self.ledger.model_copy(update={"router_expires": now + life})
@@ -242,37 +280,64 @@ class Authority:
         Raises:
             InvalidInputError: The principal is not enrolled.
         """
-        known = self.ledger.enrolments.get(name)
-        if known is None or known.revoked:
-            there = [n for n, one in self.ledger.enrolments.items() if not one.revoked]
-            raise InvalidInputError(
-                f"{name} is not enrolled; enrolled are {', '.join(sorted(there)) or 'none'}"
-            )
-        revoked = {"revoked": True, "revocations": known.revocations + 1}
-        self._keep(name, known.model_copy(update=revoked))
-        self._configure()
+        with self._changing():
+            known = self.ledger.enrolments.get(name)
+            if known is None or known.revoked:
+                there = [n for n, one in self.ledger.enrolments.items() if not one.revoked]
+                raise InvalidInputError(
+                    f"{name} is not enrolled; enrolled are {', '.join(sorted(there)) or 'none'}"
+                )
+            revoked = {"revoked": True, "revocations": known.revocations + 1}
+            self._keep(name, known.model_copy(update=revoked))
+            self._configure()
+
+    @contextmanager
+    def _changing(self) -> Iterator[None]:
+        """Hold the folder alone, with the ledger as it is on disk now.
+
+        Of two commands at the same time, the second would otherwise write the ledger without the
+        change of the first, and admit a principal that the first revoked.
+        """
+        with named_files():
+            held = os.open(self.folder, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                fcntl.flock(held, fcntl.LOCK_EX)
+                self.ledger = read_ledger(self.folder)
+                yield
+            finally:
+                os.close(held)
 
     def _check_listed(self, name: str) -> None:
         if name not in self.inventory.principals:
             raise InvalidInputError(
-                f"{name} is not in the inventory {self.ledger.inventory}, which lists "
+                f"{name} is not in the inventory {self._listed_in}, which lists "
                 f"{', '.join(self.inventory.principals)}; add it there first"
             )
 
-    def _sign(
-        self, name: str, path: Path, public: Ed25519PublicKey, revocations: int, life: timedelta
-    ) -> datetime:
-        now = utc_now()
-        certificate = principal_certificate(
-            self._certificate,
-            self._key,
-            common_name(name, revocations),
-            public,
-            now,
-            life,
+    def _issue(
+        self,
+        name: str,
+        public: Ed25519PublicKey,
+        revocations: int,
+        out: Path,
+        days: int,
+        key: Path | None = None,
+    ) -> Enrolled:
+        now, life = utc_now(), timedelta(days=days)
+        certificate = self._issuer.issue(common_name(name, revocations), public, now, life)
+        # The ledger comes first: a certificate that it does not list could not be revoked.
+        self._keep(
+            name,
+            Enrolment(
+                public_key=public_pem(public),
+                expires=now + life,
+                revocations=revocations,
+                issuer=self._issuer.serial,
+            ),
         )
+        router_changed = self._configure()
         identity = Identity(
-            path=path,
+            path=out / f"{name}{SUFFIX}",
             fleet=self.inventory.name,
             principal=name,
             role=self.inventory.principals[name],
@@ -280,8 +345,8 @@ class Authority:
             certificate=certificate_pem(certificate),
             authority=(self.folder / _CERTIFICATE).read_text(),
         )
-        write_privately(path, identity_text(identity).encode())
-        return now + life
+        write_privately(identity.path, identity_text(identity).encode())
+        return Enrolled(identity.path, key, now + life, router_changed)
 
     def _keep(self, name: str, enrolment: Enrolment) -> None:
         enrolments = {**self.ledger.enrolments, name: enrolment}
@@ -291,8 +356,9 @@ class Authority:
     def _configure(self) -> bool:
         """Write the router's configuration again; return whether it changed."""
         text = router_configuration(self.inventory, self._router, self.ledger.revocations)
-        if self.configuration.read_text() == text:
+        if self.configuration.exists() and self.configuration.read_text() == text:
             return False
+        create_folder(self.configuration.parent)
         write_privately(self.configuration, text.encode())
         return True
 
@@ -306,16 +372,13 @@ def router_of(fleet: FleetFile, path: Path) -> RouterEntry:
     return fleet.router
 
 
-def _create_key(path: Path, pem: bytes) -> None:
-    try:
-        create_privately(path, pem)
-    except FileExistsError as error:
-        raise InvalidInputError(f"{path} exists, and a key is never replaced") from error
-
-
-def _bounded(request: Path) -> bytes:
-    try:
-        with request.open("rb") as file:
-            return file.read(MAX_REQUEST_BYTES)
-    except OSError as error:
-        raise InvalidInputError(f"{request}: cannot be read: {error.strerror}") from error
+def _inventory_of(ledger: Ledger, folder: Path) -> Path:
+    """Return where the inventory is: where it was, or beside the folder if both were moved."""
+    path = Path(ledger.inventory)
+    beside = folder.resolve().parent / path.name
+    found = next((there for there in (path, beside) if there.exists()), None)
+    if found is None:
+        raise InvalidInputError(
+            f"the inventory of {folder} is neither {path} nor {beside}; put it at one of them"
+        )
+    return found

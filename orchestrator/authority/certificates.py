@@ -7,10 +7,11 @@ stolen robot cannot pretend to be the router.
 from __future__ import annotations
 
 import ipaddress
+from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
@@ -92,7 +93,7 @@ def requested_key(pem: bytes, name: str, where: str) -> Ed25519PublicKey:
         request = x509.load_pem_x509_csr(pem)
         key = request.public_key()
         signed = request.is_signature_valid
-    except (ValueError, TypeError, InvalidSignature) as error:
+    except (ValueError, TypeError, InvalidSignature, UnsupportedAlgorithm) as error:
         raise InvalidInputError(f"{where} is not a request of `nufleet fleet request`") from error
     named = [str(part.value) for part in request.subject]
     if not signed or not isinstance(key, Ed25519PublicKey):
@@ -125,52 +126,51 @@ def authority_certificate(fleet: str, key: Ed25519PrivateKey, now: datetime) -> 
     )
 
 
-def principal_certificate(
-    authority: x509.Certificate,
-    authority_key: Ed25519PrivateKey,
-    common_name: str,
-    key: Ed25519PublicKey,
-    now: datetime,
-    life: timedelta,
-) -> x509.Certificate:
-    """Return a certificate with which a principal may connect.
+@dataclass(frozen=True)
+class Issuer:
+    """An authority, which signs the certificates of its fleet."""
 
-    Args:
-        authority: Certificate of the fleet's authority.
-        authority_key: Its key.
-        common_name: Name by which the router's list knows the principal.
-        key: Public key of the principal.
-        now: Present time, with time zone.
-        life: Time for which the certificate is valid.
-    """
-    builder = _builder(key, _subject(common_name), authority.subject, now, life)
-    usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.CLIENT_AUTH])
-    return _signed(builder.add_extension(usage, critical=True), authority_key)
+    certificate: x509.Certificate
+    """Its own certificate."""
+    key: Ed25519PrivateKey
+    """Its key."""
 
+    @property
+    def serial(self) -> str:
+        """Serial number of its certificate, in hexadecimal."""
+        return f"{self.certificate.serial_number:x}"
 
-def router_certificate(
-    authority: x509.Certificate,
-    authority_key: Ed25519PrivateKey,
-    addresses: tuple[str, ...],
-    key: Ed25519PublicKey,
-    now: datetime,
-    life: timedelta,
-) -> x509.Certificate:
-    """Return the certificate that a router presents.
+    def issue(
+        self,
+        common_name: str,
+        key: Ed25519PublicKey,
+        now: datetime,
+        life: timedelta,
+        *,
+        serves_at: tuple[str, ...] = (),
+    ) -> x509.Certificate:
+        """Return a certificate with which a principal connects, or with which a router serves.
 
-    Args:
-        authority: Certificate of the fleet's authority.
-        authority_key: Its key.
-        addresses: IP addresses and host names at which the router is reached.
-        key: Public key of the router.
-        now: Present time, with time zone.
-        life: Time for which the certificate is valid.
-    """
-    names = x509.SubjectAlternativeName([_address(address) for address in addresses])
-    usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
-    builder = _builder(key, _subject("router"), authority.subject, now, life)
-    builder = builder.add_extension(names, critical=False).add_extension(usage, critical=True)
-    return _signed(builder, authority_key)
+        Args:
+            common_name: Name by which the router's list knows a principal.
+            key: Public key of the principal or of the router.
+            now: Present time, with time zone.
+            life: Time for which the certificate is valid.
+            serves_at: IP addresses and host names at which a router is reached. A certificate
+                with any of them serves only, one without them connects only.
+        """
+        above = x509.AuthorityKeyIdentifier.from_issuer_public_key(self.key.public_key())
+        use = ExtendedKeyUsageOID.SERVER_AUTH if serves_at else ExtendedKeyUsageOID.CLIENT_AUTH
+        builder = (
+            _builder(key, _subject(common_name), self.certificate.subject, now, life)
+            .add_extension(x509.ExtendedKeyUsage([use]), critical=True)
+            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+            .add_extension(above, critical=False)
+        )
+        if serves_at:
+            names = x509.SubjectAlternativeName([_address(address) for address in serves_at])
+            builder = builder.add_extension(names, critical=False)
+        return builder.sign(self.key, None)
 
 
 def certificate_pem(certificate: x509.Certificate) -> str:
@@ -181,6 +181,21 @@ def certificate_pem(certificate: x509.Certificate) -> str:
 def read_certificate(pem: bytes) -> x509.Certificate:
     """Return the first certificate of a file's contents."""
     return x509.load_pem_x509_certificate(pem)
+
+
+def read_issuers(pem: bytes, key: Ed25519PrivateKey) -> tuple[Issuer, tuple[x509.Certificate, ...]]:
+    """Return the authority that has a key, and the others in a file's contents.
+
+    There is another one while an authority is being replaced.
+
+    Raises:
+        ValueError: No certificate in the file belongs to the key.
+    """
+    found, public = x509.load_pem_x509_certificates(pem), key.public_key()
+    own = next((one for one in found if one.public_key() == public), None)
+    if own is None:
+        raise ValueError("no certificate of the authority belongs to its key")
+    return Issuer(own, key), tuple(one for one in found if one != own)
 
 
 def utc_now() -> datetime:
@@ -199,15 +214,6 @@ def _builder(
         .serial_number(x509.random_serial_number())
         .not_valid_before(now - CLOCKS_DIFFER)
         .not_valid_after(now + life)
-    )
-
-
-def _signed(builder: x509.CertificateBuilder, key: Ed25519PrivateKey) -> x509.Certificate:
-    above = x509.AuthorityKeyIdentifier.from_issuer_public_key(key.public_key())
-    return (
-        builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(above, critical=False)
-        .sign(key, None)
     )
 
 

@@ -24,6 +24,8 @@ class Enrolment(Strict):
     """End of its latest certificate."""
     revocations: Annotated[int, Field(ge=0)] = 0
     """Number of times that it was revoked."""
+    issuer: str = ""
+    """Serial number of the certificate of the authority that signed its latest certificate."""
     revoked: bool = False
     """Whether it has to be enrolled again before it can connect."""
 

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from nufleet.orchestrator.belief.loop_features import LOOP_PARAMETERS, ResponsePrior
 from nufleet.orchestrator.belief.loop_fit import Tones
@@ -119,15 +119,18 @@ class RobotKnowledge:
                 self._find(finding.text)
                 share = max(NONLINEAR_DEVIATION, finding.value or 0.0)
                 variance = variance + (share * np.abs(z)) ** 2
-            if finding.code == "ringing":
-                self.settling_time_s = max(self.settling_time_s, finding.value or 0.0)
+            if finding.code == "ringing" and (finding.value or 0.0) > self.settling_time_s:
+                self.settling_time_s, self._model = finding.value or 0.0, None
         new = Tones(omega, z, variance)
-        miss = self._miss(new, rng) if check and not first else None
-        before, self._model = self.amplitude, None
+        later = None if first or not check else self._modelled(new)
+        miss = None if later is None else self._miss(new, later, rng)
+        before = self.amplitude
         self.responses.append(response)
         self._tones.append(new)
         if miss is None:
+            self._model = later
             return
+        self._model = None
         tests_only = all(one.flight is None for one in self.responses)
         if tests_only and _differ(before, response.amplitude):
             self._doubt_amplitudes(new, miss, before or 0.0, response.amplitude or 0.0)
@@ -256,15 +259,19 @@ class RobotKnowledge:
     def model(self) -> ResponseModel:
         """The belief after all tests, of which there must be at least one."""
         if self._model is None:
-            self._model = ResponseModel(
-                Tones(
-                    self.omega_rad_s,
-                    np.concatenate([tones.z for tones in self._tones]),
-                    np.concatenate([tones.variance for tones in self._tones]),
-                ),
-                self.prior,
-            )
+            self._model = self._modelled()
         return self._model
+
+    def _modelled(self, *more: Tones) -> ResponseModel:
+        tones = (*self._tones, *more)
+        return ResponseModel(
+            Tones(
+                np.concatenate([each.omega_rad_s for each in tones]),
+                np.concatenate([each.z for each in tones]),
+                np.concatenate([each.variance for each in tones]),
+            ),
+            self.prior,
+        )
 
     def expected_variance(self, omega_rad_s: FloatArray, times_as_long: float) -> FloatArray:
         """Predict the variances of a test's estimates from the earlier tests.
@@ -285,20 +292,16 @@ class RobotKnowledge:
         nearest = np.argmin(np.abs(omega - omega_rad_s[:, None]), axis=1)
         return np.asarray(density[nearest] * len(omega_rad_s) / times_as_long)
 
-    def _miss(self, new: Tones, rng: np.random.Generator) -> _Miss | None:
+    def _miss(self, new: Tones, later: ResponseModel, rng: np.random.Generator) -> _Miss | None:
         """Return how far a new test misses what the earlier ones predict; None if it does not.
 
-        The test statistic is the squared Mahalanobis distance of the new ẑ from its prediction; its
-        distribution is χ² with one degree of freedom for each real and imaginary part.
+        The test statistic is the squared distance of the new ẑ from what was expected, of which the
+        belief with the new one as well says how large it is; its distribution is χ² with one degree
+        of freedom for each real and imaginary part.
         """
-        expected = self.model.draw(new.omega_rad_s, CHECK_SAMPLES, rng)
-        parts = np.concatenate([expected.real, expected.imag], axis=1)
-        noise = np.concatenate([new.variance, new.variance]) / 2
-        covariance = np.cov(parts.T) + np.diag(noise)
-        miss = np.concatenate([new.z.real, new.z.imag]) - parts.mean(axis=0)
-        distance = float(miss @ np.linalg.solve(covariance, miss))
-        if distance <= float(chi2.isf(CHANGE_SIGNIFICANCE, len(miss))):
+        if self.model.distance(later) <= chdtri(2 * len(new.z), CHANGE_SIGNIFICANCE):
             return None
+        expected = self.model.draw(new.omega_rad_s, CHECK_SAMPLES, rng)
         squared = np.abs(new.z - expected.mean(axis=0)) ** 2
         usual = new.variance + np.var(expected, axis=0)
         worst = int(np.argmax(squared / usual))

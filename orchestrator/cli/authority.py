@@ -2,51 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 
 from nufleet.orchestrator.cli.options import connect_options
+from nufleet.shared.command_line import folder_option
 
-F = TypeVar("F", bound=Callable[..., Any])
 PRINCIPAL_DAYS = 90
 
 
-def authority_option(command: F) -> F:
-    """Add --authority."""
-    return click.option(
-        "--authority",
-        "folder",
-        type=click.Path(file_okay=False, path_type=Path),
-        envvar="NUFLEET_AUTHORITY",
-        metavar="FOLDER",
-        help="Folder of the fleet's authority.  [env: NUFLEET_AUTHORITY; default: the only "
-        "*.authority folder here]",
-    )(command)
-
-
-def out_option(command: F) -> F:
-    """Add --out."""
-    return click.option(
-        "--out",
-        type=click.Path(file_okay=False, path_type=Path),
-        default=Path(),
-        metavar="FOLDER",
-        help="Folder for the identity.  [default: here]",
-    )(command)
-
-
-def days_option(command: F) -> F:
-    """Add --days."""
-    return click.option(
-        "--days",
-        type=click.IntRange(min=1, max=3650),
-        default=PRINCIPAL_DAYS,
-        show_default=True,
-        help="Days for which the certificate is valid.",
-    )(command)
+authority_option = folder_option(
+    "--authority",
+    "folder",
+    envvar="NUFLEET_AUTHORITY",
+    help="Folder of the fleet's authority.  [env: NUFLEET_AUTHORITY; default: the only "
+    "*.authority folder here]",
+)
+out_option = folder_option(
+    "--out", default=Path(), help="Folder for the identity.  [default: here]"
+)
+days_option = click.option(
+    "--days",
+    type=click.IntRange(min=1, max=3650),
+    default=PRINCIPAL_DAYS,
+    show_default=True,
+    help="Days for which the certificate is valid.",
+)
 
 
 @click.command()
@@ -73,12 +56,7 @@ def init(inventory: Path, folder: Path | None) -> None:
 
 @click.command()
 @click.argument("name")
-@click.option(
-    "--folder",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="FOLDER",
-    help="Folder for key and request.  [default: ~/.config/nufleet]",
-)
+@folder_option("--folder", help="Folder for key and request.  [default: ~/.config/nufleet]")
 def request(name: str, folder: Path | None) -> None:
     """Make a key for principal NAME on this machine, and a request to have it enrolled."""
     from nufleet.orchestrator.jobs.authority import request_and_print
@@ -108,17 +86,25 @@ def enroll(name: str, folder: Path | None, out: Path, request: Path | None, days
 @click.command()
 @click.argument("names", nargs=-1, metavar="[NAME]...")
 @click.option("--router", is_flag=True, help="Renew the certificate of the router.")
+@click.option(
+    "--replace-authority",
+    is_flag=True,
+    help="Make a new key for the authority; given again after all identities were renewed, trust "
+    "the former one no longer.",
+)
 @days_option
 @out_option
 @authority_option
-def renew(names: tuple[str, ...], folder: Path | None, out: Path, router: bool, days: int) -> None:
+def renew(names: tuple[str, ...], folder: Path | None, replace_authority: bool, **o: Any) -> None:
     """Write new certificates for the same keys; without NAME for all principals.
 
     Agents and orchestrators use a new identity file from their next connection on.
     """
-    from nufleet.orchestrator.jobs.authority import renew_and_print
+    from nufleet.orchestrator.jobs.authority import renew_and_print, replace_and_print
 
-    renew_and_print(names, folder, out, router=router, days=days)
+    if replace_authority:
+        return replace_and_print(folder)
+    return renew_and_print(names, folder, **o)
 
 
 @click.command()

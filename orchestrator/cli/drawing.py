@@ -13,6 +13,7 @@ from nufleet.orchestrator.cli.options import (
     overwriting_option,
 )
 from nufleet.orchestrator.cli.types import PositiveNumber
+from nufleet.shared.command_line import folder_option
 
 
 @click.command()
@@ -97,9 +98,8 @@ def import_drawing(**options: Any) -> None:
 
 
 @click.command("list")
-@click.option(
+@folder_option(
     "--folder",
-    type=click.Path(file_okay=False, path_type=Path),
     default=Path(),
     show_default=True,
     help="Folder whose .csv and .svg drawings are listed after the installed ones.",

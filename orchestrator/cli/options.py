@@ -15,6 +15,7 @@ from nufleet.orchestrator.jobs.environment import (
     ROUTER_VARIABLE,
     RUNS_VARIABLE,
 )
+from nufleet.shared.command_line import folder_option
 from nufleet.shared.wire.identity import IDENTITY_VARIABLE
 from nufleet.shared.wire.openness import LOCAL_ENDPOINT, OPEN_VARIABLE, chosen_address
 
@@ -36,7 +37,7 @@ _identity_option = click.option(
     envvar=IDENTITY_VARIABLE,
     metavar="FILE",
     help="Identity in a closed fleet; names its router too.  [env: NUFLEET_IDENTITY; default: "
-    "the only one in ~/.config/nufleet]",
+    "the only one in ~/.config/nufleet that is no robot's]",
 )
 
 _fleet_name_option = click.option(
@@ -87,10 +88,9 @@ def wait_option(help_text: str) -> Callable[[F], F]:
     )
 
 
-runs_option = click.option(
+runs_option = folder_option(
     "--runs",
     "runs_root",
-    type=click.Path(file_okay=False, path_type=Path),
     default=Path("runs"),
     show_default=True,
     envvar=RUNS_VARIABLE,
@@ -123,6 +123,22 @@ live_option = click.option(
     "--live",
     is_flag=True,
     help="Serve the recording during the run; `nufleet view --live` shows it.",
+)
+
+recording_option = click.option(
+    "--no-recording",
+    "draws",
+    flag_value=False,
+    default=True,
+    help="Draw neither a recording nor plots, which saves processor time.",
+)
+
+rehearsal_option = click.option(
+    "--no-rehearsal",
+    "rehearses",
+    flag_value=False,
+    default=True,
+    help="Do not wait for the errors that the target expects of its flights.",
 )
 
 unguarded_option = click.option(

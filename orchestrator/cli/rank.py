@@ -11,6 +11,8 @@ from nufleet.orchestrator.cli.options import (
     connect_options,
     fleet_option,
     live_option,
+    recording_option,
+    rehearsal_option,
     seed_option,
     storage_options,
     wait_option,
@@ -103,7 +105,9 @@ from nufleet.orchestrator.cli.types import Names, PositiveNumber
     metavar="FACTOR",
     help="With --fleet: run at this multiple of real time.  [default: as fast as possible]",
 )
+@rehearsal_option
 @live_option
+@recording_option
 @click.option(
     "--resume",
     metavar="RUN",

@@ -9,6 +9,7 @@ import click
 from nufleet.orchestrator.cli.options import (
     connect_options,
     live_option,
+    rehearsal_option,
     storage_options,
     unguarded_option,
 )
@@ -80,6 +81,7 @@ from nufleet.orchestrator.cli.types import PositiveNumber
     help="Fly a persistently exciting reference for this long first, to learn more of the robot.",
 )
 @unguarded_option
+@rehearsal_option
 @live_option
 @storage_options
 def track(**options: Any) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from nufleet.orchestrator.cli.options import connect_options, storage_options
+from nufleet.orchestrator.cli.options import connect_options, rehearsal_option, storage_options
 
 
 @click.command()
@@ -32,6 +32,7 @@ from nufleet.orchestrator.cli.options import connect_options, storage_options
     type=click.Choice(["state", "preview"]),
     help="Architecture of the source's experience.  [default: the only one it offers]",
 )
+@rehearsal_option
 @storage_options
 def transfer(**options: Any) -> None:
     """Give a target the experience of a source, as the prior mean of its online process.

@@ -38,6 +38,12 @@ class Way:
         """Why the guard withdrew the experience; None where it did not."""
         return None if self.flight is None else self.flight.taken_back
 
+    def flown(self) -> str:
+        """Return the error that was flown, or why there is none."""
+        if self.flight is not None and not self.flight.flown:
+            return "not flown"
+        return "not finished" if self.rms is None else _number(self.rms)
+
     def predicted(self) -> str:
         """Return the error predicted before the flight, with its interval where one is known.
 
@@ -94,7 +100,7 @@ def demo_parts(result: DemoResult) -> Iterator[RenderableType]:
             way.name,
             "" if way.psi is None else f"{way.psi:.4f}",
             way.predicted(),
-            "not finished" if way.rms is None else _number(way.rms),
+            way.flown(),
             "" if way is ways[-1] or way.rms is None or not base else _less(way.rms, base),
             _guard(way),
             style="bold green" if place == 0 else None,

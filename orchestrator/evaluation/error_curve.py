@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from nufleet.orchestrator.evaluation.results import EvaluationResult, WayResult
-from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN, OWN_MIXTURE
+from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 from nufleet.orchestrator.runs.figures import new_figure, plain, save
 
 if TYPE_CHECKING:
@@ -20,7 +20,6 @@ _COLOURS = {
     "worst source": "tab:red",
     MIXTURE: "tab:purple",
     OWN: "tab:blue",
-    OWN_MIXTURE: "tab:cyan",
 }
 _NOISE_SHARE = 0.05  # least noise that is drawn, as a share of the least error
 _LINEAR_S = 5.0  # the first seconds are drawn to a linear scale, the later ones to a logarithmic
@@ -109,7 +108,7 @@ def curves_of(result: EvaluationResult) -> dict[str, list[WayResult]]:
         lines["worst source"] = ordered[-1]
     if ordered:
         lines["best source"] = ordered[0]
-    lines |= {name: by_way.get(name, []) for name in (MIXTURE, OWN, OWN_MIXTURE)}
+    lines |= {name: by_way.get(name, []) for name in (MIXTURE, OWN)}
     return {name: curve for name, curve in lines.items() if curve}
 
 

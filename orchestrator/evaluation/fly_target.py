@@ -104,9 +104,9 @@ def fly_target(
     """Fly a target along all legs: own model, baseline, zero prior, every source, their mixture.
 
     The target learns nothing of itself from these flights, so that all of them begin with the same
-    knowledge. After further rich flights of its own it flies again in the ways that depend on what
-    it knows of itself. A path that its model of itself is too vague for is not flown with it.
-    Afterwards the target again holds the prior that it held before.
+    knowledge. After further rich flights of its own it flies again with its model of itself. A path
+    that its model of itself is too vague for is not flown with it. Afterwards the target again
+    holds the prior that it held before.
 
     Args:
         fleet: Client of the fleet, already connected.
@@ -141,12 +141,11 @@ def fly_target(
         # The target remembers none of the flights, so that all of them begin with the same.
         return ForeseenWay(inverse=inverse, guarded=guarded, remember=False, **found)
 
-    own = {OWN: way("own")}
     with prior_put_back(fleet, pilot, target):
         alone = sources[MIXTURE_MAX:]  # more than a robot can hold at a time
         held = transfer_several(fleet, library, sources[:MIXTURE_MAX], target, architecture)
         mixture = mixture_of(fleet.describe(robot).priors, psi)
-        ways = own | {BASELINE: way("baseline")}
+        ways = {OWN: way("own"), BASELINE: way("baseline")}
         ways[NO_PRIOR] = way("zero-prior", layout=held[0].manifest.layout)
         ways |= {
             source: way("prior", prior_sha256=given.sha256)
@@ -164,8 +163,7 @@ def fly_target(
         for place, (before_s, after_s) in enumerate(pairwise(own_flight_s)):
             result, _ = pilot.rich(robot, duration_s=after_s - before_s, seed=seed + place)
             legged.beyond_tests_s += len(result.reference) * target.spec.sample_time_s
-            for name, each in own.items():
-                legged.fly(name, each)
+            legged.fly(OWN, ways[OWN])
             legged.end_point()
     return tuple(legged.records)
 

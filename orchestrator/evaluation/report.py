@@ -85,7 +85,7 @@ def ways_table(result: EvaluationResult) -> Table:
             way.way,
             f"{way.own_flight_s:.0f}",
             f"{_predicted(way.predicted_rms_m)} ({low} to {high})" if low else "",
-            _milli(way.rms_m),
+            error_cell(way),
             "" if way.reduction_percent is None else f"{way.reduction_percent:.1f} %",
             str(way.taken_back),
             style="bold green" if way.way == result.chosen_way and not way.own_flight_s else None,
@@ -244,19 +244,25 @@ def _cells(result: InverseResult) -> tuple[str, str, str, str]:
     less = result.reduction_percent
     worst = result.worst_ratio
     return (
-        _milli(result.rms_m),
+        error_cell(result),
         "" if less is None else f"{less:.1f} %",
         "" if worst is None else f"{worst:.2f}",
         str(result.taken_back),
     )
 
 
-def _milli(value: float | None) -> str:
-    return "not finished" if value is None else f"{1000 * value:.1f}"
+def error_cell(result: InverseResult) -> str:
+    """Return a mean error in thousandths of its unit, or why there is none."""
+    return f"{result.not_flown} not flown" if result.not_flown else _milli(result.rms_m)
+
+
+def _milli(value: float | None, without: str = "not finished") -> str:
+    # Errors of one table may differ by factors of a thousand.
+    return without if value is None else f"{1000 * value:.3g}"
 
 
 def _predicted(value: float | None) -> str:
-    return "" if value is None else f"{1000 * value:.1f}"
+    return _milli(value, without="")
 
 
 def _regret(result: PairsResult) -> str:

@@ -59,7 +59,7 @@ class InverseResult(Strict):
     """The tracking errors with one inverse, over all drawings and speeds."""
 
     rms_m: NonNegative | None
-    """Mean of the flights' RMS errors; None when a flight was not finished."""
+    """Mean of the flights' RMS errors; None when a flight was not finished, or not flown."""
     reduction_percent: float | None
     """Percentage by which `rms_m` is below the baseline's mean error; None when the two cannot be
     compared because a flight of either was not finished."""
@@ -67,6 +67,8 @@ class InverseResult(Strict):
     """Largest ratio of a flight's error to the baseline's on the same path."""
     taken_back: Annotated[int, Field(ge=0)] = 0
     """Number of flights in which the guard withdrew the prior."""
+    not_flown: Annotated[int, Field(ge=0)] = 0
+    """Number of flights that the target refused to begin, as it knew too little of itself."""
 
 
 class WayResult(InverseResult):
@@ -76,7 +78,7 @@ class WayResult(InverseResult):
     """
 
     way: str
-    """`baseline`, `none`, `own`, `mixture`, `own+mixture`, or the name of a source."""
+    """`baseline`, `none`, `own`, `mixture`, or the name of a source."""
     own_flight_s: NonNegative
     """Duration of the target's own rich flights before, beyond its tests. Ways that do not depend
     on them are flown once, after the tests alone."""

@@ -46,6 +46,7 @@ def inverse_result(
         reduction_percent=reduction,
         worst_ratio=max(ratios) if len(ratios) == len(flights) and ratios else None,
         taken_back=sum(f.taken_back is not None for f in flights),
+        not_flown=sum(not f.flown for f in flights),
     )
 
 

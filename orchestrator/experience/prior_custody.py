@@ -5,17 +5,27 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.shared.errors import MalformedMessageError, NufleetError
-from nufleet.shared.experience.file import digest
-from nufleet.shared.wire.messages import Description, ExperienceOffer
+from nufleet.shared.experience.file import digest, signed_content
+from nufleet.shared.wire.messages import Description
 
 REST_PATIENCE_S = 30.0
 """Limit on the time that an interrupted robot may take to come to rest before its prior is
 restored. A robot that still moves then may refuse the change and keep the prior it has."""
+
+
+class Installed(NamedTuple):
+    """The file of an experience that a robot holds."""
+
+    sha256: str
+    """SHA-256 of the file, in hexadecimal."""
+    payload: bytes
+    """Its contents."""
+
 
 _log = logging.getLogger(__name__)
 
@@ -27,7 +37,7 @@ def install(
     payload: bytes,
     *,
     beside: bool = False,
-) -> ExperienceOffer:
+) -> Installed:
     """Install an experience on a robot and read it back.
 
     Args:
@@ -38,17 +48,18 @@ def install(
         beside: Whether a prior joins those that the robot holds; otherwise it takes their place.
 
     Returns:
-        The robot's description of the experience that it now holds.
+        The file that the robot now holds.
 
     Raises:
-        RefusedError: The experience does not fit the robot.
-        MalformedMessageError: The robot does not hold the bytes that were sent.
+        RefusedError: The experience does not fit the robot, or the robot does not trust it.
+        MalformedMessageError: The robot does not hold what was sent.
     """
-    sha256 = digest(payload)
-    offer = fleet.install(robot, slot, payload, sha256, beside=beside)
-    if offer.sha256 != sha256 or fleet.fetch(robot, sha256) != payload:
+    offer = fleet.install(robot, slot, payload, digest(payload), beside=beside)
+    held = fleet.fetch(robot, offer.sha256)
+    # In a closed fleet the robot has added its signature to what it learned itself.
+    if digest(held) != offer.sha256 or signed_content(held) != signed_content(payload):
         raise MalformedMessageError(f"robot {robot} does not hold what was installed on it")
-    return offer
+    return Installed(offer.sha256, held)
 
 
 @contextmanager

@@ -93,10 +93,11 @@ def train_robots(
         architecture = lesson.choice.layout.architecture
         say(lesson.robot, f"has flown; its {architecture} network is trained")
         experience = train(lesson.data, lesson.choice.layout, lesson.origin, seed=seed)
-        payload = encode_experience(experience)
-        (folder / f"{lesson.robot}-{architecture}.safetensors").write_bytes(payload)
-        offer = install(fleet, lesson.robot, "experience", payload)
-        done = Trained(lesson, experience, payload, offer.sha256, time.monotonic() - began_s)
+        payload, file = encode_experience(experience), f"{lesson.robot}-{architecture}.safetensors"
+        (folder / file).write_bytes(payload)
+        sha256, signed = install(fleet, lesson.robot, "experience", payload)
+        (folder / file).write_bytes(signed)
+        done = Trained(lesson, experience, signed, sha256, time.monotonic() - began_s)
         on_trained(done)
         return done
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO
 
 from nufleet.shared.errors import EndpointInUseError, NufleetError
-from nufleet.shared.interrupts import Interrupts
+from nufleet.shared.interrupts import Interrupts, postponed
 from nufleet.shared.robots.drivers import load_driver
 from nufleet.shared.robots.fleet_file import FleetFile
 from nufleet.shared.wire.identity import IDENTITY_VARIABLE
@@ -146,17 +146,19 @@ class FleetProcesses:
     def _start(self, what: str, arguments: list[str], environment: dict[str, str]) -> _Child:
         """Start a process; secrets are passed in its environment, which other users cannot read."""
         log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
-        process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "nufleet", *arguments, "--until-stdin-closes"],
-            stdin=subprocess.PIPE,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            # Its endpoint has been chosen and accepted here; an identity would name another one.
-            env={**_without_identity(), OPEN_VARIABLE: "1", **environment},
-            start_new_session=True,  # a Ctrl-C is for the parent, which ends the children in order
-        )
-        child = _Child(what, process, log)
-        self._children.append(child)
+        with postponed():
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "nufleet", *arguments, "--until-stdin-closes"],
+                stdin=subprocess.PIPE,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                # Its endpoint was chosen and accepted here; an identity would name another one.
+                env={**_without_identity(), OPEN_VARIABLE: "1", **environment},
+                # A Ctrl-C is for the parent, which ends the children in order.
+                start_new_session=True,
+            )
+            child = _Child(what, process, log)
+            self._children.append(child)
         return child
 
 

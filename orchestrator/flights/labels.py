@@ -10,12 +10,9 @@ NO_PRIOR = "none"
 
 MIXTURE = "mixture"
 """Instead of a source: a mixture of the experiences of several, weighed in flight."""
+
 OWN = "own"
 """Instead of a source: the robot's model of itself, inverted along the whole path."""
-
-
-OWN_MIXTURE = "own+mixture"
-"""Instead of a source: a mixture of all sources' experiences and the robot's model of itself."""
 
 _SEPARATOR = " · "
 

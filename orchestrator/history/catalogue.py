@@ -53,8 +53,7 @@ class Kind(Generic[D]):
         Raises:
             InvalidInputError: The file cannot be read or is malformed.
         """
-        path = folder / self.document
-        return read_document(path, self.type) if path.exists() else None
+        return read_document(folder / self.document, self.type)
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from nufleet.orchestrator.authority.authority import (
     PRINCIPAL_DAYS,
     Authority,
     Enrolled,
-    make_request,
 )
 from nufleet.orchestrator.authority.certificates import utc_now
+from nufleet.orchestrator.authority.key_files import make_request
 from nufleet.orchestrator.authority.ledger import Enrolment
 from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.shared.errors import InvalidInputError, NufleetError
@@ -104,12 +104,43 @@ def renew_and_print(
     if router:
         expires = authority.renew_router()
         click.echo(
-            f"the router's certificate is valid until {expires:%Y-%m-%d}; restart the router",
+            f"the router's certificate is valid until {expires:%Y-%m-%d}; restart the router. If "
+            "its first address changed, `nufleet fleet renew` writes it into all identities",
             err=True,
         )
     enrolled = [name for name, one in authority.ledger.enrolments.items() if not one.revoked]
+    listed = authority.inventory.principals
     for name in names or ([] if router else enrolled):
-        _print(authority, name, authority.renew(name, out, days=days))
+        if names or name in listed:
+            _print(authority, name, authority.renew(name, out, days=days))
+        else:
+            click.echo(f"{name} is no longer in the inventory and is not renewed", err=True)
+
+
+def replace_and_print(folder: Path | None) -> None:
+    """Begin to replace the key of an authority, or end it, and print what comes next.
+
+    Args:
+        folder: Folder of the authority; None for the only one here.
+
+    Raises:
+        InvalidInputError: See `Authority.finish_replacing`.
+    """
+    authority = Authority(found_authority(folder))
+    if authority.replaced:
+        expires = authority.finish_replacing()
+        said = f"""\
+the former authority is trusted no longer, and the router's certificate is valid until {expires:%F}.
+Identities that were not copied to their machines stop working when the router is restarted: restart
+it when all are there."""
+    else:
+        authority.replace()
+        said = f"""\
+a new authority signs from now on; {authority.folder} trusts the former one as well.
+1. restart the router
+2. `nufleet fleet renew`, and copy each identity to its machine
+3. `nufleet fleet renew --replace-authority` once more, and restart the router"""
+    click.echo(said, err=True)
 
 
 def revoke_and_print(name: str, folder: Path | None) -> None:
@@ -209,7 +240,11 @@ def _print(authority: Authority, name: str, enrolled: Enrolled) -> None:
     role = authority.inventory.principals[name]
     what = f"{enrolled.identity} ({role}, until {enrolled.expires:%Y-%m-%d})"
     click.echo(f"wrote {what}", err=True)
-    if enrolled.key is not None:
+    if enrolled.identity.parent.resolve() == identity_folder().resolve():
+        click.echo("commands of this user find it there", err=True)
+    elif enrolled.key is None:
+        click.echo(f"copy it to where the key of {name} is", err=True)
+    else:
         click.echo(
             f"and its key {enrolled.key}: move both to the machine of {name}, over a channel that "
             "you trust, and delete the key here",

@@ -9,7 +9,7 @@ import socket
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, entry_points, requires, version
+from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Literal
 
@@ -22,6 +22,7 @@ from nufleet.orchestrator.viewer.server.rerun_program import rerun_program
 from nufleet.shared.errors import NufleetError
 from nufleet.shared.redaction import without_secrets
 from nufleet.shared.robots.drivers import ENTRY_POINT_GROUP
+from nufleet.shared.robots.installed import installed
 from nufleet.shared.wire.transport import open_router
 
 ROUTER_PORT = 7447
@@ -92,17 +93,17 @@ def _packages() -> Iterator[Finding]:
         if requirement.marker is not None and not requirement.marker.evaluate({"extra": ""}):
             continue
         try:
-            installed = version(requirement.name)
+            there = version(requirement.name)
         except PackageNotFoundError:
             yield Finding(requirement.name, "missing", f"not installed; {requirement} is needed")
             continue
-        right = requirement.specifier.contains(installed, prereleases=True)
-        found = installed if right else f"{installed}; {requirement} is needed"
+        right = requirement.specifier.contains(there, prereleases=True)
+        found = there if right else f"{there}; {requirement} is needed"
         yield Finding(requirement.name, "ok" if right else "missing", found)
 
 
 def _drivers() -> Finding:
-    names = sorted(entry.name for entry in entry_points(group=ENTRY_POINT_GROUP))
+    names = sorted(installed(ENTRY_POINT_GROUP))
     return Finding("robot drivers", "ok" if names else "missing", ", ".join(names) or "none")
 
 

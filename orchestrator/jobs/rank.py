@@ -58,6 +58,10 @@ class RankCommand(AnyFleetCommand):
     """Time to wait for a running fleet's router and robots."""
     live: bool = False
     """Whether to serve the recording to live viewers."""
+    draws: bool = True
+    """Whether to draw a recording and plots."""
+    rehearses: bool = True
+    """Whether the target is asked what error it expects of each way to fly."""
     processes: int | None = 2
     """Number of processes that the robots of a fleet file are spread over; None for one each."""
     trajectory: str | None = None
@@ -114,7 +118,7 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
                 REACH: reached.model_dump(mode="json"),
             }
         )
-        run.record(live=command.live)
+        run.record(live=command.live, draws=command.draws)
         run.say_how_to_resume()
         study = archive.begin(
             folder.study_id,
@@ -124,7 +128,7 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
             ready.descriptions,
             stored,
         )
-        return show_study(run, ready, study, request.drawing)
+        return show_study(run, ready, study, request.drawing, rehearses=command.rehearses)
 
 
 def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:

@@ -38,22 +38,29 @@ def stop_fleets(
     robots: tuple[str, ...] | None,
     reason: str,
 ) -> bool:
-    """Stop robots at several addresses one after the other; see `stop_and_print`.
+    """Stop robots at several addresses at the same time; see `stop_and_print`.
 
-    An error at one address does not keep the stop from the others.
+    An error at one address neither delays nor prevents the stop at the others.
 
     Raises:
         NufleetError: The error of the only address.
     """
     if len(addresses) == 1:
         return stop_and_print(addresses[0], fleet_name, robots, reason)
+    from concurrent.futures import ThreadPoolExecutor, as_completed
+
     confirmed = True
-    for address in addresses:
-        try:
-            confirmed &= stop_and_print(address, fleet_name, robots, reason)
-        except NufleetError as error:
-            confirmed = False
-            _print_failure(f"{address}: {error}")
+    with ThreadPoolExecutor(len(addresses)) as pool:
+        stops = {
+            pool.submit(stop_and_print, address, fleet_name, robots, reason): address
+            for address in addresses
+        }
+        for stop in as_completed(stops):
+            try:
+                confirmed &= stop.result()
+            except NufleetError as error:
+                confirmed = False
+                _print_failure(f"{stops[stop]}: {error}")
     return confirmed
 
 

@@ -47,6 +47,7 @@ def follow_study(
             study,
             run.archive,
             folder=run.folder,
+            draws=run.draws,
             observers=[ConsoleObserver(run.console, ready.plan.iterations), view],
             foresee=foresee,
         )
@@ -55,7 +56,12 @@ def follow_study(
 
 
 def show_study(
-    run: Opening, ready: ReadyStudy, study: StudyRecord, drawing: TimedPath | None = None
+    run: Opening,
+    ready: ReadyStudy,
+    study: StudyRecord,
+    drawing: TimedPath | None = None,
+    *,
+    rehearses: bool = True,
 ) -> RunRecord:
     """Run a study like `follow_study`, and print its result and which way to fly.
 
@@ -64,12 +70,13 @@ def show_study(
         ready: Study, prepared and checked.
         study: The stored study.
         drawing: Drawing to be flown; None for a typical one.
+        rehearses: Whether the target is asked what error it expects of each way to fly.
     """
     console = run.console
     found: list[Foresight] = []
 
     def foresee(result: RankResult) -> RankResult:
-        answer = foreseen(run, ready, result, drawing)
+        answer = foreseen(run, ready, result, drawing) if rehearses else None
         if answer is None:
             return result
         foresight, leg = answer

@@ -56,6 +56,8 @@ class TrackCommand(FleetCommand):
     None for none, unless nothing is known of it and its guard needs to know."""
     live: bool
     """Whether to serve the recording to live viewers."""
+    rehearses: bool = True
+    """Whether the robot is asked what error it expects of each path before it flies."""
 
 
 def track_and_print(command: TrackCommand) -> None:
@@ -92,7 +94,7 @@ def track(command: TrackCommand, console: Console) -> TrackResult:
         run.fly("track", {target.robot: target}, live=command.live)
         run.configure({"kind": "track", **asdict(command)})
         _learn_first(inverse, command, run)
-        records = [_flown(run, target, inverse, leg) for leg in legs]
+        records = [_flown(run, command, target, inverse, leg) for leg in legs]
         result = TrackResult(flights=tuple(records), run=str(run.folder.path))
         run.folder.write_document(TRACKING, result)
     return result
@@ -110,11 +112,14 @@ class _Inverse:
     """What the robot is asked for along every path."""
 
 
-def _flown(run: FlyingRun, target: Description, inverse: _Inverse, leg: Leg) -> FlightRecord:
+def _flown(
+    run: FlyingRun, command: TrackCommand, target: Description, inverse: _Inverse, leg: Leg
+) -> FlightRecord:
     kept, label = KeptFlights(run), leg.label(inverse.name)
     kept.begins(target.robot, label, target.spec)
     known_s = run.connection.fleet.describe(target.robot).least_known_s
-    say_expected(run, target, inverse.way, leg, inverse.name)
+    if command.rehearses:
+        say_expected(run, target, inverse.way, leg, inverse.name)
     flight = run.pilot.along(target.robot, inverse.way, leg.desired, label)
     kept.ended(flight)
     # A reference that follows the measured output carries its noise, which would bias a response.

@@ -48,6 +48,8 @@ class TransferCommand(FleetCommand):
     """File of an experience; None to take one from a source."""
     architecture: Architecture | None
     """Architecture of the experience to take; None for the only one there is."""
+    rehearses: bool = True
+    """Whether the target is asked what error it expects of its next flight."""
 
 
 class Companion(Strict):
@@ -119,7 +121,8 @@ def transfer(command: TransferCommand, console: Console) -> TransferResult:
             return TransferResult(target=command.target)
         for each in given:
             _print(console, each)
-        _say_expected(run, command.target)
+        if command.rehearses:
+            _say_expected(run, command.target)
     if len(given) > 1:
         console.print(
             f"{command.target} can mix these {len(given)} from now on: "

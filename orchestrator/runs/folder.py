@@ -116,9 +116,11 @@ class RunFolder:
     def write_samples(self, iteration: int, measured: Measured) -> None:
         """Append one test's raw samples, so that a better estimator can be run on them later."""
         import numpy as np
-        import pyarrow as pa
         import pyarrow.parquet as pq
 
+        from nufleet.shared.arrays import arrow
+
+        pa = arrow()
         result = measured.result
         count = len(result.reference)
         table = pa.table(
@@ -160,19 +162,25 @@ def read_record(folder: Path) -> RunRecord:
     """Return the results in a run's folder; raises InvalidInputError when there are none."""
     from nufleet.orchestrator.runs.rank_result import RunRecord
 
-    path = folder / RESULTS
-    if not path.exists():
-        raise InvalidInputError(f"there is no {path}; was the run interrupted?")
-    return read_document(path, RunRecord)
+    record = read_document(folder / RESULTS, RunRecord)
+    if record is None:
+        raise InvalidInputError(f"there is no {folder / RESULTS}; was the run interrupted?")
+    return record
 
 
-def read_document(path: Path, model: type[D]) -> D:
-    """Return the document in a file; raises InvalidInputError when it cannot be read."""
-    with (
-        system_errors_as(InvalidInputError, f"{path} cannot be read"),
-        validation_errors_as(InvalidInputError, str(path)),
-    ):
-        return model.model_validate_json(path.read_bytes())
+def read_document(path: Path, model: type[D]) -> D | None:
+    """Return the document in a file; None if there is no such file.
+
+    Raises:
+        InvalidInputError: The file cannot be read, or holds something else.
+    """
+    with system_errors_as(InvalidInputError, f"{path} cannot be read"):
+        try:
+            data = path.read_bytes()
+        except FileNotFoundError:
+            return None
+    with validation_errors_as(InvalidInputError, str(path)):
+        return model.model_validate_json(data)
 
 
 def read_configuration(folder: Path) -> dict[str, Any]:
@@ -199,9 +207,10 @@ def find_run(root: Path, run: str) -> Path:
     runs = list_runs(root)
     if run == "latest" and runs:
         return runs[-1]
-    for candidate in (Path(run), root / run):
-        if (candidate / CONFIGURATION).is_file():
-            return candidate
+    with system_errors_as(InvalidInputError, f"run {run!r} cannot be read"):
+        for candidate in (Path(run), root / run):
+            if (candidate / CONFIGURATION).is_file():
+                return candidate
     raise InvalidInputError(
         f"no run {run!r}: expected the folder of a run, its name in {root}, or `latest`; "
         "`nufleet runs list` shows all runs"

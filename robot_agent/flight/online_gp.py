@@ -75,7 +75,7 @@ class Correction:
 
 
 class OnlineGp:
-    """One process per axis over the residuals γ − prior(ξ), refitted for every answer.
+    """One process per axis over the residuals γ − prior(ξ), refitted for every new pair.
 
     Its mean is the second term of f_T(ξ*) = f_S(ξ*) + kᵀ(ξ*) (K + σ_n² I)⁻¹ (γ − f_S), where f_S is
     the prior (paper, Section III).
@@ -112,6 +112,7 @@ class OnlineGp:
         ]
         self._inputs: list[FloatArray] = [np.empty((0, dimension)) for _ in priors]
         self._residuals: list[FloatArray] = [np.empty((0, 1)) for _ in priors]
+        self._changed = [True for _ in priors]
         self._start_variance = float(start.signal_variance)
         self._eased = np.zeros(len(priors))
         self._ease = 1.0 / (1.0 + layout.gp_ease_samples)
@@ -144,6 +145,7 @@ class OnlineGp:
             [self._inputs[axis][keep:], self._layout.gp_inputs(row)]
         )
         self._residuals[axis] = np.concatenate([self._residuals[axis][keep:], [[residual]]])
+        self._changed[axis] = True
 
     def window(self, axis: int) -> FloatArray:
         """Return the process's own inputs of an axis's pairs, oldest first, shape (pairs, d)."""
@@ -157,9 +159,10 @@ class OnlineGp:
             residuals: γ less the prior of each pair in the window, oldest first, shape (pairs,).
         """
         self._residuals[axis] = residuals[:, np.newaxis]
+        self._changed[axis] = True
 
     def correct(self, inputs: FloatArray) -> Correction:
-        """Refit every axis and return γ at the inputs.
+        """Fit every axis to its pairs and return γ at the inputs.
 
         A new mean takes effect gradually, over the layout's `gp_ease_samples`, so this is to be
         called exactly once per sample.
@@ -190,7 +193,10 @@ class OnlineGp:
         if not len(self._inputs[axis]):
             return Outcome.PRIOR
         fit = self._fits[axis]
-        fit.refit(self._inputs[axis], self._residuals[axis])
+        # Pairs come every few samples, and a search that has converged would end where it begins.
+        if self._changed[axis] or fit.status[0] != FitStatus.CONVERGED:
+            fit.refit(self._inputs[axis], self._residuals[axis])
+            self._changed[axis] = False
         if fit.status[0] == FitStatus.FAILED:
             fit.restart()
             return Outcome.FIT_FAILED

@@ -35,7 +35,9 @@ def gamma_max(layout: InverseLayout, limits: TrackingLimits) -> float:
     return BOUND_RATIO * max(speed, limits.correction_max / layout.horizon_s)
 
 
-def out_of_bounds(inverse: InverseModel, layout: InverseLayout, spec: RobotSpec) -> str | None:
+def out_of_bounds(
+    inverse: InverseModel, layout: InverseLayout, spec: RobotSpec, *, most: float | None = None
+) -> str | None:
     """Return why a model cannot serve as a robot's prior.
 
     The model is evaluated along paths as fast, as wide and as quickly turning as the robot may fly,
@@ -46,6 +48,7 @@ def out_of_bounds(inverse: InverseModel, layout: InverseLayout, spec: RobotSpec)
         inverse: Inverse model of the prior.
         layout: Inputs and output of that model.
         spec: Description of the robot; one without tracking limits never uses a prior.
+        most: Largest |γ| in unit/s that the robot's owner allows; None for `gamma_max`.
 
     Returns:
         The reason for a person to read; None when the outputs are within bounds.
@@ -61,14 +64,16 @@ def out_of_bounds(inverse: InverseModel, layout: InverseLayout, spec: RobotSpec)
         gamma = inverse(inputs)
     if not np.isfinite(gamma).all():
         return "its outputs on paths that the robot may fly are not finite"
-    largest, most = float(np.abs(gamma).max()), gamma_max(layout, limits)
-    if largest > most:
-        return (
-            f"its outputs reach {largest:.3g} unit/s on paths that the robot may fly, and no "
-            f"correction within its bounds needs more than {most:.3g}: it is not an inverse of "
+    largest, bound = float(np.abs(gamma).max()), gamma_max(layout, limits) if most is None else most
+    if largest <= bound:
+        return None
+    why = f"its fleet file allows {bound:.3g} (`prior_output_max`)"
+    if most is None:
+        why = (
+            f"no correction within its bounds needs more than {bound:.3g}: it is not an inverse of "
             "such a robot"
         )
-    return None
+    return f"its outputs reach {largest:.3g} unit/s on paths that the robot may fly, and {why}"
 
 
 def _followed(path: FloatArray, layout: InverseLayout) -> FloatArray:

@@ -7,14 +7,13 @@ long as the flight itself, so it has no place in a control loop.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 from nufleet.robot_agent.flight.after_flight import own_error_after
-from nufleet.robot_agent.flight.flights import equipment_for
+from nufleet.robot_agent.flight.equipment import equipment_for
 from nufleet.robot_agent.flight.forecast import Forecast, forecast_of
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.own_model import HIGH, OwnModel
@@ -24,17 +23,22 @@ from nufleet.robot_agent.flight.tracking import approach, track
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
 from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.wire.messages import ForeseenWay
 from nufleet.shared.wire.motions import PredictedError, Tracking
 
 DRAWS = 4
 """Number of robots that a flight is rehearsed on; the bounds allow for so few."""
+
+ROUGH = 0.01
+"""Least standard deviation of the logarithm of a rehearsed error. Without disturbances all
+rehearsals end alike, and yet no model answers exactly as its robot does."""
 
 _SEED = 0  # every way of flying meets the same robots and the same noise, so that they compare
 
 
 @dataclass(frozen=True, eq=False)
 class Rehearsal:
-    """A robot as it knows itself, on which flights are tried."""
+    """A robot as it knows itself, on which flights along one path are tried."""
 
     spec: RobotSpec
     """Description of the robot."""
@@ -44,91 +48,78 @@ class Rehearsal:
     """The robot's model of itself."""
     states: StateModel
     """How the states that it measures follow from its output."""
+    desired: FloatArray
+    """Path, shape (samples, axes), in the axes' units."""
+    forecast: Forecast
+    """What the model says of the path."""
 
     @staticmethod
-    def of(spec: RobotSpec, state_names: tuple[str, ...], memory: Memory) -> Rehearsal:
-        """Return the rehearsal of a robot; the first one after a motion takes a while.
+    def of(
+        spec: RobotSpec, state_names: tuple[str, ...], memory: Memory, desired: FloatArray
+    ) -> Rehearsal:
+        """Return the rehearsal of a path; the first one after a motion takes a while.
 
         Args:
             spec: Description of the robot.
             state_names: Names of the states that it measures.
             memory: Memory of the robot.
+            desired: Path, shape (samples, axes), in the axes' units.
 
         Raises:
             RobotError: The robot knows nothing of itself yet.
         """
         model = memory.own_model(spec).model
-        if model is None:
+        forecast = forecast_of(model, desired)
+        if model is None or forecast is None:
             raise RobotError("the robot has no model of itself yet")
-        return Rehearsal(spec, memory, model, memory.states(spec, state_names))
+        states = memory.states(spec, state_names)
+        return Rehearsal(spec, memory, model, states, desired, forecast)
 
-    def predicted(
-        self, motion: Tracking, *, draws: int = DRAWS, stopped: Callable[[], bool] = lambda: False
-    ) -> PredictedError:
-        """Return the error that is to be measured in a flight along a path.
+    def predicted(self, way: ForeseenWay, *, draws: int = DRAWS) -> PredictedError:
+        """Return the error that is to be measured in a flight along the path.
 
         Args:
-            motion: Flight to rehearse; one that the robot could fly.
+            way: Way to fly; one that the robot could fly, or could after the rich flight before it.
             draws: Number of robots to rehearse it on, at least two.
-            stopped: Function called before every sample; the rehearsal ends when it returns True.
 
         Raises:
-            RobotError: It cannot be rehearsed, or it was stopped.
+            RobotError: It cannot be rehearsed.
             InvalidInputError: It needs a state of which the robot has observed nothing yet.
         """
-        forecast = forecast_of(self.model, motion.desired)
-        if forecast is None:
-            raise RobotError("the robot has no model of itself yet")
+        if way.after_rich_flight_s:
+            return own_error_after(self.model, self.spec, self.desired, way.after_rich_flight_s)
         # These two are known for many more robots than could be rehearsed on.
-        if motion.inverse == "baseline":
-            return forecast.baseline
-        if motion.inverse == "own":
-            return forecast.own
-        seeds = np.random.SeedSequence(_SEED).spawn(draws)
-        return predicted_from([self._flown(motion, forecast, seed, stopped) for seed in seeds])
+        if way.inverse == "baseline":
+            return self.forecast.baseline
+        if way.inverse == "own":
+            return self.forecast.own
+        motion, seeds = way.along(self.desired), np.random.SeedSequence(_SEED).spawn(draws)
+        return predicted_from([self._flown(motion, seed) for seed in seeds])
 
-    def predicted_after(self, desired: FloatArray, flight_s: float) -> PredictedError:
-        """Return the error with the model of itself that a rich flight of some s will leave.
-
-        Args:
-            desired: Path, shape (samples, axes), in the axes' units.
-            flight_s: Duration of the rich flight, in s.
-        """
-        return own_error_after(self.model, self.spec, desired, flight_s)
-
-    def _flown(
-        self,
-        motion: Tracking,
-        forecast: Forecast,
-        seed: np.random.SeedSequence,
-        stopped: Callable[[], bool],
-    ) -> float:
+    def _flown(self, motion: Tracking, seed: np.random.SeedSequence) -> float:
         """Return the error of a flight on one robot, drawn with a seed, in the axes' unit."""
         limits = self.spec.tracking
         if limits is None:
             raise RobotError("the robot does not track")
         rng = np.random.default_rng(seed)
-        samples = len(motion.desired) + len(approach(self.spec, motion.desired[0], limits))
-        robot = RehearsedRobot(
-            self.spec, self.states.names, self._draw(samples, motion.desired, rng), rng
-        )
-        equipment = equipment_for(motion, robot, self.memory, forecast)
+        samples = len(self.desired) + len(approach(self.spec, self.desired[0], limits))
+        robot = RehearsedRobot(self.spec, self.states.names, self._draw(samples, rng), rng)
+        equipment = equipment_for(motion, robot, self.memory, self.forecast)
         record = track(
             robot,
-            motion.desired,
+            self.desired,
             limits,
             equipment.learner,
             equipment.guard,
             fallback=equipment.fallback,
-            stopped=stopped,
         )
         if record.failure is not None:
             raise RobotError(f"its rehearsal ended early: {record.failure}")
         return record.rms_error
 
-    def _draw(self, samples: int, desired: FloatArray, rng: np.random.Generator) -> LoopDraw:
+    def _draw(self, samples: int, rng: np.random.Generator) -> LoopDraw:
         axes = self.model.axes
-        sizes = np.std(desired, axis=0)
+        sizes = np.std(self.desired, axis=0)
         drawn = [b.draws(1, rng, float(size)) for b, size in zip(axes, sizes, strict=True)]
         responses = np.concatenate(drawn, axis=1)
         # An output that is measured before its reference acts has not answered it, in any draw.
@@ -152,8 +143,11 @@ def predicted_from(errors: Sequence[float]) -> PredictedError:
     Args:
         errors: Root mean square errors, at least two, above 0.
     """
+    # Agents only write the task of a rehearsal, and do without a third of a second of loading.
+    from scipy.special import stdtrit
+
     logarithms, count = np.log(errors), len(errors)
-    spread = float(np.std(logarithms, ddof=1)) * np.sqrt(1 + 1 / count)
+    spread = np.hypot(float(np.std(logarithms, ddof=1)), ROUGH) * np.sqrt(1 + 1 / count)
     reach = float(stdtrit(count - 1, HIGH)) * spread
     middle = float(np.mean(logarithms))
     low, rms, high = np.exp([middle - reach, middle, middle + reach])

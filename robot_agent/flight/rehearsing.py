@@ -1,7 +1,7 @@
 """The process beside an agent that rehearses flights: a task comes in, predictions go out.
 
-It has no connection to the robot or to the network. It takes what processor time nothing else on
-the computer wants, and it ends with the agent, however the agent ends.
+It has no connection to the robot or to the network, and it ends with the agent, however the agent
+ends.
 """
 
 from __future__ import annotations
@@ -29,9 +29,6 @@ from nufleet.shared.wire.codec import (
 )
 from nufleet.shared.wire.messages import WAYS_MAX, Foreseen, ForeseenWay
 from nufleet.shared.wire.motions import MIXTURE_MAX
-
-LEAST_URGENT = 19
-"""Niceness of the process."""
 
 _LENGTH_BYTES = 8
 
@@ -86,26 +83,21 @@ def _frame(stream: IO[bytes]) -> bytes:
     return stream.read(length)
 
 
-def foreseen(task: RehearsalTask, way: ForeseenWay, rehearsal: Rehearsal) -> Foreseen:
-    """Return what is expected of one way of a task."""
+def foreseen(way: ForeseenWay, rehearsal: Rehearsal) -> Foreseen:
+    """Return what is expected of one way to fly the rehearsed path."""
     try:
-        if way.after_rich_flight_s:
-            found = rehearsal.predicted_after(task.desired, way.after_rich_flight_s)
-        else:
-            found = rehearsal.predicted(way.along(task.desired))
+        return Foreseen(predicted=rehearsal.predicted(way))
     except NufleetError as error:
         return Foreseen(code="rehearsal", reason=str(error))
-    return Foreseen(predicted=found)
 
 
 def main() -> None:
     """Read a task from standard input, and write one line of JSON for each of its ways."""
-    os.nice(LEAST_URGENT)
     task, memory = read_task(sys.stdin.buffer)
     when_stdin_closes(lambda: os._exit(1))
-    rehearsal = Rehearsal.of(task.spec, task.state_names, memory)
+    rehearsal = Rehearsal.of(task.spec, task.state_names, memory, task.desired)
     for way in task.ways:
-        sys.stdout.write(foreseen(task, way, rehearsal).model_dump_json() + "\n")
+        sys.stdout.write(foreseen(way, rehearsal).model_dump_json() + "\n")
         sys.stdout.flush()
 
 

@@ -22,6 +22,7 @@ from typing import Annotated
 
 from pydantic import Field, ValidationError
 
+from nufleet.robot_agent.journal.ledger import JournalError
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.private_files import make_private_folder, write_all
 from nufleet.shared.strict import Digest, Name, Reason, Strict, describe_validation
@@ -93,13 +94,16 @@ class AuditLog:
             robot: Name of the robot.
 
         Raises:
-            OSError: The log cannot be opened.
+            JournalError: The log cannot be opened, or is a link.
         """
-        make_private_folder(folder)
         self._path = folder / AUDIT_LOG
         flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
-        self._file = os.open(self._path, flags, 0o600)
-        self._before = _digest_of_the_end(self._file)
+        try:
+            make_private_folder(folder)
+            self._file = os.open(self._path, flags, 0o600)
+            self._before = _digest_of_the_end(self._file)
+        except OSError as error:
+            raise JournalError(f"the audit log {self._path}: {error.strerror}") from error
         self._missed = 0
         self._waiting: queue.Queue[dict[str, object] | None] = queue.Queue(MOST_WAITING)
         self._thread = threading.Thread(target=self._write, name=f"{robot}-audit", daemon=True)
@@ -184,7 +188,7 @@ def verified(path: Path, *, digest: str | None = None) -> Verified:
     Raises:
         InvalidInputError: The log cannot be read.
     """
-    entries, before, met = 0, NOTHING_BEFORE, digest is None
+    entries, before, met = 0, NOTHING_BEFORE, digest in (None, NOTHING_BEFORE)
     for line in _lines(path):
         try:
             entry = AuditEntry.model_validate_json(line)

@@ -15,8 +15,9 @@ from nufleet.shared.wire.handshake import validity
 from nufleet.shared.wire.identity import Identity, IdentityError, read_identity
 from nufleet.shared.wire.messages import Refusal
 
-LAST_S = 600.0
-"""Time before the end of a certificate in which no goal is begun; longer than most motions."""
+MARGIN_S = 60.0
+"""Time that a certificate has to outlast a motion: the robot comes to rest in it, and the router,
+which closes the link, may have a clock that is ahead."""
 
 WARN_BELOW = 1 / 3
 """Part of a certificate's life that is left when warnings begin."""
@@ -39,12 +40,16 @@ class CertificateWatch:
         if (self._ends - now()) < WARN_BELOW * (self._ends - begins):
             _log.warning("%s", self._due())
 
-    def refusal(self) -> Refusal | None:
-        """Return why no goal may begin now; None when one may."""
+    def refusal(self, duration_s: float) -> Refusal | None:
+        """Return why a goal may not begin now; None when it may.
+
+        Args:
+            duration_s: Duration of its motion on the wall clock in s.
+        """
         if self._now() >= self._ends:
             # The robot is still heard, so it has connected again, with the file as it is now.
             self._read_again()
-        if (self._ends - self._now()).total_seconds() > LAST_S:
+        if (self._ends - self._now()).total_seconds() > duration_s + MARGIN_S:
             return None
         return Refusal(code="certificate", reason=self._due())
 

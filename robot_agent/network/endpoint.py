@@ -39,8 +39,9 @@ Handler = Callable[[bytes], Answer]
 """Function that takes a payload and returns the reply or its future; it may raise RefusedError,
 JournalError or MalformedMessageError."""
 
-CommandHandler = Callable[[str, bytes], Answer]
-"""Handler of a command, which also takes the principal that the key names."""
+CommandHandler = Callable[[str, str, bytes], Answer]
+"""Handler of a command, which also takes the principal that the key names, and the end of the key.
+"""
 
 StopHandler = Callable[[str | None, bytes], Answer]
 """Handler of a stop, whose key may name no principal."""
@@ -153,7 +154,7 @@ class Endpoint:
         if principal is None:
             return self._handlers.get(leaf)
         command = self._commands.get(leaf)
-        return None if command is None else partial(command, principal)
+        return None if command is None else partial(command, principal, leaf)
 
 
 def _reply(request: Request, ask: Callable[[], Answer]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections.abc import Callable
 
 from nufleet.shared.errors import NufleetError
@@ -13,6 +14,10 @@ from nufleet.shared.wire.transport import Publisher
 
 HEARTBEAT_S = 0.5
 """Interval between two states while nothing changes."""
+
+LEAST_S = 0.004
+"""Least interval between two states. The router of a closed fleet drops states that come more than
+twice as fast (`orchestrator.authority.access.STATES_HZ`), and the last of several must arrive."""
 
 _log = logging.getLogger(__name__)
 
@@ -59,4 +64,5 @@ class Heartbeat:
             except NufleetError as error:
                 _log.warning("a heartbeat could not be sent: %s", error)
             if not closing:
-                self._changed.wait(HEARTBEAT_S)
+                time.sleep(LEAST_S)
+                self._changed.wait(HEARTBEAT_S - LEAST_S)

@@ -8,11 +8,13 @@ A robot keeps its epoch for ever, so a wrong one would lock every other orchestr
 far above the last one is therefore refused.
 
 A motion of a live orchestrator is not ended by a higher epoch, but it is the last one under the
-lower epoch: the orchestrator that waits commands the robot next.
+lower epoch: the orchestrator that waits commands the robot next. It waits for as long as it keeps
+asking; one that has given up, or is gone, keeps no other from the robot.
 """
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 from nufleet.shared.wire.messages import EPOCH_JUMP_MAX, EPOCH_MAX, Refusal
@@ -27,6 +29,25 @@ class Commander:
 
     epoch: int = 0
     """Epoch of its lease; 0 without a lease."""
+
+
+WAITS_S = 5.0
+"""Time in s after which an orchestrator that has not asked again no longer waits.
+
+One that is there asks again after 3 s even if an answer is lost. The others put up with a busy
+robot for 10 s, so that no study loses a robot to one that has given up.
+"""
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """An orchestrator that waits for a robot to come to rest, to command it next."""
+
+    commander: Commander
+    """The orchestrator."""
+
+    asked_s: float
+    """Time in s at which it last asked for the robot."""
 
 
 def refusal_to_command(
@@ -68,40 +89,52 @@ def refusal_to_command(
 
 
 def waiting_next(
-    waiting: Commander | None, sender: Commander, refusal: Refusal | None
-) -> Commander | None:
+    waiting: Waiting | None,
+    sender: Commander,
+    refusal: Refusal | None,
+    *,
+    held: Commander | None,
+    alive: Collection[str],
+    now_s: float,
+) -> Waiting | None:
     """Return which orchestrator waits for a robot's motion to end, after one more was answered.
 
     Args:
         waiting: Orchestrator that waited before; None when there was none.
         sender: Orchestrator that asked to command the robot.
         refusal: Answer to it by `refusal_to_command`.
+        held: Orchestrator that last commanded the robot under an epoch; None when there was none.
+        alive: Names of the orchestrators whose liveliness tokens are present.
+        now_s: Current time in s, on the clock of `waiting`.
     """
-    if refusal is None or refusal.code != "busy":
+    if waiting is not None and (
+        now_s > waiting.asked_s + WAITS_S
+        or waiting.commander.owner not in alive
+        or (held is not None and held.epoch >= waiting.commander.epoch)
+    ):
+        waiting = None
+    if refusal is None or refusal.code != "busy" or sender.owner not in alive:
         return waiting
-    return sender if waiting is None or sender.epoch > waiting.epoch else waiting
+    if waiting is not None and waiting.commander.epoch > sender.epoch:
+        return waiting
+    return Waiting(sender, now_s)
 
 
-def refusal_to_begin(
-    waiting: Commander | None, sender: Commander, *, waiting_alive: bool
-) -> Refusal | None:
+def refusal_to_begin(waiting: Waiting | None, sender: Commander) -> Refusal | None:
     """Return why a robot begins nothing new for a sender that it obeys; None when it does.
 
     Without this rule, an orchestrator under a lower epoch could keep a robot for ever by sending
-    each goal as soon as the one before has ended.
+    each goal as soon as the one before has ended. The refusal is for the moment: the orchestrator
+    that waits either takes the robot over, or stops asking.
 
     Args:
         waiting: Orchestrator that waits for the robot; None when there is none.
         sender: Orchestrator that asks for a motion.
-        waiting_alive: Whether the liveliness token of `waiting` is present.
     """
-    if waiting is None or not waiting_alive or sender.epoch >= waiting.epoch:
+    if waiting is None or sender.epoch >= waiting.commander.epoch:
         return None
-    return Refusal(
-        code="stale-epoch",
-        reason=f"{waiting.owner} commands it next under epoch {waiting.epoch}; "
-        f"epoch {sender.epoch} is over",
-    )
+    owner, epoch = waiting.commander.owner, waiting.commander.epoch
+    return Refusal(code="busy", reason=f"{owner} waits for it and commands it next, epoch {epoch}")
 
 
 def takes_over(held: Commander | None, sender: Commander) -> bool:

@@ -6,24 +6,27 @@ import hashlib
 import json
 import struct
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import safetensors
 import safetensors.numpy
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from nufleet.shared.errors import MalformedMessageError
 from nufleet.shared.experience.manifest import ExperienceManifest
+from nufleet.shared.experience.signature import Signature
+from nufleet.shared.strict import Strict, validation_errors_as
 
 EXPERIENCE_BYTES_MAX = 4 * 2**20
 """Largest accepted file: ten times the size of the paper's network (4 × 128)."""
 
 _HEADER_BYTES_MAX = 64 * 2**10
 _LENGTH = struct.Struct("<Q")
-_MANIFEST_KEY = "nufleet.experience"
+_MANIFEST_KEY, _SIGNATURE_KEY = "nufleet.experience", "nufleet.signature"
 
 Weights = NDArray[np.float32]
+S = TypeVar("S", bound=Strict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +38,8 @@ class Experience:
     arrays: dict[str, Weights]
     """Weights and biases of the network, with the names and shapes of `ExperienceManifest.shapes`.
     """
+    signature: Signature | None = None
+    """Signature of `signed_content` by the robot that learned it; None in an open fleet."""
 
 
 def encode_experience(experience: Experience) -> bytes:
@@ -73,13 +78,47 @@ def decode_experience(payload: bytes, sha256: str | None = None) -> Experience:
         raise MalformedMessageError(
             "the experience is not the one that was offered: its sha256 differs"
         )
-    manifest = _manifest(payload)
+    metadata = _metadata(payload)
+    manifest = _read(ExperienceManifest, metadata, _MANIFEST_KEY)
+    signature = _read(Signature, metadata, _SIGNATURE_KEY) if _SIGNATURE_KEY in metadata else None
     try:
         arrays = safetensors.numpy.load(payload)
     except (safetensors.SafetensorError, KeyError, ValueError, TypeError) as error:
         raise MalformedMessageError(f"not a safetensors file: {error}") from error
     _check_arrays(manifest, arrays)
-    return Experience(manifest, arrays)
+    return Experience(manifest, arrays, signature)
+
+
+def signed_content(payload: bytes) -> bytes:
+    """Return what a signature covers: digests of the manifest as it is written, and of the weights.
+
+    Two files with the same content differ in their signature at most.
+
+    Args:
+        payload: Contents of the file of an experience.
+
+    Raises:
+        MalformedMessageError: It is not an experience.
+    """
+    experience, manifest = decode_experience(payload), _metadata(payload)[_MANIFEST_KEY]
+    weights = hashlib.sha256()
+    for name in experience.manifest.shapes:
+        weights.update(experience.arrays[name].astype("<f4").tobytes())
+    return b"nufleet experience" + hashlib.sha256(manifest.encode()).digest() + weights.digest()
+
+
+def with_signature(payload: bytes, signature: Signature) -> bytes:
+    """Return the file of an experience with a signature, in place of the one that it may have.
+
+    Args:
+        payload: Contents of the file.
+        signature: Signature of its `signed_content`.
+    """
+    metadata = {
+        _MANIFEST_KEY: _metadata(payload)[_MANIFEST_KEY],
+        _SIGNATURE_KEY: signature.model_dump_json(),
+    }
+    return bytes(safetensors.numpy.save(decode_experience(payload).arrays, metadata=metadata))
 
 
 def digest(payload: bytes) -> str:
@@ -87,7 +126,7 @@ def digest(payload: bytes) -> str:
     return hashlib.sha256(payload).hexdigest()
 
 
-def _manifest(payload: bytes) -> ExperienceManifest:
+def _metadata(payload: bytes) -> dict[str, str]:
     if len(payload) < _LENGTH.size:
         raise MalformedMessageError("the experience is truncated: it has no header")
     (length,) = _LENGTH.unpack_from(payload)
@@ -96,19 +135,17 @@ def _manifest(payload: bytes) -> ExperienceManifest:
             f"not an experience, or truncated: {len(payload)} bytes with a header of {length}"
         )
     try:
-        header = json.loads(payload[_LENGTH.size : _LENGTH.size + length])
-        text = header["__metadata__"][_MANIFEST_KEY]
-        if not isinstance(text, str):
-            raise MalformedMessageError("the experience's manifest is not text")
-        return ExperienceManifest.model_validate_json(text)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise MalformedMessageError(
-            f"the experience's manifest: {where}: {first['msg']}"
-        ) from error
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        metadata = json.loads(payload[_LENGTH.size : _LENGTH.size + length])["__metadata__"]
+        for text in (metadata[_MANIFEST_KEY], *metadata.values()):
+            text.encode()
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise MalformedMessageError("the file has no manifest of an experience") from error
+    return dict(metadata)
+
+
+def _read(kind: type[S], metadata: dict[str, str], key: str) -> S:
+    with validation_errors_as(MalformedMessageError, f"the experience's {key}"):
+        return kind.model_validate_json(metadata[key])
 
 
 def _check_arrays(manifest: ExperienceManifest, arrays: dict[str, Weights]) -> None:

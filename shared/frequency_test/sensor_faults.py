@@ -56,8 +56,8 @@ def sensor_faults(measured: FloatArray, tones: FloatArray, scale: float) -> Iter
     length_min = RUN_MIN_SAMPLES * max(1.0, float(np.median(lengths)))
     stuck = [
         (int(start), int(length))
-        for start, length in zip(starts, lengths, strict=True)
-        if length >= length_min and np.ptp(tones[start : start + length]) > motion_min
+        for start, length in np.stack([starts, lengths], axis=-1)[lengths >= length_min]
+        if np.ptp(tones[start : start + length]) > motion_min
     ]
     if stuck:
         start, length = max(stuck, key=lambda run: run[1])

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from importlib.metadata import entry_points
 from pathlib import Path
 
 from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.robots.installed import find_file, installed
 
 ENTRY_POINT_GROUP = "nufleet.drawings"
 
@@ -25,17 +25,9 @@ def find_drawing(path_or_name: str) -> Path:
         >>> find_drawing("clover").suffix
         '.csv'
     """
-    path = Path(path_or_name)
-    if path.exists():
-        return path
-    installed = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
-    if path_or_name not in installed:
-        names = ", ".join(sorted(installed)) or "none"
-        raise InvalidInputError(f"{path}: no such drawing; known by name: {names}")
-    found: Path = installed[path_or_name].load()
-    return found
+    return find_file(path_or_name, ENTRY_POINT_GROUP, "drawing", InvalidInputError)
 
 
 def drawing_names() -> tuple[str, ...]:
     """Return the names of the drawings that are installed."""
-    return tuple(sorted({entry.name for entry in entry_points(group=ENTRY_POINT_GROUP)}))
+    return tuple(sorted(installed(ENTRY_POINT_GROUP)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from nufleet.shared.errors import FleetFileError
 from nufleet.shared.robots.fleet_file import FleetFile, validated_settings
+from nufleet.shared.robots.installed import installed
 from nufleet.shared.strict import Strict
 
 ENTRY_POINT_GROUP = "nufleet.robots"
@@ -57,7 +57,7 @@ def load_driver(name: str) -> RobotDriver:
         FleetFileError: no such driver is installed (the message lists those that are), or a package
             that it needs is not installed.
     """
-    found = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
+    found = installed(ENTRY_POINT_GROUP)
     if name not in found:
         raise FleetFileError(
             f"unknown driver {name!r}; installed drivers: {', '.join(sorted(found)) or 'none'}"

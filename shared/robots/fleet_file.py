@@ -3,42 +3,67 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections import Counter
-from importlib.metadata import entry_points
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, Field, model_validator
+from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from nufleet.shared.errors import FleetFileError
-from nufleet.shared.strict import Name, Strict, validation_errors_as
+from nufleet.shared.robots.installed import find_file
+from nufleet.shared.strict import Name, Positive, Strict, validation_errors_as
+from nufleet.shared.text import read_toml
 
 ENTRY_POINT_GROUP = "nufleet.fleets"
 
 
-class RobotEntry(Strict):
+class RobotPolicy(Strict):
+    """What a robot lets others have it do; stated on its own machine, never by a sender."""
+
+    allow_unguarded: bool = False
+    """True if the robot accepts requests to fly with a learned inverse and without the guard."""
+    priors_from: tuple[Name, ...] | None = None
+    """Robots whose experiences it flies with; None for all of its fleet. Its own it always may."""
+    prior_output_max: Positive | None = None
+    """Largest |γ| in unit/s that a prior may output on the paths that the robot may fly; None for
+    ten times what a correction within its bounds needs."""
+
+
+class RobotEntry(RobotPolicy):
     """One robot of a fleet file."""
 
     driver: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,62}$")]
     """Name of its driver in the entry-point group `nufleet.robots`."""
     settings: Annotated[dict[str, Any], Field(default_factory=dict)]
     """Settings of its driver, validated by `RobotDriver.settings`."""
-    allow_unguarded: bool = False
-    """True if the robot accepts requests to fly with a learned inverse and without the guard."""
+
+
+def _checked_host(text: str) -> str:
+    if ":" in text or not text.strip("0123456789."):
+        try:
+            ip_address(text)
+        except ValueError:
+            raise ValueError(
+                f"{text} is neither an IP address nor a host name; `port` holds the port"
+            ) from None
+    elif "" in text.split("."):
+        raise ValueError(f"{text} is no host name: there is nothing between two of its dots")
+    return text
+
+
+Host = Annotated[str, Field(pattern=r"^[0-9A-Za-z.:-]{1,253}$"), AfterValidator(_checked_host)]
+"""IP address or host name, without a port."""
 
 
 class RouterEntry(Strict):
     """The router of a closed fleet."""
 
-    addresses: Annotated[
-        tuple[Annotated[str, Field(pattern=r"^[0-9A-Za-z.:-]{1,253}$")], ...],
-        Field(min_length=1, max_length=64),
-    ]
+    addresses: Annotated[tuple[Host, ...], Field(min_length=1, max_length=64)]
     """IP addresses and host names at which the router is reached; identities name the first."""
     port: Annotated[int, Field(ge=1, le=65535)] = 7447
     """Port on which it listens."""
-    listen: Annotated[str, Field(pattern=r"^[0-9A-Za-z.:-]{1,253}$")] = "0.0.0.0"  # noqa: S104
+    listen: Host = "0.0.0.0"  # noqa: S104
     """Address on which it listens; every interface unless given."""
 
 
@@ -156,15 +181,7 @@ def find_fleet_file(path_or_name: str) -> Path:
         >>> find_fleet_file("paper_linear").name
         'paper_linear.toml'
     """
-    path = Path(path_or_name)
-    if path.exists() and not path.is_dir():  # a folder may happen to have a fleet's name
-        return path
-    installed = {entry.name: entry for entry in entry_points(group=ENTRY_POINT_GROUP)}
-    if path_or_name not in installed:
-        names = ", ".join(sorted(installed))
-        raise FleetFileError(f"{path}: no such fleet file; known by name: {names}")
-    found: Path = installed[path_or_name].load()
-    return found
+    return find_file(path_or_name, ENTRY_POINT_GROUP, "fleet file", FleetFileError)
 
 
 def read_fleet_file(path: Path) -> FleetFile:
@@ -184,14 +201,7 @@ def read_fleet_file(path: Path) -> FleetFile:
         >>> fleet.study.target, fleet.study.band_rad_s
         ('target', (0.05, 10.0))
     """
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise FleetFileError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        # Invalid TOML or UTF-8, numbers too long for Python, or tables nested too deeply for it.
-        raise FleetFileError(f"{path}: not valid TOML: {error}") from error
-    return _validated(FleetFile, document, str(path))
+    return _validated(FleetFile, read_toml(path, FleetFileError), str(path))
 
 
 def validated_settings(model: type[S], path: Path, robot: str, settings: dict[str, Any]) -> S:

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import base64
 import os
-import tomllib
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.text import is_name
+from nufleet.shared.text import is_name, read_toml
 
 SCHEME = "identity/"
 """Beginning of an address that names an identity file instead of an endpoint."""
@@ -23,6 +23,7 @@ SCHEME = "identity/"
 IDENTITY_VARIABLE = "NUFLEET_IDENTITY"
 SUFFIX, KEY_SUFFIX = ".nufleet", ".key"
 ROLES = ("robot", "orchestrator", "operator", "watcher")
+_ROUTER = re.compile(r"tls/(\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z.-]+):[0-9]{1,5}")
 _FIELDS = ("fleet", "principal", "role", "router", "certificate", "authority")
 
 
@@ -89,15 +90,11 @@ def read_identity(path: Path) -> Identity:
         IdentityError: A file is missing or wrong, or the key can be read by other users.
     """
     path = path.absolute()
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise IdentityError(f"identity {path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise IdentityError(f"{path} is not an identity file: {error}") from error
+    document = read_toml(path, IdentityError)
     schema = document.pop("schema", None)
     wrong = sorted(set(document) ^ set(_FIELDS))
-    wrong += [name for name, value in document.items() if not isinstance(value, str)]
+    texts = (name for name in _FIELDS if not isinstance(document.get(name, ""), str))
+    wrong += sorted(set(texts) - set(wrong))
     if schema != 1 or wrong:
         problem = f"wrong or missing: {', '.join(wrong)}" if wrong else "schema 1 was expected"
         raise IdentityError(
@@ -111,7 +108,7 @@ def read_identity(path: Path) -> Identity:
 def _check(identity: Identity) -> None:
     path, key = identity.path, identity.key
     names = is_name(identity.fleet) and is_name(identity.principal)
-    if not names or identity.role not in ROLES or not identity.router.startswith("tls/"):
+    if not names or identity.role not in ROLES or not _ROUTER.fullmatch(identity.router):
         raise IdentityError(
             f"{path} is not an identity file: fleet, principal, role or router is not valid; "
             "`nufleet fleet enroll` writes one"

@@ -179,15 +179,34 @@ class Session:
         Raises:
             NoRouterError: The router does not answer.
         """
+        if self.identity is not None:
+            self._ask_router(self.identity)
+
+    def admitted_robots(self) -> frozenset[str]:
+        """Return the common names under which the router of a closed fleet admits robots now.
+
+        Raises:
+            NoRouterError: The router does not answer, or its configuration does not say so.
+        """
         if self.identity is None:
-            return
+            return frozenset()
+        try:
+            return frozenset(json.loads(self._ask_router(self.identity))["metadata"]["robots"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise NoRouterError(
+                f"the router at {self.identity.router} does not say which robots it admits: write "
+                "its configuration again with `nufleet fleet renew --router`, and restart it"
+            ) from error
+
+    def _ask_router(self, identity: Identity) -> bytes:
+        """Return what the router of a closed fleet says about itself, as JSON."""
         with _transport_errors("asking the router"):
-            replies = self._session.get("@/*/router", timeout=ADMITTED_TIMEOUT_S)
-            if any(reply.ok is not None for reply in replies):
-                return
+            for reply in self._session.get("@/*/router", timeout=ADMITTED_TIMEOUT_S):
+                if reply.ok is not None:
+                    return reply.ok.payload.to_bytes()
         raise NoRouterError(
-            f"{self.identity.principal} ({self.identity.path}) is not in the list of the router at "
-            f"{self.identity.router}: it was revoked, or the router was not restarted since it was "
+            f"{identity.principal} ({identity.path}) is not in the list of the router at "
+            f"{identity.router}: it was revoked, or the router was not restarted since it was "
             "added to the inventory"
         )
 
@@ -305,7 +324,9 @@ class Session:
             )
         return self._kept(Declaration(declared))
 
-    def subscribe(self, key_expr: str, handler: OnSample, *, max_bytes: int) -> Declaration:
+    def subscribe(
+        self, key_expr: str, handler: OnSample, *, max_bytes: int, own: bool = True
+    ) -> Declaration:
         """Receive all puts on a key expression from now on.
 
         Args:
@@ -313,10 +334,12 @@ class Session:
             handler: Function called with each put, in a thread of Zenoh.
             max_bytes: Longest payload that is copied. For a longer one the handler receives an
                 empty payload, which is not a valid message but shows that there was a put.
+            own: Whether to receive what this session itself puts.
         """
         on_sample = _on_sample(handler, max_bytes)
+        origin = zenoh.Locality.ANY if own else zenoh.Locality.REMOTE
         with _declaring(key_expr):
-            declared = self._session.declare_subscriber(key_expr, on_sample)
+            declared = self._session.declare_subscriber(key_expr, on_sample, allowed_origin=origin)
         return self._kept(Declaration(declared))
 
     def declare_alive(self, key: str) -> Declaration:
@@ -392,7 +415,7 @@ def open_router(listen: list[str], *, connect: list[str] | None = None) -> Itera
     Args:
         listen: Endpoints to listen on, such as `tcp/0.0.0.0:7447`, `tcp/127.0.0.1:0` or
             `unixsock-stream//path`.
-        connect: Endpoints of other routers to join.
+        connect: Endpoints of other routers to link with, now or as soon as they are there.
 
     Raises:
         InvalidInputError: an endpoint is malformed.

@@ -6,6 +6,7 @@ import pytest
 from evaluated_flights import FIRST, LATER, summed
 
 from benchmarks.evaluation_curves import document, summary, with_part
+from nufleet.orchestrator.evaluation.report import ways_table
 from nufleet.orchestrator.evaluation.results import EvaluationRecord
 
 RECORD = EvaluationRecord(
@@ -27,6 +28,15 @@ def test_every_way_has_a_row_with_its_error_and_what_was_expected() -> None:
     assert "### lab, 2 paths" in tables
     assert "| near | 0 | 60 | 80.0 % | 60 (40 to 80) | 0 |" in tables
     assert "- after its tests the predictions choose near; regret 20 mm" in tables
+
+
+def test_a_way_that_the_target_refused_was_not_flown() -> None:
+    refused = [f.model_copy(update={"rms_m": None, "flown": False}) for f in LATER]
+    result = summed([*FIRST, *refused])
+    record = RECORD.model_copy(update={"result": result})
+    assert "| own | 15 | 2 not flown |" in document([("lab", record)])
+    assert "| 40 | 2 not flown | near |" in summary([("lab", record)])[-1]
+    assert list(ways_table(result).columns[3].cells)[-1] == "2 not flown"
 
 
 def test_a_part_of_a_document_is_replaced_between_its_marks() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from command_processes import Typed
 from fleet_lab import Lab, Orchestrator, double_integrator
 from polling import wait_until
 
@@ -53,3 +54,9 @@ def running_fleet(lab: Lab) -> Orchestrator:
     for k, alpha in enumerate((0.85, 1.0, 0.97)):
         lab.agent(f"r{k}", double_integrator(alpha, seed=k))
     return lab.orchestrator()
+
+
+@pytest.fixture
+def typed(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Typed:
+    """Commands that run in this process."""
+    return Typed(monkeypatch, capfd)

@@ -21,7 +21,7 @@ from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError, MalformedMessageError, RobotError
-from nufleet.shared.experience.file import digest, encode_experience
+from nufleet.shared.experience.file import decode_experience, digest, encode_experience
 from nufleet.shared.experience.layout import Architecture, InverseLayout
 from nufleet.shared.frequency_test.multitone import multitone
 from nufleet.shared.paths.trajectories import travel
@@ -64,9 +64,10 @@ def fleet(orchestrator: Orchestrator) -> Fleet:
 def test_a_robot_offers_what_was_installed_on_it_and_hands_it_out(fleet: Fleet) -> None:
     assert fleet.describe("source").experiences == ()
     payload = experience()
-    offer = install(fleet, "source", "experience", payload)
-    assert offer.sha256 == digest(payload)
-    assert fleet.describe("source").experiences == (offer,)
+    assert install(fleet, "source", "experience", payload) == (digest(payload), payload)
+    (offer,) = fleet.describe("source").experiences
+    assert (offer.sha256, offer.size_bytes) == (digest(payload), len(payload))
+    assert offer.manifest == decode_experience(payload).manifest
     assert fleet.fetch("source", offer.sha256) == payload
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import threading
-from contextlib import suppress
 
 import numpy as np
-import psutil
 import pytest
 from fleet_lab import Lab, Orchestrator, refusal
 from learned_things import experience
 from polling import PATIENCE_S, wait_until
+from rehearsals import rehearsals
 from robots_that_learn import LaggedRobot
 
 from nufleet.orchestrator.experience.prior_custody import install
@@ -48,17 +47,6 @@ def motions(fleet: Fleet) -> tuple[str | None, str | None, float]:
     state = fleet.watch("a").state
     assert state is not None
     return state.goal_id, state.last_goal_id, state.robot_time_s
-
-
-def rehearsals() -> list[psutil.Process]:
-    """The processes that rehearse for this one."""
-    return [child for child in psutil.Process().children(recursive=True) if _rehearses(child)]
-
-
-def _rehearses(process: psutil.Process) -> bool:
-    with suppress(psutil.NoSuchProcess):  # it has just ended
-        return any("rehearsing" in part for part in process.cmdline())
-    return False
 
 
 def test_every_way_is_predicted_and_flown_as_predicted(orchestrator: Orchestrator) -> None:

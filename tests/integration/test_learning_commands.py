@@ -94,11 +94,6 @@ class Workplace:
         return set((self.folder / "runs").glob("*/"))
 
 
-@pytest.fixture
-def typed(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Typed:
-    return Typed(monkeypatch, capfd)
-
-
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workplace]:
     folder = tmp_path_factory.mktemp("lab")
@@ -117,7 +112,8 @@ def training(lab: Workplace) -> dict[str, object]:
 
 @pytest.fixture
 def transferred(lab: Workplace, training: dict[str, object]) -> dict[str, object]:
-    return lab.json("transfer", "--target", "target", "--source", "source-2")
+    words = ("--target", "target", "--source", "source-2", "--no-rehearsal")
+    return lab.json("transfer", *words)
 
 
 # Learning, and handing over.
@@ -173,7 +169,8 @@ def test_the_best_source_is_that_of_the_latest_ranking(
     assert ranked["selected"] == "source-2"
     assert_the_trained_source_was_rehearsed(ranked)
     assert lab.describe().priors == before
-    given = lab.json("transfer", "--target", "target", "--source", "best")
+    best = ("--target", "target", "--source", "best", "--no-rehearsal")
+    given = lab.json("transfer", *best)
     assert (given["target"], given["source"]) == ("target", "source-2")
     prior = lab.describe().prior
     assert prior is not None
@@ -195,7 +192,7 @@ def test_an_experience_is_handed_over_by_name_from_a_file_and_taken_away(
     assert document.keys() >= {"source", "sha256", "taken_from"}
     assert lab.describe().prior is None
     file = f"{training['run']}/experiences/source-2-preview.safetensors"
-    again = typed("transfer", *there, "--file", file, cwd=lab.folder)
+    again = typed("transfer", *there, "--file", file, "--no-rehearsal", cwd=lab.folder)
     as_file = {"taken_from": "file", "reason": "it was given as a file", "learned_at": None}
     assert json.loads(again.stdout) == {**transferred, **as_file}
     prior = lab.describe().prior
@@ -211,7 +208,8 @@ def test_a_track_says_and_stores_what_was_flown(
 ) -> None:
     file = drawing(lab.folder)
     both = ("--trajectory", "clover", "--trajectory", str(file), "--speed", "0.5")
-    said = lab.json("track", "--target", "target", *both)
+    at_once = ("--target", "target", "--no-rehearsal")
+    said = lab.json("track", *at_once, *both)
     run = lab.folder / str(said["run"])
     assert {path.name for path in run.iterdir()} == {
         *("config.json", "track.json", "flights.parquet", "run.rrd")
@@ -235,7 +233,7 @@ def test_a_track_says_and_stores_what_was_flown(
         assert (flight["failure"], flight["taken_back"]) == (None, None)
     assert json.loads((run / "config.json").read_text())["drawings"] == ["clover", str(file)]
     # And it was better than without.
-    alone = lab.json("track", "--target", "target", *both[:2], *both[4:], "--inverse", "baseline")
+    alone = lab.json("track", *at_once, *both[:2], *both[4:], "--inverse", "baseline")
     (baseline,) = alone["flights"]  # type: ignore[misc]
     assert baseline["inverse"] == "baseline"
     assert flights[0]["rms_m"] < 0.2 * baseline["rms_m"]  # type: ignore[operator]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
 from command_processes import Typed
 from fleet_lab import Lab, double_integrator
 
@@ -19,11 +18,6 @@ COMMANDS = {
     "track": ("--target", "a", "--trajectory", "clover"),
     "evaluate": ("--target", "a", "--quick"),
 }
-
-
-@pytest.fixture
-def typed(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Typed:
-    return Typed(monkeypatch, capfd)
 
 
 def test_a_robot_that_is_owned_is_left_alone_by_every_command_and_by_none_afterwards(

@@ -19,6 +19,7 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError, RobotError, StudyError
 from nufleet.shared.experience.file import digest
 from nufleet.shared.paths.trajectories import travel
+from nufleet.shared.robots.fleet_file import RobotPolicy
 from nufleet.shared.wire.messages import GoalRequest
 from nufleet.shared.wire.motions import Tracking
 
@@ -67,7 +68,8 @@ def test_a_prior_is_put_back_however_it_ends(
 
 
 def test_ctrl_c_in_flight_brings_the_robot_to_rest_before_its_prior_is_put_back(lab: Lab) -> None:
-    lab.agent("slow", double_integrator(0.85, 1), realtime=1.0, allow_unguarded=True)
+    unguarded = RobotPolicy(allow_unguarded=True)
+    lab.agent("slow", double_integrator(0.85, 1), realtime=1.0, policy=unguarded)
     orchestrator = lab.orchestrator()
     fleet = orchestrator.fleet
     install(fleet, "slow", "prior", OWN)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -70,6 +71,24 @@ def is_gone(pid: int) -> bool:
         return bool(psutil.Process(pid).status() == psutil.STATUS_ZOMBIE)
     except psutil.NoSuchProcess:
         return True
+
+
+def test_an_interrupt_while_a_process_starts_leaves_it_to_nobody(
+    fleet_file: Path, endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, start = list[int](), subprocess.Popen
+
+    def interrupted(*arguments: Any, **options: Any) -> subprocess.Popen[bytes]:
+        process = start(*arguments, **options)
+        begun.append(process.pid)
+        signal.raise_signal(signal.SIGINT)
+        return process
+
+    monkeypatch.setattr(fleet_processes.subprocess, "Popen", interrupted)
+    with pytest.raises(KeyboardInterrupt), FleetProcesses() as started:
+        started.start_agents(fleet_file, [("a",), ("b",)], endpoint, None)
+    assert len(begun) == 1
+    assert not psutil.pid_exists(begun[0])
 
 
 def test_a_fleet_starts_works_and_ends_agents_first(fleet_file: Path, endpoint: str) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from command_processes import NUFLEET, PATIENCE_S, nufleet, trial_statuses
+from command_processes import NUFLEET, PATIENCE_S, Typed, nufleet, trial_statuses
 from lifeline import started_with
 from polling import wait_until
 
@@ -22,6 +22,7 @@ from nufleet.shared.wire.transport import open_client, open_router
 
 ROOT = Path(__file__).parents[2]
 FLEET = ROOT / "sims" / "fleets" / "paper_linear.toml"
+PLAIN = ("--no-rehearsal", "--no-recording")
 
 
 def children_of(pid: int) -> list[psutil.Process]:
@@ -91,6 +92,7 @@ def test_rank_for_a_trajectory_names_what_leaves_the_smallest_error_on_it(tmp_pa
     rows = (f"{np.cos(a)},{np.sin(a)}" for a in angles)
     circle.write_text("x_m,y_m\n" + "\n".join(rows) + "\n")
     arguments = ("rank", "--fleet", str(FLEET), "--trajectory", str(circle), "--speed", "0.5")
+    arguments = (*arguments, *PLAIN)
     for algorithm in ("paper", "adaptive"):
         done = nufleet(*arguments, "--algorithm", algorithm, "--json", cwd=tmp_path)
         assert done.returncode == 0, done.stderr
@@ -110,15 +112,16 @@ def test_rank_for_a_trajectory_names_what_leaves_the_smallest_error_on_it(tmp_pa
         assert "Transfer to target, on circle at 0.5 m/s" in report
 
 
-def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(tmp_path: Path) -> None:
-    arguments = ("rank", "--fleet", str(FLEET), "--json")
+def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(
+    typed: Typed, tmp_path: Path
+) -> None:
+    arguments = ("rank", "--fleet", str(FLEET), *PLAIN, "--json")
     adaptive = nufleet(*arguments, cwd=tmp_path)
     assert adaptive.returncode == 0, adaptive.stderr
     document = json.loads(adaptive.stdout)
     assert list(document) == [
         *("schema", "target", "band_rad_s", "selected", "ranking", "iterations", "robot_time_s"),
-        *("run", "confidence", "eliminated", "stopped_because", "verdicts", "findings"),
-        *("ways_path", "ways_unit", "ways", "chosen_way"),
+        *("run", "confidence", "eliminated", "stopped_because", "verdicts", "findings", "ways"),
     ]
     assert document["selected"] == "source-2"
     assert document["confidence"] >= 0.95
@@ -129,10 +132,13 @@ def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(tmp_path:
     report = (tmp_path / document["run"] / "report.md").read_text(encoding="utf-8")
     assert f"Probability of a correct selection: {document['confidence']:.3f}: source-2" in report
     assert all(f"- {source}: " in report for source in document["eliminated"])
+    drawn = {"plots", "run.rrd"}
+    assert not drawn & {path.name for path in (tmp_path / document["run"]).iterdir()}
+    assert not [name for name in drawn if name in report]
     paper = json.loads(nufleet(*arguments, "--algorithm", "paper", cwd=tmp_path).stdout)
     assert "confidence" not in paper
     assert document["robot_time_s"] < paper["robot_time_s"] / 4
-    refused = nufleet(*arguments, "--algorithm", "paper", "--reuse", cwd=tmp_path)
+    refused = typed(*arguments, "--algorithm", "paper", "--reuse", cwd=tmp_path)
     assert refused.returncode == 2
     assert "--reuse requires --algorithm adaptive" in refused.stderr
     again = nufleet(*arguments, "--reuse", cwd=tmp_path)
@@ -143,9 +149,12 @@ def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(tmp_path:
     assert reusing["robot_time_s"] < document["robot_time_s"]
 
 
-def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(tmp_path: Path) -> None:
+def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(
+    typed: Typed, tmp_path: Path
+) -> None:
     done = nufleet(
-        *("rank", "--fleet", str(FLEET), "--algorithm", "paper", "--iterations", "2", "--json"),
+        *("rank", "--fleet", str(FLEET), "--algorithm", "paper", "--iterations", "2"),
+        *("--no-rehearsal", "--json"),
         cwd=tmp_path,
     )
     assert done.returncode == 0, done.stderr
@@ -154,9 +163,9 @@ def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(tmp_path: Path)
         *("config.json", "results.json", "telemetry.parquet", "run.rrd", "plots", "report.md")
     }
     assert {path.suffix for path in (run / "plots").iterdir()} == {".png"}
-    listed = json.loads(nufleet("runs", "list", "--json", cwd=tmp_path).stdout)
+    listed = json.loads(typed("runs", "list", "--json", cwd=tmp_path).stdout)
     assert [Path(entry["run"]).name for entry in listed["runs"]] == [run.name]
-    shown = json.loads(nufleet("runs", "show", "latest", "--json", cwd=tmp_path).stdout)
+    shown = json.loads(typed("runs", "show", "latest", "--json", cwd=tmp_path).stdout)
     assert shown["result"] == json.loads(done.stdout)
     assert len(shown["history"]) == 2
 
@@ -164,7 +173,8 @@ def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(tmp_path: Path)
 def test_the_demo_ranks_as_rank_does_and_shows_what_the_readme_shows(tmp_path: Path) -> None:
     alone = nufleet("demo", "--json", cwd=tmp_path)
     together = nufleet(
-        *("rank", "--fleet", "weak_source", "--algorithm", "paper", "--seed", "0", "--json"),
+        *("rank", "--fleet", "weak_source", "--algorithm", "paper", "--seed", "0"),
+        *(*PLAIN, "--json"),
         cwd=tmp_path,
     )
     assert alone.returncode == 0, alone.stderr
@@ -216,7 +226,7 @@ MOMENTS: dict[str, Callable[[int, Path], bool]] = {
 def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, moment: str) -> None:
     state = str(tmp_path / "its own")  # by which the processes that it starts are found
     ranking = subprocess.Popen(
-        [*NUFLEET, "rank", "--fleet", str(FLEET), "--realtime", "1"],
+        [*NUFLEET, "rank", "--fleet", str(FLEET), "--realtime", "1", "--no-recording"],
         cwd=tmp_path,
         env={**os.environ, "NUFLEET_STATE": state},
         stderr=subprocess.PIPE,
@@ -250,9 +260,9 @@ def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, moment: s
     ],
 )
 def test_a_request_that_cannot_be_right_is_refused_with_the_reason(
-    tmp_path: Path, arguments: list[str], code: int, words: str
+    typed: Typed, tmp_path: Path, arguments: list[str], code: int, words: str
 ) -> None:
-    done = nufleet("rank", "--fleet", str(FLEET), *arguments, "--json", cwd=tmp_path)
+    done = typed("rank", "--fleet", str(FLEET), *arguments, "--json", cwd=tmp_path)
     assert done.returncode == code
     assert done.stdout == ""
     assert words in done.stderr
@@ -260,10 +270,12 @@ def test_a_request_that_cannot_be_right_is_refused_with_the_reason(
     assert not list(tmp_path.glob("runs/*/telemetry.parquet"))
 
 
-def test_a_typo_in_a_fleet_file_names_file_field_and_expectation(tmp_path: Path) -> None:
+def test_a_typo_in_a_fleet_file_names_file_field_and_expectation(
+    typed: Typed, tmp_path: Path
+) -> None:
     fleet = tmp_path / "typo.toml"
     fleet.write_text(FLEET.read_text().replace("alpha = 0.85", 'alpha = "big"'))
-    done = nufleet("rank", "--fleet", str(fleet), cwd=tmp_path)
+    done = typed("rank", "--fleet", str(fleet), cwd=tmp_path)
     assert done.returncode == 2
     assert "typo.toml" in done.stderr
     assert "robots.target.settings" in done.stderr
@@ -271,24 +283,24 @@ def test_a_typo_in_a_fleet_file_names_file_field_and_expectation(tmp_path: Path)
     assert "number" in done.stderr
 
 
-def test_no_router_is_an_error_that_says_how_to_start_one(tmp_path: Path) -> None:
+def test_no_router_is_an_error_that_says_how_to_start_one(typed: Typed, tmp_path: Path) -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-        done = nufleet("rank", "--connect", endpoint, "--target", "target", cwd=tmp_path)
+        done = typed("rank", "--connect", endpoint, "--target", "target", cwd=tmp_path)
     assert done.returncode == 1
     assert endpoint in done.stderr
     assert "nufleet router" in done.stderr
 
 
 def test_a_robot_that_never_answers_is_an_error_that_names_it_before_anything_moves(
-    tmp_path: Path,
+    typed: Typed, tmp_path: Path
 ) -> None:
     endpoint = f"unixsock-stream/{tmp_path}/r.sock"
     with open_router([endpoint]), open_client(endpoint, timeout_s=PATIENCE_S) as mute:
         for robot in ("target", "source-1"):
             mute.declare_alive(f"nufleet/lab/robot/{robot}/alive")
-        done = nufleet("rank", "--connect", endpoint, "--target", "target", cwd=tmp_path)
+        done = typed("rank", "--connect", endpoint, "--target", "target", cwd=tmp_path)
     assert done.returncode == 1
     assert "robot target does not answer" in done.stderr
     assert "nufleet fleet status" in done.stderr
@@ -310,23 +322,23 @@ def test_a_port_in_use_is_an_error_that_names_it(tmp_path: Path) -> None:
 
 
 def test_a_runs_folder_that_cannot_be_written_is_refused_before_anything_starts(
-    tmp_path: Path,
+    typed: Typed, tmp_path: Path
 ) -> None:
     blocked = tmp_path / "runs"
     blocked.write_text("a file where the folder should be")
-    done = nufleet("rank", "--fleet", str(FLEET), cwd=tmp_path)
+    done = typed("rank", "--fleet", str(FLEET), cwd=tmp_path)
     assert done.returncode == 2
     assert "runs" in done.stderr
     assert "iteration 1" not in done.stderr
 
 
-def test_help_is_there_for_every_command(tmp_path: Path) -> None:
-    top = nufleet("--help", cwd=tmp_path)
+def test_help_is_there_for_every_command(typed: Typed, tmp_path: Path) -> None:
+    top = typed("--help", cwd=tmp_path)
     assert top.returncode == 0
     commands = ("demo", "rank", "train", "transfer", "track", "evaluate", "router", "agent", "view")
     for command in (*commands, "runs", "fleet", "stop", "doctor"):
         assert command in top.stdout
-        shown = nufleet(command, "--help", cwd=tmp_path)
+        shown = typed(command, "--help", cwd=tmp_path)
         assert shown.returncode == 0
         assert "Usage: nufleet" in shown.stdout
 
@@ -358,14 +370,14 @@ def test_a_running_fleet_is_shown_ranked_stopped_and_released(
         assert {state["status"] for state in status["robots"].values()} == {"idle"}
         ranked = nufleet(
             *("rank", *join, "--target", "target", "--band", "0.5", "10"),
-            *("--iterations", "3", "--json"),
+            *("--iterations", "3", *PLAIN, "--json"),
             cwd=tmp_path,
         )
         assert json.loads(ranked.stdout)["selected"] == "source-2"
         assert nufleet("stop", "source-2", *join, cwd=tmp_path).returncode == 0
         without = nufleet(
             *("rank", *join, "--target", "target", "--band", "0.5", "10"),
-            *("--iterations", "3", "--json"),
+            *("--iterations", "3", *PLAIN, "--json"),
             cwd=tmp_path,
         )
         assert [r["robot"] for r in json.loads(without.stdout)["ranking"]] == [

@@ -35,9 +35,10 @@ driver = "double_integrator"
 settings = { alpha = 1.2, beta = 0.003 }
 """
 STUDY = (
-    *("--target", "target", "--band", "2", "10"),
+    *("--target", "target", "--band", "2", "10", "--no-recording"),
     *("--algorithm", "paper", "--iterations", "2", "--seed", "5"),
 )
+AT_ONCE = ("--no-rehearsal", "--json")
 ROBOTS = 3
 OWN = ("rank", "--fleet", "paper_linear")
 
@@ -66,14 +67,9 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workplace]:
     file, endpoint = folder / "lab.toml", f"unixsock-stream/{folder}/r.sock"
     file.write_text(FLEET)
     with fleet_that_is_up(file, endpoint, folder, "--realtime", "10"):
-        done = nufleet("rank", "--connect", endpoint, *STUDY, "--json", cwd=folder)
+        done = nufleet("rank", "--connect", endpoint, *STUDY, *AT_ONCE, cwd=folder)
         assert done.returncode == 0, done.stderr
         yield Workplace(endpoint, file, json.loads(done.stdout))
-
-
-@pytest.fixture
-def typed(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Typed:
-    return Typed(monkeypatch, capfd)
 
 
 def under_way(database: Path) -> bool:
@@ -111,7 +107,7 @@ def test_a_killed_ranking_goes_on_with_the_robots_that_it_left(
         killed.communicate()
     run = the_run(tmp_path / "runs")
     assert not (run / "results.json").exists()
-    done = typed("rank", "--resume", "latest", "--json", cwd=tmp_path)
+    done = typed("rank", "--resume", "latest", *AT_ONCE, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
     assert Path(document["run"]).name == run.name
@@ -151,7 +147,7 @@ def test_ctrl_c_says_how_to_go_on_and_a_fleet_of_its_own_is_started_again(
     clash = typed(*go_on, "--seed", "1", cwd=tmp_path)
     assert clash.returncode == 2
     assert "--seed is already set by the run" in clash.stderr
-    done = typed(*go_on, "--json", cwd=tmp_path)
+    done = typed(*go_on, *AT_ONCE, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     lab.check(json.loads(done.stdout))
 

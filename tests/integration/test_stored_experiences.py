@@ -94,7 +94,8 @@ def test_an_experience_is_transferred_and_flown_with_after_its_robot_is_gone(
     def command(name: str, runs: str, *words: str) -> tuple[dict[str, object], str]:
         """Run a command in a process, and so as an orchestrator, of its own."""
         where = ("--connect", lab.endpoint, "--repository", address, "--runs", runs, "--json")
-        done = nufleet(name, *where, *words, cwd=tmp_path)
+        waits_for_nothing = () if name == "train" else ("--no-rehearsal",)
+        done = nufleet(name, *where, *waits_for_nothing, *words, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
         return json.loads(done.stdout), done.stderr
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import tempfile
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -19,7 +21,7 @@ from nufleet.robot_agent.decisions import Assignment, Decisions
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.journal.journal import Journal
 from nufleet.robot_agent.planner import Planner
-from nufleet.robot_agent.rules.ownership import Commander
+from nufleet.robot_agent.rules.ownership import WAITS_S, Commander
 from nufleet.shared import private_files
 from nufleet.shared.errors import RefusedError
 from nufleet.shared.wire.messages import GoalAccepted, GoalRequest, Outcome, Refusal
@@ -29,15 +31,27 @@ owners = st.sampled_from(OWNERS)
 epochs = st.integers(0, 4)
 
 
-def decisions_over(journal: Journal) -> Decisions:
+@dataclass
+class Clock:
+    """A clock that shows what it was set to."""
+
+    now_s: float = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def decisions_over(journal: Journal, clock: Callable[[], float]) -> Decisions:
     planner = Planner("r", puppet_spec(), (), Memory(None), None)
-    return Decisions("boot", planner, journal, threading.Event())
+    return Decisions("boot", planner, journal, threading.Event(), clock)
 
 
 @contextmanager
-def agent_on(folder: Path, *alive: str) -> Iterator[Decisions]:
+def agent_on(
+    folder: Path, *alive: str, clock: Callable[[], float] = time.monotonic
+) -> Iterator[Decisions]:
     with Journal(folder) as journal:
-        decisions = decisions_over(journal)
+        decisions = decisions_over(journal, clock)
         for owner in alive:
             decisions.owner_appeared(owner)
         yield decisions
@@ -100,7 +114,8 @@ def test_whoever_waits_under_a_higher_epoch_commands_the_robot_next(tmp_path: Pa
             GoalRequest(goal_id="c", owner="o-1", epoch=3, motion=EXCITATION)
         )
         assert isinstance(refused, Refusal)
-        assert refused.reason == "o-2 commands it next under epoch 4; epoch 3 is over"
+        assert refused.code == "busy"
+        assert refused.reason == "o-2 waits for it and commands it next, epoch 4"
         assert code_of(decisions.acknowledge(["a"], Commander("o-1", 3))) == "yes"
         begun(decisions, "b", "o-2", 4)
 
@@ -112,6 +127,39 @@ def test_nobody_waits_for_an_orchestrator_that_waited_and_is_gone(tmp_path: Path
         decisions.ended(result_of(motion), None)
         decisions.owner_lost("o-2")
         begun(decisions, "c", "o-1", 3)
+
+
+def test_who_stopped_asking_keeps_nobody_from_a_robot_although_it_is_alive(tmp_path: Path) -> None:
+    clock = Clock()
+    with agent_on(tmp_path, *OWNERS, clock=clock) as decisions:
+        motion = begun(decisions, "a", "o-1", 3)
+        assert take(decisions, "b", "o-2", 4)[0] == "busy"
+        decisions.ended(result_of(motion), None)
+        clock.now_s += WAITS_S
+        assert take(decisions, "c", "o-1", 3)[0] == "busy"
+        clock.now_s += 0.01
+        begun(decisions, "c", "o-1", 3)
+
+
+def test_who_waited_and_is_gone_keeps_nobody_else_from_waiting(tmp_path: Path) -> None:
+    with agent_on(tmp_path, *OWNERS) as decisions:
+        motion = begun(decisions, "a", "o-1", 3)
+        assert take(decisions, "b", "o-3", 9)[0] == "busy"
+        decisions.owner_lost("o-3")
+        assert take(decisions, "b", "o-2", 4)[0] == "busy"
+        decisions.ended(result_of(motion), None)
+        assert take(decisions, "c", "o-1", 3)[0] == "busy"
+        begun(decisions, "b", "o-2", 4)
+
+
+def test_who_waited_under_an_epoch_that_is_over_keeps_nobody_from_a_robot(tmp_path: Path) -> None:
+    with agent_on(tmp_path, *OWNERS) as decisions:
+        motion = begun(decisions, "a", "o-1", 3)
+        assert take(decisions, "b", "o-2", 4)[0] == "busy"
+        decisions.ended(result_of(motion), None)
+        decisions.ended(result_of(begun(decisions, "c", "o-3", 5)), None)
+        decisions.owner_lost("o-3")
+        begun(decisions, "d", "o-1", 0)
 
 
 def test_a_silent_owners_robot_rests_and_is_taken_over_and_the_owner_comes_back_too_late(
@@ -187,6 +235,7 @@ class Rivals(RuleBasedStateMachine):
         self._opened = ExitStack()
         self._folder = Path(self._opened.enter_context(tempfile.TemporaryDirectory()))
         self.disk = self._opened.enter_context(killing_disk())
+        self.clock = Clock()
         self.alive: set[str] = set()
         self.motion: Assignment | None = None
         self.goals = 0
@@ -199,8 +248,10 @@ class Rivals(RuleBasedStateMachine):
 
     def _begin(self) -> None:
         self.motion = None
+        self.waiting: Commander | None = None
+        self.asked_s = 0.0
         self.journal = Journal(self._folder)
-        self.decisions = decisions_over(self.journal)
+        self.decisions = decisions_over(self.journal, self.clock)
         for owner in self.alive:
             self.decisions.owner_appeared(owner)
 
@@ -213,6 +264,32 @@ class Rivals(RuleBasedStateMachine):
     def owner_disappears(self, owner: str) -> None:
         self.decisions.owner_lost(owner)
         self.alive.discard(owner)
+
+    @rule(seconds=st.sampled_from((0.25, WAITS_S - 0.25, WAITS_S, 2 * WAITS_S)))
+    def time_passes(self, seconds: float) -> None:
+        self.clock.now_s += seconds
+
+    def _begins(self, sender: Commander) -> bool:
+        """Whether the robot has to begin a new motion for a sender; notes who waits from now on."""
+        held, moving = self.decisions.commander, self.motion
+        obeyed = held is None or sender.epoch > held.epoch or sender == held
+        if held is not None and not obeyed and sender.epoch in (0, held.epoch):
+            obeyed = held.owner not in self.alive or (held.owner, 0) == (sender.owner, sender.epoch)
+        if (
+            self.clock.now_s - self.asked_s > WAITS_S
+            or self.waiting is None
+            or self.waiting.owner not in self.alive
+            or (held is not None and self.waiting.epoch <= held.epoch)
+        ):
+            self.waiting = None
+        next_epoch = 0 if self.waiting is None else self.waiting.epoch
+        if moving is None:
+            return sender.owner in self.alive and obeyed and sender.epoch >= next_epoch
+        others = {moving.goal.owner} & self.alive - {sender.owner}
+        takes_over = obeyed and sender.epoch > 0 and sender != held
+        if others and takes_over and sender.owner in self.alive and sender.epoch >= next_epoch:
+            self.waiting, self.asked_s = sender, self.clock.now_s
+        return False
 
     @rule()
     def agent_restarts(self) -> None:
@@ -227,7 +304,8 @@ class Rivals(RuleBasedStateMachine):
         death=st.none() | st.tuples(st.integers(0, 2), st.sampled_from(MOMENTS)),
     )
     def submit(self, owner: str, epoch: int, death: tuple[int, Moment] | None) -> None:
-        running, before = self.motion, self.decisions.commander
+        before = self.decisions.commander
+        begins = self._begins(Commander(owner, epoch))
         if death is not None:
             self.disk.kill_at(*death)
         self.goals += 1
@@ -241,13 +319,12 @@ class Rivals(RuleBasedStateMachine):
             assert self.decisions.commander in (before, Commander(owner, epoch))
             return
         self.disk.spare()
+        assert (motion is not None) == begins
         if motion is None:
             assert isinstance(answer, Refusal)
             assert self.decisions.commander == before
             return
         assert isinstance(answer, GoalAccepted)
-        assert running is None
-        assert owner in self.alive
         assert epoch == 0 or epoch >= (0 if before is None else before.epoch)
         if epoch > 0:
             assert self.decisions.commander == Commander(owner, epoch)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -10,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from polling import PATIENCE_S
+from ports import free_port
 
 from nufleet.orchestrator.authority.authority import Authority
 from nufleet.shared.wire.identity import address_of
@@ -33,13 +33,6 @@ def inventory_text(port: int, *robots: str, addresses: str = '"127.0.0.1"') -> s
     """An inventory whose router listens on this machine alone."""
     router = f'[router]\naddresses = [{addresses}]\nport = {port}\nlisten = "127.0.0.1"\n'
     return f'schema = 1\nname = "lab"\n{router}{OTHERS}{"".join(map(ROBOT.format, robots))}'
-
-
-def free_port() -> int:
-    """A port on which no program listens now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 @dataclass

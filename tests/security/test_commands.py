@@ -9,14 +9,16 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
-from closed_lab import KEYS, free_port, inventory_text
+from closed_lab import KEYS, inventory_text
 from polling import PATIENCE_S
+from ports import free_port
 from puppet_robot import PuppetRobot
 
 from nufleet.robot_agent.agent import Agent
 from nufleet.shared.command_line import command_line
 from nufleet.shared.errors import NoRouterError, NufleetError
-from nufleet.shared.wire.identity import address_of
+from nufleet.shared.wire.handshake import why_refused
+from nufleet.shared.wire.identity import address_of, read_identity
 from nufleet.shared.wire.transport import open_client, open_configured_router
 
 CONFIGURATION = Path("lab.authority/router/router.json5")
@@ -79,14 +81,14 @@ def test_a_fleet_is_closed_and_its_principals_are_known_by_their_identities(here
             shutil.copy(Path("ids", name), config)
         assert "a is stopped" in succeeded("stop", "--all")
         assert nufleet("release", "a").exit_code == 1
-        # With a second identity there, of a fleet whose router is down, a stop still does not ask.
+        # With a second identity, of a fleet whose router is down, a stop neither asks nor waits.
         elsewhere = (config / "anna.nufleet").read_text().replace("127.0.0.1", "127.0.0.9")
-        (config / "other.nufleet").write_text(elsewhere)
-        shutil.copy("ids/anna.key", config / "other.key")
+        (config / "aaa.nufleet").write_text(elsewhere)
+        shutil.copy("ids/anna.key", config / "aaa.key")
         both = nufleet("stop", "a")
         assert both.exit_code == 1
-        assert "a is stopped" in both.output
-        assert "anna cannot reach the router at tls/127.0.0.9" in both.output
+        stopped = both.output.index("a is stopped")
+        assert stopped < both.output.index("anna cannot reach the router at tls/127.0.0.9")
         assert "a may move again" in succeeded("release", "a", "--identity", "ids/desk.nufleet")
         said = nufleet("stop", "--all", "--identity", "ids/screen.nufleet")
         assert said.exit_code == 1
@@ -118,6 +120,32 @@ def test_all_identities_and_the_router_can_be_renewed(here: Path) -> None:
     assert "restart the router" in succeeded("fleet", "renew", "--router")
     changed = {p.name for p, was in before.items() if p.read_bytes() != was}
     assert changed == {"desk.nufleet", "anna.nufleet", "issued.json", "router.pem"}
+    inventory = here / "lab.toml"
+    inventory.write_text(inventory.read_text().replace("[orchestrators.desk]\n", ""))
+    said = succeeded("fleet", "renew")
+    assert "desk is no longer in the inventory and is not renewed" in said
+    assert "wrote anna.nufleet" in said
+
+
+def test_the_authority_is_replaced_without_a_day_on_which_nobody_connects(here: Path) -> None:
+    succeeded("fleet", "init", "lab.toml")
+    for name in ("desk", "laptop"):
+        succeeded("fleet", "enroll", name)
+    said = succeeded("fleet", "renew", "--replace-authority")
+    assert "a new authority signs from now on" in said
+    succeeded("fleet", "renew", "desk")
+    with open_configured_router(CONFIGURATION, allow_open=False):
+        for name in ("desk", "laptop"):
+            status = succeeded("fleet", "status", "--identity", f"{name}.nufleet")
+            assert "fleet lab" in status
+    succeeded("fleet", "renew", "--out", "later")
+    shutil.copy("later/desk.nufleet", "desk.nufleet")
+    assert "is trusted no longer" in succeeded("fleet", "renew", "--replace-authority")
+    with open_configured_router(CONFIGURATION, allow_open=False):
+        assert "fleet lab" in succeeded("fleet", "status", "--identity", "desk.nufleet")
+        late = why_refused(read_identity(Path("laptop.nufleet")))
+        assert late is not None
+        assert "its authority was replaced" in late
 
 
 @pytest.mark.parametrize(
@@ -145,7 +173,10 @@ def test_what_is_wrong_is_said_before_anything_begins(
 
 def test_no_key_is_printed_or_named_by_a_message(here: Path) -> None:
     said = succeeded("fleet", "init", "lab.toml") + succeeded("fleet", "enroll", "desk")
-    said += nufleet("fleet", "status", "--identity", "desk.nufleet").output
+    said += succeeded("fleet", "revoke", "desk")
+    with open_configured_router(CONFIGURATION, allow_open=False):
+        said += str(nufleet("fleet", "status", "--identity", "desk.nufleet").exception)
+    assert "is not in the list of the router" in said
     secrets = [
         line
         for path in here.rglob("*.key")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -10,17 +11,17 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from closed_lab import KEYS, ClosedLab, closed_lab
+from closed_lab import KEYS, ClosedLab, closed_lab, settle
 from fleet_lab import Orchestrator
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
-from nufleet.orchestrator.authority.access import common_name
+from nufleet.orchestrator.authority.access import STATES_HZ, common_name
 from nufleet.orchestrator.authority.certificates import (
+    Issuer,
     certificate_pem,
     key_pem,
     new_key,
-    principal_certificate,
     read_certificate,
     read_key,
     utc_now,
@@ -32,11 +33,12 @@ from nufleet.robot_agent.agent import Agent
 from nufleet.robot_agent.journal.audit_log import AUDIT_LOG, AuditEntry, read_audit_log, verified
 from nufleet.robot_agent.network.certificate_watch import CertificateWatch
 from nufleet.shared.errors import InvalidInputError, RefusedError
+from nufleet.shared.frequency_test.excitation import Tone
 from nufleet.shared.private_files import write_privately
 from nufleet.shared.wire.codec import decode, encode
 from nufleet.shared.wire.identity import Identity, address_of, identity_text, read_identity
 from nufleet.shared.wire.messages import Outcome, Refusal, RobotStatus, StopRequest
-from nufleet.shared.wire.transport import _base_config, open_client
+from nufleet.shared.wire.transport import MAX_STATE_BYTES, _base_config, open_client
 
 
 @dataclass
@@ -173,15 +175,31 @@ def test_a_stolen_robot_can_be_no_other_robot_in_any_mode(mode: str, fleet: Flee
     assert (fleet.robot.motions, fleet.audit()) == (motions, before)
 
 
+def test_a_robot_that_floods_its_state_is_heard_no_more_often_than_the_router_allows(
+    fleet: Fleetlet,
+) -> None:
+    thief, watcher = fleet.lab.session("c"), fleet.lab.session("screen")
+    heard: list[bytes] = []
+    key = KEYS.robot("c", "state")
+    watcher.subscribe(key, lambda _, payload: heard.append(payload), max_bytes=MAX_STATE_BYTES)
+    states = thief.state_publisher(key)
+    wait_until(lambda: states.put(b"first") or bool(heard))
+    began_s = time.monotonic()
+    for _ in range(2000):
+        states.put(b"x" * 100)
+    settle(thief, watcher)
+    lasted_s = time.monotonic() - began_s
+    assert 1 < len(heard) < 2000
+    assert heard.count(b"x" * 100) <= 2 + STATES_HZ * lasted_s
+
+
 def short_lived(lab: ClosedLab, folder: Path, life: timedelta) -> Identity:
     """An identity of robot b that ends soon."""
     authority = lab.authority.folder
     signer = read_key((authority / "authority.key").read_bytes(), "its key")
     certificate = read_certificate((authority / "authority.pem").read_bytes())
     key, path = new_key(), folder / "b.nufleet"
-    made = principal_certificate(
-        certificate, signer, common_name("b", 0), key.public_key(), utc_now(), life
-    )
+    made = Issuer(certificate, signer).issue(common_name("b", 0), key.public_key(), utc_now(), life)
     model = read_identity(lab.identity("b"))
     write_privately(path.with_suffix(".key"), key_pem(key))
     identity = Identity(
@@ -213,15 +231,45 @@ def test_a_renewed_certificate_takes_effect_without_a_restart(
         wait_until(lambda: presence == [True, False, True])  # ... and takes the new certificate
 
 
-@pytest.mark.parametrize(("life_s", "refused"), [(3600, False), (599, True)])
+@pytest.mark.parametrize(
+    ("life_s", "duration_s", "refused"),
+    [
+        (3600, 3500, False),
+        (3600, 3560, True),
+        (600, 500, False),
+        (65, 0, False),
+        (59, 0, True),
+        (-5, 0, True),
+    ],
+)
 def test_no_goal_begins_that_may_outlast_the_certificate(
-    life_s: float, refused: bool, fleet: Fleetlet, tmp_path: Path
+    life_s: float, duration_s: float, refused: bool, fleet: Fleetlet, tmp_path: Path
 ) -> None:
+    began = utc_now()
     identity = short_lived(fleet.lab, tmp_path, timedelta(seconds=life_s))
-    watch = CertificateWatch(identity, utc_now)
-    refusal = watch.refusal()
+    watch = CertificateWatch(identity, lambda: began)
+    refusal = watch.refusal(duration_s)
     assert (refusal is not None) == refused
     if refusal is not None:
         assert refusal.code == "certificate"
         assert "`nufleet fleet renew b`" in refusal.reason
         assert isinstance(decode(encode(refusal), Refusal), Refusal)
+
+
+def test_a_robot_takes_the_goals_that_end_before_its_certificate_and_no_others(
+    fleet: Fleetlet, tmp_path: Path
+) -> None:
+    ending = short_lived(fleet.lab, tmp_path, timedelta(seconds=240))
+    desk, robot = fleet.orchestrator("desk"), PuppetRobot()
+    with (
+        open_client(address_of(ending.path), timeout_s=PATIENCE_S) as session,
+        Agent(session, KEYS, "b", robot, realtime=1.0),
+    ):
+        desk.fleet.wait_for(("b",), timeout_s=PATIENCE_S)
+        with pytest.raises(RefusedError, match="certificate of b ends at") as raised:
+            desk.submit("b", "long", tones=(Tone(omega_rad_s=0.02),))
+        assert raised.value.code == "certificate"
+        assert robot.motions == 0
+        assert desk.submit("b", "short").wall_duration_s < 60.0
+        desk.fleet.cancel("b", "short")
+        desk.result("b", "short")

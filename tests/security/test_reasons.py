@@ -9,20 +9,18 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from closed_lab import ClosedLab, closed_lab, free_port
-from cryptography import x509
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from closed_lab import ClosedLab, closed_lab
 from polling import PATIENCE_S
+from ports import free_port
 
 from nufleet.orchestrator.authority.certificates import (
+    Issuer,
     authority_certificate,
     certificate_pem,
     key_pem,
     new_key,
-    principal_certificate,
     read_certificate,
     read_key,
-    router_certificate,
     utc_now,
 )
 from nufleet.shared.errors import NoRouterError
@@ -46,10 +44,10 @@ def desk(lab: ClosedLab) -> Identity:
     return read_identity(lab.identity("desk"))
 
 
-def authority_of(lab: ClosedLab) -> tuple[x509.Certificate, Ed25519PrivateKey]:
+def issuer_of(lab: ClosedLab) -> Issuer:
     folder = lab.authority.folder
     certificate = read_certificate((folder / "authority.pem").read_bytes())
-    return certificate, read_key((folder / "authority.key").read_bytes(), "its key")
+    return Issuer(certificate, read_key((folder / "authority.key").read_bytes(), "its key"))
 
 
 def refused(identity: Identity, folder: Path, words: str, key: bytes | None = None) -> None:
@@ -80,10 +78,8 @@ def test_the_right_identity_connects(lab: ClosedLab) -> None:
 def test_a_certificate_that_is_over_or_of_tomorrow(
     begins: timedelta, words: str, lab: ClosedLab, desk: Identity, tmp_path: Path
 ) -> None:
-    authority, signer, key = *authority_of(lab), new_key()
-    made = principal_certificate(
-        authority, signer, "desk.1", key.public_key(), utc_now() + begins, 5 * DAY
-    )
+    key = new_key()
+    made = issuer_of(lab).issue("desk.1", key.public_key(), utc_now() + begins, 5 * DAY)
     refused(replace(desk, certificate=certificate_pem(made)), tmp_path, words, key_pem(key))
 
 
@@ -92,7 +88,7 @@ def test_a_certificate_of_another_authority_with_the_right_name(
 ) -> None:
     signer, key = new_key(), new_key()
     other = authority_certificate("lab", signer, utc_now())
-    made = principal_certificate(other, signer, "desk.1", key.public_key(), utc_now(), DAY)
+    made = Issuer(other, signer).issue("desk.1", key.public_key(), utc_now(), DAY)
     words = "does not know the authority that signed the certificate of desk"
     refused(replace(desk, certificate=certificate_pem(made)), tmp_path, words, key_pem(key))
 
@@ -128,9 +124,8 @@ def test_a_router_under_a_name_that_its_certificate_lacks(desk: Identity, tmp_pa
 def test_a_router_whose_certificate_is_over_or_of_tomorrow(
     begins: timedelta, words: str, lab: ClosedLab, desk: Identity, tmp_path: Path
 ) -> None:
-    authority, signer, key = *authority_of(lab), new_key()
-    now = utc_now() + begins
-    made = router_certificate(authority, signer, ("127.0.0.1",), key.public_key(), now, 5 * DAY)
+    key, now = new_key(), utc_now() + begins
+    made = issuer_of(lab).issue("router", key.public_key(), now, 5 * DAY, serves_at=("127.0.0.1",))
     with false_router(lab, tmp_path, certificate_pem(made), key_pem(key)) as endpoint:
         refused(replace(desk, router=endpoint), tmp_path, words)
 

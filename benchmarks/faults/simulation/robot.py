@@ -245,7 +245,9 @@ class SimulatedAgent:
         self._freezes = Freezes(self._world.now_s)
         journal: Any = DiskJournal(robot.disk)
         changed: Any = _Changed(self)
-        self.decisions = Decisions(self.boot_id, planner, journal, changed)
+        self.decisions = Decisions(
+            self.boot_id, planner, journal, changed, lambda: self._world.now_s
+        )
         self.node: Node = robot.network.join("robot", robot.name, self)
         self._beat()
 

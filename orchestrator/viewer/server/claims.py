@@ -14,11 +14,14 @@ def claim_recording(path: Path) -> Path:
     Raises:
         InvalidInputError: The file exists already, or cannot be written.
     """
-    if path.exists():
-        raise InvalidInputError(f"{path} already exists; name a different file for the recording")
-    unwritten = system_errors_as(InvalidInputError, f"the recording cannot be written to {path}")
-    with unwritten, path.open("xb"):
-        return path
+    with system_errors_as(InvalidInputError, f"the recording cannot be written to {path}"):
+        try:
+            path.open("xb").close()
+        except FileExistsError:
+            raise InvalidInputError(
+                f"{path} already exists; name a different file for the recording"
+            ) from None
+    return path
 
 
 def claim_port(bind_ip: str, port: int) -> int:

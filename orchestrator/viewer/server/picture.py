@@ -8,7 +8,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
@@ -18,6 +18,7 @@ from nufleet.orchestrator.viewer.server.claims import claim_port
 from nufleet.orchestrator.viewer.server.open import LOCALHOST, checked_source
 from nufleet.orchestrator.viewer.server.rerun_program import rerun_environment, rerun_program
 from nufleet.shared.errors import InvalidInputError, NufleetError, system_errors_as
+from nufleet.shared.interrupts import postponed
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient, ViewerState
@@ -69,27 +70,27 @@ def _headless_viewer(size: tuple[int, int], deadline: float) -> Iterator[ViewerC
     from rerun.experimental import ViewerClient
 
     port = claim_port(LOCALHOST, 0)
-    with (
-        tempfile.TemporaryFile() as output,
-        subprocess.Popen(
-            [
-                *(str(rerun_program()), "--headless", "--bind", LOCALHOST, "--port", str(port)),
-                *("--window-size", f"{size[0]}x{size[1]}"),
-            ],
-            stdin=subprocess.DEVNULL,
-            stdout=output,
-            stderr=subprocess.STDOUT,
-            # Messages of lower levels would pop up in the picture.
-            env={**rerun_environment(), "RUST_LOG": "error"},
-        ) as process,
-    ):
+    with ExitStack() as stack:
+        output = stack.enter_context(tempfile.TemporaryFile())
+        with postponed():
+            process = subprocess.Popen(
+                [
+                    *(str(rerun_program()), "--headless", "--bind", LOCALHOST, "--port", str(port)),
+                    *("--window-size", f"{size[0]}x{size[1]}"),
+                ],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                # Messages of lower levels would pop up in the picture.
+                env={**rerun_environment(), "RUST_LOG": "error"},
+            )
+            stack.enter_context(process)
+            stack.callback(process.kill)
         try:
             _when_listening(port, process, output, deadline)
             yield ViewerClient.connect(f"rerun+http://{LOCALHOST}:{port}/proxy")
         except (ConnectionError, TimeoutError) as error:
             raise _viewer_error(output, str(error)) from error
-        finally:
-            process.kill()
 
 
 def _when_listening(

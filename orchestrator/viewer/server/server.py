@@ -14,6 +14,7 @@ from urllib.parse import quote, urlsplit
 from nufleet.orchestrator.viewer.server.claims import claim_port, host_in_url, reachable
 from nufleet.orchestrator.viewer.server.rerun_program import rerun_environment, rerun_program
 from nufleet.shared.errors import EndpointInUseError
+from nufleet.shared.interrupts import postponed
 
 START_TIMEOUT_S = 20.0
 END_TIMEOUT_S = 5.0
@@ -92,20 +93,31 @@ class ViewerServer:
             return
         self._output = tempfile.TemporaryFile()  # noqa: SIM115 - closed in close
         command, expected = self._command()
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "nufleet.orchestrator.viewer.server.tethered", *command],
-            stdin=subprocess.PIPE,
-            stdout=self._output,
-            stderr=subprocess.STDOUT,
-            env={**rerun_environment(), "RUST_LOG": "info"},
-            # A session of its own keeps the terminal's Ctrl-C away from the server, so that viewers
-            # still see how the study ends.
-            start_new_session=True,
-        )
+        try:
+            self._start(command)
+            self._wait_until_it_says(expected)
+        except BaseException:  # an interrupt as well
+            self.close()
+            raise
+
+    def _start(self, command: list[str]) -> None:
+        tethered = "nufleet.orchestrator.viewer.server.tethered"
+        with postponed():
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", tethered, *command],
+                stdin=subprocess.PIPE,
+                stdout=self._output,
+                stderr=subprocess.STDOUT,
+                env={**rerun_environment(), "RUST_LOG": "info"},
+                # A session of its own keeps the terminal's Ctrl-C away from the server, so that
+                # viewers still see how the study ends.
+                start_new_session=True,
+            )
+
+    def _wait_until_it_says(self, expected: list[str]) -> None:
         deadline = time.monotonic() + START_TIMEOUT_S
         while not all(phrase in (said := self._said()) for phrase in expected):
             if not self.alive or time.monotonic() > deadline:
-                self.close()
                 raise EndpointInUseError(f"the viewer cannot listen on {self._bind_ip}: {said}")
             time.sleep(0.01)
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import stat
 from pathlib import Path
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import NameOID
 
-from nufleet.orchestrator.authority.authority import Authority, make_request
+from nufleet.orchestrator.authority.authority import Authority
 from nufleet.orchestrator.authority.certificates import read_certificate
+from nufleet.orchestrator.authority.key_files import make_request
 from nufleet.shared.errors import FleetFileError, InvalidInputError
 from nufleet.shared.wire.identity import read_identity
 
@@ -49,6 +53,16 @@ def listed(authority: Authority) -> set[str]:
     document = json.loads("\n".join(ln for ln in text.splitlines() if not ln.startswith("//")))
     subjects = document["access_control"]["subjects"]
     return {name for subject in subjects for name in subject["cert_common_names"]}
+
+
+def foreign(folder: Path) -> Path:
+    """A request for a kind of key that cryptography does not know."""
+    request = make_request("x", folder)[1]
+    der = x509.load_pem_x509_csr(request.read_bytes()).public_bytes(Encoding.DER)
+    unknown = base64.b64encode(der.replace(b"\x2b\x65\x70", b"\x2b\x65\x7f")).decode()
+    head, *_, foot = request.read_text().splitlines()
+    request.write_text(f"{head}\n{unknown}\n{foot}\n")
+    return request
 
 
 def test_every_file_is_private(authority: Authority, tmp_path: Path) -> None:
@@ -122,6 +136,98 @@ def test_an_authority_is_never_replaced(authority: Authority, inventory: Path) -
     assert (authority.folder / "authority.key").read_bytes() == key
 
 
+def test_what_one_command_revoked_stays_revoked_when_another_enrols_at_the_same_time(
+    authority: Authority, tmp_path: Path
+) -> None:
+    authority.enroll("a", tmp_path)
+    first, second = Authority(authority.folder), Authority(authority.folder)
+    first.revoke("a")
+    second.enroll("desk", tmp_path)
+    assert listed(authority) == {"desk.1", "anna.1", "screen.1", "a.2"}
+    assert Authority(authority.folder).ledger.enrolments["a"].revoked
+
+
+def test_an_identity_that_could_not_be_written_can_be_revoked(
+    authority: Authority, tmp_path: Path
+) -> None:
+    (tmp_path / "a.nufleet").mkdir()
+    with pytest.raises(InvalidInputError, match=r"a\.nufleet"):
+        authority.enroll("a", tmp_path)
+    Authority(authority.folder).revoke("a")
+    assert "a.2" in listed(authority)
+
+
+def test_a_folder_that_was_there_keeps_its_mode(authority: Authority, tmp_path: Path) -> None:
+    (tmp_path / "shared").mkdir(mode=0o755)
+    authority.enroll("a", tmp_path / "shared")
+    make_request("b", tmp_path / "shared")
+    assert stat.S_IMODE((tmp_path / "shared").stat().st_mode) == 0o755
+
+
+def test_the_inventory_may_move_with_the_folder(
+    authority: Authority, inventory: Path, tmp_path: Path
+) -> None:
+    stick = tmp_path / "stick"
+    stick.mkdir()
+    moved = authority.folder.rename(stick / "lab.authority")
+    inventory.rename(stick / "lab.toml")
+    assert Authority(moved).enroll("a", tmp_path).identity.exists()
+    (stick / "lab.toml").unlink()
+    with pytest.raises(InvalidInputError, match=r"the inventory of .* is neither .*lab\.toml nor "):
+        Authority(moved)
+
+
+def test_the_routers_configuration_is_written_again_if_it_is_missing(
+    authority: Authority, tmp_path: Path
+) -> None:
+    authority.configuration.unlink()
+    assert authority.enroll("a", tmp_path).router_changed
+    assert "a.1" in listed(authority)
+
+
+def test_an_authority_is_replaced_while_both_are_trusted(
+    authority: Authority, tmp_path: Path
+) -> None:
+    for name in ("desk", "anna", "screen"):
+        authority.enroll(name, tmp_path)
+    authority.revoke("screen")
+    before = read_identity(tmp_path / "desk.nufleet").authority
+    authority.replace()
+    served = authority.folder / "router" / "authority.pem"
+    assert served.read_text().count("BEGIN") == 2
+    assert served.read_text().endswith(before)
+    again = Authority(authority.folder)
+    assert again.replaced
+    with pytest.raises(InvalidInputError, match="the authority is being replaced"):
+        again.renew_router()
+    again.renew("desk", tmp_path)
+    assert read_identity(tmp_path / "desk.nufleet").authority == served.read_text()
+    with pytest.raises(InvalidInputError, match=r"^anna: signed by the former authority"):
+        again.finish_replacing()
+    assert served.read_text().count("BEGIN") == 2
+    again.renew("anna", tmp_path)
+    again.finish_replacing()
+    assert not Authority(authority.folder).replaced
+    assert served.read_text() == (authority.folder / "authority.pem").read_text()
+    assert served.read_text().count("BEGIN") == 1
+    assert served.read_text() != before
+
+
+def test_a_replacement_that_was_cut_off_before_its_key_was_written_can_be_begun_again(
+    authority: Authority, tmp_path: Path
+) -> None:
+    key = (authority.folder / "authority.key").read_bytes()
+    authority.replace()
+    (authority.folder / "authority.key").write_bytes(key)
+    again = Authority(authority.folder)
+    enrolled = again.enroll("desk", tmp_path)
+    again.finish_replacing()
+    assert not Authority(authority.folder).replaced
+    trusted = read_certificate((authority.folder / "router" / "authority.pem").read_bytes())
+    made = read_certificate(read_identity(enrolled.identity).certificate.encode())
+    made.verify_directly_issued_by(trusted)
+
+
 def test_a_key_is_never_replaced(authority: Authority, tmp_path: Path) -> None:
     key, _ = make_request("a", tmp_path)
     secret = key.read_bytes()
@@ -142,6 +248,8 @@ def test_a_key_is_never_replaced(authority: Authority, tmp_path: Path) -> None:
         (lambda it, at: it.revoke("anna"), "anna is not enrolled; enrolled are desk"),
         (lambda it, at: it.enroll("a", at, request=at / "none"), "none: cannot be read"),
         (lambda it, at: it.enroll("a", at, request=at / "lab.toml"), "is not a request of"),
+        (lambda it, at: it.enroll("a", at, request=foreign(at)), "is not a request of"),
+        (lambda it, at: it.enroll("a", at / "lab.toml" / "x"), r"lab\.toml.*: Not a directory"),
         (
             lambda it, at: it.enroll("a", at, request=make_request("screen", at)[1]),
             r"screen\.request is a request of screen, not of a",
@@ -177,7 +285,7 @@ def test_a_key_of_the_authority_that_others_can_read_is_not_used(authority: Auth
 @pytest.mark.parametrize(
     ("added", "words"),
     [
-        ("[operators.desk]", "desk is listed in two roles"),
+        ("[operators.desk]", r"lab\.toml: desk is listed in two roles"),
         ("[watchers.a]", "a is listed in two roles"),
         (f"[watchers.{'w' * 51}]", "too long for a certificate: at most 50"),
         ("[pilots.anna]", "pilots"),

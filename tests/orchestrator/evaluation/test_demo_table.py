@@ -69,7 +69,7 @@ def demo(
     near: float | None = 0.007,
     far: float = 0.037,
     none: float = 0.08,
-    own: float = 0.001,
+    own: float | None = 0.001,
     harm: float | None = 0.154,
 ) -> DemoResult:
     """A demonstration whose guard took `far` back, if there is a flight without the guard."""
@@ -147,6 +147,13 @@ def test_a_flight_that_was_not_finished_is_shown_and_not_compared() -> None:
     result = demo(near=None)
     assert rows(result)["near (closest)"][2:4] == ["not finished", ""]
     assert takeaway(result) == ("Not every flight was finished, so the ways cannot be compared.")
+
+
+def test_a_flight_that_the_target_refused_was_not_flown() -> None:
+    refused = flight("own", None, flown=False)
+    result = demo(own=None)
+    result = result.model_copy(update={"flown": (refused, *result.flown[1:])})
+    assert rows(result)["model of itself"][2:4] == ["not flown", ""]
 
 
 def test_a_source_that_would_have_harmed_is_the_lesson() -> None:

@@ -79,6 +79,14 @@ def test_a_run_that_is_not_there_is_an_error_that_says_where_to_look(tmp_path: P
         find_run(tmp_path, "nothing")
 
 
+def test_a_name_that_no_system_accepts_is_an_error_in_words(tmp_path: Path) -> None:
+    name = "r" * 300
+    with pytest.raises(InvalidInputError, match="cannot be read: File name too long"):
+        find_run(tmp_path, name)
+    with pytest.raises(InvalidInputError, match="cannot be read: File name too long"):
+        read_record(tmp_path / name)
+
+
 def test_altered_results_are_refused_naming_file_and_field(tmp_path: Path) -> None:
     folder = RunFolder(tmp_path, "fleet")
     folder.write_record(a_record(folder.path))

@@ -146,6 +146,13 @@ def test_a_foreign_address_cannot_be_listened_on() -> None:
         RerunWriter("run-1", recording=None, serve=serve).open()
 
 
+def test_a_recording_under_a_name_that_no_system_accepts_is_refused_in_words(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(InvalidInputError, match=r"cannot be written to .*: File name too long"):
+        RerunWriter("run-1", recording=tmp_path / f"{'r' * 300}.rrd", serve=None).open()
+
+
 def test_no_server_is_left_when_the_recording_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError):
         RerunWriter("run-1", recording=tmp_path, serve=EPHEMERAL).open()

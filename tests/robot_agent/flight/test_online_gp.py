@@ -12,6 +12,7 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 from nufleet.robot_agent.flight.online_gp import BOUNDS, START, OnlineGp, Outcome
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.experience.layout import InverseLayout
+from nufleet.shared.gaussian_process.online import OnlineFit
 from nufleet.shared.gaussian_process.problem import Bounds
 
 LAYOUT = InverseLayout(
@@ -155,6 +156,31 @@ def test_what_each_axis_was_fitted_with_can_be_read() -> None:
     assert ((low <= fitted + 1e-12) & (fitted - 1e-12 <= high)).all()
     assert np.abs(fitted - at_start).max() > 0.1
     assert OnlineGp(LAYOUT, (half,), window=0).hyperparameters == ()
+
+
+def test_it_is_fitted_again_for_new_pairs_alone_which_changes_no_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fitted: list[OnlineFit] = []
+    refit = OnlineFit.refit
+
+    def counted(self: OnlineFit, x: FloatArray, y: FloatArray) -> None:
+        fitted.append(self)
+        refit(self, x, y)
+
+    monkeypatch.setattr(OnlineFit, "refit", counted)
+    process, always = OnlineGp(LAYOUT, (half,)), OnlineGp(LAYOUT, (half,))
+    inputs, gamma = pairs(30)
+    residuals = gamma - half(inputs)
+    for k, query in enumerate(pairs(90, seed=5)[0]):
+        if k % 3 == 0:
+            process.learn(0, inputs[k // 3], gamma[k // 3])
+            always.learn(0, inputs[k // 3], gamma[k // 3])
+        always.relearn(0, residuals[: 1 + k // 3])
+        found, expected = (each.correct(query[np.newaxis]) for each in (process, always))
+        np.testing.assert_array_equal(found.gamma, expected.gamma)
+        np.testing.assert_array_equal(found.variance, expected.variance)
+    assert len(fitted) <= 90 + 1.1 * 30
 
 
 def test_it_starts_where_the_paper_starts() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from learned_things import experience, layout
@@ -15,9 +17,11 @@ from nufleet.robot_agent.flight.inverse_model import NetworkInverse
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.prior_bounds import gamma_max, out_of_bounds
 from nufleet.robot_agent.flight.rich_flight import fly_record, rich_references
+from nufleet.robot_agent.network.trust import Trust
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.experience.file import Experience, decode_experience, digest, encode_experience
 from nufleet.shared.experience.layout import Architecture, InverseLayout
+from nufleet.shared.robots.fleet_file import RobotPolicy
 from nufleet.shared.wire.codec import Message
 from nufleet.shared.wire.messages import ExperienceOffer, InstallRequest, Refusal
 
@@ -69,9 +73,26 @@ def test_a_prior_at_its_bound_is_kept() -> None:
     assert out_of_bounds(lambda inputs: np.full(len(inputs), most), known, SPEC) is None
 
 
+def test_the_owner_of_the_robot_may_set_the_bound() -> None:
+    known = layout()
+    assert SPEC.tracking is not None
+    most = gamma_max(known, SPEC.tracking)
+    for allowed, output in ((0.5 * most, 0.6 * most), (2.0 * most, 3.0 * most)):
+        constant = partial(_constant, output)
+        reason = out_of_bounds(constant, known, SPEC, most=allowed)
+        assert reason is not None
+        assert f"its fleet file allows {allowed:.3g} (`prior_output_max`)" in reason
+        assert out_of_bounds(partial(_constant, allowed), known, SPEC, most=allowed) is None
+
+
+def _constant(output: float, inputs: FloatArray) -> FloatArray:
+    return np.full(len(inputs), output)
+
+
 def test_a_poisoned_prior_is_not_installed_and_the_one_before_it_stays() -> None:
     robot, memory = double_integrator(), Memory(None)
-    service = ExperienceService("target", robot, memory, lambda sender: None)
+    trust = Trust("target", RobotPolicy(), None, frozenset)
+    service = ExperienceService("target", robot, memory, lambda sender: None, trust)
     good = experience("source", "state")
     fine = decode_experience(good)
     poison = encode_experience(

@@ -51,16 +51,16 @@ def test_the_robot_there_knows_of_itself_and_holds_what_it_does_here() -> None:
     task, there = read_task(BytesIO(a_task(memory)))
     assert [prior.sha256 for prior in there.priors] == [prior.sha256 for prior in memory.priors]
     assert dict(there.flown_s) == dict(memory.flown_s)
-    here = Rehearsal.of(task.spec, task.state_names, memory).predicted(BASELINE.along(PATH))
-    again = Rehearsal.of(task.spec, task.state_names, there).predicted(BASELINE.along(PATH))
+    here = Rehearsal.of(task.spec, task.state_names, memory, PATH).predicted(BASELINE)
+    again = Rehearsal.of(task.spec, task.state_names, there, PATH).predicted(BASELINE)
     assert again == here
 
 
 def test_a_way_that_fails_is_answered_and_the_next_one_is_rehearsed() -> None:
     gone = ForeseenWay(inverse="prior", prior_sha256="0" * 64)
     task, memory = read_task(BytesIO(a_task(a_robot(), gone, BASELINE)))
-    rehearsal = Rehearsal.of(task.spec, task.state_names, memory)
-    first, second = (foreseen(task, way, rehearsal) for way in task.ways)
+    rehearsal = Rehearsal.of(task.spec, task.state_names, memory, task.desired)
+    first, second = (foreseen(way, rehearsal) for way in task.ways)
     assert (first.predicted, first.code) == (None, "rehearsal")
     assert "no longer has a prior" in first.reason
     assert second.predicted is not None

@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 from nufleet.robot_agent.audit_command import show, verify
 from nufleet.robot_agent.journal.audit_log import AUDIT_LOG, AuditLog, read_audit_log, verified
+from nufleet.robot_agent.journal.ledger import JournalError
 
 
 def written(folder: Path, *goals: str) -> Path:
@@ -100,3 +101,16 @@ def test_the_commands_show_and_check_a_log(tmp_path: Path) -> None:
     failed = CliRunner().invoke(verify, [str(tmp_path)])
     assert failed.exit_code == 1
     assert "NOT WHOLE: line 2 does not follow" in failed.output
+
+
+def test_a_log_that_is_a_link_is_not_followed_and_named(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").touch()
+    (tmp_path / AUDIT_LOG).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(JournalError, match=f"{AUDIT_LOG}: Too many levels of symbolic links"):
+        AuditLog(tmp_path, "a")
+
+
+def test_the_digest_of_a_log_that_was_empty_is_met_by_whatever_followed(tmp_path: Path) -> None:
+    AuditLog(tmp_path, "a").close()
+    noted = verified(tmp_path / AUDIT_LOG).digest
+    assert verified(written(tmp_path, "g1"), digest=noted).broken is None

@@ -59,7 +59,7 @@ def goes_on() -> Iterator[threading.Event]:
 def session(goes_on: threading.Event) -> Iterator[Session]:
     """An endpoint whose worker is stuck in the first request until it is released."""
 
-    def slow(_principal: str, _payload: bytes) -> Message:
+    def slow(_principal: str, _leaf: str, _payload: bytes) -> Message:
         assert goes_on.wait(PATIENCE_S)
         return Done()
 

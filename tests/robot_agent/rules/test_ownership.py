@@ -5,13 +5,15 @@ from __future__ import annotations
 import itertools
 
 from nufleet.robot_agent.rules.ownership import (
+    WAITS_S,
     Commander,
+    Waiting,
     refusal_to_begin,
     refusal_to_command,
     takes_over,
     waiting_next,
 )
-from nufleet.shared.wire.messages import EPOCH_JUMP_MAX, EPOCH_MAX
+from nufleet.shared.wire.messages import EPOCH_JUMP_MAX, EPOCH_MAX, Refusal
 
 OWNERS = ("a", "b", "c")
 EPOCHS = (0, 1, 2, 3)
@@ -115,20 +117,69 @@ def test_a_robot_that_knows_no_owner_takes_any_epoch_that_leaves_room_in_a_numbe
         assert ("yes" if found is None else found.code) == expected
 
 
+def waits_after(
+    waiting: Commander | None,
+    sender: Commander,
+    code: str = "busy",
+    *,
+    held: Commander | None = None,
+    alive: tuple[str, ...] = OWNERS,
+    passed_s: float = 0.0,
+) -> Commander | None:
+    """Who waits once a sender was answered, `passed_s` after whoever waited before had asked."""
+    before = None if waiting is None else Waiting(waiting, 100.0)
+    refusal = None if code == "yes" else Refusal(code=code, reason="because")
+    now_s = 100.0 + passed_s
+    found = waiting_next(before, sender, refusal, held=held, alive=alive, now_s=now_s)
+    if found is None:
+        return None
+    assert found == before or found == Waiting(sender, now_s)
+    return found.commander
+
+
 def test_of_those_that_wait_the_one_under_the_highest_epoch_is_next() -> None:
-    for held, sender, alive, moving in QUESTIONS:
-        refusal = refusal_to_command(held, sender, held_alive=alive, moving_for=moving)
-        busy = refusal is not None and refusal.code == "busy"
-        assert waiting_next(None, sender, refusal) == (sender if busy else None)
+    for sender in SENDERS:
+        assert waits_after(None, sender) == sender
         for waiting in SENDERS:
-            found = waiting_next(waiting, sender, refusal)
-            assert found in (waiting, sender)
-            assert found.epoch == (max(waiting.epoch, sender.epoch) if busy else waiting.epoch)
+            highest = waiting if waiting.epoch > sender.epoch else sender
+            assert waits_after(waiting, sender) == highest
+
+
+def test_only_who_is_alive_and_may_take_over_at_rest_waits() -> None:
+    for sender in SENDERS:
+        for code in ("yes", "stale-epoch", "epoch-jump"):
+            assert waits_after(None, sender, code) is None
+        gone = tuple(owner for owner in OWNERS if owner != sender.owner)
+        assert waits_after(None, sender, alive=gone) is None
+
+
+def test_who_waits_does_so_until_it_is_gone_or_stops_asking_or_its_epoch_is_over() -> None:
+    waiting, other = Commander("a", 2), Commander("b", 1)
+    for code in ("yes", "busy", "stale-epoch"):
+        kept = waits_after(waiting, other, code, held=other, passed_s=WAITS_S)
+        assert kept == waiting
+        instead = other if code == "busy" else None
+        assert waits_after(waiting, other, code, alive=("b", "c")) == instead
+        assert waits_after(waiting, other, code, passed_s=WAITS_S + 0.01) == instead
+        for epoch in (2, 3):
+            assert waits_after(waiting, other, code, held=Commander("c", epoch)) == instead
+
+
+def test_who_asks_again_waits_for_longer() -> None:
+    sender = Commander("a", 2)
+    again = waiting_next(
+        Waiting(sender, 100.0),
+        sender,
+        Refusal(code="busy", reason="it moves"),
+        held=None,
+        alive=OWNERS,
+        now_s=104.0,
+    )
+    assert again == Waiting(sender, 104.0)
 
 
 def test_a_robot_begins_nothing_below_the_epoch_that_waits_for_it() -> None:
     for waiting, sender in itertools.product(SENDERS, SENDERS):
-        refusal = refusal_to_begin(waiting, sender, waiting_alive=True)
+        refusal = refusal_to_begin(Waiting(waiting, 0.0), sender)
         assert (refusal is not None) == (sender.epoch < waiting.epoch)
-        assert refusal_to_begin(waiting, sender, waiting_alive=False) is None
-        assert refusal_to_begin(None, sender, waiting_alive=True) is None
+        assert refusal_to_begin(None, sender) is None

@@ -23,7 +23,7 @@ def installed(monkeypatch: pytest.MonkeyPatch, **values: str) -> None:
     found = EntryPoints(
         EntryPoint(name, value, ENTRY_POINT_GROUP) for name, value in values.items()
     )
-    monkeypatch.setattr(drivers, "entry_points", lambda group: found.select(group=group))
+    monkeypatch.setattr(drivers, "installed", lambda group: {entry.name: entry for entry in found})
 
 
 def fleet(tmp_path: Path, settings: str) -> tuple[FleetFile, Path]:

@@ -154,6 +154,8 @@ def test_a_fleet_is_found_by_path_or_by_the_name_it_is_installed_under(tmp_path:
     assert read_fleet_file(find_fleet_file("paper_linear")).name == "paper-linear"
     with pytest.raises(FleetFileError, match=r"no such fleet file; known by name: .*paper_linear"):
         find_fleet_file("paper_liner")
+    with pytest.raises(FleetFileError, match="cannot be read: File name too long"):
+        find_fleet_file("f" * 300)
 
 
 def test_a_folder_that_has_the_name_of_an_installed_fleet_does_not_hide_it(
@@ -173,3 +175,33 @@ def test_no_robot_flies_unguarded_unless_its_fleet_file_says_so(tmp_path: Path) 
     )
     robots = read_fleet_file(path).robots
     assert [robots[name].allow_unguarded for name in ("a", "b")] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("address", "words"),
+    [
+        ("192.168.1.10:7447", "neither an IP address nor a host name; `port` holds the port"),
+        ("base:7447", "neither an IP address nor a host name; `port` holds the port"),
+        ("192.168.1", "192.168.1 is neither an IP address nor a host name"),
+        ("192.168.1.300", "192.168.1.300 is neither an IP address nor a host name"),
+        ("base..example", "is no host name: there is nothing between two of its dots"),
+        ("tcp/base", "pattern"),
+        ("", "pattern"),
+    ],
+)
+def test_an_address_that_no_router_can_have_is_named(
+    address: str, words: str, tmp_path: Path
+) -> None:
+    for field in (f'addresses = ["{address}"]', f'addresses = ["base"]\nlisten = "{address}"'):
+        assert words in complaint(tmp_path, f"{GOOD}[router]\n{field}\n")
+
+
+@pytest.mark.parametrize(
+    "address", ["192.168.1.10", "::1", "fe80::1", "base", "base-2.example.org"]
+)
+def test_an_address_without_a_port_is_taken(address: str, tmp_path: Path) -> None:
+    router = read_fleet_file(
+        written(tmp_path, f'{GOOD}[router]\naddresses = ["{address}"]\n')
+    ).router
+    assert router is not None
+    assert router.addresses == (address,)

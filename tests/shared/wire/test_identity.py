@@ -62,8 +62,10 @@ def test_settings_for_zenoh_name_the_key_and_do_not_hold_it(identity: Identity) 
         ('"desk"', '"*"', "fleet, principal, role or router is not valid"),
         ('"orchestrator"', '"owner"', "fleet, principal, role or router is not valid"),
         ("tls/base", "tcp/base", "fleet, principal, role or router is not valid"),
+        (":7447", "", "fleet, principal, role or router is not valid"),
+        (":7447", ":7447#verify_name_on_connect=false", "role or router is not valid"),
         ("BEGIN", "BEGINNING", "a certificate is not in PEM"),
-        ("schema", "=", "is not an identity file"),
+        ("schema", "=", "not valid TOML"),
     ],
 )
 def test_a_wrong_file_is_named_with_what_is_wrong(
