@@ -85,26 +85,19 @@ def ranking_table(
 ) -> Table:
     """Return the final table, beside the closed form where robots know their models."""
     table = Table(title="worst-case chordal distance to the target", title_justify="left")
-    table.add_column("source")
-    for heading in ("ψ*", "95 % interval", "at ω, rad/s", "measured", "tests"):
+    table.add_column("source", no_wrap=True)
+    exact_headings = ("closed form", "error") if closed_form else ("tests",)
+    for heading in ("ψ*", "95 % interval", "measured, at rad/s", *exact_headings):
         table.add_column(heading, justify="right")
-    if closed_form:
-        table.add_column("closed form", justify="right")
-        table.add_column("error", justify="right")
     for place, estimate in enumerate(ranking):
-        row = [
-            estimate.robot,
-            f"{estimate.psi:.4f}",
-            f"{estimate.psi_low:.4f} to {estimate.psi_high:.4f}",
-            f"{estimate.omega_rad_s:.3f}",
-            estimate.measured,
-            str(estimate.tests),
-        ]
-        if closed_form:
-            exact = closed_form.get(estimate.robot)
-            if exact is None:
-                row += ["", ""]
-            else:
-                row += [f"{exact.psi:.4f}", f"{100 * (estimate.psi / exact.psi - 1):+.2f} %"]
+        interval = f"{estimate.psi_low:.4f}–{estimate.psi_high:.4f}"
+        row = [estimate.robot, f"{estimate.psi:.4f}", interval, estimate.measured]
+        exact = closed_form.get(estimate.robot)
+        if not closed_form:
+            row.append(str(estimate.tests))
+        elif exact is None:
+            row += ["", ""]
+        else:
+            row += [f"{exact.psi:.4f}", f"{100 * (estimate.psi / exact.psi - 1):+.2f} %"]
         table.add_row(*row, style="bold green" if place == 0 else None)
     return table
