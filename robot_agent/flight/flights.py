@@ -191,6 +191,7 @@ class _Path:
             return Outcome.COMPLETED, ""
         if self._record.failure == STOPPED and self._switch.order is not None:
             return self._switch.order
+        self._monitored.raise_again()
         return Outcome.FAILED, self._record.failure
 
     def _learn(self, record: TrackingRecord) -> None:

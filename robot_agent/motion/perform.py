@@ -14,7 +14,7 @@ from nufleet.robot_agent.motion.pace import HaltSwitch, Pace
 from nufleet.robot_agent.motion.paced_robot import CHUNK_SAMPLES, Halted
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.errors import RobotError
+from nufleet.shared.errors import OutsideLimitsError, RobotDownError, RobotError
 from nufleet.shared.wire.messages import Outcome
 from nufleet.shared.wire.motions import FlightDetails
 
@@ -81,7 +81,8 @@ def perform(
     """Perform a motion, from rest to rest.
 
     A robot that breaks its interface (raises anything but `RobotError`, or does not come to rest)
-    yields a failed motion with a fault; no exception of the robot leaves this function.
+    yields a failed motion with a fault; no exception of the robot leaves this function. A robot
+    that is down (`RobotDownError`) is not asked to come to rest.
 
     Args:
         robot: The robot, connected and at rest.
@@ -93,12 +94,17 @@ def perform(
         The outcome of the motion and its samples.
     """
     fault: str | None = None
+    down: str | None = None
     try:
         outcome, reason = performance.play()
     except Halted:
         outcome, reason = switch.order or (Outcome.ABORTED, "halted")
     except RobotError as error:
         outcome, reason = Outcome.FAILED, str(error)
+        if isinstance(error, RobotDownError):
+            down = reason
+        if isinstance(error, RobotDownError | OutsideLimitsError):
+            fault = reason
     except Exception as error:  # noqa: BLE001 - a driver's mistake must not leave it moving
         _log.exception("a motion ended unexpectedly")
         outcome, reason = Outcome.FAILED, f"an unexpected error: {error!r}"
@@ -106,7 +112,7 @@ def perform(
     try:
         on_resting()
     finally:
-        not_at_rest = _bring_to_rest(robot)
+        not_at_rest = None if down is not None else _bring_to_rest(robot)
     if not_at_rest is not None:
         outcome = Outcome.FAILED
         reason = f"{reason}; {not_at_rest}" if reason else not_at_rest
@@ -193,7 +199,7 @@ class AxisMotion:
                 start, self._reference[start : self._done], self._response[start : self._done]
             )
             if failure is not None:
-                return Outcome.FAILED, failure.reason
+                raise failure.error
         return Outcome.COMPLETED, ""
 
     def _batches(self) -> Iterator[tuple[int, int]]:

@@ -11,6 +11,7 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import MalformedMessageError
 from nufleet.shared.experience.manifest import ExperienceManifest
 from nufleet.shared.frequency_test.excitation import ExcitationPlan
+from nufleet.shared.robots.health import Health
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.strict import Digest, Identifier, Name, NonNegative, Reason, Strict
 from nufleet.shared.wire.codec import Bytes, Float64Array, Message
@@ -347,6 +348,8 @@ class StopRequest(Message):
     """Identifier of the person or program that stops the robot."""
     reason: Reason
     """Why it is stopped."""
+    kill: bool = False
+    """Whether to cut the motors instead of coming to rest."""
 
 
 class ReleaseRequest(Message):
@@ -381,6 +384,8 @@ class RobotState(Message):
     """Goal that ended last."""
     robot_time_s: NonNegative
     """Time on the robot's own clock."""
+    health: Health | None = None
+    """Condition of the robot; None for one that reports none."""
 
 
 class Telemetry(Message):
