@@ -185,6 +185,7 @@ class MotionWorker:
             plan=assignment.plan,
             reference=played.samples.reference,
             response=played.samples.response,
+            timing=played.samples.timing,
             details=played.samples.details,
         )
         self._decisions.ended(result, played.fault)

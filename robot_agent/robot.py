@@ -112,7 +112,7 @@ class Robot(ABC):
         """
 
     def end(self) -> None:  # noqa: B027 - most robots need nothing
-        """Get out of `begin` from wherever the robot is: land, and disarm.
+        """Undo `begin`, from any state: land, and disarm.
 
         The agent calls this when `spec.idle_s` has passed without a motion, after a fault, when
         `begin` failed, and before it disconnects. Does nothing unless overridden.
@@ -177,11 +177,12 @@ class Robot(ABC):
         return np.empty((len(self.spec.axes), 0))
 
     def record(self) -> Record | None:
-        """Return the measurements of the motion just played, before `rest` is called.
+        """Return the measurements of the frequency test just played, before `rest` is called.
 
         A real robot's measurement takes a while to arrive, so that `step` can only return the
-        newest one. With a record, the agent estimates afterwards what the outputs were at the
-        samples. None, the default, means that `step` returned the outputs at the samples.
+        newest one. With a record of all samples since the robot rested, the agent estimates
+        afterwards what the outputs were at the samples. None, the default, means that `step`
+        returned the outputs at the samples.
         """
         return None
 

@@ -11,6 +11,7 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import MalformedMessageError
 from nufleet.shared.experience.manifest import ExperienceManifest
 from nufleet.shared.frequency_test.excitation import ExcitationPlan
+from nufleet.shared.frequency_test.timing import Timing
 from nufleet.shared.robots.health import Health
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.strict import Digest, Identifier, Name, NonNegative, Reason, Strict
@@ -215,6 +216,8 @@ class GoalResult(Message):
     """Measured output, same unit and shape as the reference."""
     details: FlightDetails | None = None
     """Further measurements of a flight; None for a frequency test."""
+    timing: Timing | None = None
+    """Times of a test's samples; None for a robot that does not record them."""
 
     @model_validator(mode="after")
     def _samples_agree(self) -> GoalResult:
