@@ -92,6 +92,15 @@ class FieldRobot(RobotAround):
         outputs = self._robot.run(references)
         return np.array([self._newest(output) for output in outputs]).reshape(outputs.shape)
 
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """No names: the link carries the output alone."""
+        return ()
+
+    def observe(self) -> FloatArray:
+        """Return no states, shape (axes, 0)."""
+        return np.empty((len(self.spec.axes), 0))
+
     def record(self) -> Record:
         """Return the measurements that have arrived until now or are on their way."""
         sent_s = self.spec.sample_time_s * np.arange(self._samples)
