@@ -39,6 +39,7 @@ def check(
     statement of the contract does not hold.
     """
     from nufleet.robot_agent.driver_kit.check import check_robot
+    from nufleet.robot_agent.driver_kit.statements import AMPLITUDE_SHARE
     from nufleet.robot_agent.driver_kit.subject_file import robot_to_check
     from nufleet.shared.errors import InvalidInputError
 
@@ -54,7 +55,8 @@ def check(
                 f"{name} is a real robot and would move: give --yes, or --still to move nothing"
             )
         axes = ", ".join(
-            f"{0.2 * a.amplitude_max:.2g} {a.unit} on {a.name}" for a in built.spec.axes
+            f"{AMPLITUDE_SHARE * axis.amplitude_max:.2g} {axis.unit} on {axis.name}"
+            for axis in built.spec.axes
         )
         click.confirm(f"{name} will take off if it flies, and move by {axes}. Go on?", abort=True)
     report = check_robot(built, name=name, moves=not still, cuts=True if kill else None)
