@@ -27,7 +27,7 @@ from benchmarks.planar_robot import (
 )
 from nufleet.orchestrator.experience.lesson_record import LearningRecord, pooled_pairs
 from nufleet.orchestrator.experience.training import STEPS_MAX, Origin, TrainingData, train
-from nufleet.robot_agent.flight.flights import guard_for
+from nufleet.robot_agent.flight.equipment import guard_for
 from nufleet.robot_agent.flight.forecast import forecast_of
 from nufleet.robot_agent.flight.guard import Guard
 from nufleet.robot_agent.flight.inverse_model import NetworkInverse

@@ -80,7 +80,7 @@ def summary(evaluations: Sequence[tuple[str, EvaluationRecord]]) -> list[str]:
         at = {(w.way, round(w.own_flight_s)): w for w in result.ways}
         flown = [curves[name][0] if name in curves else None for name in names]
         flown += [at.get((OWN, s)) for s in every]
-        cells = ["" if way is None else error_cell(way, ".3g") for way in flown]
+        cells = ["" if way is None else error_cell(way) for way in flown]
         lines.append(
             f"| {fleet}, m{result.unit} | {' | '.join(cells)} | {result.chosen_way or ''} |"
         )
@@ -112,8 +112,7 @@ def _row(way: WayResult, name: str) -> str:
             f"({_milli(way.predicted_low_m)} to {_milli(way.predicted_high_m)})"
         )
     less = "" if way.reduction_percent is None else f"{way.reduction_percent:.1f} %"
-    error = error_cell(way, ".3g")
-    cells = (name, f"{way.own_flight_s:.0f}", error, less, expected, way.taken_back)
+    cells = (name, f"{way.own_flight_s:.0f}", error_cell(way), less, expected, way.taken_back)
     return "| " + " | ".join(str(cell) for cell in cells) + " |"
 
 

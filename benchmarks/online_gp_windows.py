@@ -21,7 +21,8 @@ import numpy as np
 from benchmarks.planar_robot import planar_double_integrator, tracking_limits
 from nufleet import sims
 from nufleet.robot_agent.flight.online_gp import WINDOW_POINTS, Correction, OnlineGp
-from nufleet.robot_agent.flight.tracking import PAIR_SPACING_S, Learner, TrackingRecord, track
+from nufleet.robot_agent.flight.tracking import PAIR_SPACING_S, Learner, track
+from nufleet.robot_agent.flight.tracking_record import TrackingRecord
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.experience.layout import InverseLayout

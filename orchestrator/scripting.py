@@ -46,6 +46,8 @@ def rank(
     realtime: float | None = None,
     wait_s: float = 0.0,
     live: bool = False,
+    draws: bool = True,
+    rehearses: bool = True,
     runs_root: str | Path = "runs",
     repository: str | None = None,
     console: Console | None = None,
@@ -74,6 +76,8 @@ def rank(
         realtime: Speed of simulated robots relative to real time; None for as fast as possible.
         wait_s: Longest time to wait for the running fleet and its robots, in s.
         live: Whether to serve the recording to viewers while the study runs.
+        draws: Whether to draw a recording and plots.
+        rehearses: Whether the target is asked what error it expects of each way to fly.
         runs_root: Folder in which the run leaves its own folder.
         repository: Address of the repository; None for the one in `runs_root`.
         console: Console for progress; None to print nothing.
@@ -105,6 +109,8 @@ def rank(
         realtime=realtime,
         wait_s=wait_s,
         live=live,
+        draws=draws,
+        rehearses=rehearses,
         runs_root=Path(runs_root),
         repository=repository,
     )
@@ -119,6 +125,7 @@ def transfer(
     architecture: Architecture | None = None,
     connect: str | None = None,
     fleet_name: str | None = None,
+    rehearses: bool = True,
     runs_root: str | Path = "runs",
     repository: str | None = None,
     console: Console | None = None,
@@ -135,6 +142,7 @@ def transfer(
         connect: Endpoint of the running fleet, or `identity/FILE`; None for what the command takes
             without an option. An endpoint of another machine needs NUFLEET_OPEN=1.
         fleet_name: Name of the running fleet; None when only one is running there.
+        rehearses: Whether the target is asked what error it expects of each way to fly.
         runs_root: Folder that holds the folders of all runs, rankings among them.
         repository: Address of the repository; None for the one in `runs_root`.
         console: Console for progress; None to print nothing.
@@ -155,6 +163,7 @@ def transfer(
         source=source,
         file=None if file is None else Path(file),
         architecture=architecture,
+        rehearses=rehearses,
         runs_root=Path(runs_root),
         repository=repository,
     )
@@ -173,6 +182,7 @@ def track(
     guarded: bool = True,
     rich_flight_s: float | None = None,
     live: bool = False,
+    rehearses: bool = True,
     connect: str | None = None,
     fleet_name: str | None = None,
     runs_root: str | Path = "runs",
@@ -196,6 +206,7 @@ def track(
         rich_flight_s: Duration in s of a rich flight before the drawings, from which the robot
             learns more of itself; None for none, unless its guard knows nothing yet.
         live: Whether to serve the recording to viewers during the flights.
+        rehearses: Whether the target is asked what error it expects of its flights.
         connect: Endpoint of the running fleet, or `identity/FILE`; None for what the command takes
             without an option. An endpoint of another machine needs NUFLEET_OPEN=1.
         fleet_name: Name of the running fleet; None when only one is running there.
@@ -225,6 +236,7 @@ def track(
         guarded=guarded,
         rich_flight_s=rich_flight_s,
         live=live,
+        rehearses=rehearses,
         runs_root=Path(runs_root),
         repository=repository,
     )

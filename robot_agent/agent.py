@@ -204,7 +204,8 @@ class Agent:
         experiences, command = self._experiences, self._commands.handler
         heard = self._rivals.heard
         state_key = keys.robot(name, "state")
-        opened.callback(session.subscribe(state_key, heard, max_bytes=MAX_STATE_BYTES).withdraw)
+        rivals = session.subscribe(state_key, heard, max_bytes=MAX_STATE_BYTES, own=False)
+        opened.callback(rivals.withdraw)
         states = session.state_publisher(keys.robot(name, "state"))
         opened.callback(Heartbeat(name, states, self._state, self._changed).close)
         stops = StopService(name, decisions, keys, self._commands, self._robot.kill)

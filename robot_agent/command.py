@@ -35,7 +35,7 @@ from nufleet.shared.command_line import folder_option
     envvar="NUFLEET_IDENTITY",
     metavar="FILE",
     help="Identity of the robot in a closed fleet; one for each robot if there are several.  [env: "
-    "NUFLEET_IDENTITY; default: the only one in ~/.config/nufleet]",
+    "NUFLEET_IDENTITY; default: those of the file's robots in ~/.config/nufleet]",
 )
 @click.option(
     "--open",

@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from nufleet.robot_agent.decisions import Assignment, Decisions
-from nufleet.robot_agent.flight.flights import learn, performance_of
+from nufleet.robot_agent.flight.flights import performance_of
+from nufleet.robot_agent.flight.learning import learn
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.mixture_learner import experts_of
 from nufleet.robot_agent.flight.online_gp import Correction

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -120,6 +121,8 @@ def serve(
                 agents.append(agent.__enter__())
             at = ", ".join(sorted({without_secrets(address) for address in addresses.values()}))
             names = ", ".join(addresses)
+            # What was loaded stays; a look for garbage in it would interrupt a control loop.
+            gc.freeze()
             click.echo(f"serving {names} of fleet {fleet.name} at {at}", err=True)
             ended.wait()
         finally:

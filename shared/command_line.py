@@ -7,7 +7,9 @@ Commands are entry points of the group `nufleet.commands`; a dot in a name makes
 
 from __future__ import annotations
 
+import atexit
 import errno
+import gc
 import logging
 import os
 import shutil
@@ -26,13 +28,15 @@ from nufleet.shared.text import printable
 
 F = TypeVar("F", bound=Callable[..., Any])
 ENTRY_POINT_GROUP = "nufleet.commands"
+_YOUNG_OBJECTS = 100_000
+"""Objects made between two looks for garbage; loading modules makes many, and keeps them."""
 _DISK_TROUBLE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 _GROUP_HELP = {
     "audit": "Look at the audit log of a robot: who asked it for what.",
     "drawing": "Import, draw and look at the drawings that robots track.",
     "fleet": "Start a simulated fleet, show a running one, or close one with certificates.",
     "robot": "Check the driver of a robot, or begin to write one.",
-    "runs": "Look at earlier runs, or resume one that was interrupted.",
+    "runs": "Look at earlier runs, resume one that was interrupted, or delete old ones.",
 }
 
 
@@ -109,8 +113,7 @@ def main() -> NoReturn:
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
-    # The matrices are many and small; with threads, BLAS takes ten times as long on a busy machine.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    _spare_processor_time()
     try:
         code = command_line().main(prog_name="nufleet", standalone_mode=False)
     except click.ClickException as error:
@@ -152,6 +155,17 @@ Your robots:  nufleet router             on one machine
 Experience:   nufleet train              trains the experiences of robots
               nufleet transfer, track    a robot flies with the experience of another
 """
+
+
+def _spare_processor_time() -> None:
+    # The matrices are many and small; with threads, BLAS takes ten times as long on a busy machine.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # pydantic reads the description of every installed package in search of plugins for itself.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    # A fifth of the time of a short command went into looks for garbage while modules are loaded,
+    # where there is none, and at the end, where the system takes everything back.
+    gc.set_threshold(_YOUNG_OBJECTS)
+    atexit.register(gc.freeze)
 
 
 def _print_error(sentence: str) -> None:

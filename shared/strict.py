@@ -88,11 +88,11 @@ def describe_validation(error: ValidationError) -> str:
         error: Error raised by pydantic.
     """
     found = error.errors(include_url=False, include_context=False, include_input=False)
-    problems = [
-        f"{_shortened('.'.join(str(part) for part in item['loc']) or 'message')}: "
-        f"{_shortened(item['msg'])}"
-        for item in found[:_SHOWN_PROBLEMS]
-    ]
+    problems = []
+    for item in found[:_SHOWN_PROBLEMS]:
+        where = ".".join(str(part) for part in item["loc"])
+        what = _shortened(item["msg"].removeprefix("Value error, "))
+        problems.append(f"{_shortened(where)}: {what}" if where else what)
     more = f" (and {len(found) - len(problems)} more)" if len(found) > len(problems) else ""
     return "; ".join(problems) + more
 

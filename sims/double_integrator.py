@@ -7,7 +7,6 @@ from typing import Annotated
 
 import numpy as np
 from pydantic import Field, model_validator
-from scipy.linalg import solve_discrete_lyapunov
 
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
@@ -252,6 +251,8 @@ def _rest_bounds(settings: DoubleIntegratorSettings) -> tuple[float, float]:
     """
     model = closed_loop(settings)
     a, b = np.asarray(model.a), np.asarray(model.b)
-    stationary = solve_discrete_lyapunov(a, np.outer(b, b)) * settings.noise_std_m**2
+    # With vec(A P Aᵀ) = (A ⊗ A) vec(P), the equation is an ordinary one for the entries of P.
+    entries = np.linalg.solve(np.eye(a.size) - np.kron(a, a), np.outer(b, b).ravel())
+    stationary = entries.reshape(a.shape) * settings.noise_std_m**2
     spread = 6.0 * np.sqrt(np.diag(stationary))
     return REST_TOLERANCE + float(spread[0]), REST_TOLERANCE + float(spread[1])

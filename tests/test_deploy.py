@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import shlex
+import subprocess
+from importlib.metadata import PackageNotFoundError, requires
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 from polling import PATIENCE_S, wait_until
 
+from deploy import lock
 from nufleet.orchestrator.fleet.processes import GRACE_S
 from nufleet.robot_agent.motion.watched_robot import SLOW_CALL_MAX_S
 from nufleet.shared.command_line import command_line
@@ -132,3 +138,49 @@ def test_the_compose_file_names_robots_that_its_fleet_file_has() -> None:
         if '"--robot", "' in line
     }
     assert named == set(fleet.robots)
+
+
+def pinned(text: str) -> dict[str, str]:
+    """Version of each distribution of a requirements or constraints file, by normalised name."""
+    lines = (line for line in text.splitlines() if "==" in line and not line.startswith("#"))
+    pairs = (line.removesuffix(" \\").split("==") for line in lines)
+    return {canonicalize_name(name): version for name, version in pairs}
+
+
+def test_hashed_requirements_are_those_of_the_constraints_and_hold_all_that_is_needed() -> None:
+    text = (DEPLOY / "requirements.txt").read_text()
+    constraints = pinned((DEPLOY.parent / "constraints.txt").read_text())
+    hashed = pinned(text)
+    assert {name: constraints.get(name) for name in hashed} == hashed
+    assert {canonicalize_name(Requirement(one).name) for one in lock.needed()} <= hashed.keys()
+    one = r"[A-Za-z0-9._-]+==[^ \n]+( \\\n    --hash=sha256:[0-9a-f]{64})+\n"
+    assert re.fullmatch(f"(#.*\n)+({one})+", text)
+
+
+def test_what_is_installed_from_hashed_requirements_needs_nothing_else() -> None:
+    hashed = pinned((DEPLOY / "requirements.txt").read_text())
+    for name in hashed:
+        try:
+            required = requires(name) or []
+        except PackageNotFoundError:  # of an extra that these tests do not need
+            continue
+        for one in map(Requirement, required):
+            if one.marker is None or one.marker.evaluate({"extra": ""}):
+                assert canonicalize_name(one.name) in hashed, f"{name} needs {one}"
+
+
+def test_containers_are_built_from_hashed_files_on_an_image_that_is_named_by_its_digest() -> None:
+    dockerfile = (DEPLOY / "containers" / "Dockerfile").read_text()
+    images = [line.split()[1] for line in dockerfile.splitlines() if line.startswith("FROM ")]
+    assert images == ["${BASE}"]
+    assert "ARG BASE\nFROM" in dockerfile  # without a default, which would age
+    assert "pip install --no-cache-dir --require-hashes -r requirements.txt" in dockerfile
+    assert "${NUFLEET_BASE:?" in (DEPLOY / "containers" / "compose.yaml").read_text()
+    check = dockerfile.split("RUN ")[1].split("WORKDIR")[0].replace("\\\n", " ")
+    for image, accepted in (
+        (f"python:3.11-slim@sha256:{'0' * 64}", True),
+        ("python:3.11-slim", False),
+        ("python:3.11-slim@sha256:0123", False),
+    ):
+        done = subprocess.run(["sh", "-c", check], env={"BASE": image}, capture_output=True)
+        assert (done.returncode == 0) == accepted, image

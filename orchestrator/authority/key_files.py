@@ -45,7 +45,9 @@ def create_key(path: Path, pem: bytes) -> None:
 
 def read_request(path: Path) -> bytes:
     """Return the contents of a request; of a file that is no request, the beginning."""
-    with system_errors_as(InvalidInputError, f"{path}: cannot be read"), path.open("rb") as file:
+    advice = "; `nufleet fleet request` wrote it on the machine of its principal: copy it here"
+    unread = system_errors_as(InvalidInputError, f"{path}: cannot be read", advice)
+    with unread, path.open("rb") as file:
         return file.read(MAX_REQUEST_BYTES)
 
 

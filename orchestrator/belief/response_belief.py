@@ -16,6 +16,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from scipy.special import logsumexp
 
 from nufleet.orchestrator.belief.loop_features import (
     LOOP_PARAMETERS,
@@ -81,7 +82,8 @@ class _Component:
     cross: FloatArray  # L⁻¹ Φᵀ X of each mode: (size, 2 modes)
     mode_precision: FloatArray  # S: (modes, 2, 2)
     mode_mean: FloatArray  # S⁻¹ u: (modes, 2)
-    log_weights: FloatArray  # (1 + modes,): first without another mode
+    misfit: FloatArray  # least ‖w‖² + ‖h‖² + ‖noise‖², (1 + modes,): first without another mode
+    log_weights: FloatArray  # (1 + modes,), likewise
 
 
 class ResponseModel:
@@ -103,6 +105,8 @@ class ResponseModel:
         self._grid_omega, self._grid_damping, self._grid_log_weight = prior.mode_grid()
         self._components: list[_Component] = []
         self._build()
+        self.misfit = np.concatenate([c.misfit for c in self._components])
+        """How much each component departs from its prior, and the measurements from it, squared."""
         # Posterior weights, proportional to prior × evidence; the largest is subtracted first so
         # that its exponential does not overflow.
         weights = np.concatenate([c.log_weights for c in self._components])
@@ -138,6 +142,20 @@ class ResponseModel:
                 parts.append(self._draw_component(component, modes, omega_rad_s, rng))
         samples = np.concatenate(parts)
         return samples[rng.permutation(count)]
+
+    def distance(self, later: ResponseModel) -> float:
+        """Return how far new measurements lie from what was expected of them, squared.
+
+        It is how much more the model must depart from its prior, and its measurements from it, to
+        explain the new ones as well. For a single Gaussian this is the squared Mahalanobis distance
+        of the new measurements from their prediction. Unlike a prediction, it does not trust a fit
+        to a few tones far away from them: the loop is fitted to all tones again.
+
+        Args:
+            later: The belief after the new measurements, with the same prior and settings.
+        """
+        more = np.maximum(later.misfit - self.misfit, 0.0)
+        return float(-2 * logsumexp(-0.5 * more, b=self._weights))
 
     def _build(self) -> None:
         floored = Tones(
@@ -238,8 +256,11 @@ class ResponseModel:
             log_weights = log_evidence + np.concatenate(
                 [[np.log1p(-settings.one_more_mode)], with_mode]
             )
+            misfit = residual @ residual - half @ half - np.append(0.0, np.sum(u * mean, axis=1))
             found.append(
-                _Component(expansion, deviations, factor, half, cross, precision, mean, log_weights)
+                _Component(
+                    expansion, deviations, factor, half, cross, precision, mean, misfit, log_weights
+                )
             )
         return found
 

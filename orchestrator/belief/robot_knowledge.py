@@ -84,11 +84,12 @@ class RobotKnowledge:
                 self._find(finding.text)
                 variance = variance + (NONLINEAR_DEVIATION * np.abs(z)) ** 2
         new = Tones(omega, z, variance)
-        doubt = self._contradiction(new, flight, rng) if check and not first else 0.0
+        later = None if first or not check else self._modelled(new)
+        doubt = 0.0 if later is None else self._contradiction(new, later, flight, rng)
         self.responses.append(response)
         self._tones.append(new)
         self._doubt(doubt)
-        self._model = None
+        self._model = None if doubt else later
 
     def doubt_flights(self, variance: float) -> None:
         """Make all flights less certain, as flights of another robot missed its tests.
@@ -141,15 +142,19 @@ class RobotKnowledge:
     def model(self) -> ResponseModel:
         """The belief after all tests, of which there must be at least one."""
         if self._model is None:
-            self._model = ResponseModel(
-                Tones(
-                    self.omega_rad_s,
-                    np.concatenate([tones.z for tones in self._tones]),
-                    np.concatenate([tones.variance for tones in self._tones]),
-                ),
-                self.prior,
-            )
+            self._model = self._modelled()
         return self._model
+
+    def _modelled(self, *more: Tones) -> ResponseModel:
+        tones = (*self._tones, *more)
+        return ResponseModel(
+            Tones(
+                np.concatenate([each.omega_rad_s for each in tones]),
+                np.concatenate([each.z for each in tones]),
+                np.concatenate([each.variance for each in tones]),
+            ),
+            self.prior,
+        )
 
     def expected_variance(self, omega_rad_s: FloatArray, times_as_long: float) -> FloatArray:
         """Predict the variances of a test's estimates from the earlier tests.
@@ -170,21 +175,18 @@ class RobotKnowledge:
         nearest = np.argmin(np.abs(omega - omega_rad_s[:, None]), axis=1)
         return np.asarray(density[nearest] * len(omega_rad_s) / times_as_long)
 
-    def _contradiction(self, new: Tones, flight: Flight | None, rng: np.random.Generator) -> float:
+    def _contradiction(
+        self, new: Tones, later: ResponseModel, flight: Flight | None, rng: np.random.Generator
+    ) -> float:
         """Return the variance to add to all tests if a new one contradicts the earlier ones.
 
-        The test statistic is the squared Mahalanobis distance of the new ẑ from its prediction; its
-        distribution is χ² with one degree of freedom for each real and imaginary part.
+        The test statistic is the squared distance of the new ẑ from what was expected, of which the
+        belief with the new one as well says how large it is; its distribution is χ² with one degree
+        of freedom for each real and imaginary part.
         """
-        expected = self.model.draw(new.omega_rad_s, CHECK_SAMPLES, rng)
-        parts = np.concatenate([expected.real, expected.imag], axis=1)
-        noise = np.concatenate([new.variance, new.variance]) / 2
-        covariance = np.cov(parts.T) + np.diag(noise)
-        miss = np.concatenate([new.z.real, new.z.imag]) - parts.mean(axis=0)
-        distance = float(miss @ np.linalg.solve(covariance, miss))
-        limit = float(chdtri(len(miss), CHANGE_SIGNIFICANCE))
-        if distance <= limit:
+        if self.model.distance(later) <= chdtri(2 * len(new.z), CHANGE_SIGNIFICANCE):
             return 0.0
+        expected = self.model.draw(new.omega_rad_s, CHECK_SAMPLES, rng)
         excess = np.abs(new.z - expected.mean(axis=0)) ** 2
         usual = new.variance + np.var(expected, axis=0)
         worst = int(np.argmax(excess / usual))

@@ -37,7 +37,7 @@ _identity_option = click.option(
     envvar=IDENTITY_VARIABLE,
     metavar="FILE",
     help="Identity in a closed fleet; names its router too.  [env: NUFLEET_IDENTITY; default: "
-    "the only one in ~/.config/nufleet]",
+    "the only one in ~/.config/nufleet that is no robot's]",
 )
 
 _fleet_name_option = click.option(
@@ -123,6 +123,14 @@ live_option = click.option(
     "--live",
     is_flag=True,
     help="Serve the recording during the run; `nufleet view --live` shows it.",
+)
+
+recording_option = click.option(
+    "--no-recording",
+    "draws",
+    flag_value=False,
+    default=True,
+    help="Draw neither a recording nor plots, which saves processor time.",
 )
 
 rehearsal_option = click.option(

@@ -11,6 +11,7 @@ from nufleet.orchestrator.cli.options import (
     connect_options,
     fleet_option,
     live_option,
+    recording_option,
     rehearsal_option,
     seed_option,
     storage_options,
@@ -91,6 +92,7 @@ from nufleet.orchestrator.cli.types import Names, PositiveNumber
 )
 @rehearsal_option
 @live_option
+@recording_option
 @click.option(
     "--resume",
     metavar="RUN",

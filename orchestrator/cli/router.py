@@ -23,6 +23,13 @@ from nufleet.orchestrator.cli.types import Endpoint
     ),
 )
 @click.option(
+    "--connect",
+    type=Endpoint(),
+    multiple=True,
+    metavar="ENDPOINT",
+    help="Another router to link with, also while it is not there yet; may be repeated.",
+)
+@click.option(
     "--config",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
@@ -31,15 +38,24 @@ from nufleet.orchestrator.cli.types import Endpoint
 @click.option("--until-stdin-closes", is_flag=True, hidden=True)
 @open_option
 def router(
-    listen: tuple[str, ...], config: Path | None, until_stdin_closes: bool, allow_open: bool
+    listen: tuple[str, ...],
+    connect: tuple[str, ...],
+    config: Path | None,
+    until_stdin_closes: bool,
+    allow_open: bool,
 ) -> None:
     """Route messages between orchestrators and robots until Ctrl-C.
 
-    One router per fleet is enough; agents and orchestrators reconnect when it restarts. It admits
+    One router per fleet is enough; agents and orchestrators reconnect when it restarts. Routers
+    that are linked with --connect, in a chain or a tree, serve one fleet together. A router admits
     other machines only with the configuration of a closed fleet, or with --open.
     """
-    if config is not None and listen:
-        raise click.UsageError("the file given with --config sets the endpoints: omit --listen")
+    if config is not None and (listen or connect):
+        raise click.UsageError(
+            "the file given with --config sets the endpoints: omit --listen and --connect"
+        )
     from nufleet.orchestrator.jobs.router import run_router
 
-    run_router(listen, config, until_stdin_closes=until_stdin_closes, allow_open=allow_open)
+    run_router(
+        listen, connect, config, until_stdin_closes=until_stdin_closes, allow_open=allow_open
+    )

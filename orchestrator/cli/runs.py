@@ -1,4 +1,4 @@
-"""`nufleet runs`: list, show, export and resume earlier runs."""
+"""`nufleet runs`: list, show, export, resume and prune earlier runs."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ import click
 from nufleet.orchestrator.cli.options import (
     json_option,
     live_option,
+    recording_option,
     rehearsal_option,
     runs_option,
     storage_options,
     wait_option,
 )
+from nufleet.orchestrator.cli.types import PositiveNumber
 from nufleet.shared.command_line import folder_option
 
 
@@ -38,6 +40,7 @@ def list_runs(runs_root: Path, as_json: bool) -> None:
 @wait_option("How long to wait for the router and the robots.")
 @rehearsal_option
 @live_option
+@recording_option
 @storage_options
 def resume(**options: Any) -> None:
     """Resume the interrupted run RUN: a folder, its name, or `latest`.
@@ -86,3 +89,31 @@ def export(**options: Any) -> None:
     from nufleet.orchestrator.jobs.runs import export_and_print
 
     export_and_print(**options)
+
+
+@click.command()
+@click.option("--days", type=PositiveNumber(), metavar="DAYS", help="Largest age of a run.")
+@click.option("--most", type=click.IntRange(min=0), metavar="N", help="Largest number of runs.")
+@click.option(
+    "--megabytes", type=PositiveNumber(), metavar="MB", help="Largest size of all runs together."
+)
+@click.option(
+    "--keep-samples", is_flag=True, help="Delete only the recordings and the plots of these runs."
+)
+@click.option("--delete", is_flag=True, help="Delete these runs; otherwise they are only listed.")
+@storage_options
+def prune(**options: Any) -> None:
+    """List or delete the oldest runs, until the rest is within all limits.
+
+    The raw samples of a deleted run are deleted from the repository, too. The responses estimated
+    from them stay there, so that rankings can reuse them. A run without a result is never deleted:
+    it may still be running, or be resumed. SQLite fills the freed space with later runs; the file
+    does not shrink.
+
+    \b
+    nufleet runs prune --days 30
+    nufleet runs prune --days 30 --megabytes 2000 --delete
+    """
+    from nufleet.orchestrator.jobs.prune import PruneCommand, prune_and_print
+
+    prune_and_print(PruneCommand(**options))

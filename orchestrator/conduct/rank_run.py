@@ -166,6 +166,7 @@ def run_study(
     *,
     folder: RunFolder,
     observers: Sequence[RankingObserver],
+    draws: bool = True,
     foresee: Callable[[RankResult], RankResult] = lambda result: result,
 ) -> RunRecord:
     """Run a stored study from its current state to its end, and keep its results in the folder.
@@ -177,6 +178,7 @@ def run_study(
         archive: Repository and leases under which the robots are commanded.
         folder: Run folder that receives samples, results, plots and the report.
         observers: Objects that are notified of every round, replayed rounds included.
+        draws: Whether plots are drawn.
         foresee: Function that adds to the result, before it is stored, what the target expects of
             each way to fly.
 
@@ -226,8 +228,9 @@ def run_study(
     folder.write_record(record)
     record = record.model_copy(update={"result": foresee(result)})
     folder.write_record(record)
-    write_plots(folder.path, record, recorder.curves, _true_psi(ready, recorder.curves))
-    write_report(folder.path, record)
+    if draws:
+        write_plots(folder.path, record, recorder.curves, _true_psi(ready, recorder.curves))
+    write_report(folder.path, record, draws=draws)
     why = report.stopped_because or f"selected {record.result.selected}"
     studies.end(study.study_id, StudyStatus.COMPLETE, why, json.loads(record.result.document()))
     return record

@@ -251,19 +251,18 @@ def _cells(result: InverseResult) -> tuple[str, str, str, str]:
     )
 
 
-def error_cell(result: InverseResult, digits: str = ".1f") -> str:
+def error_cell(result: InverseResult) -> str:
     """Return a mean error in thousandths of its unit, or why there is none."""
-    if result.not_flown:
-        return f"{result.not_flown} not flown"
-    return "not finished" if result.rms_m is None else f"{1000 * result.rms_m:{digits}}"
+    return f"{result.not_flown} not flown" if result.not_flown else _milli(result.rms_m)
 
 
-def _milli(value: float | None) -> str:
-    return "not finished" if value is None else f"{1000 * value:.1f}"
+def _milli(value: float | None, without: str = "not finished") -> str:
+    # Errors of one table may differ by factors of a thousand.
+    return without if value is None else f"{1000 * value:.3g}"
 
 
 def _predicted(value: float | None) -> str:
-    return "" if value is None else f"{1000 * value:.1f}"
+    return _milli(value, without="")
 
 
 def _regret(result: PairsResult) -> str:

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
+from nufleet.orchestrator.fleet.capacity import Machine, check_room
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.fleet.discovery import robots_at
 from nufleet.orchestrator.fleet.orchestrator_id import new_orchestrator_id
@@ -21,6 +22,10 @@ from nufleet.shared.wire.transport import Session, open_client
 
 CONNECT_TIMEOUT_S = 5.0
 START_TIMEOUT_S = 60.0
+"""Time in s to wait for the next robot of a fleet that is started."""
+
+_SHOWN = 8
+"""Number of missing robots that an error names."""
 
 
 class Connection(NamedTuple):
@@ -119,8 +124,12 @@ def started_fleet(
 
     Yields:
         The connected fleet, with all robots of the file alive.
+
+    Raises:
+        InvalidInputError: The machine has no room for so many robots.
     """
     check_settings(file, path)
+    check_room(len(file.robots), processes=processes, machine=Machine.this())
     groups = grouped(file, processes=processes or len(file.robots))
     with private_folder() as folder, FleetProcesses() as started:
         endpoint = f"unixsock-stream/{folder}/router.sock"
@@ -133,7 +142,15 @@ def started_fleet(
 
 
 def wait_for_robots(fleet: Fleet, started: FleetProcesses, file: FleetFile) -> None:
-    """Wait until all robots of a file are alive; raise at once when one of their processes died."""
+    """Wait until all robots of a file are alive; raise at once when one of their processes died.
+
+    A large fleet takes minutes on a small machine, so the time counts from the last robot that
+    appeared.
+
+    Raises:
+        RobotLostError: No further robot appeared for `START_TIMEOUT_S`.
+        NufleetError: A process ended.
+    """
     waited_s = 0.0
     missing = tuple(file.robots)
     while missing:
@@ -145,8 +162,14 @@ def wait_for_robots(fleet: Fleet, started: FleetProcesses, file: FleetFile) -> N
         except RobotLostError as error:
             waited_s += 0.5
             if waited_s >= START_TIMEOUT_S:
+                more = len(missing) - _SHOWN
+                shown = ", ".join(missing[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
                 raise RobotLostError(
-                    f"robots {', '.join(missing)} did not start within {START_TIMEOUT_S:g} s, "
-                    "although their processes run: a busy machine may need longer, so try again"
+                    f"robots {shown} did not start: for {START_TIMEOUT_S:g} s no further robot "
+                    "appeared, although their processes run. A busy machine may need longer, so "
+                    "try again"
                 ) from error
+        before = len(missing)
         missing = tuple(robot for robot in missing if not fleet.watch(robot).alive)
+        if len(missing) < before:
+            waited_s = 0.0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nufleet.orchestrator.flights.pilot import PathFlight
-from nufleet.shared.arrays import FloatArray
+from nufleet.shared.arrays import FloatArray, arrow
 
 if TYPE_CHECKING:
     import pyarrow
@@ -48,12 +48,12 @@ class FlightTable:
             flight: Flight to append.
             axes: Names of the robot's axes, in the order of the columns of the flight's arrays.
         """
-        import pyarrow as pa
         import pyarrow.parquet as pq
 
+        pa = arrow()
         samples, details = len(flight.actual), flight.details
 
-        def repeated(name: str) -> pa.DictionaryArray:
+        def repeated(name: str) -> pyarrow.DictionaryArray:
             # The type is given explicitly: a flight may have no samples to infer it from.
             return pa.array([name] * samples, pa.string()).dictionary_encode()
 
@@ -82,8 +82,7 @@ class FlightTable:
 
 def _maps(weights: dict[str, FloatArray], samples: int) -> pyarrow.Array:
     """Return one map from name to weight for each sample, or as many nulls without weights."""
-    import pyarrow as pa
-
+    pa = arrow()
     kind = pa.map_(pa.string(), pa.float64())
     if not weights:
         return pa.nulls(samples, kind)

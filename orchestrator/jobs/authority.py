@@ -104,7 +104,8 @@ def renew_and_print(
     if router:
         expires = authority.renew_router()
         click.echo(
-            f"the router's certificate is valid until {expires:%Y-%m-%d}; restart the router",
+            f"the router's certificate is valid until {expires:%Y-%m-%d}; restart the router. If "
+            "its first address changed, `nufleet fleet renew` writes it into all identities",
             err=True,
         )
     enrolled = [name for name, one in authority.ledger.enrolments.items() if not one.revoked]
@@ -239,7 +240,11 @@ def _print(authority: Authority, name: str, enrolled: Enrolled) -> None:
     role = authority.inventory.principals[name]
     what = f"{enrolled.identity} ({role}, until {enrolled.expires:%Y-%m-%d})"
     click.echo(f"wrote {what}", err=True)
-    if enrolled.key is not None:
+    if enrolled.identity.parent.resolve() == identity_folder().resolve():
+        click.echo("commands of this user find it there", err=True)
+    elif enrolled.key is None:
+        click.echo(f"copy it to where the key of {name} is", err=True)
+    else:
         click.echo(
             f"and its key {enrolled.key}: move both to the machine of {name}, over a channel that "
             "you trust, and delete the key here",

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.live import Live
 
+from nufleet.orchestrator.fleet.capacity import Machine, check_room
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.fleet.connection import CONNECT_TIMEOUT_S, wait_for_robots
 from nufleet.orchestrator.fleet.orchestrator_id import new_orchestrator_id
@@ -44,6 +45,7 @@ def fleet_up(
 
     Raises:
         FleetFileError: The file is not valid.
+        InvalidInputError: The machine has no room for so many robots.
         EndpointInUseError: The router cannot listen on that endpoint.
         NufleetError: A process of the fleet ended by itself.
     """
@@ -52,6 +54,9 @@ def fleet_up(
     check_settings(file, fleet_file)
     console = stderr_console()
     robots = tuple(file.robots)
+    check_room(
+        len(robots), processes=None if processes else AGENT_PROCESSES, machine=Machine.this()
+    )
     groups = grouped(file, processes=len(robots) if processes else AGENT_PROCESSES)
     with FleetProcesses() as started:
         started.start_router(listen)

@@ -22,6 +22,7 @@ from nufleet.orchestrator.viewer.clock import ViewerClock
 from nufleet.orchestrator.viewer.server.ports import GRPC_PORT, WEB_PORT
 from nufleet.orchestrator.viewer.writer import RerunWriter, ServeOptions
 from nufleet.shared.command_line import invocation
+from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.wire.messages import Description
 
 
@@ -50,6 +51,8 @@ class Opening:
     """Storage for studies, with the leases on the robots; exists after `take` or `go_on`."""
     writer: RerunWriter
     """Writer of the recording and of the live view; exists after `record`."""
+    draws: bool
+    """Whether the run draws a recording and plots; exists after `record`."""
     clock: ViewerClock
     """Time axis of the recording; exists after `record`."""
 
@@ -140,12 +143,19 @@ class Opening:
         self.folder = self._stack.enter_context(again)
         return self.folder
 
-    def record(self, *, live: bool) -> RerunWriter:
+    def record(self, *, live: bool, draws: bool = True) -> RerunWriter:
         """Open the recording; closing it prints how to look at it, unless an error ends the run.
 
         Args:
             live: Whether to serve the recording to live viewers, too.
+            draws: Whether to draw anything, a recording in particular.
+
+        Raises:
+            InvalidInputError: A live view is wanted, and nothing is to be drawn.
         """
+        if live and not draws:
+            raise InvalidInputError("--live serves the recording: omit --no-recording")
+        self.draws = draws
         self.writer = self._stack.enter_context(self._recording(live=live))
         self.clock = ViewerClock(time.monotonic)
         return self.writer
@@ -185,10 +195,13 @@ class Opening:
     def _recording(self, *, live: bool) -> Iterator[RerunWriter]:
         folder, console = self.folder, self.console
         serve = ServeOptions(grpc_port=GRPC_PORT, web_port=WEB_PORT) if live else None
-        with RerunWriter(folder.path.name, recording=folder.recording, serve=serve) as writer:
+        recording = folder.recording if self.draws else None
+        with RerunWriter(folder.path.name, recording=recording, serve=serve) as writer:
             if live:
                 console.print(f"live: `nufleet view --live`, or {writer.web_url} in a browser")
             yield writer
+        if recording is None:
+            return
         if writer.dropped:
             console.print(
                 f"[yellow]the recording and its viewers missed {writer.dropped} events[/]"

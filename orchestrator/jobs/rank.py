@@ -54,6 +54,8 @@ class RankCommand(AnyFleetCommand):
     """Time to wait for a running fleet's router and robots."""
     live: bool = False
     """Whether to serve the recording to live viewers."""
+    draws: bool = True
+    """Whether to draw a recording and plots."""
     rehearses: bool = True
     """Whether the target is asked what error it expects of each way to fly."""
     processes: int | None = 2
@@ -112,7 +114,7 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
                 REACH: reached.model_dump(mode="json"),
             }
         )
-        run.record(live=command.live)
+        run.record(live=command.live, draws=command.draws)
         run.say_how_to_resume()
         study = archive.begin(
             folder.study_id,

@@ -50,6 +50,8 @@ class ResumeCommand(StoredCommand):
     """Time to wait for the fleet's router and robots."""
     live: bool = False
     """Whether to serve the recording to live viewers."""
+    draws: bool = True
+    """Whether to draw a recording and plots."""
     rehearses: bool = True
     """Whether the target is asked what error it expects of each way to fly."""
 
@@ -83,7 +85,7 @@ def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
         ready = prepare_again(fleet, study, gone)
         run.go_on(path, {robot: ready.descriptions[robot] for robot in needed})
         run.say_how_to_resume()
-        run.record(live=command.live)
+        run.record(live=command.live, draws=command.draws)
         # Read again: the orchestrator that held the robots until now may have ended the study.
         study = _open_study(path, run.repository)
         return show_study(run, ready, study, rehearses=command.rehearses)

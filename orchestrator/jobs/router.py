@@ -14,6 +14,7 @@ from nufleet.shared.wire.transport import DEFAULT_ENDPOINT, open_configured_rout
 
 def run_router(
     endpoints: tuple[str, ...],
+    others: tuple[str, ...],
     configuration: Path | None,
     *,
     until_stdin_closes: bool,
@@ -23,7 +24,8 @@ def run_router(
 
     Args:
         endpoints: Endpoints to listen on; empty for the default one.
-        configuration: File with a Zenoh configuration that takes the place of `endpoints`.
+        others: Endpoints of other routers to link with, whenever they are there.
+        configuration: File with a Zenoh configuration that takes the place of both.
         until_stdin_closes: Whether the router also ends when its standard input is closed.
         allow_open: Whether it may listen where every machine could command the robots.
 
@@ -36,7 +38,8 @@ def run_router(
         when_stdin_closes(ended.set)
     opening = (
         open_router(
-            [check_closed(at, allow_open=allow_open) for at in endpoints or (DEFAULT_ENDPOINT,)]
+            [check_closed(at, allow_open=allow_open) for at in endpoints or (DEFAULT_ENDPOINT,)],
+            connect=[check_closed(at, allow_open=allow_open) for at in others],
         )
         if configuration is None
         else open_configured_router(configuration, allow_open=allow_open)

@@ -47,6 +47,7 @@ def follow_study(
             study,
             run.archive,
             folder=run.folder,
+            draws=run.draws,
             observers=[ConsoleObserver(run.console, ready.plan.iterations), view],
             foresee=foresee,
         )

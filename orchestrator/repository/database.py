@@ -167,7 +167,7 @@ class Database:
         """Run some work in one transaction with the writes of other threads.
 
         The work is on disk when this returns. If the work raises an error, it alone is undone and
-        the error is raised here.
+        the error is raised here. The work may be run twice, the first time undone.
         """
         self._group.run(work)
 

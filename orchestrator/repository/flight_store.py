@@ -52,7 +52,7 @@ class FlightStore:
                 raise UnknownRecordError(
                     f"robot {record.robot} of fleet {record.fleet} is not described"
                 )
-            added = connection.execute(insert_new(connection, FLIGHT_RESPONSES, values))
+            added = connection.execute(insert_new(connection, FLIGHT_RESPONSES), values)
             return added.rowcount == 1
 
     def responses(

@@ -52,7 +52,10 @@ class GroupCommit:
         self._jobs: list[_Job] = []
 
     def run(self, work: Work) -> None:
-        """Run some work and return when it is on disk; if it raises an error, undo it and raise."""
+        """Run some work and return when it is on disk; if it raises an error, undo it and raise.
+
+        It may be run twice, the first time undone, because the work of others raised an error.
+        """
         job = _Job(work)
         with self._gathering:
             self._jobs.append(job)
@@ -65,15 +68,27 @@ class GroupCommit:
             raise job.error
 
     def _commit(self, jobs: list[_Job]) -> None:
-        errors: list[Exception | None]
+        errors: list[Exception | None] = [None] * len(jobs)
         try:
             with self._database.write() as connection:
-                errors = [self._try(job, connection) for job in jobs]
+                for job in jobs:
+                    job.work(connection)
         except Exception as error:  # noqa: BLE001 - each thread raises it where it wrote
-            # The common commit failed, so no part is on disk, even if its work succeeded.
-            errors = [error] * len(jobs)
+            errors = [error] if len(jobs) == 1 else self._commit_apart(jobs)
         for job, outcome in zip(jobs, errors, strict=True):
             job.error, job.done = outcome, True
+
+    def _commit_apart(self, jobs: list[_Job]) -> list[Exception | None]:
+        """Commit again what was undone together because of some of the work, which raised an error.
+
+        Work is almost never refused, and a savepoint for each part costs as much as the part.
+        """
+        try:
+            with self._database.write() as connection:
+                return [self._try(job, connection) for job in jobs]
+        except Exception as error:  # noqa: BLE001 - each thread raises it where it wrote
+            # The common commit failed, so no part is on disk, even if its work succeeded.
+            return [error] * len(jobs)
 
     def _try(self, job: _Job, connection: Connection) -> Exception | None:
         try:

@@ -46,7 +46,7 @@ class RobotStore:
         """
         values = {**experience_row(record), "learned_at": utc_now()}
         with self._database.write() as connection:
-            connection.execute(insert_new(connection, EXPERIENCES, values))
+            connection.execute(insert_new(connection, EXPERIENCES), values)
             connection.execute(
                 EXPERIENCES.update()
                 .where(EXPERIENCES.c.fleet == record.fleet, EXPERIENCES.c.sha256 == record.sha256)
@@ -86,7 +86,7 @@ def _describe(connection: Connection, record: RobotRecord) -> None:
         "boot_id": record.boot_id,
         "described_at": utc_now(),
     }
-    connection.execute(insert_new(connection, ROBOTS, {**key, **values}))
+    connection.execute(insert_new(connection, ROBOTS), {**key, **values})
     connection.execute(
         ROBOTS.update()
         .where(ROBOTS.c.fleet == record.fleet, ROBOTS.c.robot == record.robot)

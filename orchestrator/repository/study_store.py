@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pydantic import JsonValue
-from sqlalchemy import Connection, bindparam, select
+from sqlalchemy import Connection, bindparam, or_, select
 
 from nufleet.orchestrator.repository.array_blob import pack_array
 from nufleet.orchestrator.repository.database import Database
@@ -177,6 +177,19 @@ class StudyStore:
             raise UnknownRecordError(f"no samples of goal {goal_id} are stored")
         return goal_result(row)
 
+    def forget_samples(self, run_id: str) -> int:
+        """Delete the samples of all studies that a run conducted; return how many tests had some.
+
+        Args:
+            run_id: Id of the run: that of its study, or the first part, before a dot, of several.
+        """
+        of_run = or_(
+            TRIALS.c.study_id == run_id, TRIALS.c.study_id.startswith(f"{run_id}.", autoescape=True)
+        )
+        tests = select(TRIALS.c.goal_id).where(of_run)
+        with self._database.write() as connection:
+            return connection.execute(SAMPLES.delete().where(SAMPLES.c.goal_id.in_(tests))).rowcount
+
     def responses(
         self, fleet: str, robot: str, axis: str, *, usable: bool = True
     ) -> tuple[ResponseRecord, ...]:
@@ -211,7 +224,7 @@ _RESPONSES = (
 
 def _intend(connection: Connection, intent: TrialIntent) -> TrialRecord:
     row = {**intent_row(intent), "intended_at": utc_now()}
-    if connection.execute(insert_new(connection, TRIALS, row)).rowcount == 1:
+    if connection.execute(insert_new(connection, TRIALS), row).rowcount == 1:
         return TrialRecord(intent, TrialStatus.INTENDED)
     known = _locked(connection, intent.goal_id)
     if known is None:

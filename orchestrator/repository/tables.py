@@ -50,6 +50,9 @@ def utc_now() -> datetime:
     return datetime.now(UTC).replace(tzinfo=None)
 
 
+REVISION = "0005"
+"""Revision of the newest migration, which arrives at the tables below."""
+
 METADATA = MetaData(
     naming_convention={
         "ix": "ix_%(column_0_N_label)s",

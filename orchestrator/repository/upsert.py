@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from sqlalchemy import Connection, Table
 from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.sql.dml import Insert
 
 
-def insert_new(connection: Connection, table: Table, values: Mapping[str, Any]) -> Insert:
-    """Return an insert that leaves an existing row unchanged."""
+def insert_new(connection: Connection, table: Table) -> Insert:
+    """Return an insert, of rows given on execution, that leaves existing rows unchanged."""
     if connection.dialect.name == "sqlite":
-        return sqlite.insert(table).values(values).on_conflict_do_nothing()
-    return postgresql.insert(table).values(values).on_conflict_do_nothing()
+        return sqlite.insert(table).on_conflict_do_nothing()
+    return postgresql.insert(table).on_conflict_do_nothing()

@@ -116,9 +116,11 @@ class RunFolder:
     def write_samples(self, iteration: int, measured: Measured) -> None:
         """Append one test's raw samples, so that a better estimator can be run on them later."""
         import numpy as np
-        import pyarrow as pa
         import pyarrow.parquet as pq
 
+        from nufleet.shared.arrays import arrow
+
+        pa = arrow()
         result = measured.result
         count = len(result.reference)
         table = pa.table(

@@ -109,8 +109,14 @@ def _certainty(result: RankResult) -> list[str]:
     return [*told, "", "Eliminated sources:", "", *out] if out else told
 
 
-def write_report(folder: Path, record: RunRecord) -> None:
-    """Write `report.md`: the request and the result, in words and one table."""
+def write_report(folder: Path, record: RunRecord, *, draws: bool = True) -> None:
+    """Write `report.md`: the request and the result, in words and one table.
+
+    Args:
+        folder: Folder of the run.
+        record: Results of the run.
+        draws: Whether the run drew plots and a recording, which the report then names.
+    """
     result = record.result
     low, high = result.band_rad_s
     lines = [
@@ -145,14 +151,14 @@ def write_report(folder: Path, record: RunRecord) -> None:
     ]
     lines += ["", *verdict_markdown(result), "", *way_markdown(result)]
     lines += [f"\n{finding}" for finding in result.findings]
+    drawn = ["psi_over_frequency.png", "psi_over_iterations.png"] if draws else []
+    lines += ["", *(f"![{name}](plots/{name})" for name in drawn)]
+    recording = "Recording: `run.rrd`. " if draws else ""
     lines += [
         "",
-        "![ψ over frequency](plots/psi_over_frequency.png)",
-        "![ψ over iterations](plots/psi_over_iterations.png)",
-        "",
         (
-            "Raw samples: `telemetry.parquet`. Recording: `run.rrd`. Resolved configuration and "
-            "versions: `config.json`."
+            f"Raw samples: `telemetry.parquet`. {recording}Resolved configuration and versions: "
+            "`config.json`."
         ),
     ]
     (folder / "report.md").write_text("\n".join(lines) + "\n", encoding="utf-8")

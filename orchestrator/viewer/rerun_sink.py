@@ -14,6 +14,7 @@ from nufleet.orchestrator.viewer.events import ViewerEvent
 from nufleet.orchestrator.viewer.layout import layout
 from nufleet.orchestrator.viewer.scene import Scene
 from nufleet.orchestrator.viewer.shown import Shown
+from nufleet.shared.arrays import arrow
 from nufleet.shared.errors import InvalidInputError, NufleetError
 
 APPLICATION = "nufleet"
@@ -112,6 +113,7 @@ def _draw_each(draws: Sequence[Callable[[], None]]) -> None:
 
 
 def _stream(run_id: str) -> rr.RecordingStream:
+    arrow()
     stream = rr.RecordingStream(APPLICATION, recording_id=run_id)
     # Otherwise data logged without a time would get the wall time instead of being static.
     stream.set_log_time_enabled(False)

@@ -52,7 +52,8 @@ def _after(belief: ErrorBelief, reference: FloatArray) -> ErrorBelief:
         reference: Reference of the flight on that axis, shape (samples,), in the axis's unit.
     """
     # The outputs do not matter here: what a flight shows depends on its references alone.
-    evidence = Evidence.of(belief.basis, reference, reference, float(reference[0]))
+    whole = Evidence.of(belief.basis, reference, reference, float(reference[0]))
+    evidence = whole.thinned(belief.lasting)
     size = len(belief.mean)
     normal = np.array(evidence.normal).reshape(size, size)
     power, turn = np.linalg.eigh(belief.factor.T @ normal @ belief.factor)

@@ -3,47 +3,30 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 
 import numpy as np
 
-from nufleet.robot_agent.flight.forecast import Forecast, forecast_of
-from nufleet.robot_agent.flight.guard import Guard
+from nufleet.robot_agent.flight.equipment import equipment_for
+from nufleet.robot_agent.flight.forecast import forecast_of
+from nufleet.robot_agent.flight.learning import learn, learn_unexplained, states_in
 from nufleet.robot_agent.flight.memory import Memory, MemoryFolderError
-from nufleet.robot_agent.flight.mixture_learner import experts_of, mixture_learner
-from nufleet.robot_agent.flight.online_gp import WINDOW_POINTS, OnlineGp
-from nufleet.robot_agent.flight.own_model import (
-    OwnModel,
-    check_explained,
-    evidence_in,
-    telling,
-    unexplained_in,
-)
+from nufleet.robot_agent.flight.mixture_learner import experts_of
+from nufleet.robot_agent.flight.own_model import check_explained, evidence_in
 from nufleet.robot_agent.flight.rich_flight import (
     FlightRecord,
     fly_record,
     rich_references,
     step_references,
-    top_rad_s,
 )
-from nufleet.robot_agent.flight.state_model import StateEvidence, state_evidence
-from nufleet.robot_agent.flight.tracking import (
-    STOPPED,
-    Ahead,
-    Learner,
-    TrackingRecord,
-    Watch,
-    track,
-)
+from nufleet.robot_agent.flight.tracking import Watch, track
+from nufleet.robot_agent.flight.tracking_record import STOPPED, TrackingRecord
 from nufleet.robot_agent.motion.monitored_robot import MonitoredRobot
 from nufleet.robot_agent.motion.pace import HaltSwitch, Pace
 from nufleet.robot_agent.motion.paced_robot import PacedRobot
 from nufleet.robot_agent.motion.perform import Performance, Samples
 from nufleet.robot_agent.robot import Robot
-from nufleet.shared.arrays import FloatArray
-from nufleet.shared.errors import InvalidInputError, NufleetError, RobotError
-from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.errors import NufleetError, RobotError
 from nufleet.shared.wire.messages import Outcome
 from nufleet.shared.wire.motions import (
     Flight,
@@ -244,176 +227,3 @@ class _Path:
             findings=self._findings,
         )
         return Samples(record.reference, record.actual, details)
-
-
-def states_in(robot: Robot, states: FloatArray) -> dict[str, StateEvidence]:
-    """Return what a rich flight shows of the states of every axis beside its output.
-
-    Args:
-        robot: The robot, for its description and the names of its states.
-        states: States, shape (samples, axes, states); NaN where they were not observed.
-    """
-    step_s, names, top = robot.spec.sample_time_s, robot.state_names, top_rad_s(robot.spec)
-    found = {
-        axis.name: state_evidence(names, states[:, i, 0], states[:, i], step_s, top)
-        for i, axis in enumerate(robot.spec.axes)
-    }
-    return {axis: evidence for axis, evidence in found.items() if evidence is not None}
-
-
-def learn(
-    memory: Memory,
-    spec: RobotSpec,
-    references: FloatArray,
-    outputs: FloatArray,
-    states: Mapping[str, StateEvidence] | None = None,
-    before: OwnModel | None = None,
-) -> None:
-    """Add a completed motion to a robot's model of itself; a failure is no fault of the motion.
-
-    Args:
-        memory: Memory of the robot.
-        spec: Description of the robot; one without tracking limits needs no such model.
-        references: References sent, shape (samples, axes), in the axes' units.
-        outputs: Outputs measured before each reference acted, in the same shape.
-        states: What it shows of the states of an axis beside its output, by the axis's name.
-        before: The robot's model of itself, for a path, along which the axes do not move
-            independently of each other; see `telling`.
-    """
-    if spec.tracking is None:
-        return
-    try:
-        evidence = evidence_in(spec, references, outputs)
-        memory.learn(evidence if before is None else telling(before, spec, evidence), states)
-    except (InvalidInputError, MemoryFolderError) as error:
-        _log.warning("a motion taught nothing: %s", error)
-
-
-def learn_unexplained(
-    memory: Memory,
-    spec: RobotSpec,
-    references: FloatArray,
-    outputs: FloatArray,
-    rest_std: FloatArray,
-) -> tuple[str, ...]:
-    """Add what a flight of all axes leaves unexplained to a robot's model of itself.
-
-    Args:
-        memory: Memory of the robot, which has learned from the flight already.
-        spec: Description of the robot.
-        references: References sent, shape (samples, axes), in the axes' units.
-        outputs: Outputs measured before each reference acted, in the same shape.
-        rest_std: Standard deviation of the output at rest, shape (axes,), in the axes' units.
-
-    Returns:
-        What the flight shows of the model, for people.
-
-    Raises:
-        MemoryFolderError: It cannot be stored.
-    """
-    settled = memory.own_model(spec)
-    if settled.model is not None:
-        left = unexplained_in(settled.model, spec, references, outputs, rest_std)
-        memory.learn_unexplained(left, spec)
-    return settled.findings
-
-
-@dataclass(frozen=True, eq=False)
-class Equipment:
-    """What acts in front of a robot on one flight along a path."""
-
-    learner: Learner | Ahead | None
-    """Inverse model, or corrections known ahead; None for the baseline alone."""
-    guard: Guard | None
-    """Guard over the learner; None if the flight is not guarded."""
-    fallback: Ahead | None
-    """Corrections that take over if the guard withdraws those of the learner."""
-
-
-def equipment_for(
-    motion: Tracking, robot: Robot, memory: Memory, forecast: Forecast | None
-) -> Equipment:
-    """Return what a flight asks for, new and ready to fly.
-
-    For the arguments and errors see `learner_for`.
-
-    Raises:
-        RobotError: In addition, the flight is guarded and the robot knows nothing of its baseline.
-    """
-    learner = learner_for(motion, robot, memory, forecast)
-    if learner is None or not motion.guarded:
-        return Equipment(learner, None, None)
-    if forecast is None:
-        raise RobotError("the robot does not know its baseline any more")
-    fallback = None
-    if forecast.own_helps and motion.inverse != "own":
-        fallback = Ahead(forecast.correction, forecast.way.feedback)
-    guard = guard_for(forecast, robot, fallback=fallback is not None)
-    return Equipment(learner, guard, fallback)
-
-
-def learner_for(
-    motion: Tracking, robot: Robot, memory: Memory, forecast: Forecast | None
-) -> Learner | Ahead | None:
-    """Return the inverse model that a flight asks for, compiled and ready.
-
-    Axes on which the prior was not learned begin with a zero prior.
-
-    Args:
-        motion: Flight requested.
-        robot: The robot that flies it.
-        memory: Memory of the robot, with its prior.
-        forecast: What the robot's model of itself says of the path; None without a model.
-
-    Returns:
-        The learner, or corrections known ahead; None for the baseline alone.
-
-    Raises:
-        RobotError: The flight asks for a prior that the robot no longer has, or for its model of
-            itself when it has none.
-    """
-    if motion.inverse == "baseline":
-        return None
-    if motion.inverse == "own":
-        if forecast is None:
-            raise RobotError("the robot has no model of itself any more")
-        return Ahead(forecast.correction, forecast.way.feedback)
-    window = WINDOW_POINTS if motion.learn else 0
-    axes = robot.spec.axes
-    if motion.mixture:
-        return mixture_learner(motion, tuple(axis.name for axis in axes), memory, window)
-    prior = next((p for p in memory.priors if p.sha256 == motion.prior_sha256), None)
-    if prior is None:
-        if motion.layout is None:
-            raise RobotError("the robot no longer has a prior")
-        process = OnlineGp(motion.layout, (None,) * len(axes), window=window)
-        return Learner(motion.layout, process)
-    layout = prior.manifest.layout
-    inverses = tuple(prior.inverse if a.name in prior.manifest.axes else None for a in axes)
-    return Learner(layout, OnlineGp(layout, inverses, window=window))
-
-
-def guard_for(forecast: Forecast, robot: Robot, *, fallback: bool) -> Guard:
-    """Return the guard of one flight along a path.
-
-    Args:
-        forecast: What the robot's model of itself says of the path.
-        robot: The robot that flies it.
-        fallback: Whether corrections that are withdrawn give way to those of the robot's own model.
-
-    Raises:
-        RobotError: The robot has no tracking limits.
-    """
-    limits = robot.spec.tracking
-    if limits is None:
-        raise RobotError("the robot does not track")
-    return Guard(
-        forecast.baseline_squares,
-        forecast.noise_variance,
-        robot.spec.sample_time_s,
-        limits.acceleration_max,
-        forecast.correction,
-        correction_speed_max=limits.correction_speed_max,
-        fallback=fallback,
-        unit=robot.spec.axes[0].unit,
-    )

@@ -228,7 +228,7 @@ class Guard:
         excess = self._spent - float(self._allowed[sample])
         at, unit = self._at(sample), self._unit
         if excess > self._budget:
-            return f"{at} its error until then was {self._ratio(sample)}"
+            return f"{at} its error until then was {self._ratio(0, sample)}"
         if excess + self._return_cost(sample, correction) > self._return_budget:
             size, needed = np.linalg.norm(correction), np.linalg.norm(self._needed[sample])
             return (
@@ -242,26 +242,28 @@ class Guard:
 
         It answers for what comes after the hand-over alone.
         """
-        begun = event.sample + self._hand_over + len(self._recent)
-        if sample <= begun:
+        first = event.sample + self._hand_over + len(self._recent) + 1
+        if sample < first:
             return None
-        flown = self._spent - self._spent_at[begun + 1]
-        excess = flown - float(self._allowed[sample] - self._allowed[begun])
+        flown, allowed = self._sums(first, sample)
         reason = self._dangerous(sample, square)
-        if reason is None and excess > self._budget:
-            reason = f"{self._at(sample)} the error until then was {self._ratio(sample)}"
+        if reason is None and flown - allowed > self._budget:
+            since_s = first * self._sample_time_s
+            ratio = self._ratio(first, sample)
+            reason = f"{self._at(sample)} the error since {since_s:.2f} s was {ratio}"
         return reason
 
     def _dangerous(self, sample: int, square: float) -> str | None:
         if not math.isfinite(square):
             return "the tracking error is not finite"
-        recent = float(self._recent.mean())
-        if recent <= self._peak:
+        recent, peak = math.sqrt(self._recent.mean()), math.sqrt(self._peak)
+        if recent <= peak:
             return None
+        error, worst = _told_apart(recent, peak)
         return (
-            f"{self._at(sample)} the error was {math.sqrt(recent):.3g} {self._unit} RMS over "
+            f"{self._at(sample)} the error was {error} {self._unit} RMS over "
             f"{self._settings.window_s:g} s, more than the baseline's worst allows, "
-            f"{math.sqrt(self._peak):.3g} {self._unit}"
+            f"{worst} {self._unit}"
         )
 
     def _restless(self, sample: int) -> str | None:
@@ -272,22 +274,34 @@ class Guard:
         pull = math.sqrt(np.minimum(self._accelerations, (2 * allowed) ** 2).mean())
         if pull <= allowed:
             return None
+        found, enough = _told_apart(pull, allowed)
         return (
-            f"{self._at(sample)} its corrections oscillate: they accelerate by {pull:.3g} "
-            f"{self._unit}/s², which no path asks for; {allowed:.3g} {self._unit}/s² is enough"
+            f"{self._at(sample)} its corrections oscillate: they accelerate by {found} "
+            f"{self._unit}/s², which no path asks for; {enough} {self._unit}/s² is enough"
         )
 
-    def _ratio(self, sample: int) -> str:
-        flown, allowed = (
-            math.sqrt(total / (sample + 1)) for total in (self._spent, float(self._allowed[sample]))
-        )
+    def _sums(self, first: int, last: int) -> tuple[float, float]:
+        """Return the squared errors flown and allowed, summed from one sample to another."""
+        before = float(self._allowed[first - 1]) if first else 0.0
+        return self._spent - float(self._spent_at[first]), float(self._allowed[last]) - before
+
+    def _ratio(self, first: int, last: int) -> str:
+        sums = self._sums(first, last)
+        flown, allowed = (math.sqrt(total / (last - first + 1)) for total in sums)
+        ratio = flown / allowed if allowed > 0 else math.inf
         return (
-            f"{flown / allowed:.2f} times the error of the baseline: {flown:.3g} {self._unit} "
+            f"{ratio:.2f} times the error of the baseline: {flown:.3g} {self._unit} "
             f"RMS instead of {allowed:.3g} {self._unit}"
         )
 
     def _at(self, sample: int) -> str:
         return f"after {(sample + 1) * self._sample_time_s:.2f} s"
+
+
+def _told_apart(larger: float, smaller: float) -> tuple[str, str]:
+    """Return two numbers with three digits, or with as many as it takes to see which is larger."""
+    texts = ((f"{larger:.{digits}g}", f"{smaller:.{digits}g}") for digits in range(3, 18))
+    return next(pair for pair in texts if pair[0] != pair[1])
 
 
 def _smooth(values: FloatArray, window: int) -> FloatArray:

@@ -110,11 +110,12 @@ class OwnModel:
         Returns:
             Distances y − y_d for draws from the belief, shape (draws, samples, axes).
         """
-        rng = np.random.default_rng(_SEED)
+        rng, alone = np.random.default_rng(_SEED), len(self.axes) == 1
         found = np.empty((DRAWS, *desired.shape))
         for i, (belief, seen) in enumerate(zip(self.axes, self.unexplained, strict=True)):
             reference, wanted = desired[:, i] + correction[:, i], desired[:, i]
-            draws = belief.draws(DRAWS, rng, float(np.std(wanted)), flown=seen is not None)
+            size, flown = float(np.std(wanted)), seen is not None
+            draws = belief.draws(DRAWS, rng, size, flown=flown, alone=alone)
             done = 0
             for columns in belief.basis.blocks(reference, float(wanted[0])):
                 rows = slice(done, done + len(columns))

@@ -73,6 +73,7 @@ class _Axis:
     left: FloatArray  # what the response, as far as it is known, may leave, (draws, samples)
     lasting: FloatArray  # autocovariance of what it does not explain, (lags,)
     noise: float  # variance of what is measured at random
+    noise_lasts: float  # its correlation time in samples
     relative_error: float
 
     def feedback(self, acceleration_max: float) -> WienerFeedback | None:
@@ -94,7 +95,8 @@ class _Axis:
         """Return the mean squared errors and those of the noise about them, shape (draws,) each."""
         scales = np.exp(2 * _SCALE_SPREAD * rng.standard_normal(DRAWS))
         # The mean square of n samples of noise varies by √(2/n) of itself; so did the one known.
-        luck = 1 + rng.standard_normal(DRAWS) * np.sqrt(4 / self.left.shape[1])
+        independent = self.left.shape[1] / self.noise_lasts
+        luck = np.exp(rng.standard_normal(DRAWS) * np.sqrt(4 / independent))
         if feedback is None:
             known, lasting, noise, doubtful = self.left, self.lasting[0], self.noise, 0.0
         else:
@@ -168,8 +170,8 @@ def _axis(model: OwnModel, i: int, left: FloatArray, baseline_square: float, siz
     belief, seen = model.axes[i], model.unexplained[i]
     wrong = belief.open(size)
     if seen is None:
-        lags = max(3, int(belief.basis.nodes[-1]))
-        return _Axis(belief, left, np.zeros(lags), belief.noise_std**2, max(MODEL_ERROR, wrong))
+        lasting, noise = np.zeros(max(3, int(belief.basis.nodes[-1]))), belief.noise_std**2
+        return _Axis(belief, left, lasting, noise, belief.lasting, max(MODEL_ERROR, wrong))
     lasting, noise = seen.parts()
     ratio = lasting[0] / seen.error_square if seen.error_square > 0 else 0.0
     scale = baseline_square / seen.error_square if seen.error_square > 0 else 1.0
@@ -178,5 +180,6 @@ def _axis(model: OwnModel, i: int, left: FloatArray, baseline_square: float, siz
         left,
         lasting * float(np.clip(scale, *_SCALES)),
         noise,
+        1.0,
         max(belief.model_error, wrong, min(1.0, float(np.sqrt(ratio)))),
     )

@@ -11,10 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 from nufleet.robot_agent.flight.after_flight import own_error_after
-from nufleet.robot_agent.flight.flights import equipment_for
+from nufleet.robot_agent.flight.equipment import equipment_for
 from nufleet.robot_agent.flight.forecast import Forecast, forecast_of
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.own_model import HIGH, OwnModel
@@ -29,6 +28,10 @@ from nufleet.shared.wire.motions import PredictedError, Tracking
 
 DRAWS = 4
 """Number of robots that a flight is rehearsed on; the bounds allow for so few."""
+
+ROUGH = 0.01
+"""Least standard deviation of the logarithm of a rehearsed error. Without disturbances all
+rehearsals end alike, and yet no model answers exactly as its robot does."""
 
 _SEED = 0  # every way of flying meets the same robots and the same noise, so that they compare
 
@@ -140,8 +143,11 @@ def predicted_from(errors: Sequence[float]) -> PredictedError:
     Args:
         errors: Root mean square errors, at least two, above 0.
     """
+    # Agents only write the task of a rehearsal, and do without a third of a second of loading.
+    from scipy.special import stdtrit
+
     logarithms, count = np.log(errors), len(errors)
-    spread = float(np.std(logarithms, ddof=1)) * np.sqrt(1 + 1 / count)
+    spread = np.hypot(float(np.std(logarithms, ddof=1)), ROUGH) * np.sqrt(1 + 1 / count)
     reach = float(stdtrit(count - 1, HIGH)) * spread
     middle = float(np.mean(logarithms))
     low, rms, high = np.exp([middle - reach, middle, middle + reach])

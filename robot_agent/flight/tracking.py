@@ -18,6 +18,7 @@ from nufleet.robot_agent.flight.guard import Guard
 from nufleet.robot_agent.flight.mixture_process import MixtureProcess
 from nufleet.robot_agent.flight.online_gp import Correction, OnlineGp
 from nufleet.robot_agent.flight.output_feedback import FeedbackLoop, OutputFeedback
+from nufleet.robot_agent.flight.tracking_record import STOPPED, TrackingRecord
 from nufleet.robot_agent.motion.paced_robot import Halted
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
@@ -26,11 +27,6 @@ from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.paths.trajectories import check_trajectory, travel
 from nufleet.shared.robots.spec import RobotSpec, TrackingLimits
-from nufleet.shared.wire.motions import TakenBack
-
-STOPPED = "stopped"
-"""Value of `TrackingRecord.failure` for a flight that was ended on request."""
-
 
 PAIR_SPACING_S = 0.12
 """Time between the pairs that the online process learns from.
@@ -38,70 +34,6 @@ PAIR_SPACING_S = 0.12
 A window of fifty pairs then covers six seconds of path and shows the dynamics in several states.
 Fifty neighbouring samples would all say the same, and a process fitted to those produces steep
 feedback across the path."""
-
-
-@dataclass(frozen=True, eq=False)
-class TrackingRecord:
-    """The record of one flight along a path, with one row per sample played."""
-
-    sample_time_s: float
-    """Sample time in seconds."""
-
-    desired: FloatArray
-    """Path y_d, shape (samples, axes), in the axes' units."""
-
-    reference: FloatArray
-    """References y_r sent, shape (samples, axes), in the axes' units."""
-
-    actual: FloatArray
-    """Outputs y_a measured, shape (samples, axes), in the axes' units."""
-
-    prior: FloatArray
-    """The prior's part of γ (see `InverseLayout`), shape (samples, axes), in unit/s; zero for the
-    baseline alone, like `mean` and `variance`. For corrections known ahead, their speed."""
-
-    mean: FloatArray
-    """The online process's part of γ, shape (samples, axes), in unit/s; for corrections known
-    ahead, the speed of what a feedback adds."""
-
-    variance: FloatArray
-    """Variance of `mean`, shape (samples, axes), in unit²/s²."""
-
-    weights: FloatArray
-    """Weights of a mixture, shape (samples, experts + 1), none's last; (samples, 0) without one."""
-
-    share: FloatArray
-    """Share of the correction that the guard let act, shape (samples,), from 0 to 1."""
-
-    limited: np.ndarray
-    """True where the correction was cut to its bounds, shape (samples,)."""
-
-    step_time_s: FloatArray
-    """Time that choosing each reference took, the robot not included, shape (samples,)."""
-
-    dropped_pairs: int
-    """Number of training pairs dropped because they were not finite."""
-
-    taken_back: TakenBack | None
-    """When and why the guard withdrew the prior; None when it did not, or without a guard."""
-
-    failure: str | None
-    """Why the path was not finished; None when it was."""
-
-    @property
-    def rms_error(self) -> float:
-        """Root mean square of the distance to the path, in the axes' unit; infinite if unfinished.
-
-        It is sqrt(mean_k |y_a(k) − y_d(k)|²).
-        """
-        if self.failure is not None:
-            return math.inf
-        return float(np.sqrt(np.mean(np.sum((self.actual - self.desired) ** 2, axis=1))))
-
-    @property
-    def deadline_misses(self) -> int:
-        """Number of references that took longer to choose than a sample lasts."""
-        return int((self.step_time_s > self.sample_time_s).sum())
 
 
 class Watch(Protocol):
@@ -301,20 +233,11 @@ class _Flight:
             if observed is not None and not np.isfinite(observed).all():
                 return f"the sensor returned a value that is not finite at sample {k}"
             if self._learner is not None and observed is not None:
-                if self._guard is not None:
-                    sent = self._reference[self._span + k - 1] - self._desired[max(0, k - 1)]
-                    error = observed[:, 0] - self._desired[max(0, k - self._late)]
-                    self._share[k] = self._guard.judge(k, error, sent)
-                if self._loop is not None and k > 0:
-                    previous = self._reference[self._span + k - 1]
-                    self._fed[k] = self._loop.correction(k, previous, self._actual[k - 1])
-                correction, reference = (
-                    self._choose(self._learner, k, observed)
-                    if isinstance(self._learner, Learner)
-                    else self._played(self._learner, k)
-                )
+                correction, reference = self._corrected(self._learner, k, observed)
             self._reference[self._span + k] = reference
             self._step_time_s[k] = time.perf_counter() - begin_s
+            if not np.isfinite(reference).all():
+                return f"the inverse model asked for a value that is not finite at sample {k}"
             try:
                 self._actual[k] = self._robot.step(reference)
             except Halted:
@@ -325,6 +248,21 @@ class _Flight:
             if self._watch is not None:
                 self._watch(k, wanted, self._actual[k], correction, float(self._share[k]))
         return None
+
+    def _corrected(
+        self, learner: Learner | Ahead, k: int, observed: FloatArray
+    ) -> tuple[Correction, FloatArray]:
+        """Return the correction of a sample, as far as the guard lets it act, and the reference."""
+        if self._guard is not None:
+            sent = self._reference[self._span + k - 1] - self._desired[max(0, k - 1)]
+            error = observed[:, 0] - self._desired[max(0, k - self._late)]
+            self._share[k] = self._guard.judge(k, error, sent)
+        if self._loop is not None and k > 0:
+            previous = self._reference[self._span + k - 1]
+            self._fed[k] = self._loop.correction(k, previous, self._actual[k - 1])
+        if isinstance(learner, Learner):
+            return self._choose(learner, k, observed)
+        return self._played(learner, k)
 
     def _observed(self, k: int) -> FloatArray:
         """Return the latest states, shape (axes, states): those of sample k, or the output before.

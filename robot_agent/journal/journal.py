@@ -75,7 +75,8 @@ class Journal:
     """One robot's journal, open for one agent process; usable from many threads, and to be closed.
 
     Every method that stores a fact returns when it is on disk, and raises JournalError when it is
-    not. After a disk error that leaves the content of the disk in doubt, nothing more is stored.
+    not; `acknowledged` is the exception. After a disk error that leaves the content of the disk in
+    doubt, nothing more is stored.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -171,8 +172,13 @@ class Journal:
         )
 
     def acknowledged(self, goal_ids: Iterable[str]) -> None:
-        """Drop results that have arrived; unknown ids are ignored."""
-        self._append(ledger.Acknowledged(goal_ids=tuple(goal_ids)))
+        """Drop results that have arrived; unknown ids are ignored.
+
+        This alone is not on disk when the call returns, but with the next record, most often the
+        acceptance in the same request. After a power failure in between, the journal names results
+        that are gone, and that their requester has: it asks for them no more.
+        """
+        self._append(ledger.Acknowledged(goal_ids=tuple(goal_ids)), durable=False)
 
     def stopped(self, order: StopOrder) -> None:
         """Store a stop; the robot is halted before this call, so a slow disk delays no stop."""
@@ -277,11 +283,11 @@ class Journal:
     def _close_log(self) -> None:
         self._log_file.close()
 
-    def _append(self, record: ledger.Record) -> None:
+    def _append(self, record: ledger.Record, *, durable: bool = True) -> None:
         with self._mutex:
             if self._ledger.says_already(record):
                 return
-            self._log_file.append(ledger.encode_record(record))
+            self._log_file.append(ledger.encode_record(record), durable=durable)
             for goal_id in self._ledger.apply(record):
                 self._remove_result(goal_id)
             if self._log_file.size_bytes > self._compact_above_bytes:

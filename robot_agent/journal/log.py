@@ -37,11 +37,13 @@ class LogFile:
         """Size of the log in bytes."""
         return self._size_bytes
 
-    def append(self, payload: bytes) -> None:
-        """Store a record; it is on disk when this returns.
+    def append(self, payload: bytes, *, durable: bool = True) -> None:
+        """Store a record.
 
         Args:
             payload: Encoded record.
+            durable: Whether it is on disk when this returns, with all records before it; otherwise
+                it survives this process, but not a power failure before the next durable record.
 
         Raises:
             JournalError: The record is not stored. When the content of the disk is in doubt, this
@@ -59,7 +61,8 @@ class LogFile:
                 "until then"
             ) from error
         try:
-            os.fdatasync(self._descriptor)
+            if durable:
+                os.fdatasync(self._descriptor)
         except OSError as error:
             # After a failed sync the system may have discarded the data it could not write, so a
             # second sync that succeeds would prove nothing.

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.robots.fleet_file import FleetFile
-from nufleet.shared.wire.identity import address_of, identity_at, read_identity
-from nufleet.shared.wire.openness import chosen_address
+from nufleet.shared.wire.identity import address_of, read_identity
+from nufleet.shared.wire.openness import LOCAL_ENDPOINT, check_closed, kept_identities
 
 
 def agent_addresses(
@@ -32,14 +32,14 @@ def agent_addresses(
         InvalidInputError: An identity belongs to another fleet or to no robot of the file, or a
             robot to serve has none; or the endpoint is open.
     """
-    files = identities
-    if not files:
-        address = chosen_address(connect, None, allow_open=allow_open)
-        only = identity_at(address)
-        if only is None:
-            return dict.fromkeys(robots or fleet.robots, address)
-        files = (only.path,)
-    found = {identity.principal: identity for identity in map(read_identity, files)}
+    kept = () if identities or connect else kept_identities(of_robots=True)
+    if not identities and not kept:
+        endpoint = check_closed(connect or LOCAL_ENDPOINT, allow_open=allow_open)
+        return dict.fromkeys(robots or fleet.robots, endpoint)
+    files = [read_identity(path) for path in identities or kept]
+    # The user's folder may also hold identities of robots that another agent serves.
+    known = [one for one in files if one.fleet == fleet.name and one.principal in fleet.robots]
+    found = {one.principal: one for one in (files if identities else known or files)}
     for robot, identity in found.items():
         if identity.fleet != fleet.name:
             raise InvalidInputError(

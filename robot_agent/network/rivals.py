@@ -34,7 +34,7 @@ class Rivals:
         self._heard: tuple[str, float] | None = None
 
     def heard(self, key: str, payload: bytes) -> None:
-        """Receive a state published on a key; most states are this agent's own."""
+        """Receive a state that another session published; this agent's own may be among them."""
         try:
             state = decode(payload, RobotState)
         except MalformedMessageError as error:

@@ -18,6 +18,9 @@ GRID_POINTS = 2000
 PEAKS_REFINED = 32
 """Largest number of peaks refined; for equal models, rounding makes every grid point a peak."""
 
+FINER_POINTS = 33
+"""Number of grid points around a peak while it is refined; the next grid is a sixteenth as wide."""
+
 RESPONSES_AT_ONCE = 2**20
 """Largest number of matrix entries solved for at once, so that models of high order fit into
 memory."""
@@ -118,8 +121,8 @@ def worst_case_chordal_distance(
 ) -> tuple[float, float]:
     """Return ψ* = max ψ(z₁(ω), z₂(ω)) over a band, the paper's eq. (6), and the ω that attains it.
 
-    A dense grid (linear, logarithmic, and around every pole) locates the peaks; a bounded minimiser
-    refines them.
+    A dense grid (linear, logarithmic, and around every pole) locates the peaks; finer and finer
+    grids refine them.
 
     Args:
         model_1: Baseline loop of one robot.
@@ -132,9 +135,6 @@ def worst_case_chordal_distance(
     Raises:
         InvalidInputError: the band is empty or reaches a Nyquist frequency.
     """
-    # Half a second, which commands that only compare two responses do without.
-    from scipy.optimize import minimize_scalar
-
     low, high = omega_band_rad_s
     nyquist = np.pi / max(model_1.sample_time_s, model_2.sample_time_s)
     if not 0 <= low < high < nyquist:
@@ -146,19 +146,17 @@ def worst_case_chordal_distance(
     psi = chordal_distance(_responses(model_1, omega), _responses(model_2, omega))
     best, best_omega = float(psi.max()), float(omega[psi.argmax()])
 
-    def negative_distance(at: float) -> float:
-        one = np.array([at])
-        return -float(
-            chordal_distance(model_1.frequency_response(one), model_2.frequency_response(one))[0]
-        )
-
     for peak in _promising_peaks(psi):
-        around = (float(omega[max(peak - 1, 0)]), float(omega[min(peak + 1, len(omega) - 1)]))
-        found = minimize_scalar(
-            negative_distance, bounds=around, method="bounded", options={"xatol": 1e-9 * high}
-        )
-        if -found.fun > best:
-            best, best_omega = -float(found.fun), float(found.x)
+        around = omega[max(peak - 1, 0) : peak + 2]
+        while True:
+            finer = np.linspace(around[0], around[-1], FINER_POINTS)
+            fine = chordal_distance(_responses(model_1, finer), _responses(model_2, finer))
+            top = int(fine.argmax())
+            if fine[top] > best:
+                best, best_omega = float(fine[top]), float(finer[top])
+            if around[-1] - around[0] <= 1e-9 * high:
+                break
+            around = finer[max(top - 1, 0) : top + 2]
     return best, best_omega
 
 

@@ -64,6 +64,8 @@ class ErrorBelief:
     largest: float = np.inf
     """Root mean square of the reference in the largest motion that the belief rests on, in the
     axis's unit; that of a larger one makes the bounded share of its error count."""
+    lasting: float = 1.0
+    """Correlation time, in samples, of what no linear response explains; see `Evidence.thinned`."""
 
     def open(self, size: float) -> float:
         """Return the share of the error by which a motion may leave less than a linear loop would.
@@ -80,7 +82,8 @@ class ErrorBelief:
             reference: Reference u, shape (samples,), in the axis's unit.
             before: Reference at which the robot rests before it.
         """
-        return np.asarray(self.basis.columns(reference, before) @ self.mean)
+        blocks = self.basis.blocks(reference, before)
+        return np.concatenate([columns @ self.mean for columns in blocks])
 
     def impulse_response(self) -> FloatArray:
         """Return the mean output 1, 2, … samples after a unit impulse of the reference."""
@@ -89,7 +92,13 @@ class ErrorBelief:
         return np.diff(steps)
 
     def draws(
-        self, count: int, rng: np.random.Generator, size: float, *, flown: bool = True
+        self,
+        count: int,
+        rng: np.random.Generator,
+        size: float,
+        *,
+        flown: bool = True,
+        alone: bool = False,
     ) -> FloatArray:
         """Draw parameters x from the belief, shape (size, count).
 
@@ -103,11 +112,16 @@ class ErrorBelief:
                 axis's unit.
             flown: False for an axis that tests alone have moved. They show neither how axes act on
                 each other nor what larger motions change, so it is not known how linear it is.
+            alone: True for the only axis of its robot, on which no other can act. The share of its
+                error that its tests may have hidden then grows with the square of its motion, as
+                that of a cubic nonlinearity does.
         """
         normal = rng.standard_normal((self.factor.shape[1], count))
         error = np.full(count, self.model_error)
         if not flown:
+            hidden = self.model_error * max(1.0, size / max(self.largest, _TINY)) ** 2
             error = MODEL_ERROR * np.exp(rng.standard_normal(count))
+            error = np.minimum(error, hidden) if alone else error
         scale = 1 + error * rng.standard_normal(count)
         less = self.open(size)
         if less > 0:
@@ -206,6 +220,7 @@ def believe(basis: ErrorBasis, evidence: Evidence) -> ErrorBelief:
         found,
         bounded=evidence.bounded(found.noise_std),
         largest=max(evidence.largest, float(np.sqrt(moved))),
+        lasting=max(1.0, evidence.flown_s / (basis.sample_time_s * evidence.rows)),
     )
 
 
@@ -241,6 +256,7 @@ def like(beliefs: list[ErrorBelief]) -> ErrorBelief:
         0.0,
         bounded=max(belief.bounded for belief in beliefs),
         largest=min(belief.largest for belief in beliefs),
+        lasting=max(belief.lasting for belief in beliefs),
     )
 
 

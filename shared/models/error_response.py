@@ -18,7 +18,6 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.special import diric
 
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.errors import InvalidInputError
@@ -107,10 +106,24 @@ class ErrorBasis:
         def mean(first: int, end: int) -> ComplexArray:
             # The mean of e^{−jkθ} over a range of k is a Dirichlet kernel about its centre.
             return np.asarray(
-                np.exp(-0.5j * turn * (first + end - 1)) * diric(turn, int(end - first))
+                np.exp(-0.5j * turn * (first + end - 1)) * dirichlet(turn, int(end - first))
             )
 
         between = [mean(a + 1, b + 1) for a, b in pairwise(nodes)]
         last = np.exp(-1j * turn * (nodes[-1] + 1))
         boxes = np.stack([np.ones_like(last), *between, last], axis=1)
         return np.concatenate([boxes[:, :-1] - boxes[:, 1:], boxes[:, -1:]], axis=1)
+
+
+def dirichlet(turn: FloatArray, terms: int) -> FloatArray:
+    """Return the periodic sinc function sin(n θ / 2) / (n sin(θ / 2)), and its limit ±1 at 2π k.
+
+    Args:
+        turn: Angles θ in rad.
+        terms: Number n of the terms e^{jkθ} of which this is the mean about their centre.
+    """
+    half = turn / 2
+    below = np.sin(half)
+    limit = np.abs(below) < 1e-9  # there the next term of the series is below 1e-18 n²
+    mean = np.sin(terms * half) / np.where(limit, 1.0, terms * below)
+    return np.asarray(np.where(limit, np.cos(np.pi * np.round(half / np.pi) * (terms - 1)), mean))

@@ -13,9 +13,12 @@ from nufleet.shared.models.error_response import ErrorBasis
 from nufleet.shared.strict import NonNegative, Strict
 
 _LARGEST = 1e9  # no robot goes farther, in m or rad, and no square of it overflows
-_DISTORTION = 0.43  # of a Coulomb friction's force under a sinusoidal velocity, by its fundamental
-_STICKS = 0.15  # share of its error beyond a linear answer that an axis leaves which sticks
-_SURE = 2.0  # standard deviations of the noise's mean square that may hide what is not linear
+_DISTORTION = 0.25  # least share of an error due to friction that is beyond a linear answer
+_SURE = 2.0  # standard deviations of what chance may explain
+_ROUNDED = 0.06  # share by which a noise's mean square is found too large or too small
+_HELD = (0.3, 0.7, 1.4)  # how far friction may hold an axis, as shares of its reference's size
+_LATE = (0.0, 0.02, 0.06, 0.16)  # when this shows in its output, in settling times
+_INDEPENDENT = 1e-9  # least power of a direction that a motion shows, as a share of the largest
 
 
 class Evidence(Strict):
@@ -39,8 +42,10 @@ class Evidence(Strict):
     """Duration of the flights in s."""
     answered: NonNegative = 0.0
     """Sum of the squares of the output's deviations from its mean, in unit²."""
-    sensed: NonNegative = 0.0
-    """Sum of the squares of the sensor's noise, as far as it is new at each sample, in unit²."""
+    left: NonNegative = 0.0
+    """Sum of the squares of the error beyond any linear answer, in unit²."""
+    distorted: NonNegative = 0.0
+    """The part of it that goes with friction's error, beyond chance, in unit²."""
     largest: NonNegative = 0.0
     """Root mean square of the reference's deviations from its mean in the largest flight."""
 
@@ -75,15 +80,20 @@ class Evidence(Strict):
         samples = len(reference)
         error = reference - output
         error = error - error.mean()
+        held = _held(basis, reference)
         normal = np.zeros((basis.size, basis.size))
         right, sums = np.zeros(basis.size), np.zeros(basis.size)
+        together = np.zeros((basis.size, held.shape[1]))
         done = 0
         for columns in basis.blocks(reference, before):
+            rows = slice(done, done + len(columns))
             normal += columns.T @ columns
-            right += columns.T @ error[done : done + len(columns)]
+            right += columns.T @ error[rows]
+            together += columns.T @ held[rows]
             sums += columns.sum(axis=0)
             done += len(columns)
         normal -= np.outer(sums, sums) / samples  # the offset takes every column's mean
+        left, distorted = _beyond(normal, right, error, held, together)
         return Evidence(
             normal=tuple(normal.ravel().tolist()),
             right=tuple(right.tolist()),
@@ -92,7 +102,8 @@ class Evidence(Strict):
             moved=float(np.sum((reference - reference.mean()) ** 2)),
             flown_s=samples * basis.sample_time_s,
             answered=float(np.sum((output - output.mean()) ** 2)),
-            sensed=_white(output) * (samples - 1),
+            left=left,
+            distorted=distorted,
             largest=float(np.std(reference)),
         )
 
@@ -114,7 +125,8 @@ class Evidence(Strict):
             moved=share * self.moved,
             flown_s=self.flown_s,
             answered=share * self.answered,
-            sensed=share * self.sensed,
+            left=share * self.left,
+            distorted=share * self.distorted,
             largest=self.largest,
         )
 
@@ -128,7 +140,8 @@ class Evidence(Strict):
             moved=self.moved + other.moved,
             flown_s=self.flown_s + other.flown_s,
             answered=self.answered + other.answered,
-            sensed=self.sensed + other.sensed,
+            left=self.left + other.left,
+            distorted=self.distorted + other.distorted,
             largest=max(self.largest, other.largest),
         )
 
@@ -137,26 +150,68 @@ class Evidence(Strict):
 
         An axis with dry friction F, held by a stiffness K, is off by up to F/K however far it
         moves: from a small motion, this looks like a part of its answer. The distortion that comes
-        with it gives it away. While the axis slides, a force with the sign of a sinusoidal velocity
-        is distorted by 0.43 of its fundamental; while it sticks, which is linear in its way, less
-        is left.
+        with it gives it away, and tells it from noise and gusts.
 
         Args:
             noise_std: Standard deviation of what no linear response explains, in the axis's unit.
         """
-        if self.largest > 0 and self.answered <= 2 * self.sensed:
+        unexplained = noise_std**2 * self.rows
+        answer = self.answered - unexplained
+        chance = _SURE * float(np.sqrt(2 / self.rows)) + _ROUNDED
+        if self.largest > 0 and answer <= chance * unexplained:
             return 1.0  # it never left its place, as far as its sensor shows
-        # The fewer samples, the more of their noise's mean square is chance.
-        noise = self.sensed / self.rows * (1 + _SURE * float(np.sqrt(2 / self.rows)))
-        least = min(self.squares, self.answered) if self.largest > 0 else self.squares
-        if noise_std**2 <= noise or least <= 0:
+        least = min(self.squares, answer) if self.largest > 0 else self.squares
+        if self.distorted <= 0 or least <= 0:
             return 0.0
-        odd_share = float(np.sqrt((noise_std**2 - noise) * self.rows / least))
-        return min(1.0, max(odd_share / _DISTORTION, (odd_share / _STICKS) ** 2))
+        odd = self.distorted / self.left * unexplained
+        return min(1.0, float(np.sqrt(odd / least)) / _DISTORTION)
 
 
-def _white(output: FloatArray) -> float:
-    """Return the variance of noise that is new at each sample, in unit²: a smooth motion hardly has
-    a fourth difference, and noise is 70 times its variance there."""
-    fourth = np.diff(output, 4)
-    return float(np.mean(fourth**2)) / 70 if len(fourth) else 0.0
+def _held(basis: ErrorBasis, reference: FloatArray) -> FloatArray:
+    """Return what friction may do to an axis, shape (samples, columns), in the axis's unit.
+
+    An axis that friction holds moves only once its reference is far enough away (the play operator:
+    Krasnosel'skii and Pokrovskii, Systems with Hysteresis, 1989). Neither this distance nor what
+    the loop makes of it is known. Several distances, each with several lags, nearly span both.
+    """
+    columns = []
+    for reach in float(np.std(reference)) * np.array(_HELD):
+        place, places = reference[0], []
+        for wanted in reference.tolist():
+            place = min(max(place, wanted - reach), wanted + reach)
+            places.append(place)
+        slack = reference - places
+        for late in _LATE:
+            lag = min(round(late * basis.settling_time_s / basis.sample_time_s), len(slack))
+            columns.append(np.pad(slack, (lag, 0))[: len(slack)])
+    held = np.stack(columns, axis=1)
+    return np.asarray(held - held.mean(axis=0))
+
+
+def _beyond(
+    normal: FloatArray,
+    right: FloatArray,
+    error: FloatArray,
+    held: FloatArray,
+    together: FloatArray,
+) -> tuple[float, float]:
+    """Return how much of an error is beyond a linear answer, and how much of that is friction's.
+
+    The first is what least squares leave, in unit², and the second what they explain of it beyond
+    chance.
+
+    Args:
+        normal: AᵀA of the linear answer, with the offset eliminated, shape (size, size).
+        right: Aᵀe, shape (size,).
+        error: Error e, without its mean, shape (samples,).
+        held: What friction may do, H, without its mean, shape (samples, columns).
+        together: AᵀH, shape (size, columns).
+    """
+    inverse = np.linalg.pinv(normal, rcond=_INDEPENDENT, hermitian=True)
+    beyond = held.T @ held - together.T @ inverse @ together
+    toward = held.T @ error - together.T @ inverse @ right
+    explained = toward @ np.linalg.pinv(beyond, rcond=_INDEPENDENT, hermitian=True) @ toward
+    left = max(0.0, float(error @ error - right @ inverse @ right))
+    number = held.shape[1]
+    chance = (number + _SURE * np.sqrt(2 * number)) / len(error)
+    return left, min(left, max(0.0, float(explained - chance * left)))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+from numpy.fft import irfft, rfft, rfftfreq
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.models.error_belief import MODEL_ERROR, ErrorBelief
+from nufleet.shared.models.unexplained import fast_length
 
 _PADDING = 2.0  # settling times of rest before and after the path
 
@@ -27,14 +28,15 @@ def inverted(belief: ErrorBelief, desired: FloatArray) -> FloatArray:
     """
     step_s, samples = belief.basis.sample_time_s, len(desired)
     rest = max(1, int(np.ceil(_PADDING * belief.basis.settling_time_s / step_s)))
-    total = next_fast_len(samples + 3 * rest, real=True)
+    total = fast_length(samples + 3 * rest)
     # From the path's end back to its start, slowly, so that the period of the transform has no
     # jump.
     back = np.linspace(0.0, np.pi, total - samples - 2 * rest)
     way = desired[-1] + (desired[0] - desired[-1]) * (0.5 - 0.5 * np.cos(back))
     before, after = np.full(rest, desired[0]), np.full(rest, desired[-1])
     periodic = np.concatenate([before, desired, after, way])
-    z, variance = belief.response(2 * np.pi * rfftfreq(total, step_s))
+    omega_rad_s = np.asarray(2 * np.pi * rfftfreq(total, step_s), dtype=np.float64)
+    z, variance = belief.response(omega_rad_s)
     wrong = max(MODEL_ERROR, belief.open(float(np.std(desired))))
     variance = variance + (wrong * np.abs(1 - z)) ** 2
     filtered = rfft(periodic) * np.conj(z) / (np.abs(z) ** 2 + variance)

@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
+from numpy.fft import irfft, rfft
 from pydantic import Field
-from scipy.fft import irfft, next_fast_len, rfft
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.strict import NonNegative, Strict
@@ -93,7 +93,7 @@ class Unexplained(Strict):
     def drawn(self, samples: int, rng: np.random.Generator) -> FloatArray:
         """Draw what may be left unexplained of another flight, shape (samples,)."""
         lasting, noise = self.parts()
-        length = next_fast_len(samples + 2 * len(lasting), real=True)
+        length = fast_length(samples + 2 * len(lasting))
         white = np.sqrt(noise) * rng.standard_normal(samples)
         power = spectrum(lasting, length)
         shaped = irfft(np.sqrt(power) * rfft(rng.standard_normal(length)), length)
@@ -140,6 +140,28 @@ def autocovariance(rows: FloatArray, lags: int) -> FloatArray:
         The autocovariance, shape (lags,).
     """
     samples = rows.shape[1]
-    length = next_fast_len(samples + lags, real=True)
+    length = fast_length(samples + lags)
     power = np.mean(np.abs(rfft(rows, length)) ** 2, axis=0)
     return np.asarray(irfft(power, length)[:lags] / samples)
+
+
+def fast_length(samples: int) -> int:
+    """Return the least length of a fast transform: no prime factor but 2, 3 and 5.
+
+    Args:
+        samples: Length that it has at least.
+
+    Examples:
+        >>> fast_length(1), fast_length(7), fast_length(1025)
+        (1, 8, 1080)
+    """
+    best = 1 << max(samples - 1, 0).bit_length()
+    fives = 1
+    while fives < best:
+        threes = fives
+        while threes < best:
+            twos = 1 << (-(-samples // threes) - 1).bit_length()
+            best = min(best, threes * twos)
+            threes *= 3
+        fives *= 5
+    return best

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
-from scipy.special import diric
+from numpy.fft import irfft, rfft, rfftfreq
 
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.models.error_belief import ErrorBelief
-from nufleet.shared.models.unexplained import autocovariance, spectrum
+from nufleet.shared.models.error_response import dirichlet
+from nufleet.shared.models.unexplained import autocovariance, fast_length, spectrum
 
 _WIDENING = 1.4  # ratio of the lags of neighbouring steps of Q
 _GAIN = 0.7
@@ -58,7 +58,7 @@ class WienerFeedback:
 
     def closed(self, rows: FloatArray) -> FloatArray:
         """Return what is left of disturbances, shape (disturbances, samples) like theirs."""
-        length = next_fast_len(rows.shape[1] + len(self.answer), real=True)
+        length = fast_length(rows.shape[1] + len(self.answer))
         answered = irfft(rfft(rows, length) * rfft(self.answer, length), length)
         return np.asarray(rows + answered[:, : rows.shape[1]])
 
@@ -88,8 +88,8 @@ def wiener_feedback(
     step_s, answer = belief.basis.sample_time_s, int(belief.basis.nodes[-1]) + 1
     if answer > _SAMPLES_MAX or not covariance[0] > 0:
         return None
-    length = next_fast_len(2 * (answer + len(covariance)), real=True)
-    omega_rad_s = 2 * np.pi * rfftfreq(length, step_s)
+    length = fast_length(2 * (answer + len(covariance)))
+    omega_rad_s = np.asarray(2 * np.pi * rfftfreq(length, step_s), dtype=np.float64)
     lasting = spectrum(covariance, length)
     total = lasting + noise_variance
     z, variance = belief.response(omega_rad_s)
@@ -137,7 +137,7 @@ def _steps(edges: np.ndarray, turn: FloatArray) -> ComplexArray:
     """Return the frequency responses of filters that are 1 between two edges, (frequencies, n)."""
     # Σ_k e^{−jkθ} over a range of k is a Dirichlet kernel about its centre.
     columns = [
-        np.exp(-0.5j * turn * (first + end - 1)) * diric(turn, int(end - first)) * (end - first)
+        np.exp(-0.5j * turn * (first + end - 1)) * dirichlet(turn, int(end - first)) * (end - first)
         for first, end in pairwise(edges)
     ]
     return np.stack(columns, axis=1)

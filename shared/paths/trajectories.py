@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
@@ -199,6 +198,9 @@ def curvature(path: FloatArray, along: FloatArray) -> FloatArray:
 
 
 def _without_tremor(points: FloatArray) -> FloatArray:
+    # Agents only check trajectories, and do without a third of a second of loading.
+    from scipy.ndimage import gaussian_filter1d
+
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     distinct = np.concatenate([[True], steps > 0])
     points, steps = points[distinct], steps[steps > 0]

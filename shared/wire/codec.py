@@ -7,6 +7,7 @@ and against the payload before anything is allocated, and no part of a frame can
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Annotated, Literal, TypeVar
 
 import numpy as np
@@ -34,6 +35,8 @@ MAX_BODY_BYTES = 2**20
 data travel as arrays."""
 
 _MAX_HEADER_BYTES = 4096
+_HEADERS_KEPT = 256
+"""Number of headers that need not be validated again, since those of most frames are alike."""
 _ITEM_BYTES = {"<f8": 8, "|u1": 1}
 _MAX_DIMENSIONS = 3
 
@@ -161,14 +164,7 @@ def encode(message: Message) -> bytes:
         raise MalformedMessageError(
             f"a {type(message).__name__} of {size_bytes} bytes is too large to be sent"
         )
-    header = _Header(
-        protocol=PROTOCOL_VERSION,
-        type=type(message).__name__,
-        arrays=tuple(
-            _ArrayHeader.model_validate({"dtype": a.dtype.str, "shape": a.shape}) for a in raw
-        ),
-    )
-    head = header.model_dump_json().encode()
+    head = _head(type(message).__name__, tuple((a.dtype.str, a.shape) for a in raw))
     if raw:
         # Pad the JSON with spaces, so that the arrays are aligned to 8 bytes at the receiver.
         body += b" " * (-(PREFIX_BYTES + len(head) + len(body)) % 8)
@@ -214,6 +210,15 @@ def decode(payload: bytes, *expected: type[M], max_bytes: int = MAX_MESSAGE_BYTE
     return message
 
 
+@lru_cache(_HEADERS_KEPT)
+def _head(message_type: str, arrays: tuple[tuple[str, tuple[int, ...]], ...]) -> bytes:
+    """Return the header of a frame; the arrays are given by type and shape."""
+    of_arrays = (_ArrayHeader.model_validate({"dtype": d, "shape": s}) for d, s in arrays)
+    header = _Header(protocol=PROTOCOL_VERSION, type=message_type, arrays=tuple(of_arrays))
+    return header.model_dump_json().encode()
+
+
+@lru_cache(_HEADERS_KEPT)
 def _parse_header(raw: bytes) -> _Header:
     with validation_errors_as(MalformedMessageError, "frame header"):
         protocol = _Versioned.model_validate_json(raw).protocol

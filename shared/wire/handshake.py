@@ -38,7 +38,10 @@ def why_refused(identity: Identity) -> str | None:
         context.load_verify_locations(cadata=identity.authority)
         context.load_cert_chain(identity.path, identity.key)
     except (ssl.SSLError, OSError) as error:
-        return f"the certificate of {identity.path} does not fit the key {identity.key} ({error})"
+        return (
+            f"the certificate of {identity.path} does not fit the key {identity.key} ({error}): "
+            "put the key beside it that was made for it"
+        )
     try:
         with socket.create_connection((host, port), timeout=TIMEOUT_S) as plain:
             return _handshake(context, plain, identity, host)

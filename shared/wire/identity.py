@@ -93,7 +93,8 @@ def read_identity(path: Path) -> Identity:
     document = read_toml(path, IdentityError)
     schema = document.pop("schema", None)
     wrong = sorted(set(document) ^ set(_FIELDS))
-    wrong += [name for name, value in document.items() if not isinstance(value, str)]
+    texts = (name for name in _FIELDS if not isinstance(document.get(name, ""), str))
+    wrong += sorted(set(texts) - set(wrong))
     if schema != 1 or wrong:
         problem = f"wrong or missing: {', '.join(wrong)}" if wrong else "schema 1 was expected"
         raise IdentityError(

@@ -13,6 +13,7 @@ from nufleet.shared.wire.identity import (
     IdentityError,
     address_of,
     found_identities,
+    read_identity,
 )
 
 LOCAL_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -67,7 +68,7 @@ def chosen_address(connect: str | None, identity: Path | None, *, allow_open: bo
     """
     found = chosen_addresses(connect, identity, allow_open=allow_open)
     if len(found) > 1:
-        names = ", ".join(str(path) for path in found_identities())
+        names = ", ".join(str(path) for path in kept_identities(of_robots=False))
         raise IdentityError(
             f"which identity? {names}: choose one with --identity or {IDENTITY_VARIABLE}"
         )
@@ -94,8 +95,26 @@ def chosen_addresses(
     if identity is not None:
         return (address_of(identity),)
     if connect is None:
-        return tuple(address_of(path) for path in found_identities()) or (LOCAL_ENDPOINT,)
+        return tuple(map(address_of, kept_identities(of_robots=False))) or (LOCAL_ENDPOINT,)
     return (check_closed(connect, allow_open=allow_open),)
+
+
+def kept_identities(*, of_robots: bool) -> tuple[Path, ...]:
+    """Return the identities in the user's folder that are for agents, or for all other programs.
+
+    A user who tries a fleet on one machine has both. A file that cannot be read may be of either
+    kind. If no file is of the kind that is asked for, all are returned, so that the error that
+    follows names them.
+    """
+    found = found_identities()
+    return tuple(path for path in found if _may_be(path, of_robots=of_robots)) or found
+
+
+def _may_be(path: Path, *, of_robots: bool) -> bool:
+    try:
+        return (read_identity(path).role == "robot") == of_robots
+    except IdentityError:
+        return True
 
 
 def open_is_accepted() -> bool:

@@ -324,7 +324,9 @@ class Session:
             )
         return self._kept(Declaration(declared))
 
-    def subscribe(self, key_expr: str, handler: OnSample, *, max_bytes: int) -> Declaration:
+    def subscribe(
+        self, key_expr: str, handler: OnSample, *, max_bytes: int, own: bool = True
+    ) -> Declaration:
         """Receive all puts on a key expression from now on.
 
         Args:
@@ -332,10 +334,12 @@ class Session:
             handler: Function called with each put, in a thread of Zenoh.
             max_bytes: Longest payload that is copied. For a longer one the handler receives an
                 empty payload, which is not a valid message but shows that there was a put.
+            own: Whether to receive what this session itself puts.
         """
         on_sample = _on_sample(handler, max_bytes)
+        origin = zenoh.Locality.ANY if own else zenoh.Locality.REMOTE
         with _declaring(key_expr):
-            declared = self._session.declare_subscriber(key_expr, on_sample)
+            declared = self._session.declare_subscriber(key_expr, on_sample, allowed_origin=origin)
         return self._kept(Declaration(declared))
 
     def declare_alive(self, key: str) -> Declaration:
@@ -411,7 +415,7 @@ def open_router(listen: list[str], *, connect: list[str] | None = None) -> Itera
     Args:
         listen: Endpoints to listen on, such as `tcp/0.0.0.0:7447`, `tcp/127.0.0.1:0` or
             `unixsock-stream//path`.
-        connect: Endpoints of other routers to join.
+        connect: Endpoints of other routers to link with, now or as soon as they are there.
 
     Raises:
         InvalidInputError: an endpoint is malformed.

@@ -23,7 +23,7 @@ from benchmarks.online_gp_ours import OURS
 from benchmarks.online_gp_peers import PEERS
 from benchmarks.online_gp_windows import Windows, fly, joined, random_windows, read
 from nufleet.robot_agent.flight.online_gp import BOUNDS, START
-from nufleet.robot_agent.flight.tracking import TrackingRecord
+from nufleet.robot_agent.flight.tracking_record import TrackingRecord
 from nufleet.shared.gaussian_process.exact import fit
 from nufleet.shared.gaussian_process.problem import Batch
 from nufleet.sims import drawings

@@ -68,7 +68,7 @@ def test_a_script_ranks_a_fleet_without_a_word_and_nothing_is_read_or_described_
     counted: Counted, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     file = find_fleet_file("paper_linear")
-    record = rank(RankCommand(runs_root=tmp_path, fleet_file=file), QUIET)
+    record = rank(RankCommand(runs_root=tmp_path, fleet_file=file, draws=False), QUIET)
     assert record.result.selected == "source-2"
     assert capfd.readouterr() == ("", "")
     assert counted == Counted(1, Counter(LEARNING))
@@ -94,10 +94,10 @@ def test_an_interrupted_ranking_goes_on_and_nothing_is_read_or_described_twice(
     with monkeypatch.context() as patched:
         patched.setattr(study_job, "run_study", cut)
         with pytest.raises(NufleetError, match="cable"):
-            rank(RankCommand(runs_root=tmp_path, fleet_file=file), QUIET)
+            rank(RankCommand(runs_root=tmp_path, fleet_file=file, draws=False), QUIET)
     counted.files = 0
     counted.descriptions.clear()
-    record = resume_run(ResumeCommand(runs_root=tmp_path), QUIET)
+    record = resume_run(ResumeCommand(runs_root=tmp_path, draws=False), QUIET)
     assert record.result.selected == "source-2"
     assert counted == Counted(1, Counter(LEARNING))
 

@@ -22,6 +22,7 @@ from nufleet.shared.wire.transport import open_client, open_router
 
 ROOT = Path(__file__).parents[2]
 FLEET = ROOT / "sims" / "fleets" / "paper_linear.toml"
+PLAIN = ("--no-rehearsal", "--no-recording")
 
 
 def children_of(pid: int) -> list[psutil.Process]:
@@ -88,7 +89,7 @@ def test_rank_for_a_trajectory_names_what_leaves_the_smallest_error_on_it(tmp_pa
     rows = (f"{np.cos(a)},{np.sin(a)}" for a in angles)
     circle.write_text("x_m,y_m\n" + "\n".join(rows) + "\n")
     arguments = ("rank", "--fleet", str(FLEET), "--trajectory", str(circle), "--speed", "0.5")
-    arguments = (*arguments, "--no-rehearsal")
+    arguments = (*arguments, *PLAIN)
     for algorithm in ("paper", "adaptive"):
         done = nufleet(*arguments, "--algorithm", algorithm, "--json", cwd=tmp_path)
         assert done.returncode == 0, done.stderr
@@ -108,8 +109,10 @@ def test_rank_for_a_trajectory_names_what_leaves_the_smallest_error_on_it(tmp_pa
         assert "Transfer to target, on circle at 0.5 m/s" in report
 
 
-def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(tmp_path: Path) -> None:
-    arguments = ("rank", "--fleet", str(FLEET), "--no-rehearsal", "--json")
+def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(
+    typed: Typed, tmp_path: Path
+) -> None:
+    arguments = ("rank", "--fleet", str(FLEET), *PLAIN, "--json")
     adaptive = nufleet(*arguments, cwd=tmp_path)
     assert adaptive.returncode == 0, adaptive.stderr
     document = json.loads(adaptive.stdout)
@@ -126,10 +129,13 @@ def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(tmp_path:
     report = (tmp_path / document["run"] / "report.md").read_text(encoding="utf-8")
     assert f"Probability of a correct selection: {document['confidence']:.3f}: source-2" in report
     assert all(f"- {source}: " in report for source in document["eliminated"])
+    drawn = {"plots", "run.rrd"}
+    assert not drawn & {path.name for path in (tmp_path / document["run"]).iterdir()}
+    assert not [name for name in drawn if name in report]
     paper = json.loads(nufleet(*arguments, "--algorithm", "paper", cwd=tmp_path).stdout)
     assert "confidence" not in paper
     assert document["robot_time_s"] < paper["robot_time_s"] / 4
-    refused = nufleet(*arguments, "--algorithm", "paper", "--reuse", cwd=tmp_path)
+    refused = typed(*arguments, "--algorithm", "paper", "--reuse", cwd=tmp_path)
     assert refused.returncode == 2
     assert "--reuse requires --algorithm adaptive" in refused.stderr
     again = nufleet(*arguments, "--reuse", cwd=tmp_path)
@@ -140,7 +146,9 @@ def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(tmp_path:
     assert reusing["robot_time_s"] < document["robot_time_s"]
 
 
-def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(tmp_path: Path) -> None:
+def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(
+    typed: Typed, tmp_path: Path
+) -> None:
     done = nufleet(
         *("rank", "--fleet", str(FLEET), "--algorithm", "paper", "--iterations", "2"),
         *("--no-rehearsal", "--json"),
@@ -152,9 +160,9 @@ def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(tmp_path: Path)
         *("config.json", "results.json", "telemetry.parquet", "run.rrd", "plots", "report.md")
     }
     assert {path.suffix for path in (run / "plots").iterdir()} == {".png"}
-    listed = json.loads(nufleet("runs", "list", "--json", cwd=tmp_path).stdout)
+    listed = json.loads(typed("runs", "list", "--json", cwd=tmp_path).stdout)
     assert [Path(entry["run"]).name for entry in listed["runs"]] == [run.name]
-    shown = json.loads(nufleet("runs", "show", "latest", "--json", cwd=tmp_path).stdout)
+    shown = json.loads(typed("runs", "show", "latest", "--json", cwd=tmp_path).stdout)
     assert shown["result"] == json.loads(done.stdout)
     assert len(shown["history"]) == 2
 
@@ -163,7 +171,7 @@ def test_the_demo_ranks_as_rank_does_and_shows_what_the_readme_shows(tmp_path: P
     alone = nufleet("demo", "--json", cwd=tmp_path)
     together = nufleet(
         *("rank", "--fleet", "weak_source", "--algorithm", "paper", "--seed", "0"),
-        *("--no-rehearsal", "--json"),
+        *(*PLAIN, "--json"),
         cwd=tmp_path,
     )
     assert alone.returncode == 0, alone.stderr
@@ -215,7 +223,7 @@ MOMENTS: dict[str, Callable[[int, Path], bool]] = {
 def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, moment: str) -> None:
     state = str(tmp_path / "its own")  # by which the processes that it starts are found
     ranking = subprocess.Popen(
-        [*NUFLEET, "rank", "--fleet", str(FLEET), "--realtime", "1"],
+        [*NUFLEET, "rank", "--fleet", str(FLEET), "--realtime", "1", "--no-recording"],
         cwd=tmp_path,
         env={**os.environ, "NUFLEET_STATE": state},
         stderr=subprocess.PIPE,
@@ -272,24 +280,24 @@ def test_a_typo_in_a_fleet_file_names_file_field_and_expectation(
     assert "number" in done.stderr
 
 
-def test_no_router_is_an_error_that_says_how_to_start_one(tmp_path: Path) -> None:
+def test_no_router_is_an_error_that_says_how_to_start_one(typed: Typed, tmp_path: Path) -> None:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-        done = nufleet("rank", "--connect", endpoint, "--target", "target", cwd=tmp_path)
+        done = typed("rank", "--connect", endpoint, "--target", "target", cwd=tmp_path)
     assert done.returncode == 1
     assert endpoint in done.stderr
     assert "nufleet router" in done.stderr
 
 
 def test_a_robot_that_never_answers_is_an_error_that_names_it_before_anything_moves(
-    tmp_path: Path,
+    typed: Typed, tmp_path: Path
 ) -> None:
     endpoint = f"unixsock-stream/{tmp_path}/r.sock"
     with open_router([endpoint]), open_client(endpoint, timeout_s=PATIENCE_S) as mute:
         for robot in ("target", "source-1"):
             mute.declare_alive(f"nufleet/lab/robot/{robot}/alive")
-        done = nufleet("rank", "--connect", endpoint, "--target", "target", cwd=tmp_path)
+        done = typed("rank", "--connect", endpoint, "--target", "target", cwd=tmp_path)
     assert done.returncode == 1
     assert "robot target does not answer" in done.stderr
     assert "nufleet fleet status" in done.stderr
@@ -311,11 +319,11 @@ def test_a_port_in_use_is_an_error_that_names_it(tmp_path: Path) -> None:
 
 
 def test_a_runs_folder_that_cannot_be_written_is_refused_before_anything_starts(
-    tmp_path: Path,
+    typed: Typed, tmp_path: Path
 ) -> None:
     blocked = tmp_path / "runs"
     blocked.write_text("a file where the folder should be")
-    done = nufleet("rank", "--fleet", str(FLEET), cwd=tmp_path)
+    done = typed("rank", "--fleet", str(FLEET), cwd=tmp_path)
     assert done.returncode == 2
     assert "runs" in done.stderr
     assert "iteration 1" not in done.stderr
@@ -359,14 +367,14 @@ def test_a_running_fleet_is_shown_ranked_stopped_and_released(
         assert {state["status"] for state in status["robots"].values()} == {"idle"}
         ranked = nufleet(
             *("rank", *join, "--target", "target", "--band", "0.5", "10"),
-            *("--iterations", "3", "--no-rehearsal", "--json"),
+            *("--iterations", "3", *PLAIN, "--json"),
             cwd=tmp_path,
         )
         assert json.loads(ranked.stdout)["selected"] == "source-2"
         assert nufleet("stop", "source-2", *join, cwd=tmp_path).returncode == 0
         without = nufleet(
             *("rank", *join, "--target", "target", "--band", "0.5", "10"),
-            *("--iterations", "3", "--no-rehearsal", "--json"),
+            *("--iterations", "3", *PLAIN, "--json"),
             cwd=tmp_path,
         )
         assert [r["robot"] for r in json.loads(without.stdout)["ranking"]] == [

@@ -35,7 +35,7 @@ driver = "double_integrator"
 settings = { alpha = 1.2, beta = 0.003 }
 """
 STUDY = (
-    *("--target", "target", "--band", "2", "10"),
+    *("--target", "target", "--band", "2", "10", "--no-recording"),
     *("--algorithm", "paper", "--iterations", "2", "--seed", "5"),
 )
 AT_ONCE = ("--no-rehearsal", "--json")

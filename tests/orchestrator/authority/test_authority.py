@@ -285,7 +285,7 @@ def test_a_key_of_the_authority_that_others_can_read_is_not_used(authority: Auth
 @pytest.mark.parametrize(
     ("added", "words"),
     [
-        ("[operators.desk]", "desk is listed in two roles"),
+        ("[operators.desk]", r"lab\.toml: desk is listed in two roles"),
         ("[watchers.a]", "a is listed in two roles"),
         (f"[watchers.{'w' * 51}]", "too long for a certificate: at most 50"),
         ("[pilots.anna]", "pilots"),

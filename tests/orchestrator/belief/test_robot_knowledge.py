@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from random_loops import BAND, SPEC, Loop
+from robots_that_learn import double_integrator
 
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.study.tone_choice import first_look
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.frequency_test.quality import Finding, Quality
+from nufleet.sims.double_integrator import DoubleIntegratorSettings, closed_loop
 
 LOOP = Loop(3.0)
 GRID = np.linspace(*BAND, 50)
@@ -36,6 +38,23 @@ def test_repeated_tests_of_the_same_robot_agree() -> None:
             knowledge.learn(one_test(LOOP, rng, periods), rng)
         contradicted += bool(knowledge.findings)
     assert contradicted <= 1
+
+
+@pytest.mark.parametrize(
+    ("alpha", "omega_rad_s"), [(0.33, (3.0, 0.05)), (0.85, (0.5, 9.0, 4.0)), (1.0, (0.5, 9.0, 4.0))]
+)
+def test_a_tone_far_from_those_before_it_contradicts_nothing(
+    alpha: float, omega_rad_s: tuple[float, ...]
+) -> None:
+    """The paper's tests are single tones: what a model expects far from them is no measurement."""
+    robot = double_integrator(alpha)
+    loop = closed_loop(DoubleIntegratorSettings(alpha=alpha, beta=0.003))
+    known = RobotKnowledge("robot", robot.spec, 10.0)
+    for omega in omega_rad_s:
+        at = np.array([omega])
+        tone = FrequencyResponse(at, loop.frequency_response(at), np.array([1e-8]), 4, Quality())
+        known.learn(tone, np.random.default_rng(0))
+    assert known.findings == ()
 
 
 @pytest.mark.parametrize("changed", [Loop(3.5), Loop(3.0, gain=1.1), Loop(3.0, delay_s=0.1)])

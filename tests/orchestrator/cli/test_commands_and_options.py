@@ -13,12 +13,13 @@ from click.testing import CliRunner, Result
 from nufleet.orchestrator.cli.demo import demo
 from nufleet.orchestrator.cli.evaluate import evaluate
 from nufleet.orchestrator.cli.rank import rank
-from nufleet.orchestrator.cli.runs import resume
+from nufleet.orchestrator.cli.runs import prune, resume
 from nufleet.orchestrator.cli.track import track
 from nufleet.orchestrator.cli.train import train
 from nufleet.orchestrator.cli.transfer import transfer
 from nufleet.orchestrator.jobs.demo import DemoCommand
 from nufleet.orchestrator.jobs.evaluate import EvaluateCommand
+from nufleet.orchestrator.jobs.prune import PruneCommand
 from nufleet.orchestrator.jobs.rank import RankCommand
 from nufleet.orchestrator.jobs.resume import ResumeCommand
 from nufleet.orchestrator.jobs.track import TrackCommand
@@ -36,6 +37,7 @@ JOBS: dict[str, tuple[click.Command, type[Any]]] = {
     "evaluate": (evaluate, EvaluateCommand),
     "demo": (demo, DemoCommand),
     "resume": (resume, ResumeCommand),
+    "prune": (prune, PruneCommand),
 }
 
 
@@ -65,7 +67,7 @@ def test_the_options_of_a_command_are_the_fields_of_its_job(name: str) -> None:
     assert options - {"resume", "identity", "allow_open"} == taken - {"processes"}
 
 
-@pytest.mark.parametrize("name", ["rank", "resume"])
+@pytest.mark.parametrize("name", ["rank", "resume", "prune"])
 def test_options_that_are_left_out_are_what_the_job_takes_by_default(
     name: str, asked: list[Any]
 ) -> None:

@@ -1,4 +1,4 @@
-"""Commands that only read and calculate load neither the network nor the repository."""
+"""What commands load: no more than they need, since loading is most of what a short one does."""
 
 from __future__ import annotations
 
@@ -79,3 +79,26 @@ def test_help_loads_nothing_but_the_words(workplace: Path, command: tuple[str, .
     loaded, said = loaded_by(workplace, *command, "--help")
     assert said == ""
     assert not loaded & (HEAVY | {"numpy", "scipy", "rich", "pydantic"})
+
+
+@pytest.mark.parametrize(
+    ("loading", "unneeded"),
+    [
+        (
+            "import nufleet.robot_agent.serve, nufleet.sims.drivers",
+            HEAVY - {"zenoh"} | {"scipy"},
+        ),
+        (
+            "import nufleet.orchestrator.jobs.rank, nufleet.shared.arrays as a; a.arrow()",
+            HEAVY - {"zenoh", "sqlalchemy", "pyarrow"} | {"pandas"},
+        ),
+    ],
+    ids=["agent", "rank"],
+)
+def test_what_moves_robots_loads_only_what_it_needs_until_then(
+    loading: str, unneeded: set[str]
+) -> None:
+    script = f"import sys; {loading}; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert not {module.partition(".")[0] for module in done.stdout.split()} & unneeded

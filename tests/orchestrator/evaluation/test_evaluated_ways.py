@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from evaluated_flights import ERRORS, FIRST, LATER, after, predicted, records, summed
 
+from nufleet.orchestrator.evaluation.report import ways_table
 from nufleet.orchestrator.evaluation.ways import coverage_of, sensor_noise_rms, worse_than_baseline
 from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR, OWN
 
@@ -64,6 +65,11 @@ def test_predictions_that_held_are_counted_by_way() -> None:
     counted = {way: (each.inside, each.flights) for way, each in coverage.items()}
     # The baseline left 0.2 and 0.4 where 0.25 to 0.35 were expected; own 0.01 and 0.03 later.
     assert counted == {BASELINE: (0, 2), NO_PRIOR: (2, 2), "near": (2, 2), OWN: (3, 4)}
+
+
+def test_an_error_a_thousand_times_smaller_than_the_baselines_is_told_from_none() -> None:
+    table = ways_table(summed(records({**ERRORS, OWN: (4e-5, 6e-5)})))
+    assert list(table.columns[3].cells)[-1] == "0.05"
 
 
 @pytest.mark.parametrize("std", [(0.002, 0.001), (0.0, 0.0)])

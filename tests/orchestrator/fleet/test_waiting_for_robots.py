@@ -1,4 +1,4 @@
-"""A fleet that was started is waited for, and the message says for how long it was."""
+"""A fleet that was started is waited for as long as its robots keep appearing."""
 
 from __future__ import annotations
 
@@ -11,24 +11,40 @@ from nufleet.orchestrator.fleet.connection import START_TIMEOUT_S, wait_for_robo
 from nufleet.shared.errors import RobotLostError
 
 
-class Absent:
-    """A fleet whose robots never appear."""
+class Appearing:
+    """A fleet each of whose robots appears at a time, in s, of a clock that only waiting moves."""
 
-    def __init__(self) -> None:
+    def __init__(self, at_s: dict[str, float]) -> None:
+        self.at_s = at_s
         self.waited_s = 0.0
 
     def wait_for(self, robots: tuple[str, ...], *, timeout_s: float) -> None:
         self.waited_s += timeout_s
-        raise RobotLostError(f"robot {robots[0]} did not appear within {timeout_s:g} s")
+        if not all(self.watch(robot).alive for robot in robots):
+            raise RobotLostError(f"robot {robots[0]} did not appear within {timeout_s:g} s")
 
     def watch(self, robot: str) -> Any:
-        return SimpleNamespace(alive=robot == "early")
+        return SimpleNamespace(alive=self.at_s[robot] <= self.waited_s)
 
 
-def test_robots_that_do_not_start_are_named_with_the_whole_time_that_was_waited() -> None:
-    fleet: Any = Absent()
+def wait(fleet: Any) -> None:
     started: Any = SimpleNamespace(dead=list)
-    file: Any = SimpleNamespace(robots={"early": None, "late": None})
-    with pytest.raises(RobotLostError, match="robots late did not start within 60 s"):
-        wait_for_robots(fleet, started, file)
-    assert fleet.waited_s == START_TIMEOUT_S == 60.0
+    file: Any = SimpleNamespace(robots=dict.fromkeys(fleet.at_s))
+    wait_for_robots(fleet, started, file)
+
+
+def test_a_large_fleet_may_take_long_as_long_as_robots_keep_appearing() -> None:
+    fleet = Appearing({f"r{number}": 50.0 * number for number in range(10)})
+    wait(fleet)
+    assert fleet.waited_s == 450.0
+
+
+def test_robots_that_do_not_start_are_named_but_not_hundreds_of_them() -> None:
+    never = {f"late-{number}": float("inf") for number in range(300)}
+    fleet = Appearing({"early": 20.0, **never})
+    with pytest.raises(RobotLostError) as lost:
+        wait(fleet)
+    assert fleet.waited_s == 20.0 + START_TIMEOUT_S
+    said = str(lost.value)
+    assert "late-0, " in said
+    assert "and 292 more did not start: for 60 s no further robot appeared" in said

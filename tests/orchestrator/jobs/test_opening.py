@@ -99,6 +99,11 @@ def test_what_was_opened_is_closed_in_reverse_order_when_a_command_fails(
     assert not list((tmp_path / "runs").glob("*/")), "a run that did not begin leaves no folder"
 
 
+def test_a_live_view_of_a_run_that_draws_nothing_is_refused(tmp_path: Path) -> None:
+    with opening(tmp_path) as run, pytest.raises(InvalidInputError, match="omit --no-recording"):
+        run.record(live=True, draws=False)
+
+
 def test_a_command_that_ends_well_says_where_its_recording_is_and_leaves_its_robots_free(
     fleet: FleetChoice, closed: list[str], tmp_path: Path
 ) -> None:

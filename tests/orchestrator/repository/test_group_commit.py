@@ -8,6 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 
 import pytest
+from counted_statements import counted_statements
 from polling import PATIENCE_S, wait_until
 from repository_records import accepted, intent, measurement
 from sqlalchemy import Connection
@@ -72,8 +73,12 @@ def test_what_gathers_during_a_commit_is_the_next_one(
     intended: Repository, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gate = Gate(intended, monkeypatch)
-    for future in store_all(intended, gate):
-        future.result()
+    with counted_statements(intended) as statements:
+        for future in store_all(intended, gate):
+            future.result()
+    # A beginning and an end of each transaction are not among them, nor is a savepoint.
+    work = [said for said in statements if not said.startswith(("BEGIN", "COMMIT"))]
+    assert len(work) == 2 * THREADS, work
     assert statuses(intended) == [TrialStatus.ACCEPTED] * THREADS
     assert len(gate.batches) == 2
     assert sum(gate.batches) == THREADS

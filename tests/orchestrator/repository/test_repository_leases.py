@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import lease_racer
 import pytest
+from counted_statements import counted_statements
 from polling import PATIENCE_S, wait_until
 from repository_records import FLEET
 
@@ -47,6 +48,15 @@ def test_a_free_robot_is_taken_with_a_new_epoch(repository: Repository) -> None:
     assert leases == (Lease(FLEET, "r1", "a", 1, LONG_S), Lease(FLEET, "r2", "a", 1, LONG_S))
     held = repository.leases.held(FLEET)
     assert {robot: held[robot][:2] for robot in held} == {"r1": ("a", 1), "r2": ("a", 1)}
+
+
+def test_the_leases_of_a_whole_fleet_are_renewed_in_one_statement(repository: Repository) -> None:
+    robots = [f"r{number}" for number in range(50)]
+    leases = repository.leases.acquire(FLEET, robots, owner="a", term_s=LONG_S)
+    with counted_statements(repository) as statements:
+        repository.leases.renew(leases)
+    assert [said for said in statements if said.startswith("UPDATE")] == ["UPDATE leases"]
+    assert not [said for said in statements if said.startswith("SAVEPOINT")]
 
 
 def test_a_robot_of_another_is_refused_with_who_it_is_and_nothing_else_is_taken(

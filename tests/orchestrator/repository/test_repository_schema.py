@@ -28,10 +28,11 @@ from nufleet.orchestrator.repository.errors import (
     RepositoryUrlError,
     SchemaVersionError,
 )
+from nufleet.orchestrator.repository.migration import upgrade
 from nufleet.orchestrator.repository.records import ExperienceRecord, RobotRecord
-from nufleet.orchestrator.repository.repository import Repository, open_repository
+from nufleet.orchestrator.repository.repository import open_repository
 from nufleet.orchestrator.repository.schema import MIGRATIONS
-from nufleet.orchestrator.repository.tables import METADATA
+from nufleet.orchestrator.repository.tables import METADATA, REVISION
 
 NEXT_SCHEMA = """
 from alembic import op
@@ -57,13 +58,19 @@ def newer(tmp_path: Path) -> Path:
     return folder
 
 
-def test_migrations_arrive_at_the_tables_that_the_code_uses(
-    repository: Repository, address: str
+@pytest.mark.parametrize("migrated", [True, False], ids=["migrated", "created"])
+def test_migrations_arrive_at_the_tables_that_the_code_uses_and_creates(
+    address: str, migrated: bool
 ) -> None:
+    if not migrated:
+        open_repository(address).close()
     engine = create_engine(parse_url(address))
-    with engine.connect() as connection:
+    with engine.begin() as connection:
+        if migrated:
+            upgrade(connection, None, MIGRATIONS, address)
         context = MigrationContext.configure(connection, opts={"compare_type": True})
         assert compare_metadata(context, METADATA) == []
+        assert context.get_current_revision() == REVISION
     engine.dispose()
 
 
@@ -186,7 +193,7 @@ def test_the_password_of_a_server_may_stand_in_the_file_that_pgpassfile_names(
         connection.execute("CREATE ROLE careful LOGIN SUPERUSER PASSWORD 'se/c@ret'")
         connection.execute("SELECT pg_reload_conf()")
         server.empty_database()
-        address = f"postgresql://careful@/postgres?host={server.folder}"
+        address = f"postgresql://careful@/postgres?host={server.folder}&port={server.port}"
 
         def refused() -> bool:  # from the moment on at which the server has read its rules
             try:
@@ -208,7 +215,7 @@ def test_the_password_of_a_server_may_stand_in_the_file_that_pgpassfile_names(
 
 def test_a_database_that_its_server_does_not_have_is_named(server: PostgresqlServer) -> None:
     with pytest.raises(RepositoryUnreachableError, match="missing"):
-        open_repository(f"postgresql://nufleet@/missing?host={server.folder}")
+        open_repository(f"postgresql://nufleet@/missing?host={server.folder}&port={server.port}")
 
 
 def test_a_file_that_is_no_database_is_refused_and_left_alone(tmp_path: Path) -> None:

@@ -155,6 +155,23 @@ def test_a_measured_trial_comes_back_bit_for_bit(
     assert back.plan == sent.plan
 
 
+def test_samples_that_are_forgotten_leave_the_response_and_the_samples_of_other_runs(
+    begun: Repository,
+) -> None:
+    begun.studies.begin(replace(STUDY, study_id="run-10"))
+    other = replace(intent(), study_id="run-10", goal_id="run-10.1.target.1")
+    for trial in (intent(), other):
+        begun.studies.intend(trial)
+        begun.studies.ended(trial.goal_id, measurement(trial), epoch=1)
+    assert begun.studies.forget_samples("run-1") == 1
+    assert begun.studies.forget_samples("run-1") == 0
+    assert begun.studies.forget_samples("run-9") == 0
+    with pytest.raises(UnknownRecordError, match="no samples"):
+        begun.studies.result(intent().goal_id)
+    assert begun.studies.response(intent().goal_id).robot == "target"
+    assert begun.studies.result(other.goal_id).goal_id == other.goal_id
+
+
 def test_a_trial_can_be_measured_though_its_acceptance_never_arrived(begun: Repository) -> None:
     begun.studies.intend(intent())
     begun.studies.ended(intent().goal_id, measurement(intent()), epoch=1)

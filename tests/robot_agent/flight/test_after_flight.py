@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from robots_that_learn import LaggedRobot
+from scipy.signal import lfilter
 
 from nufleet.robot_agent.flight.after_flight import own_error_after
-from nufleet.robot_agent.flight.flights import learn
 from nufleet.robot_agent.flight.forecast import forecast_of
+from nufleet.robot_agent.flight.learning import learn
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.own_model import OwnModel
 from nufleet.robot_agent.flight.rich_flight import rich_references
@@ -51,3 +54,26 @@ def test_it_is_what_the_robot_finds_once_it_has_flown(little: tuple[Memory, OwnM
     now = forecast_of(found, PATH)
     assert now is not None
     assert 0.8 * expected.low <= now.own.rms <= 1.25 * expected.high
+
+
+def test_a_robot_that_is_pushed_about_does_not_expect_to_learn_as_if_it_were_not() -> None:
+    """Gusts of a second leave few independent samples, in the flight to come as well."""
+
+    def pushed(references: np.ndarray, seed: int) -> np.ndarray:
+        white = np.random.default_rng(seed).standard_normal((len(references) + 300, 2))
+        gusts = 0.01 * math.sqrt(1 - 0.98**2) * lfilter([1.0], [1.0, -0.98], white, axis=0)[300:]
+        return np.asarray(LaggedRobot(noise_std_m=1e-3).run(references) + gusts)
+
+    spec = LaggedRobot().spec
+    slow = travel(np.array([[0.0, 0.0], [0.2, 0.2], [-0.2, 0.0], [0.0, 0.0]]), 0.2, 0.3, 0.02)
+    for seed in range(4):
+        memory = Memory(None)
+        learn(memory, spec, slow, pushed(slow, seed))
+        before = memory.own_model(spec).model
+        assert before is not None
+        expected = own_error_after(before, spec, PATH, 30.0)
+        flight = rich_references(spec, 30.0, np.random.default_rng(seed))
+        learn(memory, spec, flight, pushed(flight, 100 + seed))
+        found = forecast_of(memory.own_model(spec).model, PATH)
+        assert found is not None
+        assert expected.low < found.own.rms < expected.high

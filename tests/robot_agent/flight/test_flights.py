@@ -7,7 +7,8 @@ import pytest
 from learned_things import experience, layout
 from robots_that_learn import LIMITS, LaggedRobot, double_integrator
 
-from nufleet.robot_agent.flight.flights import learner_for, performance_of
+from nufleet.robot_agent.flight.equipment import learner_for
+from nufleet.robot_agent.flight.flights import performance_of
 from nufleet.robot_agent.flight.memory import Memory, MemoryFolderError
 from nufleet.robot_agent.flight.online_gp import Correction
 from nufleet.robot_agent.flight.tracking import Learner, Watch, approach

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -307,6 +308,44 @@ def test_the_robots_own_correction_is_judged_as_well() -> None:
     assert guard.event.given_to == "baseline"
     assert "its model of itself was taken back, too" in guard.event.reason
     assert shares[-1] == 0.0
+
+
+def test_the_reason_for_taking_back_the_robots_own_counts_from_when_it_took_over() -> None:
+    """Until then the error was far below the baseline's, which is no reason to take it back."""
+    guard = Guard(
+        KNOWN, 0.0, STEP_S, PULL_MAX, NEEDED, correction_speed_max=SPEED_MAX, fallback=True
+    )
+    for k, error in enumerate(baseline()):
+        swing = 0.08 * (1 - math.cos(10.0 * k * STEP_S)) if k < 60 else 0.0
+        guard.judge(k, (0.1 if k < 60 else 1.2) * error, np.array([0.0, swing]))
+    assert guard.event is not None
+    first, second = guard.event.reason.split("; then")
+    assert "oscillate" in first
+    times = re.search(r"the error since \S+ s was (\S+) times the error", second)
+    assert times is not None
+    assert float(times[1]) > 1.0
+
+
+def test_an_oscillation_that_is_hardly_too_hard_shows_by_how_much() -> None:
+    guard = Guard(KNOWN, 0.0, STEP_S, PULL_MAX, NEEDED, correction_speed_max=SPEED_MAX)
+    for k in range(50):
+        pulled = 1.0001 * PULL_MAX * (k * STEP_S) ** 2 / 2
+        guard.judge(k, STILL, np.array([pulled, 0.0]))
+    assert guard.event is not None
+    assert "they accelerate by 2.0002 m/s²" in guard.event.reason
+    assert "; 2 m/s² is enough" in guard.event.reason
+
+
+def test_an_error_that_is_hardly_too_large_shows_by_how_much() -> None:
+    window = np.ones(10) / 10
+    worst = 1.3 * math.sqrt(np.convolve(KNOWN[0], window, mode="same").max())
+    errors = np.zeros((SAMPLES, 2))
+    errors[300:, 0] = 1.00001 * worst
+    _, guard = judged(errors)
+    assert guard.event is not None
+    shown = re.search(r"error was (\S+) m RMS .* worst allows, (\S+) m$", guard.event.reason)
+    assert shown is not None
+    assert float(shown[1]) > float(shown[2])
 
 
 @pytest.mark.parametrize("unit", ["m", "rad"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from robots_that_learn import LaggedRobot
+from robots_that_learn import LaggedRobot, double_integrator
 from scipy.signal import lfilter
 
 from nufleet.robot_agent.flight.forecast import forecast_of
@@ -51,6 +51,22 @@ def test_a_robot_with_friction_has_not_changed_because_it_moves_more() -> None:
     assert flown.model.axes[0].flown_s == pytest.approx(2 * len(TIME_S) * SPEC.sample_time_s)
 
 
+@pytest.mark.parametrize("size", [1.0, 1.4, 2.0, 4.0, 16.0])
+def test_many_tones_at_once_do_not_hide_friction(size: float) -> None:
+    """Though most of its distortion falls on other tones, which a linear answer explains as well.
+
+    Whatever the test's size, in multiples of what friction holds the axis by.
+    """
+    tones = np.sin(np.outer(TIME_S[:600], 0.52 * np.arange(1, 12)) + np.arange(1, 12) ** 2)
+    test = np.zeros((600, 2))
+    test[:, 0] = tones.sum(axis=1) * np.minimum(1.0, np.minimum(TIME_S[:600], TIME_S[599::-1]))
+    test *= size * HELD_M / float(np.std(test[:, 0]))
+    path = waves(0.3, 3)
+    known = forecast_of(settle({"x": record(test, worn(test))}, SPEC).model, path)
+    assert known is not None
+    assert known.baseline.low < 1.1 * float(np.std((worn(path) - path)[:, 0]))
+
+
 def test_a_robot_with_friction_flies_with_its_model_once_it_has_moved_as_far_as_the_path() -> None:
     small, large = waves(0.008, 1), waves(0.4, 2)
     path = waves(0.3, 3)
@@ -66,6 +82,24 @@ def test_a_robot_with_friction_flies_with_its_model_once_it_has_moved_as_far_as_
     assert known is not None
     assert known.own_helps
     assert known.baseline.low < 1.1 * error
+
+
+@pytest.mark.parametrize("noise_std_m", [0.0, 1e-3])
+def test_a_robot_with_one_axis_whose_tests_show_it_linear_knows_its_error(
+    noise_std_m: float,
+) -> None:
+    """No other axis can act on it, and what its tests hide cannot become much on a larger path."""
+    robot = double_integrator(noise_std_m=noise_std_m)
+    small, path = waves(0.15, 1)[:, :1], waves(0.4, 3)[:, :1]
+    new = evidence_in(robot.spec, small, robot.run(small))["x"]
+    robot.rest()
+    known = forecast_of(settle({"x": AxisRecord(new=new)}, robot.spec).model, path)
+    assert known is not None
+    assert known.own_helps
+    assert known.baseline.high < 1.1 * known.baseline.low
+    error = float(np.sqrt(np.mean((robot.run(path) - path) ** 2)))
+    assert known.baseline.low < 1.001 * error
+    assert error < 1.001 * known.baseline.high
 
 
 def test_a_robot_that_is_pushed_about_has_not_changed_by_the_next_flight() -> None:

@@ -8,7 +8,7 @@ from learned_things import experience, layout
 from robots_that_learn import LaggedRobot
 from test_flights import flown
 
-from nufleet.robot_agent.flight.flights import learn
+from nufleet.robot_agent.flight.learning import learn
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray

@@ -145,6 +145,9 @@ def test_few_rehearsals_bound_the_next_error_as_often_as_they_say() -> None:
     assert np.mean(inside) == pytest.approx(0.9, abs=0.015)
 
 
-def test_rehearsals_that_all_end_alike_leave_no_doubt() -> None:
-    found = predicted_from([0.02, 0.02])
-    assert (found.low, found.rms, found.high) == pytest.approx((0.02, 0.02, 0.02))
+def test_rehearsals_that_all_end_alike_leave_as_much_doubt_as_a_model_does() -> None:
+    found = predicted_from([0.02] * 4)
+    assert found.rms == pytest.approx(0.02)
+    assert (found.high / found.rms, found.rms / found.low) == pytest.approx(
+        (1.027, 1.027), abs=1e-3
+    )

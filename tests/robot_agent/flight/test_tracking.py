@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -12,15 +13,16 @@ from robots_that_learn import LIMITS, LaggedRobot, double_integrator
 from nufleet.orchestrator.experience.lesson_record import LearningRecord, pooled_pairs
 from nufleet.orchestrator.experience.linear_inverse import linear_experience
 from nufleet.orchestrator.experience.training import Origin, TrainingData
-from nufleet.robot_agent.flight.flights import guard_for
+from nufleet.robot_agent.flight.equipment import guard_for
 from nufleet.robot_agent.flight.forecast import forecast_of
 from nufleet.robot_agent.flight.guard import Guard
 from nufleet.robot_agent.flight.inverse_model import InverseModel, NetworkInverse
 from nufleet.robot_agent.flight.memory import Memory
-from nufleet.robot_agent.flight.online_gp import OnlineGp
+from nufleet.robot_agent.flight.online_gp import Correction, OnlineGp
 from nufleet.robot_agent.flight.own_model import evidence_in
 from nufleet.robot_agent.flight.rich_flight import FlightRecord, fly_record, rich_references
-from nufleet.robot_agent.flight.tracking import Learner, TrackingRecord, track
+from nufleet.robot_agent.flight.tracking import Learner, track
+from nufleet.robot_agent.flight.tracking_record import TrackingRecord
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.layout import Architecture, InverseLayout
@@ -202,6 +204,27 @@ def test_a_sensor_that_goes_blind_ends_the_flight_at_rest() -> None:
     flight = track(robot, 0.5 * np.repeat(PATH, 2, axis=1), LIMITS, _two_axes())
     assert flight.failure == "the sensor returned a value that is not finite at sample 60"
     assert np.isfinite(flight.reference).all()
+    assert robot.rests == 1
+
+
+class Broken(OnlineGp):
+    """Its answer is no number from the 60th sample on."""
+
+    asked = 0
+
+    def correct(self, inputs: FloatArray) -> Correction:
+        self.asked += 1
+        found = super().correct(inputs)
+        return replace(found, mean=found.mean * np.nan) if self.asked > 60 else found
+
+
+def test_a_reference_that_is_not_finite_never_reaches_the_robot() -> None:
+    robot = LaggedRobot()
+    broken = Learner(PREVIEW, Broken(PREVIEW, (None, None)))
+    flight = track(robot, 0.5 * np.repeat(PATH, 2, axis=1), LIMITS, broken)
+    assert flight.failure == "the inverse model asked for a value that is not finite at sample 60"
+    assert np.isfinite(flight.reference).all()
+    assert robot.samples == 25 + 60
     assert robot.rests == 1
 
 

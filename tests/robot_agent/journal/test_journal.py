@@ -66,6 +66,27 @@ def test_a_new_journal_remembers_nothing(tmp_path: Path) -> None:
     assert (found.stop, found.owner, found.lost, found.damage) == (None, None, (), None)
 
 
+def test_a_test_of_a_robot_waits_for_the_disk_four_times(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flushed: list[str] = []
+    for kind in ("fsync", "fdatasync"):
+        real = getattr(os, kind)
+        monkeypatch.setattr(
+            os, kind, lambda fd, kind=kind, real=real: (flushed.append(kind), real(fd))
+        )
+    with Journal(tmp_path) as journal:
+        write(journal, ("accept", "g1"))
+        write(journal, ("end", "g1", Outcome.COMPLETED))
+        flushed.clear()
+        write(journal, ("acknowledge", "g1"))
+        write(journal, ("accept", "g2"))
+        assert flushed == ["fdatasync"], "what was acknowledged is on disk with the next goal"
+        write(journal, ("end", "g2", Outcome.COMPLETED))
+    # The bytes of the result, its name, and the record that it belongs to.
+    assert flushed == ["fdatasync", "fsync", "fsync", "fdatasync"]
+
+
 def test_a_new_process_knows_what_the_one_before_was_told(tmp_path: Path) -> None:
     with Journal(tmp_path) as journal:
         for fact in (*HISTORY, ("stop", "carol"), ("stop", "dave")):

@@ -53,6 +53,29 @@ def test_the_identity_in_the_users_folder_is_taken(fleet: FleetFile, tmp_path: P
     assert addresses(fleet) == {"a": f"identity/{a}"}
 
 
+def test_an_agent_takes_the_identities_of_its_robots_among_those_of_the_user(
+    fleet: FleetFile, tmp_path: Path
+) -> None:
+    folder = tmp_path / "config" / "nufleet"
+    a, c = identity(folder, "a"), identity(folder, "c")
+    for name, other, role in (("desk", "lab", "orchestrator"), ("b", "other", "robot")):
+        path = identity(folder, name, other)
+        path.write_text(path.read_text().replace('"robot"', f'"{role}"'))
+    assert addresses(fleet) == {"a": f"identity/{a}", "c": f"identity/{c}"}
+    assert addresses(fleet, "c") == {"c": f"identity/{c}"}
+    with pytest.raises(InvalidInputError, match="b has no identity here: there is one for a, c"):
+        addresses(fleet, "b")
+
+
+def test_an_agent_that_has_no_identity_of_a_robot_says_which_it_found(
+    fleet: FleetFile, tmp_path: Path
+) -> None:
+    path = identity(tmp_path / "config" / "nufleet", "desk")
+    path.write_text(path.read_text().replace('"robot"', '"orchestrator"'))
+    with pytest.raises(InvalidInputError, match="is the identity of desk, which is no robot"):
+        addresses(fleet)
+
+
 @pytest.mark.parametrize(
     ("robot", "of_fleet", "asked", "words"),
     [

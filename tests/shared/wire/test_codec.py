@@ -709,3 +709,12 @@ def test_a_refusals_reason_stays_short_whatever_was_sent() -> None:
         decode(frame(header(), body), Done)
     assert len(str(raised.value)) < 2000
     assert "and 16 more" in str(raised.value)
+
+
+def test_headers_that_are_alike_are_validated_once() -> None:
+    state = encode(Refusal(code="busy", reason="one"))
+    decode(state, Refusal)
+    before = codec._parse_header.cache_info()
+    decode(encode(Refusal(code="busy", reason="another")), Refusal)
+    after = codec._parse_header.cache_info()
+    assert (after.hits, after.misses) == (before.hits + 1, before.misses)

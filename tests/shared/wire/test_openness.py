@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.wire.identity import IdentityError
+from nufleet.shared.wire.identity import Identity, IdentityError, identity_text
 from nufleet.shared.wire.openness import (
     LOCAL_ENDPOINT,
     check_closed,
@@ -65,3 +65,18 @@ def test_an_address_comes_from_the_most_explicit_place(mine: Path, tmp_path: Pat
     mine.with_name("anna.nufleet").unlink()
     mine.unlink()
     assert chosen_address(None, None, allow_open=False) == LOCAL_ENDPOINT
+
+
+def test_a_command_does_not_speak_as_a_robot_unless_it_knows_nothing_else(
+    mine: Path,
+) -> None:
+    pem = "-----BEGIN CERTIFICATE-----\nMA==\n-----END CERTIFICATE-----\n"
+    for name, role in (("desk", "orchestrator"), ("drone-7", "robot")):
+        path = mine.with_name(f"{name}.nufleet")
+        made = Identity(path, "lab", name, role, "tls/base:7447", pem, pem)
+        path.write_text(identity_text(made))
+        made.key.touch(mode=0o600)
+    drone = mine.with_name("drone-7.nufleet")
+    assert chosen_addresses(None, None, allow_open=False) == (f"identity/{mine}",)
+    mine.unlink()
+    assert chosen_addresses(None, None, allow_open=False) == (f"identity/{drone}",)

@@ -316,6 +316,17 @@ def test_a_withdrawn_handler_hears_no_more(clients: Callable[[], Session]) -> No
     wait_until(lambda: not asker.ask_all("gone", b"", timeout_s=PATIENCE_S))
 
 
+def test_a_session_need_not_hear_what_it_puts_itself(clients: Callable[[], Session]) -> None:
+    one, other = clients(), clients()
+    heard: queue.Queue[bytes] = queue.Queue()
+    one.subscribe("k", lambda _key, payload: heard.put(payload), max_bytes=9, own=False)
+    publisher = one.state_publisher("k")
+    publisher.put(b"own")
+    others = other.state_publisher("k")
+    wait_until(lambda: (others.put(b"other"), not heard.empty())[1])
+    assert heard.get() == b"other"
+
+
 def test_an_urgent_message_arrives(clients: Callable[[], Session]) -> None:
     listener, sender = clients(), clients()
     heard: queue.Queue[tuple[str, bytes]] = queue.Queue()
@@ -327,6 +338,22 @@ def test_an_urgent_message_arrives(clients: Callable[[], Session]) -> None:
 
     wait_until(sent)
     assert heard.get() == ("lab/stop", b"now")
+
+
+def test_linked_routers_serve_one_fleet_also_after_the_one_in_the_middle_came_back(
+    tmp_path: Path,
+) -> None:
+    at = {name: f"unixsock-stream/{tmp_path}/{name}.sock" for name in ("left", "middle", "right")}
+    with ExitStack() as stack:
+        for end in ("left", "right"):  # both before the router that they link with
+            stack.enter_context(open_router([at[end]], connect=[at["middle"]]))
+        robot = stack.enter_context(open_client(at["left"], timeout_s=PATIENCE_S))
+        asker = stack.enter_context(open_client(at["right"], timeout_s=PATIENCE_S))
+        robot.serve("robot", echo)
+        for _ in range(2):
+            with open_router([at["middle"]]):
+                served(asker, "robot")
+            wait_until(lambda: not asker.ask_all("robot", b"", timeout_s=0.1))
 
 
 # Opening and closing.
