@@ -103,7 +103,7 @@ class FieldRobot(RobotAround):
 
     def record(self) -> Record:
         """Return the measurements that have arrived until now or are on their way."""
-        sent_s = self.spec.sample_time_s * np.arange(self._samples)
+        sent_s = self.spec.sample_time_s * np.arange(self._samples, dtype=np.float64)
         axes = len(self.spec.axes)
         outputs = np.array([output for _, _, output in self._sent]).reshape(-1, axes)
         return Record(sent_s, np.array([taken_s for _, taken_s, _ in self._sent]), outputs)

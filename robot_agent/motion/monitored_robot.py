@@ -14,7 +14,7 @@ class MonitoredRobot(RobotAround):
     """Passes every call on to a robot and checks the samples of one motion, from rest to rest.
 
     `noise_std` is the standard deviation of the output at rest, shape (axes,), in the axes' units;
-    it is zero before `begin`.
+    it is zero before `begin_motion`.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -24,7 +24,7 @@ class MonitoredRobot(RobotAround):
         self._failed: RobotError | None = None
         self.noise_std = np.zeros(len(robot.spec.axes))
 
-    def begin(self, references: FloatArray) -> None:
+    def begin_motion(self, references: FloatArray) -> None:
         """Compare where the robot rests with where its motion begins.
 
         To be called before the first sample.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from nufleet.robot_agent.motion.monitor import LOST_MAX_S
 from nufleet.robot_agent.robot import Record
@@ -76,6 +75,8 @@ def _check_times(times_s: FloatArray, what: str) -> None:
 
 
 def _interpolated(measured_s: FloatArray, outputs: FloatArray, sent_s: FloatArray) -> FloatArray:
+    from scipy.interpolate import CubicSpline
+
     within_s = np.clip(sent_s, measured_s[0], measured_s[-1])
     if len(measured_s) < 4:
         columns = [np.interp(within_s, measured_s, column) for column in outputs.T]
