@@ -113,6 +113,8 @@ def ranking_table(
             row.append(str(estimate.tests))
         elif exact is None:
             row += ["", ""]
+        elif exact.psi == 0:  # a twin of the target: no error is relative to nothing
+            row += ["0.0000", ""]
         else:
             row += [f"{exact.psi:.4f}", f"{100 * (estimate.psi / exact.psi - 1):+.2f} %"]
         table.add_row(*row, style="bold green" if place == 0 else None)
