@@ -74,6 +74,13 @@ class Opening:
 
     def __exit__(self, *error: Any) -> None:
         self._stack.__exit__(*error)
+        if error[0] is None and self._run_id:
+            # All files of the run are complete only now.
+            from nufleet.orchestrator.history.report_page import leave_report
+
+            page = leave_report(self.folder.path)
+            if page is not None:
+                self.console.print(f"report to hand on:  {page}")
 
     def reach(
         self, choice: FleetChoice, robots: tuple[str, ...] = (), *, wait_s: float = 0.0
@@ -146,6 +153,7 @@ class Opening:
         self._lease(descriptions, study_id_of(path), patient=True)
         again = RunFolder(path.parent, path.name, goes_on=True)
         self.folder = self._stack.enter_context(again)
+        self._run_id = again.study_id
         return self.folder
 
     def record(self, *, live: bool, draws: bool = True) -> RerunWriter:

@@ -157,7 +157,8 @@ def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(
     assert done.returncode == 0, done.stderr
     run = tmp_path / json.loads(done.stdout)["run"]
     assert {path.name for path in run.iterdir()} == {
-        *("config.json", "results.json", "telemetry.parquet", "run.rrd", "plots", "report.md")
+        *("config.json", "results.json", "telemetry.parquet", "run.rrd", "plots", "report.md"),
+        *("report.html", "ranking.csv"),
     }
     assert {path.suffix for path in (run / "plots").iterdir()} == {".png"}
     listed = json.loads(typed("runs", "list", "--json", cwd=tmp_path).stdout)
