@@ -238,6 +238,7 @@ def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, moment: s
     # interrupt came while a module was being imported.
     assert ranking.returncode in (130, -signal.SIGINT), said
     assert "Traceback" not in said
+    assert ("all 4 robots are at rest" in said) == (moment == "while they move")
     assert not started_with("NUFLEET_STATE", state)
 
 
