@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -11,7 +12,8 @@ from rich.table import Column, Table
 from nufleet.orchestrator.evaluation.flight_documents import DemoResult, TrackResult
 from nufleet.orchestrator.evaluation.results import EvaluationRecord, FlightRecord
 from nufleet.orchestrator.history.catalogue import Run
-from nufleet.orchestrator.runs.rank_result import RankResult, deviation_text
+from nufleet.orchestrator.runs.rank_result import RankResult
+from nufleet.orchestrator.study.interface import SourceEstimate
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.strict import Document, Strict
 
@@ -119,10 +121,15 @@ def _numbers(
     table = Table(what, *numbers, title=title, title_justify="left")
     for row in rows:
         first, second = factor * row.first, factor * row.second
-        spread = ("" if row.std is None else deviation_text(row.std),) if sure else ()
+        spread = ("" if row.std is None else _deviation_text(row.std),) if sure else ()
         cells = (f"{first:.{digits}f}", f"{second:.{digits}f}", f"{second - first:+.{digits}f}")
         table.add_row(row.what, *cells, *spread)
     return table
+
+
+def _deviation_text(std: float) -> str:
+    """Return a standard deviation to four decimal places, never rounded to zero."""
+    return f"{std:.4f}" if std >= 5e-5 else "<0.0001"
 
 
 def _flights(run: Run) -> tuple[FlightRecord, ...]:
@@ -143,8 +150,13 @@ def _psi(first: RankResult | None, second: RankResult | None) -> Iterator[Compar
     for one in first.ranking:
         other = others.get(one.robot)
         if other is not None:
-            std = (one.psi_std**2 + other.psi_std**2) ** 0.5
+            std = math.hypot(_psi_std(one), _psi_std(other))
             yield Compared(what=one.robot, first=one.psi, second=other.psi, std=std)
+
+
+def _psi_std(estimate: SourceEstimate) -> float:
+    """Return the standard deviation of which the 95 % interval would be that of a normal ψ*."""
+    return (estimate.psi_high - estimate.psi_low) / (2 * 1.96)
 
 
 def _rms(first: tuple[FlightRecord, ...], second: tuple[FlightRecord, ...]) -> Iterator[Compared]:
