@@ -16,6 +16,7 @@ from nufleet.orchestrator.cli.options import (
     seed_option,
     storage_options,
     wait_option,
+    yes_option,
 )
 from nufleet.orchestrator.cli.types import Names, PositiveNumber
 
@@ -90,6 +91,13 @@ from nufleet.orchestrator.cli.types import Names, PositiveNumber
     metavar="FACTOR",
     help="With --fleet: run at this multiple of real time.  [default: as fast as possible]",
 )
+@click.option(
+    "--plan",
+    "plans",
+    is_flag=True,
+    help="Print what each robot would do first (how long, how far, how fast), and move none.",
+)
+@yes_option
 @rehearsal_option
 @live_option
 @recording_option
