@@ -178,6 +178,8 @@ class Agent:
         """Return the function that refuses motions which outlast the battery or certificate."""
         identity = self._session.identity
         watch = None if identity is None else CertificateWatch(identity, partial(datetime.now, UTC))
+        if watch is not None:
+            self._looks.append(watch.look)
 
         def refusal(plan: MotionPlan) -> messages.Refusal | None:
             health, _ = self._health.newest

@@ -18,11 +18,12 @@ from nufleet.orchestrator.repository.records import TrialEnd, TrialStatus
 from nufleet.orchestrator.study.outcomes import Failed, Measured, TestOutcome
 from nufleet.shared.errors import RefusedError
 from nufleet.shared.frequency_test.duration import duration_s
-from nufleet.shared.frequency_test.excitation import Excitation
+from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
 from nufleet.shared.frequency_test.frequency_response import (
     FrequencyResponse,
     estimate_frequency_response,
 )
+from nufleet.shared.frequency_test.quality import Quality
 from nufleet.shared.frequency_test.timing import timing_findings
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import GoalResult, Outcome
@@ -175,7 +176,9 @@ class Attempts:
                 self._log.ended(test, end)
                 return Settled(Measured(test.robot, response, result, test.attempt, total_s))
             reason = "; ".join(str(finding) for finding in response.quality.reasons)
-            retry = _retry(test, lengthened(test.excitation, result, self._specs[test.robot]))
+            spec = self._specs[test.robot]
+            played = retried(test.excitation, result.test_plan, response.quality, spec)
+            retry = _retry(test, played)
         return self._followed(
             test, TrialEnd(TrialStatus.FAILED, reason, retry, excuse, result, response)
         )
@@ -212,19 +215,28 @@ def _retry(test: OpenTest, excitation: Excitation, excuse: bool = False) -> Exci
     return None if given_up else excitation
 
 
-def lengthened(excitation: Excitation, result: GoalResult, spec: RobotSpec) -> Excitation:
-    """Return a test with up to twice the settling and measuring time of a completed one.
+def retried(
+    excitation: Excitation, plan: ExcitationPlan, quality: Quality, spec: RobotSpec
+) -> Excitation:
+    """Return what a robot plays after a test that was not usable.
+
+    What saturated is played at half the amplitude. Everything else is played for up to twice as
+    long and, if noise hid the response, as large as the robot allows.
 
     Args:
         excitation: Excitation of the completed test.
-        result: Result of the completed test, with the plan that the robot executed.
+        plan: Plan that the robot executed.
+        quality: Verdict on the test.
         spec: Spec of the robot, which limits the duration of a test.
 
     Returns:
-        The longest of the lengthened excitations that the robot accepts, or `excitation` itself
-        where nothing longer fits.
+        The next excitation; the longest that the robot accepts, which may be as long as before.
     """
-    plan = result.test_plan
+    codes = {reason.code for reason in quality.reasons}
+    if "clipped" in codes:
+        return excitation.model_copy(update={"amplitude": plan.amplitude / 2})
+    if "uncertain" in codes:
+        excitation = excitation.model_copy(update={"amplitude": None})
     settle_s = max(plan.settle_samples, plan.ramp_samples) * plan.sample_time_s
     segment_s = plan.segment_samples * plan.sample_time_s
     for step in range(_LENGTHEN_STEPS):

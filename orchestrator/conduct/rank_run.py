@@ -12,7 +12,7 @@ import numpy as np
 
 from nufleet.orchestrator.conduct.archive import AWAY, Archive
 from nufleet.orchestrator.conduct.conductor import Conclusion, RankingObserver, conduct
-from nufleet.orchestrator.conduct.desired_motion import TimedPath, desired_motion
+from nufleet.orchestrator.conduct.desired_motion import TimedPath, desired_motion, leg_of
 from nufleet.orchestrator.conduct.dispatcher import Dispatcher
 from nufleet.orchestrator.conduct.preflight import (
     check_names,
@@ -62,6 +62,10 @@ class RankRequest:
     """Name of the axis to test; None takes the first axis of the target."""
     drawing: TimedPath | None = None
     """Trajectory to rank for; None ranks by distance over the whole band."""
+    precision: float | None = None
+    """Width of the selected source's 95 % interval to go on to; None for any."""
+    amplitude: float | None = None
+    """Amplitude of the task in the unit of the axis; None for what each robot chooses."""
 
     def sources_among(self, there: tuple[str, ...]) -> tuple[str, ...]:
         """Return the sources that were requested, or all these robots but the target."""
@@ -125,8 +129,13 @@ def prepare(
         motion=None
         if request.drawing is None
         else desired_motion(request.drawing, at_target, axis),
+        precision=request.precision,
+        amplitude=request.amplitude,
     )
     check_plan(plan, descriptions)
+    if request.drawing is not None and at_target.tracking is not None:
+        # A ranking for a path that `nufleet track` would refuse is of no use.
+        leg_of(request.drawing, descriptions[request.target])
     return ReadyStudy(plan, descriptions, _closed_form(plan, descriptions))
 
 

@@ -142,8 +142,7 @@ def latest_ranking(root: Path, fleet: str, target: str) -> tuple[Path, RunRecord
 
 
 def _ranked(result: RankResult) -> str:
-    psi = result.ranking[0]
-    return f"{result.selected} for {result.target}, ψ* {psi.psi:.4f} ± {psi.psi_std:.4f}"
+    return f"{result.selected} for {result.target}, ψ* {result.ranking[0].stated}"
 
 
 def _demonstrated(result: DemoResult) -> str:

@@ -15,7 +15,7 @@ from nufleet.orchestrator.evaluation.pairs import PairsResult
 from nufleet.orchestrator.evaluation.report import evaluation_table, pairs_table
 from nufleet.orchestrator.evaluation.results import EvaluationRecord, FlightRecord
 from nufleet.orchestrator.history.catalogue import Run
-from nufleet.orchestrator.runs.console import ranking_table
+from nufleet.orchestrator.runs.console import ranking_table, record_table
 from nufleet.orchestrator.runs.rank_result import RunRecord
 from nufleet.orchestrator.runs.verdict_table import verdict_parts
 
@@ -49,7 +49,7 @@ def _ranking(record: RunRecord) -> Iterator[RenderableType]:
         f"target {result.target}, axis {record.axis}, band {low:g} to {high:g} rad/s, "
         f"seed {record.seed}"
     )
-    yield ranking_table(result.ranking, record.closed_form)
+    yield record_table(record)
     for robot, stored in (result.stored or {}).items():
         yield f"[yellow]{said_of(robot, stored, datetime.now(UTC))}[/]"
     yield from verdict_parts(result)
@@ -64,7 +64,7 @@ def flights_table(flights: tuple[FlightRecord, ...]) -> Table:
         table.add_column(heading, no_wrap=True)
     for heading in ("m/s", "RMS, mm"):
         table.add_column(heading, justify="right")
-    table.add_column("")
+    table.add_column("remarks")
     for flight in flights:
         rms = "not finished" if flight.rms_m is None else f"{1000 * flight.rms_m:.1f}"
         event = flight.failure or (flight.taken_back and f"withdrawn: {flight.taken_back}") or ""

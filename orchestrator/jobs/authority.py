@@ -17,7 +17,7 @@ from nufleet.orchestrator.authority.authority import (
 from nufleet.orchestrator.authority.certificates import utc_now
 from nufleet.orchestrator.authority.key_files import make_request
 from nufleet.orchestrator.authority.ledger import Enrolment
-from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.orchestrator.jobs.terminal import stdout_console
 from nufleet.shared.errors import InvalidInputError, NufleetError
 from nufleet.shared.wire.identity import identity_folder
 from nufleet.shared.wire.keys import FleetKeys, checked_name, principal_of
@@ -131,14 +131,14 @@ def replace_and_print(folder: Path | None) -> None:
         expires = authority.finish_replacing()
         said = f"""\
 the former authority is trusted no longer, and the router's certificate is valid until {expires:%F}.
-Identities that were not copied to their machines stop working when the router is restarted: restart
-it when all are there."""
+An agent that was not restarted with its new identity will not find the router again once that is
+restarted: restart it when all agents have theirs."""
     else:
         authority.replace()
         said = f"""\
 a new authority signs from now on; {authority.folder} trusts the former one as well.
 1. restart the router
-2. `nufleet fleet renew`, and copy each identity to its machine
+2. `nufleet fleet renew`; copy each identity to its machine, and restart its agent while it rests
 3. `nufleet fleet renew --replace-authority` once more, and restart the router"""
     click.echo(said, err=True)
 
@@ -187,7 +187,7 @@ def who_and_print(folder: Path | None, connect: str) -> None:
         there = ("yes" if name in (connected or ()) else "no") if seen else "not known"
         table.add_row(name, role, _certificate(ledger.enrolments.get(name)), there)
     table.add_row("the router", "router", _left(ledger.router_expires), "")
-    stderr_console().print(table)
+    stdout_console().print(table)
     if error is not None:
         raise error
 

@@ -47,6 +47,10 @@ class RankCommand(AnyFleetCommand):
     """Name of the axis to test; None for the target's first."""
     iterations: int = 7
     """Limit on the number of iterations."""
+    precision: float | None = None
+    """Width of the selected source's 95 % interval to go on to; None for any."""
+    amplitude: float | None = None
+    """Amplitude of the task in the unit of the axis; None for what each robot chooses."""
     seed: int = 0
     """Seed of the study."""
     algorithm: Algorithm = "adaptive"
@@ -110,7 +114,7 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
     """
     choice = command.fleet()
     request = _request(command, choice)
-    with Opening(command.storage, console) as run:
+    with Opening(command, console) as run:
         ready, stored, planned = _prepared(command, request, choice, run)
         if not command.yes:
             ask_consent(planned, console)
@@ -147,7 +151,7 @@ def plan(command: RankCommand, console: Console) -> StudyOutlook:
     """
     choice = command.fleet()
     request = _request(command, choice)
-    with Opening(command.storage, console) as run:
+    with Opening(command, console) as run:
         return _prepared(command, request, choice, run)[2]
 
 
@@ -179,6 +183,8 @@ def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:
         check_band(command.band_rad_s)
     if command.reuse_days is not None and command.algorithm != "adaptive":
         raise InvalidInputError("--reuse requires --algorithm adaptive")
+    if command.algorithm != "adaptive" and (command.precision or command.amplitude):
+        raise InvalidInputError("--precision and --amplitude require --algorithm adaptive")
     request = RankRequest(
         target=choice.target(command.target),
         sources=command.sources,
@@ -187,6 +193,8 @@ def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:
         seed=command.seed,
         axis=command.axis,
         drawing=_drawing(command),
+        precision=command.precision,
+        amplitude=command.amplitude,
     )
     if choice.file is not None:
         # No process has to be started to refuse names that are not in the file.

@@ -163,7 +163,8 @@ def refusal_to_start(state: Supervision, *, owner: str, owner_alive: bool) -> Re
         return Refusal(
             code="stopped",
             reason=(
-                f"release it first: it was stopped by {state.stop.sender}: {state.stop.reason}"
+                f"release it first with `nufleet release`: it was stopped by {state.stop.sender}: "
+                f"{state.stop.reason}"
             ),
         )
     if state.unfit is not None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import re
 import threading
 import time
@@ -541,7 +542,9 @@ def _reach(
             if over or (given_up is not None and given_up.is_set()):
                 raise NoRouterError(_no_router(connect, identity)) from error
             # A failed handshake makes a router wait for 0.1 s before it accepts others.
-            if deadline is None and identity is not None and tries % 10 == 0:
+            # An open router that is started beside its agents answers some tries later.
+            first = 0 if identity is not None else 5
+            if deadline is None and tries % 10 == first:
                 _log.warning("%s; it tries again", _no_router(connect, identity))
             tries += 1
 
@@ -594,7 +597,11 @@ def _declaring(key_expr: str) -> AbstractContextManager[None]:
 
 
 def _cause(error: zenoh.ZError) -> str:
-    """Return the text of a Zenoh error without references to Zenoh's source files."""
+    """Return the cause that the system gave for a Zenoh error, or else the text of the error."""
+    system = re.search(r"\(os error (\d+)\)", str(error))
+    if system is not None:
+        return os.strerror(int(system[1]))
+    # The text refers to Zenoh's source files.
     return without_secrets(re.sub(r"\s*at \S+\.rs:\d+\.", "", str(error)).rstrip(". "))
 
 

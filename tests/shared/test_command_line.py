@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import click
 import pytest
+from click.testing import CliRunner
 
 from nufleet.shared import command_line
 
@@ -45,6 +46,26 @@ def test_a_full_disk_is_one_line_that_names_the_file(
     assert "No space left on device (runs/results.json.part); free some space" in line
 
 
+def test_a_disk_that_may_only_be_read_is_answered_by_the_variables_that_name_another(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    end_of(monkeypatch, OSError(errno.EROFS, os.strerror(errno.EROFS), "learned"))
+    assert "choose writable folders with NUFLEET_STATE and NUFLEET_RUNS" in capsys.readouterr().err
+
+
+def test_more_messages_are_those_of_nufleet_alone() -> None:
+    script = (
+        "import logging, sys; from nufleet.shared import command_line; "
+        "from importlib.metadata import EntryPoint; sys.argv = ['nufleet', '-v', 'doctor', '-h']\n"
+        "try: command_line.main()\n"
+        "except SystemExit: pass\n"
+        "logging.getLogger('alembic').info('its plugins')\n"
+        "logging.getLogger('nufleet.fleet').info('its own')"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stderr == "nufleet.fleet: its own\n"
+
+
 def test_an_error_of_the_system_that_nobody_foresaw_is_not_hidden(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -69,3 +90,42 @@ def test_what_others_said_cannot_command_the_terminal() -> None:
     done = subprocess.run([sys.executable, "-c", script, "fail"], capture_output=True, text=True)
     assert done.returncode == 1, done.stderr
     assert done.stderr == "net: key ?]0;owned?\nerror: robot a refused: ?[31mno\nand why\n"
+
+
+def refusal(*arguments: str) -> str:
+    ended = CliRunner().invoke(command_line.command_line(), arguments)
+    assert ended.exit_code == 2
+    return ended.output
+
+
+@pytest.mark.parametrize(
+    ("typed", "suggested"),
+    [
+        (("rnak",), "did you mean `nufleet rank` or `nufleet track`?"),
+        (("runs", "ls"), "did you mean `nufleet runs list`?"),
+        (
+            ("show",),
+            "did you mean `nufleet audit show` or `nufleet drawing show` or `nufleet runs show`?",
+        ),
+        (("fleet", "down"), "`nufleet fleet` has enroll, init, renew, request, revoke, status, up"),
+        (("help",), "Try 'nufleet --help' for help."),
+    ],
+)
+def test_a_command_that_does_not_exist_is_answered_by_those_that_do(
+    typed: tuple[str, ...], suggested: str
+) -> None:
+    assert suggested in refusal(*typed)
+
+
+@pytest.mark.parametrize(
+    ("typed", "option"),
+    [
+        (("track", "--target", "a", "--trajectory", "clover", "--target", "b"), "--target"),
+        (("rank", "--band", "1", "2", "--band=1", "3"), "--band"),
+        (("runs", "show", "--runs", "a", "--runs", "b"), "--runs"),
+    ],
+)
+def test_an_option_of_which_only_the_last_value_would_count_is_refused(
+    typed: tuple[str, ...], option: str
+) -> None:
+    assert f"{option} is given more than once" in refusal(*typed)

@@ -170,7 +170,9 @@ def test_a_refusal_says_what_to_do() -> None:
     refusal = refusal_to_start(stopped, owner=ME, owner_alive=True)
     assert refusal is not None
     assert refusal.code == "stopped"
-    assert refusal.reason == "release it first: it was stopped by alice: smoke"
+    assert refusal.reason == (
+        "release it first with `nufleet release`: it was stopped by alice: smoke"
+    )
     broken, _ = supervise(Supervision(), Reconnected("no such port"))
     refusal = refusal_to_start(broken, owner=ME, owner_alive=True)
     assert refusal is not None
