@@ -175,7 +175,9 @@ class Agent:
         identity = self._session.identity
         if identity is None:
             return lambda duration_s: None
-        return CertificateWatch(identity, partial(datetime.now, UTC)).refusal
+        watch = CertificateWatch(identity, partial(datetime.now, UTC))
+        self._looks.append(watch.look)
+        return watch.refusal
 
     def _join(self, opened: ExitStack) -> None:
         """Open all services in the order of their dependencies; they close in reverse order."""

@@ -16,6 +16,7 @@ import shutil
 import signal
 import sys
 from collections.abc import Callable, Mapping
+from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points, version
 from pathlib import Path
 from types import FrameType
@@ -76,6 +77,26 @@ class EntryPointGroup(click.Group):
         if not below:
             return None
         return EntryPointGroup(below, name=cmd_name, help=_GROUP_HELP.get(cmd_name))
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command that was typed; suggest others if there is none of that name."""
+        if not ctx.resilient_parsing:  # which completes an unfinished line
+            command = self.get_command(ctx, args[0])
+            if command is None:
+                ctx.fail(f"no such command {args[0]!r}; {self._suggestion(args[0], ctx)}")
+            _refuse_repetitions(command, args[1:], ctx)
+        return super().resolve_command(ctx, args)
+
+    def _suggestion(self, typed: str, ctx: click.Context) -> str:
+        known = [name.replace(".", " ") for name in sorted(self._entries)]
+        groups = self.list_commands(ctx)
+        same = [name for name in known if name.endswith(f" {typed}")]
+        close = same or get_close_matches(typed, sorted({*groups, *known}), n=3)
+        if close:
+            return f"did you mean {' or '.join(f'`{ctx.command_path} {name}`' for name in close)}?"
+        return f"`{ctx.command_path}` has {', '.join(groups)}"
 
 
 def command_line() -> click.Group:
@@ -154,6 +175,16 @@ Your robots:  nufleet router             on one machine
 Experience:   nufleet train              trains the experiences of robots
               nufleet transfer, track    a robot flies with the experience of another
 """
+
+
+def _refuse_repetitions(command: click.Command, args: list[str], parent: click.Context) -> None:
+    """Refuse an option that is given twice although only its last value would count."""
+    context = command.context_class(command, info_name=command.name, parent=parent)
+    _, _, order = command.make_parser(context).parse_args(args=list(args))
+    for option in order:
+        single = isinstance(option, click.Option) and not (option.multiple or option.is_flag)
+        if single and order.count(option) > 1:
+            raise click.UsageError(f"{option.opts[0]} is given more than once", context)
 
 
 def _spare_processor_time() -> None:

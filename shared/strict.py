@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from difflib import get_close_matches
 from typing import Annotated, Literal
 
 from pydantic import (
@@ -18,6 +20,8 @@ from pydantic import (
 from nufleet.shared.text import IDENTIFIER_PATTERN, NAME_PATTERN, as_reason, printable
 
 _SHOWN_PROBLEMS = 4
+_BEGINNINGS = {"Input should ": "must ", "String should ": "must ", "Value error, ": ""}
+_BEGINNING = re.compile("|".join(map("^{}".format, _BEGINNINGS)))
 _SHOWN_CHARACTERS = 200
 
 
@@ -88,13 +92,39 @@ def describe_validation(error: ValidationError) -> str:
         error: Error raised by pydantic.
     """
     found = error.errors(include_url=False, include_context=False, include_input=False)
+    missing = [item["loc"] for item in found if item["type"] == "missing"]
     problems = []
     for item in found[:_SHOWN_PROBLEMS]:
         where = ".".join(str(part) for part in item["loc"])
-        what = _shortened(item["msg"].removeprefix("Value error, "))
+        what = _shortened(in_words(item["type"], item["msg"], item["loc"], missing))
         problems.append(f"{_shortened(where)}: {what}" if where else what)
     more = f" (and {len(found) - len(problems)} more)" if len(found) > len(problems) else ""
     return "; ".join(problems) + more
+
+
+_Location = tuple[int | str, ...]
+
+
+def in_words(kind: str, message: str, field: _Location, missing: Sequence[_Location] = ()) -> str:
+    """Return what is wrong with a field, for people who do not know pydantic.
+
+    Args:
+        kind: Type of pydantic's error.
+        message: Its message.
+        field: Its location.
+        missing: Locations of missing fields, one of which may have been misspelt.
+    """
+    if kind == "missing":
+        return "missing"
+    if kind == "extra_forbidden":
+        beside = [str(other[-1]) for other in missing if other[:-1] == field[:-1]]
+        close = get_close_matches(str(field[-1])[:_SHOWN_CHARACTERS], beside, n=1)
+        return f"unknown; did you mean {close[0]}?" if close else "unknown"
+    if kind == "string_pattern_mismatch" and NAME_PATTERN in message:
+        return (
+            "must consist of lower-case letters, digits, - and _, and begin with a letter or digit"
+        )
+    return _BEGINNING.sub(lambda begun: _BEGINNINGS[begun[0]], message)
 
 
 def _shortened(text: str) -> str:

@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from nufleet.shared.errors import NufleetError, system_errors_as
+from nufleet.shared.errors import InvalidInputError, NufleetError, system_errors_as
 
 NAME_PATTERN = r"^[a-z0-9][a-z0-9_-]{0,62}$"
 IDENTIFIER_PATTERN = r"^[0-9a-z][0-9a-z._-]{0,199}$"
@@ -53,6 +53,21 @@ def read_toml(path: Path, kind: type[NufleetError]) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         # Invalid TOML or UTF-8, numbers too long for Python, or tables nested too deeply for it.
         raise kind(f"{path}: not valid TOML: {error}") from error
+
+
+def split_names(text: str) -> tuple[str, ...]:
+    """Return names that are separated by commas, in their order.
+
+    Raises:
+        InvalidInputError: a name is empty, or given twice.
+    """
+    names = tuple(name.strip() for name in text.split(","))
+    if "" in names:
+        raise InvalidInputError(f"{text!r} has an empty name: put one comma between two names")
+    for name in names:
+        if names.count(name) > 1:
+            raise InvalidInputError(f"{text!r} names {name} twice: name each once")
+    return names
 
 
 def _matches(pattern: str, text: str) -> bool:

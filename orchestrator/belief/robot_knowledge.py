@@ -230,10 +230,10 @@ class RobotKnowledge:
 
     @property
     def silent(self) -> bool:
-        """Whether the robot was tested, and no test of it found a response."""
-        return bool(self.responses) and all(
-            any(finding.code == "no-response" for finding in response.quality.warnings)
-            for response in self.responses
+        """Whether the robot was tested, and every test is certain that it does not respond."""
+        codes = [{finding.code for finding in one.quality.warnings} for one in self.responses]
+        return bool(codes) and all(
+            "no-response" in c and "uncertain-at-some" not in c for c in codes
         )
 
     def forget(self) -> None:

@@ -11,6 +11,7 @@ from nufleet.orchestrator.cli.options import (
     drawing_robots_options,
     json_option,
     overwriting_option,
+    refuse_robots_in_vain,
 )
 from nufleet.orchestrator.cli.types import PositiveNumber
 from nufleet.shared.command_line import folder_option
@@ -28,7 +29,7 @@ from nufleet.shared.command_line import folder_option
 @click.option(
     "--extent",
     "extent_m",
-    type=click.FloatRange(0.1, 100.0),
+    type=PositiveNumber(0.1, 100.0, unit="m"),
     default=1.3,
     show_default=True,
     metavar="M",
@@ -92,6 +93,7 @@ def import_drawing(**options: Any) -> None:
     nufleet drawing import heart.svg --height 2 --center --fleet paper_linear
     nufleet track --target drone-7 --trajectory heart.csv
     """
+    refuse_robots_in_vain(options)
     from nufleet.orchestrator.jobs.drawings import import_and_print
 
     import_and_print(**options)
@@ -140,6 +142,7 @@ def show(**options: Any) -> None:
     \b
     nufleet drawing show clover --fleet paper_linear
     """
+    refuse_robots_in_vain(options)
     from nufleet.orchestrator.jobs.drawings import show_and_print
 
     show_and_print(**options)

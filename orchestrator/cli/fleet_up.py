@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from nufleet.orchestrator.cli.options import open_option
-from nufleet.orchestrator.cli.types import fleet_file
+from nufleet.orchestrator.cli.types import PositiveNumber, fleet_file
 
 
 @click.command()
@@ -23,7 +23,7 @@ from nufleet.orchestrator.cli.types import fleet_file
 @click.option("--processes", is_flag=True, help="Give every robot a process of its own.")
 @click.option(
     "--realtime",
-    type=click.FloatRange(min=0, min_open=True),
+    type=PositiveNumber(),
     metavar="FACTOR",
     help="Run at this multiple of real time.  [default: as fast as possible]",
 )

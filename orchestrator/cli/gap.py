@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from nufleet.orchestrator.cli.options import json_option
+from nufleet.orchestrator.cli.types import Number
 
 
 @click.command()
@@ -16,7 +17,7 @@ from nufleet.orchestrator.cli.options import json_option
 @click.option(
     "--band",
     "band_rad_s",
-    type=(float, float),
+    type=(Number(unit="rad/s"), Number(unit="rad/s")),
     metavar="LO HI",
     help="Also the largest chordal distance between these frequencies, in rad/s.",
 )

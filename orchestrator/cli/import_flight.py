@@ -7,7 +7,14 @@ from typing import Any
 
 import click
 
-from nufleet.orchestrator.cli.options import connect_options, fleet_option, storage_options
+from nufleet.orchestrator.cli.options import (
+    connect_options,
+    fleet_option,
+    refuse_in_vain,
+    storage_options,
+    typed_options,
+)
+from nufleet.orchestrator.cli.types import Number, PositiveNumber
 
 
 @click.command("import")
@@ -32,7 +39,7 @@ from nufleet.orchestrator.cli.options import connect_options, fleet_option, stor
 @click.option(
     "--from",
     "begin_s",
-    type=click.FloatRange(min=0.0),
+    type=Number(0.0, unit="s"),
     default=0.0,
     metavar="S",
     help="Leave out what lies before, in s from the beginning of the log.",
@@ -40,7 +47,7 @@ from nufleet.orchestrator.cli.options import connect_options, fleet_option, stor
 @click.option(
     "--to",
     "end_s",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=PositiveNumber(unit="s"),
     metavar="S",
     help="Leave out what lies after, in s from the beginning of the log.",
 )
@@ -69,6 +76,7 @@ def import_flight(log: Path, robot: str | None, lists: bool, as_json: bool, **op
     )
 
     if lists:
+        refuse_in_vain("with --list", *(typed_options().keys() - {"log", "lists", "as_json"}))
         list_and_print(log, as_json=as_json)
         return
     if robot is None:

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import click
+from click.core import ParameterSource
 
-from nufleet.orchestrator.cli.types import fleet_file
+from nufleet.orchestrator.cli.types import Number, fleet_file
 from nufleet.orchestrator.jobs.environment import (
     REPOSITORY_VARIABLE,
     ROUTER_VARIABLE,
@@ -20,6 +21,29 @@ from nufleet.shared.wire.identity import IDENTITY_VARIABLE
 from nufleet.shared.wire.openness import LOCAL_ENDPOINT, OPEN_VARIABLE, chosen_address
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+
+def typed_options() -> dict[str, str]:
+    """Return the parameters that were typed in the command line, with the option of each."""
+    context = click.get_current_context()
+    return {
+        parameter.name: parameter.opts[0]
+        for parameter in context.command.params
+        if context.get_parameter_source(parameter.name or "") is ParameterSource.COMMANDLINE
+        and parameter.name is not None
+    }
+
+
+def refuse_in_vain(reason: str, *parameters: str) -> None:
+    """Refuse the first of these parameters that was typed although it would have no effect.
+
+    Args:
+        reason: Circumstance in which they have none, such as "without --fleet".
+        parameters: Names of parameters of the present command.
+    """
+    for name, option in typed_options().items():
+        if name in parameters:
+            raise click.UsageError(f"{option} has no effect {reason}; leave it out")
 
 
 open_option = click.option(
@@ -64,7 +88,10 @@ def connect_options(command: F) -> F:
     def reached(
         *args: Any, connect: str | None, identity: Path | None, allow_open: bool, **options: Any
     ) -> Any:
-        if options.get("fleet_file") is None:
+        if options.get("fleet_file") is not None:
+            reason = "with --fleet, which starts a fleet of its own"
+            refuse_in_vain(reason, "connect", "identity", "allow_open", "fleet_name", "wait_s")
+        else:
             connect = chosen_address(connect, identity, allow_open=allow_open)
         return command(*args, connect=connect or LOCAL_ENDPOINT, **options)
 
@@ -81,7 +108,7 @@ def wait_option(help_text: str) -> Callable[[F], F]:
     return click.option(
         "--wait",
         "wait_s",
-        type=click.FloatRange(min=0),
+        type=Number(0.0, unit="s"),
         default=0.0,
         metavar="SECONDS",
         help=help_text,
@@ -178,6 +205,12 @@ def drawing_robots_options(command: F) -> F:
         ),
     )
     return fleet_option(connect_options(robots(command)))
+
+
+def refuse_robots_in_vain(options: dict[str, Any]) -> None:
+    """Refuse the address of a running fleet of which no robot is asked for its limits."""
+    if options["fleet_file"] is None and not options["robots"]:
+        refuse_in_vain("without --robot", "connect", "identity", "allow_open", "fleet_name")
 
 
 overwriting_option = click.option("--force", is_flag=True, help="Replace an existing file.")

@@ -5,19 +5,20 @@ from __future__ import annotations
 from typing import Any
 
 import click
-from click.core import ParameterSource
 
 from nufleet.orchestrator.cli.options import (
     connect_options,
     fleet_option,
     live_option,
     recording_option,
+    refuse_in_vain,
     rehearsal_option,
     seed_option,
     storage_options,
+    typed_options,
     wait_option,
 )
-from nufleet.orchestrator.cli.types import Names, PositiveNumber
+from nufleet.orchestrator.cli.types import Names, Number, PositiveNumber
 
 
 @click.command()
@@ -36,7 +37,7 @@ from nufleet.orchestrator.cli.types import Names, PositiveNumber
 @click.option(
     "--band",
     "band_rad_s",
-    type=float,
+    type=Number(unit="rad/s"),
     nargs=2,
     metavar="LOW HIGH",
     help="Operating band, rad/s.  [default: from the fleet file, or what all robots accept]",
@@ -78,7 +79,7 @@ from nufleet.orchestrator.cli.types import Names, PositiveNumber
 @click.option(
     "--reuse",
     "reuse_days",
-    type=click.FloatRange(min=0),
+    type=Number(0.0, unit="days"),
     is_flag=False,
     flag_value=30.0,
     metavar="[DAYS]",
@@ -133,6 +134,8 @@ def rank(resume: str | None, **options: Any) -> None:
     if resume is not None:
         _resume(resume, options)
         return
+    if options["fleet_file"] is None:
+        refuse_in_vain("without --fleet", "realtime")
     from nufleet.orchestrator.jobs.rank import RankCommand, rank_and_print
 
     rank_and_print(RankCommand(**options))
@@ -143,12 +146,7 @@ def _resume(run: str, options: dict[str, Any]) -> None:
 
     from nufleet.orchestrator.jobs.resume import ResumeCommand, resume_and_print
 
-    context = click.get_current_context()
-    typed = {
-        parameter.name: parameter.opts[0]
-        for parameter in context.command.params
-        if context.get_parameter_source(parameter.name or "") is ParameterSource.COMMANDLINE
-    }
+    typed = typed_options()
     resumable = {field.name for field in fields(ResumeCommand)}
     for name, option in typed.items():
         if name not in {"resume", "identity", "allow_open", *resumable}:

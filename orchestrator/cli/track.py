@@ -9,6 +9,7 @@ import click
 from nufleet.orchestrator.cli.options import (
     connect_options,
     live_option,
+    refuse_in_vain,
     rehearsal_option,
     storage_options,
     unguarded_option,
@@ -93,6 +94,13 @@ def track(**options: Any) -> None:
     \b
     nufleet track --target drone-7 --trajectory clover --speed 0.6
     """
+    inverse = options["inverse"]
+    if inverse != "zero-prior":
+        refuse_in_vain("without --inverse zero-prior", "horizon_s")
+    if inverse in ("own", "zero-prior", "baseline"):
+        refuse_in_vain(f"with --inverse {inverse}", "learn")
+    if inverse == "baseline":
+        refuse_in_vain("with --inverse baseline", "guarded")
     from nufleet.orchestrator.jobs.track import TrackCommand, track_and_print
 
     track_and_print(TrackCommand(**options))

@@ -7,14 +7,19 @@ from pathlib import Path
 
 import click
 
+from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.text import split_names
 
-class PositiveNumber(click.ParamType[float]):
-    """A finite number above zero, within optional bounds."""
+
+class Number(click.ParamType[float]):
+    """A number in a unit, within optional bounds."""
 
     name = "number"
 
-    def __init__(self, low: float | None = None, high: float | None = None) -> None:
-        self._low, self._high = low, high
+    def __init__(
+        self, low: float | None = None, high: float | None = None, *, unit: str = ""
+    ) -> None:
+        self._low, self._high, self._unit = low, high, unit
 
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
@@ -23,7 +28,21 @@ class PositiveNumber(click.ParamType[float]):
         try:
             number = float(str(value))
         except ValueError:
-            self.fail(f"{value!r} is not a number", param, ctx)
+            in_unit = f"; give it in {self._unit}, without the unit" if self._unit else ""
+            self.fail(f"{value!r} is not a number{in_unit}", param, ctx)
+        if self._low is not None and not self._low <= number < math.inf:
+            self.fail(f"{value} must be a finite number of at least {self._low:g}", param, ctx)
+        return number
+
+
+class PositiveNumber(Number):
+    """A finite number above zero, within optional bounds."""
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        """Return the number; an invalid one raises click's usage error."""
+        number = Number(unit=self._unit).convert(value, param, ctx)
         if not 0 < number < math.inf:
             self.fail(f"{value} must be a number above 0, and finite", param, ctx)
         low, high = self._low or 0.0, self._high or math.inf
@@ -40,8 +59,11 @@ class Names(click.ParamType[tuple[str, ...]]):
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[str, ...]:
-        """Return the names in their order."""
-        return tuple(str(value).split(","))
+        """Return the names in their order; an empty or repeated one raises click's usage error."""
+        try:
+            return split_names(str(value))
+        except InvalidInputError as error:
+            self.fail(str(error), param, ctx)
 
 
 class PositiveNumbers(click.ParamType[tuple[float, ...]]):

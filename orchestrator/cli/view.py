@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from nufleet.orchestrator.cli.options import runs_option
+from nufleet.orchestrator.cli.options import refuse_in_vain, runs_option
 
 
 @click.command()
@@ -26,6 +26,10 @@ def view(run: str | None, live: bool, picture: Path | None, **options: Any) -> N
     """Open the recording of RUN: a folder, its name, or `latest` (the default)."""
     if live and run is not None:
         raise click.UsageError("give either RUN or --live")
+    if live:
+        refuse_in_vain("with --live", "runs_root")
+    if picture is not None:
+        refuse_in_vain("with --screenshot", "web")
     if live and picture is not None:
         raise click.UsageError("--screenshot takes a picture of a recording: omit --live")
     from nufleet.orchestrator.jobs.view import view_and_print

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from nufleet.orchestrator.flights.legs import Leg, legs_of
 from nufleet.orchestrator.study.interface import DesiredMotion
 from nufleet.orchestrator.study.trajectory_spectrum import spectrum_of
 from nufleet.shared.arrays import FloatArray
@@ -12,6 +13,7 @@ from nufleet.shared.paths.files import read_drawing
 from nufleet.shared.paths.installed import find_drawing
 from nufleet.shared.paths.trajectories import travel
 from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.wire.messages import Description
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +25,7 @@ class TimedPath:
     points: FloatArray
     """Points along the drawing in m, shape (points, 2)."""
     speed_m_s: float | None
-    """Largest speed in m/s; None takes the velocity limit of the target's axis."""
+    """Largest speed in m/s; None takes the largest that the target may go along it."""
 
 
 def read_motion(path_or_name: str, speed_m_s: float | None) -> TimedPath:
@@ -38,6 +40,29 @@ def read_motion(path_or_name: str, speed_m_s: float | None) -> TimedPath:
     """
     path = find_drawing(path_or_name)
     return TimedPath(path.stem, read_drawing(path), speed_m_s)
+
+
+def leg_of(drawing: TimedPath, target: Description) -> Leg:
+    """Return a drawing as the path that a target flies.
+
+    Args:
+        drawing: Drawing to be flown, and its speed.
+        target: Description of the target.
+
+    Raises:
+        InvalidInputError: The target does not track, or may not fly the drawing like this.
+    """
+    speed = _speed(drawing, target.spec, target.spec.axes[0].name)
+    (leg,) = legs_of({drawing.name: drawing.points}, (speed,), target)
+    return leg
+
+
+def _speed(drawing: TimedPath, spec: RobotSpec, axis: str) -> float:
+    """Return the largest speed along a drawing, in the unit of the axis per second."""
+    if drawing.speed_m_s is not None:
+        return drawing.speed_m_s
+    most = spec.axis(axis).velocity_max
+    return most if spec.tracking is None else min(most, spec.tracking.speed_max)
 
 
 def desired_motion(drawing: TimedPath, spec: RobotSpec, axis: str) -> DesiredMotion:
@@ -60,7 +85,7 @@ def desired_motion(drawing: TimedPath, spec: RobotSpec, axis: str) -> DesiredMot
             f"a drawing is in m, and axis {axis} of the target moves in {limits.unit}: "
             "leave --trajectory out"
         )
-    speed_m_s = limits.velocity_max if drawing.speed_m_s is None else drawing.speed_m_s
+    speed_m_s = _speed(drawing, spec, axis)
     positions = travel(drawing.points, speed_m_s, limits.acceleration_max, spec.sample_time_s)
     spectrum = spectrum_of(positions, spec.sample_time_s)
     return DesiredMotion(

@@ -12,7 +12,7 @@ import numpy as np
 
 from nufleet.orchestrator.conduct.archive import AWAY, Archive
 from nufleet.orchestrator.conduct.conductor import Conclusion, RankingObserver, conduct
-from nufleet.orchestrator.conduct.desired_motion import TimedPath, desired_motion
+from nufleet.orchestrator.conduct.desired_motion import TimedPath, desired_motion, leg_of
 from nufleet.orchestrator.conduct.dispatcher import Dispatcher
 from nufleet.orchestrator.conduct.preflight import (
     check_names,
@@ -133,6 +133,9 @@ def prepare(
         amplitude=request.amplitude,
     )
     check_plan(plan, descriptions)
+    if request.drawing is not None and at_target.tracking is not None:
+        # A ranking for a path that `nufleet track` would refuse is of no use.
+        leg_of(request.drawing, descriptions[request.target])
     return ReadyStudy(plan, descriptions, _closed_form(plan, descriptions))
 
 

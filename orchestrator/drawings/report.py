@@ -47,6 +47,8 @@ class DrawingReport(Document):
     """Length, extent and curvature of the drawing."""
     durations: tuple[Duration, ...]
     """Duration for each robot and speed."""
+    remarks: tuple[str, ...] = ()
+    """What these robots leave out of the drawing."""
 
 
 def report_of(
@@ -80,7 +82,15 @@ def report_of(
             )
             for speed in speeds
         ]
-    return DrawingReport(drawing=drawing, file=file, shape=shape, durations=tuple(durations))
+    single = [robot.robot for robot in robots if len(robot.spec.axes) == 1]
+    remarks = [f"only the drawing's x is flown by {', '.join(single)}: one axis"] if single else []
+    return DrawingReport(
+        drawing=drawing,
+        file=file,
+        shape=shape,
+        durations=tuple(durations),
+        remarks=tuple(remarks),
+    )
 
 
 def _duration(points: FloatArray, speed: float, robot: Description) -> Duration:

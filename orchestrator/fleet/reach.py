@@ -126,7 +126,10 @@ class FleetChoice:
         if named is not None:
             return named
         if self.file is None or self.file.study is None:
-            raise InvalidInputError("which robot needs experience? Name it with --target")
+            where = "`nufleet fleet status` lists the robots"
+            if self.file is not None:
+                where = f"there are {', '.join(self.file.robots)}"
+            raise InvalidInputError(f"which robot needs experience? Name it with --target; {where}")
         return self.file.study.target
 
     def band_rad_s(self, given: tuple[float, float] | None) -> tuple[float, float] | None:

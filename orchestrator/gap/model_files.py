@@ -28,7 +28,7 @@ from nufleet.orchestrator.gap.measured_response import MeasuredResponse
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.models.realization import transfer_function, transfer_matrix
 from nufleet.shared.models.transfer_models import ModelError, StateSpace
-from nufleet.shared.strict import NonNegative, Strict
+from nufleet.shared.strict import NonNegative, Strict, in_words
 
 SIZE_MAX_BYTES = 64 * 2**20
 
@@ -254,7 +254,7 @@ def _explain(path: Path, error: ValidationError) -> str:
     details = error.errors(include_url=False)
     first = details[0]
     field = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in first["loc"])
-    message = first["msg"].removeprefix("Value error, ").replace("Input should be", "expected")
+    message = in_words(first["type"], first["msg"], first["loc"])
     if first["loc"] and not isinstance(first["input"], dict | list | tuple):
         message += f", got {first['input']!r:.40}"
     others = f" (and {len(details) - 1} more)" if len(details) > 1 else ""

@@ -64,7 +64,7 @@ def flights_table(flights: tuple[FlightRecord, ...]) -> Table:
         table.add_column(heading, no_wrap=True)
     for heading in ("m/s", "RMS, mm"):
         table.add_column(heading, justify="right")
-    table.add_column("")
+    table.add_column("remarks")
     for flight in flights:
         rms = "not finished" if flight.rms_m is None else f"{1000 * flight.rms_m:.1f}"
         event = flight.failure or (flight.taken_back and f"withdrawn: {flight.taken_back}") or ""

@@ -17,7 +17,7 @@ from nufleet.orchestrator.authority.authority import (
 from nufleet.orchestrator.authority.certificates import utc_now
 from nufleet.orchestrator.authority.key_files import make_request
 from nufleet.orchestrator.authority.ledger import Enrolment
-from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.orchestrator.jobs.terminal import stdout_console
 from nufleet.shared.errors import InvalidInputError, NufleetError
 from nufleet.shared.wire.identity import identity_folder
 from nufleet.shared.wire.keys import FleetKeys, checked_name, principal_of
@@ -187,7 +187,7 @@ def who_and_print(folder: Path | None, connect: str) -> None:
         there = ("yes" if name in (connected or ()) else "no") if seen else "not known"
         table.add_row(name, role, _certificate(ledger.enrolments.get(name)), there)
     table.add_row("the router", "router", _left(ledger.router_expires), "")
-    stderr_console().print(table)
+    stdout_console().print(table)
     if error is not None:
         raise error
 

@@ -71,7 +71,7 @@ def demo(command: DemoCommand, console: Console) -> DemoResult:
         seed=command.seed,
         axis=None,
     )
-    with FlyingRun(command.storage, console) as run:
+    with FlyingRun(command, console) as run:
         fleet, _, there = run.reach(choice)
         ready = prepare(fleet, request, there)
         run.fly("demo", ready.descriptions, live=command.live)
@@ -80,7 +80,7 @@ def demo(command: DemoCommand, console: Console) -> DemoResult:
             run.folder.study_id, "paper", ready.plan, command.seed, ready.descriptions
         )
         record = follow_study(run, ready, study)
-        console.print(ranking_table(record.result.ranking, record.closed_form))
+        run.results.print(ranking_table(record.result.ranking, record.closed_form))
         target = ready.descriptions[request.target]
         (leg,) = legs_of(read_drawings((DRAWING,)), (SPEED,), target)
         result = demonstrate(
@@ -97,6 +97,6 @@ def demo(command: DemoCommand, console: Console) -> DemoResult:
             observers=[KeptFlights(run)],
         )
     for part in demo_parts(result):
-        console.print(part)
+        run.results.print(part)
     console.print(f"{time.monotonic() - began_s:.0f} s")
     return result

@@ -49,15 +49,15 @@ def checkup_and_print(connect: str, fleet_name: str | None, *, as_json: bool) ->
     Args:
         connect: Endpoint at which to look for a running fleet.
         fleet_name: Name of that fleet; None when only one is running there.
-        as_json: Whether to print the findings as JSON on stdout instead of text on stderr.
+        as_json: Whether to print the findings as JSON on stdout instead of text.
     """
     findings = checkup(connect, fleet_name)
     if as_json:
         click.echo(json.dumps({"schema": 1, "checks": [asdict(finding) for finding in findings]}))
     else:
         for finding in findings:
-            click.secho(f"{finding.verdict:<8}", fg=_COLOURS[finding.verdict], nl=False, err=True)
-            click.echo(f"{finding.what}: {finding.found}", err=True)
+            click.secho(f"{finding.verdict:<8}", fg=_COLOURS[finding.verdict], nl=False)
+            click.echo(f"{finding.what}: {finding.found}")
     return all(finding.verdict != "missing" for finding in findings)
 
 

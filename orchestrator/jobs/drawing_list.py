@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 from rich.table import Column, Table
 
-from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.orchestrator.jobs.terminal import stdout_console
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.paths.files import read_drawing
 from nufleet.shared.paths.installed import drawing_names, find_drawing
@@ -20,7 +20,7 @@ def list_and_print(folder: Path, *, as_json: bool) -> None:
 
     Args:
         folder: Folder whose .csv and .svg files are listed if they are drawings.
-        as_json: Whether to print the list as JSON on stdout instead of a table on stderr.
+        as_json: Whether to print the list as JSON on stdout instead of a table.
     """
     found = {name: find_drawing(name) for name in drawing_names()}
     files = sorted(p for p in folder.glob("*") if p.suffix.lower() in {".csv", ".svg"})
@@ -45,4 +45,4 @@ def list_and_print(folder: Path, *, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps({"schema": 1, "drawings": documents}))
     else:
-        stderr_console().print(table)
+        stdout_console().print(table)

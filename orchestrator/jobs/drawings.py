@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 import webbrowser
 from pathlib import Path
 from typing import TypedDict, Unpack
 
 import click
-from rich.console import Console
 
 from nufleet.orchestrator.conduct.preflight import check_robots
 from nufleet.orchestrator.drawings.page import DrawingPage
@@ -20,8 +20,7 @@ from nufleet.orchestrator.drawings.report import (
     shape_text,
 )
 from nufleet.orchestrator.fleet.reach import FleetChoice
-from nufleet.orchestrator.jobs.terminal import stderr_console
-from nufleet.shared.arrays import FloatArray
+from nufleet.orchestrator.jobs.terminal import stderr_console, stdout_console
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.paths.files import read_drawing, write_drawing
 from nufleet.shared.paths.foreign_files import import_points
@@ -69,8 +68,8 @@ def draw_and_print(
         if browser:
             webbrowser.open(page.url)
         points = page.wait()
-    report = _printed(console, path, points, ())
-    _print_end(console, _track_hint(path), report, as_json=as_json)
+    report = report_of(path.stem, str(path), points, ())
+    _print_report(report, str(path), as_json=as_json)
 
 
 def import_and_print(
@@ -105,11 +104,10 @@ def import_and_print(
     points = resized(import_points(file), width_m=width_m, height_m=height_m, centred=centred)
     path = _output_file(out, f"{file.stem}.csv", force=force)
     points = resampled(points, spacing_m)
-    console = stderr_console()
-    described = _described(console, robots)
+    described = _described(robots)
     write_drawing(path, points)
-    report = _printed(console, path, points, described)
-    _print_end(console, _track_hint(path), report, as_json=as_json)
+    report = report_of(path.stem, str(path), points, described)
+    _print_report(report, str(path), as_json=as_json)
 
 
 def show_and_print(
@@ -137,19 +135,22 @@ def show_and_print(
     file = find_drawing(drawing)
     points = read_drawing(file)
     path = _output_file(picture, f"{file.stem}.png", force=force)
-    console = stderr_console()
-    report = _printed(console, file, points, _described(console, robots))
-    draw_picture(path, file.stem, points, speed_m_s)
-    _print_end(console, f"picture: {path}", report, as_json=as_json)
+    if path.suffix.lower() != ".png":
+        raise InvalidInputError(f"{path}: the picture is a PNG, so that its name ends with .png")
+    described = _described(robots)
+    draw_picture(path, file.stem, points, speed_m_s, described)
+    report = report_of(file.stem, str(file), points, described)
+    _print_report(report, drawing, as_json=as_json)
+    stderr_console().print(f"picture: {path}")
 
 
-def _described(console: Console, chosen: RobotOptions) -> tuple[Description, ...]:
+def _described(chosen: RobotOptions) -> tuple[Description, ...]:
     """Return the robots' descriptions, which hold their limits; nothing moves."""
     fleet_file, robots = chosen["fleet_file"], chosen["robots"]
     if fleet_file is None and not robots:
         return ()
     choice = FleetChoice.given(fleet_file, chosen["connect"], chosen["fleet_name"])
-    with choice.connection(console) as (fleet, _, there):
+    with choice.connection(stderr_console()) as (fleet, _, there):
         robots = robots or there
         check_robots(robots, there)
         return tuple(fleet.describe_all(robots).values())
@@ -162,23 +163,17 @@ def _output_file(wanted: Path | None, default: str, *, force: bool) -> Path:
     return path
 
 
-def _printed(
-    console: Console, path: Path, points: FloatArray, robots: tuple[Description, ...]
-) -> DrawingReport:
-    """Print the report on a drawing with points of shape (n, 2) in m, and return it."""
-    report = report_of(path.stem, str(path), points, robots)
-    console.print(f"[bold]{path.stem}[/]: {shape_text(report.shape)}")
-    console.print(durations_table(report))
-    for reason in refusals(report):
-        console.print(f"[yellow]{reason}[/]")
-    return report
-
-
-def _track_hint(path: Path) -> str:
-    return f"track it with:  nufleet track --target NAME --trajectory {path}"
-
-
-def _print_end(console: Console, hint: str, report: DrawingReport, *, as_json: bool) -> None:
-    console.print(hint)
+def _print_report(report: DrawingReport, trajectory: str, *, as_json: bool) -> None:
+    """Print a report on stdout, and on stderr how `nufleet track` is given the drawing."""
     if as_json:
         click.echo(report.document())
+    else:
+        console = stdout_console()
+        console.print(f"[bold]{report.drawing}[/]: {shape_text(report.shape)}")
+        console.print(durations_table(report))
+        for reason in (*refusals(report), *report.remarks):
+            console.print(f"[yellow]{reason}[/]")
+    hint = f"track it with:  nufleet track --target NAME --trajectory {shlex.quote(trajectory)}"
+    if all(duration.reason is not None for duration in report.durations):
+        hint = "none of these robots may fly it as it is"
+    stderr_console().print(hint)

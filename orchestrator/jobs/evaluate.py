@@ -159,7 +159,7 @@ def evaluate(command: EvaluateCommand, console: Console) -> EvaluationResult | P
     kind = "pairs" if command.all_pairs else "evaluate"
     drawings = read_drawings(command.chosen_drawings)
     result: EvaluationResult | PairsResult
-    with FlyingRun(command.storage, console) as run:
+    with FlyingRun(command, console) as run:
         _, name, there = run.reach(choice)
         targets = one or there
         check_robots(targets, there)
@@ -179,12 +179,12 @@ def evaluate(command: EvaluateCommand, console: Console) -> EvaluationResult | P
             run.table.close()
             write_figures(run.folder.path, record, run.table.path)
             result = record.result
-            console.print(evaluation_table(result))
-            console.print(ways_table(result))
+            run.results.print(evaluation_table(result))
+            run.results.print(ways_table(result))
             if name == PAPERS_FLEET:
-                console.print(paper_table(result))
+                run.results.print(paper_table(result))
     if isinstance(result, PairsResult):
-        console.print(pairs_table(result))
+        run.results.print(pairs_table(result))
     console.print(f"{time.monotonic() - began_s:.0f} s")
     return result
 

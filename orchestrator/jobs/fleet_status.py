@@ -8,7 +8,7 @@ import click
 
 from nufleet.orchestrator.fleet.connection import running_fleet
 from nufleet.orchestrator.fleet.table import fleet_table
-from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.orchestrator.jobs.terminal import stdout_console
 
 STATE_TIMEOUT_S = 2.0
 """Time to wait for the first state of each robot, which is published twice a second."""
@@ -20,7 +20,7 @@ def status_and_print(connect: str, fleet_name: str | None, *, as_json: bool) -> 
     Args:
         connect: Endpoint of the fleet's router.
         fleet_name: Name of the fleet; None when only one is running there.
-        as_json: Whether to print the states as JSON on stdout instead of a table on stderr.
+        as_json: Whether to print the states as JSON on stdout instead of a table.
 
     Raises:
         NufleetError: No router answers, or the fleet is not clear.
@@ -35,4 +35,4 @@ def status_and_print(connect: str, fleet_name: str | None, *, as_json: bool) -> 
             }
             click.echo(json.dumps({"schema": 1, "fleet": name, "robots": states}))
         else:
-            stderr_console().print(fleet_table(name, watches))
+            stdout_console().print(fleet_table(name, watches))

@@ -45,7 +45,7 @@ def fleet_up(
 
     Raises:
         FleetFileError: The file is not valid.
-        InvalidInputError: The machine has no room for so many robots.
+        InvalidInputError: The fleet has more robots than fit this machine.
         EndpointInUseError: The router cannot listen on that endpoint.
         NufleetError: A process of the fleet ended by itself.
     """

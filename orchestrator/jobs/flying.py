@@ -77,7 +77,7 @@ class KeptFlights:
         """Store the flight and print its error."""
         self._run.view.ended(flight)
         self._run.table.write(flight, self._axes)
-        self._run.console.print(f"  {flight.label:<34} {error_text(flight, self._unit)}")
+        self._run.results.print(f"  {flight.label:<34} {error_text(flight, self._unit)}")
 
 
 def error_text(flight: PathFlight, unit: str) -> str:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from nufleet.orchestrator.conduct.desired_motion import TimedPath
+from nufleet.orchestrator.conduct.desired_motion import TimedPath, leg_of
 from nufleet.orchestrator.conduct.rank_run import ReadyStudy
 from nufleet.orchestrator.experience.foresight import expected, foresee
 from nufleet.orchestrator.experience.library import ExperienceLibrary
-from nufleet.orchestrator.flights.legs import Leg, legs_of, tracking_limits, typical_leg
+from nufleet.orchestrator.flights.legs import Leg, typical_leg
 from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.orchestrator.flights.ways import Foresight, error_range
 from nufleet.orchestrator.jobs.opening import Opening
@@ -51,7 +51,7 @@ def foreseen(
         target = fleet.describe(robot)
         if target.spec.tracking is None:
             return None
-        leg = typical_leg(target) if drawing is None else _leg(drawing, target)
+        leg = typical_leg(target) if drawing is None else leg_of(drawing, target)
         run.console.print(f"{robot} rehearses {leg.title} in every way it could fly it")
         store = run.repository.robots if run.choice.file is None else None
         psi = {one.robot: one.psi for one in result.ranking}
@@ -87,13 +87,3 @@ def say_expected(run: Opening, target: Description, way: ForeseenWay, leg: Leg, 
     if len(foresight.ways) > 1 and baseline is not None:
         parts.append(f"the baseline leaves {error_range(baseline, leg.unit)}")
     run.console.print(", ".join(parts))
-
-
-def _leg(drawing: TimedPath, target: Description) -> Leg:
-    limits = tracking_limits(target.spec, target.robot)
-    axis = target.spec.axes[0]
-    speed = drawing.speed_m_s
-    if speed is None:
-        speed = min(axis.velocity_max, limits.speed_max)
-    (leg,) = legs_of({drawing.name: drawing.points}, (speed,), target)
-    return leg

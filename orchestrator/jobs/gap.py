@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from nufleet.orchestrator.gap.report import gap_report, gap_table
-from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.orchestrator.jobs.terminal import stdout_console
 
 
 def gap_and_print(
@@ -25,10 +25,10 @@ def gap_and_print(
         second: File of the second model or response.
         band_rad_s: Band to compare, in rad/s; None for the default of `gap_report`.
         controller: File of a controller whose loops are examined, if any.
-        as_json: Whether to print the result as JSON on stdout instead of a table on stderr.
+        as_json: Whether to print the result as JSON on stdout instead of a table.
     """
     report = gap_report(first, second, band_rad_s, controller)
     if as_json:
         click.echo(report.model_dump_json(by_alias=True, indent=2))
     else:
-        stderr_console().print(gap_table(report))
+        stdout_console().print(gap_table(report))

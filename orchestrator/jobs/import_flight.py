@@ -12,7 +12,7 @@ from rich.console import Console
 
 from nufleet.orchestrator.conduct.preflight import check_robots, chosen_axis
 from nufleet.orchestrator.jobs.commands import AnyFleetCommand
-from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.orchestrator.jobs.terminal import results_console, stderr_console
 from nufleet.orchestrator.logs.alignment import align
 from nufleet.orchestrator.logs.flown_response import response_of_log
 from nufleet.orchestrator.logs.formats import list_channels, read_signals
@@ -63,15 +63,16 @@ def list_and_print(log: Path, *, as_json: bool) -> None:
 
 
 def import_and_print(command: ImportCommand) -> None:
-    """Import a log, with a report on stderr and, if wanted, the document on stdout."""
+    """Import a log, and print a report or, if wanted, the document."""
     console = stderr_console()
     make_runs_root(command.runs_root)
     with command.storage.open() as repository:
         fleet, robot = _robot(command, repository, console)
         result = import_log(command, repository, fleet, robot)
         unit = robot.spec.axis(result.axis).unit
+    results = results_console(console, as_json=command.as_json)
     for line in result.lines(unit):
-        console.print(line)
+        results.print(line)
     if command.as_json:
         click.echo(result.document())
 
@@ -154,6 +155,7 @@ def _robot(
                 return choice.name, Description(
                     robot=known.robot, boot_id=known.boot_id, spec=known.spec
                 )
+    list_channels(command.log)  # a log that cannot be read needs no router
     with choice.connection(console) as (fleet, name, there):
         check_robots((command.robot,), there)
         return name, fleet.describe(command.robot)

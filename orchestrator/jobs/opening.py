@@ -14,7 +14,9 @@ from nufleet.orchestrator.conduct.archive import Archive
 from nufleet.orchestrator.conduct.leases import lease_robots
 from nufleet.orchestrator.fleet.connection import Connection
 from nufleet.orchestrator.fleet.reach import FleetChoice
+from nufleet.orchestrator.jobs.commands import StoredCommand
 from nufleet.orchestrator.jobs.storage import Storage
+from nufleet.orchestrator.jobs.terminal import results_console
 from nufleet.orchestrator.repository.errors import LeaseHeldError
 from nufleet.orchestrator.repository.repository import Repository
 from nufleet.orchestrator.runs.folder import RunFolder, make_runs_root, study_id_of
@@ -39,6 +41,8 @@ class Opening:
     """Places where the command stores its run."""
     console: Console
     """Console for progress; one that is quiet prints nothing."""
+    results: Console
+    """Console for what the command was asked for."""
     repository: Repository
     """Repository; exists inside the context."""
     choice: FleetChoice
@@ -56,9 +60,10 @@ class Opening:
     clock: ViewerClock
     """Time axis of the recording; exists after `record`."""
 
-    def __init__(self, storage: Storage, console: Console) -> None:
-        self.storage = storage
+    def __init__(self, command: StoredCommand, console: Console) -> None:
+        self.storage = command.storage
         self.console = console
+        self.results = results_console(console, as_json=command.as_json)
         self._stack = ExitStack()
         self._run_id = ""
 

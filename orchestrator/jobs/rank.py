@@ -103,7 +103,7 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
     request = _request(command, choice)
     # A source whose stored responses are reused need not be there.
     sources = (command.sources or ()) if command.reuse_days is None else ()
-    with Opening(command.storage, console) as run:
+    with Opening(command, console) as run:
         run.reach(choice, (request.target, *sources), wait_s=command.wait_s)
         ready, stored = _ready(command, request, run)
         folder = run.keep()

@@ -70,7 +70,7 @@ def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
         InvalidInputError: The run cannot be resumed, or a robot that it needs is missing.
         StudyError: The study cannot continue, because the target or every source is gone.
     """
-    with Opening(command.storage, console) as run:
+    with Opening(command, console) as run:
         path = _interrupted_run(command, run.repository)
         study = _open_study(path, run.repository)
         reach = reach_of(path)

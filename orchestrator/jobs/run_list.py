@@ -13,7 +13,7 @@ import click
 from rich.table import Table
 
 from nufleet.orchestrator.history.catalogue import KINDS, Damaged, Run, read_runs
-from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.orchestrator.jobs.terminal import stdout_console
 from nufleet.orchestrator.runs.folder import study_id_of
 
 INTERRUPTED = "interrupted, or still running"
@@ -24,7 +24,7 @@ def list_and_print(runs_root: Path, *, as_json: bool) -> None:
 
     Args:
         runs_root: Folder that holds the folders of all runs.
-        as_json: Whether to print the list as JSON on stdout instead of a table on stderr.
+        as_json: Whether to print the list as JSON on stdout instead of a table.
     """
     runs = read_runs(runs_root)
     if as_json:
@@ -47,7 +47,7 @@ def list_and_print(runs_root: Path, *, as_json: bool) -> None:
         else:
             said = run.headline or f"[yellow]{unfinished[run.folder]}[/]"
             table.add_row(run.folder.name, run.kind, said)
-    stderr_console().print(table)
+    stdout_console().print(table)
 
 
 def why_unfinished(runs_root: Path, runs: list[Run]) -> dict[Path, str]:

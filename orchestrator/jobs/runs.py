@@ -13,7 +13,7 @@ from nufleet.orchestrator.history.tables import run_tables
 from nufleet.orchestrator.jobs.resume import can_reach_again
 from nufleet.orchestrator.jobs.run_list import INTERRUPTED, full_document, why_unfinished
 from nufleet.orchestrator.jobs.storage import Storage
-from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.orchestrator.jobs.terminal import stdout_console
 from nufleet.orchestrator.runs.folder import RECORDING, find_run
 from nufleet.shared.command_line import invocation
 
@@ -24,13 +24,13 @@ def show_and_print(runs_root: Path, name: str, *, as_json: bool) -> None:
     Args:
         runs_root: Folder that holds the folders of all runs.
         name: Name of the run, path of its folder, or `latest`.
-        as_json: Whether to print the run's document as JSON on stdout instead of tables on stderr.
+        as_json: Whether to print the run's document as JSON on stdout instead of tables.
     """
     run = read_run(find_run(runs_root, name))
     if as_json:
         click.echo(json.dumps(full_document(run)))
         return
-    console = stderr_console()
+    console = stdout_console()
     began = "" if run.began is None else f", begun {run.began:%Y-%m-%d %H:%M} UTC"
     console.print(f"[bold]{run.folder.name}[/]: {run.kind} of fleet {run.fleet}{began}")
     for part in run_tables(run):
@@ -73,4 +73,4 @@ def export_and_print(
         click.echo(json.dumps({"schema": 1, "responses": paths}))
         return
     for robot, path in written.items():
-        stderr_console().print(f"{robot}: {path}")
+        stdout_console().print(f"{robot}: {path}")

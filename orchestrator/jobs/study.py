@@ -72,7 +72,7 @@ def show_study(
         drawing: Drawing to be flown; None for a typical one.
         rehearses: Whether the target is asked what error it expects of each way to fly.
     """
-    console = run.console
+    console = run.results
     found: list[Foresight] = []
 
     def foresee(result: RankResult) -> RankResult:

@@ -1,10 +1,39 @@
-"""The terminal on which commands show progress and tables."""
+"""The terminal: results on stdout, progress on stderr."""
 
 from __future__ import annotations
 
+import os
+
 from rich.console import Console
+
+TABLE_CHARACTERS_MIN = 80
+"""Least width of tables; a narrower terminal breaks their lines rather than lose digits."""
+FILE_CHARACTERS = 1000
+"""Width where no terminal shows the lines, so that other programs find each row on one line."""
+
+
+def stdout_console() -> Console:
+    """Return the console for what a command was asked for."""
+    return _console(Console(highlight=False, soft_wrap=True))
 
 
 def stderr_console() -> Console:
-    """Return the console for progress and tables, which leaves stdout to documents."""
-    return Console(stderr=True, highlight=False, soft_wrap=True)
+    """Return the console for progress, which leaves stdout to results."""
+    return _console(Console(stderr=True, highlight=False, soft_wrap=True))
+
+
+def results_console(progress: Console, *, as_json: bool) -> Console:
+    """Return the console for the results of a command that shows its progress on another one.
+
+    Args:
+        progress: Console for progress. Results follow it, unless it prints on stderr.
+        as_json: Whether stdout is taken by a document, so that people read the results on stderr.
+    """
+    return stdout_console() if progress.stderr and not as_json else progress
+
+
+def _console(console: Console) -> Console:
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = FILE_CHARACTERS
+    console.width = max(console.width, TABLE_CHARACTERS_MIN)
+    return console

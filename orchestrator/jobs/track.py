@@ -84,7 +84,7 @@ def track(command: TrackCommand, console: Console) -> TrackResult:
         LeaseHeldError: The robot belongs to another orchestrator.
     """
     drawings = read_drawings(command.drawings)
-    with FlyingRun(command.storage, console) as run:
+    with FlyingRun(command, console) as run:
         fleet, name, there = run.reach(command.fleet())
         check_robots((command.target,), there)
         target = fleet.describe(command.target)

@@ -51,7 +51,7 @@ def train(command: TrainCommand, console: Console) -> TrainResult:
         RepositoryError: An experience could not be stored; its robot offers it all the same.
     """
     check_torch()
-    with Opening(command.storage, console) as run:
+    with Opening(command, console) as run:
         fleet, name, there = run.reach(command.fleet())
         robots = command.robots or there
         check_robots(robots, there)
@@ -82,6 +82,6 @@ def train(command: TrainCommand, console: Console) -> TrainResult:
         pilot.acknowledge_all()
         result = TrainResult.of(trained, str(folder.path))
         folder.write_document(TRAINING, result)
-    console.print(experiences_table(result))
+    run.results.print(experiences_table(result))
     console.print(f"files: {folder.path / 'experiences'}")
     return result

@@ -31,6 +31,7 @@ from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.experience.manifest import ExperienceManifest
 from nufleet.shared.strict import Digest, Document, Strict
+from nufleet.shared.text import split_names
 from nufleet.shared.wire.messages import ForeseenWay
 
 
@@ -103,7 +104,8 @@ def transfer(command: TransferCommand, console: Console) -> TransferResult:
         RefusedError: The target refuses the experience.
     """
     payload = None if command.file is None else read_experience(command.file)
-    with Opening(command.storage, console) as run:
+    split_names(command.source or "none")  # wrong names are refused before a router is looked for
+    with Opening(command, console) as run:
         fleet, name, there = run.reach(command.fleet())
         check_robots((command.target,), there)
         target = fleet.describe(command.target)
@@ -117,14 +119,14 @@ def transfer(command: TransferCommand, console: Console) -> TransferResult:
             given = transfer_several(fleet, library, sources, target, command.architecture)
         else:
             fleet.remove_prior(command.target)
-            console.print(f"{command.target} flies without a prior from now on")
+            run.results.print(f"{command.target} flies without a prior from now on")
             return TransferResult(target=command.target)
         for each in given:
-            _print(console, each)
+            _print(run.results, each)
         if command.rehearses:
             _say_expected(run, command.target)
     if len(given) > 1:
-        console.print(
+        run.results.print(
             f"{command.target} can mix these {len(given)} from now on: "
             f"`nufleet track --target {command.target} --inverse mixture`"
         )
@@ -158,7 +160,7 @@ def _sources(
         return (_best(command, run),)
     if command.source == "all":
         return _all(command, run, there, library)
-    sources = tuple(command.source.split(","))
+    sources = split_names(command.source)
     check_names(command.target, sources, (command.target, *sources))
     return sources
 
@@ -177,7 +179,7 @@ def _best(command: TransferCommand, run: Opening) -> str:
             f"`nufleet rank --target {command.target}`, or name a source"
         )
     leader = found.result.ranking[0]
-    run.console.print(
+    run.results.print(
         f"best source of {command.target}: [bold]{leader.robot}[/], "
         f"ψ* = {leader.stated}, from {found.run}"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 from collections.abc import Callable
 from pathlib import Path
@@ -57,9 +58,14 @@ def text_of(path: Path, hint: str = "") -> str:
     try:
         if path.stat().st_size > FILE_BYTES_MAX:
             raise InvalidInputError(f"{path}: larger than {FILE_BYTES_MAX} bytes")
-        return path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInputError(f"{path}: cannot be read: {error}{hint}") from error
+        data = path.read_bytes()
+        # Spreadsheets also save tables as UTF-16: a mark of two bytes, then an ASCII character.
+        wide = data.startswith(codecs.BOM_UTF16_LE) and data[3:4] == b"\0"
+        return data.decode("utf-16" if wide else "utf-8-sig")
+    except OSError as error:
+        raise InvalidInputError(f"{path}: cannot be read: {error.strerror}{hint}") from error
+    except UnicodeDecodeError as error:
+        raise InvalidInputError(f"{path}: cannot be read: it is not text in UTF-8{hint}") from error
 
 
 def write_drawing(path: Path, points: FloatArray) -> None:
@@ -88,7 +94,10 @@ def _csv(text: str, name: str) -> FloatArray:
     except csv.Error as error:
         raise InvalidInputError(f"{name}: not a CSV file: {error}") from error
     if not rows or [cell.strip() for cell in rows[0]] != _CSV_COLUMNS:
-        raise InvalidInputError(f"{name}: the first line must be {','.join(_CSV_COLUMNS)}")
+        raise InvalidInputError(
+            f"{name}: the first line must be {','.join(_CSV_COLUMNS)}; other tables are imported "
+            f"first: nufleet drawing import {name} --out NEW.csv"
+        )
     points = []
     for number, row in enumerate(rows[1:], start=2):
         if not row:

@@ -6,7 +6,13 @@ import numpy as np
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.paths.trajectories import check_path, curvature, lengths, smoothed
+from nufleet.shared.paths.trajectories import (
+    POINTS_MAX,
+    check_path,
+    curvature,
+    lengths,
+    smoothed,
+)
 from nufleet.shared.strict import NonNegative, Positive, Strict
 
 _STRAIGHT = 1e-3
@@ -113,10 +119,18 @@ def resampled(points: FloatArray, spacing_m: float, *, count_min: int = 64) -> F
 
     Returns:
         Points of the new drawing in m, shape (count, 2).
+
+    Raises:
+        InvalidInputError: the drawing is too long for that distance between its points.
     """
     steps = np.any(np.diff(points, axis=0) != 0, axis=1)
     distinct = points[np.concatenate([[True], steps])]
     length = lengths(distinct)
     count = max(count_min, int(np.ceil(length[-1] / spacing_m)) + 1)
+    if count > POINTS_MAX:
+        raise InvalidInputError(
+            f"the drawing is {length[-1]:.4g} m long and would have {count} points, more than "
+            f"{POINTS_MAX}: is it in mm? Give its size in m with --height or --width"
+        )
     even = np.linspace(0.0, length[-1], count)
     return np.stack([np.interp(even, length, column) for column in distinct.T], axis=1)

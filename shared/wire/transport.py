@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import re
 import threading
 import time
@@ -594,7 +595,11 @@ def _declaring(key_expr: str) -> AbstractContextManager[None]:
 
 
 def _cause(error: zenoh.ZError) -> str:
-    """Return the text of a Zenoh error without references to Zenoh's source files."""
+    """Return the cause that the system gave for a Zenoh error, or else the text of the error."""
+    system = re.search(r"\(os error (\d+)\)", str(error))
+    if system is not None:
+        return os.strerror(int(system[1]))
+    # The text refers to Zenoh's source files.
     return without_secrets(re.sub(r"\s*at \S+\.rs:\d+\.", "", str(error)).rstrip(". "))
 
 

@@ -257,6 +257,7 @@ def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, moment: s
         (["--iterations", "0"], 2, "--iterations"),
         (["--trajectory", "no-such-drawing"], 2, "no such drawing"),
         (["--speed", "0.5"], 2, "--speed requires --trajectory"),
+        (["--trajectory", "clover", "--speed", "60"], 2, "choose a speed of at most 1 m/s"),
     ],
 )
 def test_a_request_that_cannot_be_right_is_refused_with_the_reason(
@@ -318,7 +319,7 @@ def test_a_port_in_use_is_an_error_that_names_it(tmp_path: Path) -> None:
         ):
             done = nufleet(*command, cwd=tmp_path)
             assert done.returncode == 1
-            assert endpoint in done.stderr
+            assert f"cannot listen on {endpoint}: Address already in use. Is a" in done.stderr
 
 
 def test_a_runs_folder_that_cannot_be_written_is_refused_before_anything_starts(
@@ -368,11 +369,9 @@ def test_a_running_fleet_is_shown_ranked_stopped_and_released(
         join = ("--connect", endpoint)
         status = json.loads(nufleet("fleet", "status", *join, "--json", cwd=tmp_path).stdout)
         assert {state["status"] for state in status["robots"].values()} == {"idle"}
-        ranked = nufleet(
-            *("rank", *join, "--target", "target", "--band", "0.5", "10"),
-            *("--iterations", "3", *PLAIN, "--json"),
-            cwd=tmp_path,
-        )
+        printed = up.stderr.readline().partition("nufleet ")[2].split()
+        assert printed == ["rank", "--target", "target", "--band", "0.05", "10", *join]
+        ranked = nufleet(*printed, "--iterations", "3", *PLAIN, "--json", cwd=tmp_path)
         assert json.loads(ranked.stdout)["selected"] == "source-2"
         assert nufleet("stop", "source-2", *join, cwd=tmp_path).returncode == 0
         without = nufleet(

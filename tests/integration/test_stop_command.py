@@ -117,7 +117,7 @@ def test_names_from_the_network_that_are_none_are_neither_printed_nor_counted(la
     done = nufleet(lab, "stop", "--all")
     assert done.returncode == 0, done.stderr
     assert "a is stopped\n" in done.stderr
-    for said in (status.stderr, done.stderr):
+    for said in (status.stdout, status.stderr, done.stderr):
         assert "\x1b" not in said
     stopped(orchestrator, "a")
     assert orchestrator.fleet.robots() == ("a",)

@@ -83,9 +83,9 @@ def test_a_driver_that_is_not_installed_is_named_with_those_that_are(tmp_path: P
 
 def test_a_setting_that_is_not_right_is_named_with_its_robot(tmp_path: Path) -> None:
     for settings, named in (
-        ("{ alpha = -1.0, beta = 0.0 }", "alpha: Input should be greater than 0"),
-        ("{ beta = 0.0 }", "alpha: Field required"),
-        ("{ alpha = 1.0, beta = 0.0, gamma = 1.0 }", "gamma: Extra inputs"),
+        ("{ alpha = -1.0, beta = 0.0 }", "alpha: must be greater than 0"),
+        ("{ beta = 0.0 }", "alpha: missing"),
+        ("{ alpha = 1.0, beta = 0.0, gamma = 1.0 }", "gamma: unknown"),
         ("{ alpha = 1.0, beta = 0.0, k_p = 1e9 }", "not stable"),
     ):
         fleet, path = fleet_of(tmp_path, {"a": integrator(), "b": integrator(settings)})

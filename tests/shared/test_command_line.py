@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import click
 import pytest
+from click.testing import CliRunner
 
 from nufleet.shared import command_line
 
@@ -69,3 +70,42 @@ def test_what_others_said_cannot_command_the_terminal() -> None:
     done = subprocess.run([sys.executable, "-c", script, "fail"], capture_output=True, text=True)
     assert done.returncode == 1, done.stderr
     assert done.stderr == "net: key ?]0;owned?\nerror: robot a refused: ?[31mno\nand why\n"
+
+
+def refusal(*arguments: str) -> str:
+    ended = CliRunner().invoke(command_line.command_line(), arguments)
+    assert ended.exit_code == 2
+    return ended.output
+
+
+@pytest.mark.parametrize(
+    ("typed", "suggested"),
+    [
+        (("rnak",), "did you mean `nufleet rank` or `nufleet track`?"),
+        (("runs", "ls"), "did you mean `nufleet runs list`?"),
+        (
+            ("show",),
+            "did you mean `nufleet audit show` or `nufleet drawing show` or `nufleet runs show`?",
+        ),
+        (("fleet", "down"), "`nufleet fleet` has enroll, init, renew, request, revoke, status, up"),
+        (("help",), "Try 'nufleet --help' for help."),
+    ],
+)
+def test_a_command_that_does_not_exist_is_answered_by_those_that_do(
+    typed: tuple[str, ...], suggested: str
+) -> None:
+    assert suggested in refusal(*typed)
+
+
+@pytest.mark.parametrize(
+    ("typed", "option"),
+    [
+        (("track", "--target", "a", "--trajectory", "clover", "--target", "b"), "--target"),
+        (("rank", "--band", "1", "2", "--band=1", "3"), "--band"),
+        (("runs", "show", "--runs", "a", "--runs", "b"), "--runs"),
+    ],
+)
+def test_an_option_of_which_only_the_last_value_would_count_is_refused(
+    typed: tuple[str, ...], option: str
+) -> None:
+    assert f"{option} is given more than once" in refusal(*typed)

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from nufleet.shared.strict import Identifier, Name, Reason, Strict
+from nufleet.shared.strict import Identifier, Name, Reason, Strict, describe_validation
 from nufleet.shared.text import as_reason
 
 
@@ -16,6 +16,9 @@ class Sample(Strict):
     share: float = 0.5
 
 
+NAME_WORDS = (
+    "name: must consist of lower-case letters, digits, - and _, and begin with a letter or digit"
+)
 REASON: TypeAdapter[str] = TypeAdapter(Reason)
 
 
@@ -74,3 +77,27 @@ def test_a_trailing_newline_is_not_overlooked(kind: type[str]) -> None:
     assert adapter.validate_python("a") == "a"
     with pytest.raises(ValidationError):
         adapter.validate_python("a\n")
+
+
+class Fleet(Strict):
+    name: Name
+    beta: float
+    speed: float = 1.0
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ('{"name": "lab", "betta": 1.0}', "beta: missing; betta: unknown; did you mean beta?"),
+        ('{"name": "lab", "beta": 1.0, "x": 1}', "x: unknown"),
+        ('{"name": "lab", "beta": "a"}', "beta: must be a valid number"),
+        (
+            '{"name": "My Lab", "beta": 1.0}',
+            NAME_WORDS,
+        ),
+    ],
+)
+def test_what_is_wrong_is_said_without_the_words_of_the_library(wrong: str, words: str) -> None:
+    with pytest.raises(ValidationError) as refused:
+        Fleet.model_validate_json(wrong)
+    assert describe_validation(refused.value) == words

@@ -95,7 +95,7 @@ def test_a_fleet_that_is_started_for_the_command_needs_no_identity(
 def test_options_of_rank_reach_the_job_converted(asked: list[Any]) -> None:
     arguments = (
         *("--fleet", "paper_linear", "--sources", "a,b", "--band", "0.5", "10", "--reuse"),
-        *("--seed", "3", "--wait", "2", "--realtime", "4", "--json", "--runs", "here"),
+        *("--seed", "3", "--realtime", "4", "--json", "--runs", "here"),
     )
     assert typed("rank", *arguments).exit_code == 0
     assert asked == [
@@ -105,7 +105,6 @@ def test_options_of_rank_reach_the_job_converted(asked: list[Any]) -> None:
             band_rad_s=(0.5, 10.0),
             reuse_days=30.0,
             seed=3,
-            wait_s=2.0,
             realtime=4.0,
             as_json=True,
             runs_root=Path("here"),
@@ -157,6 +156,40 @@ def test_a_transfer_takes_one_experience(
     refused = typed("transfer", "--target", "a", *arguments)
     assert (refused.exit_code, asked) == (2, [])
     assert words in refused.output
+
+
+FLIGHT = ("--target", "a", "--trajectory", "clover")
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "words"),
+    [
+        ("rank", ("--fleet", "paper_linear", "--connect", "tcp/127.0.0.1:1"), "--connect has no"),
+        ("rank", ("--fleet", "paper_linear", "--wait", "3"), "effect with --fleet, which starts"),
+        ("evaluate", ("--fleet", "paper_linear", "--fleet-name", "lab"), "--fleet-name has no"),
+        ("rank", ("--realtime", "1"), "--realtime has no effect without --fleet"),
+        ("track", (*FLIGHT, "--horizon", "1"), "--horizon has no effect without --inverse zero"),
+        ("track", (*FLIGHT, "--inverse", "own", "--no-learning"), "no effect with --inverse own"),
+        ("track", (*FLIGHT, "--inverse", "baseline", "--no-guard"), "--no-guard has no effect"),
+        ("rank", ("--sources", "a,,b"), "'a,,b' has an empty name: put one comma between two"),
+        ("rank", ("--sources", "a,b, a"), "'a,b, a' names a twice: name each once"),
+        ("evaluate", ("--drawings", "clover,"), "'clover,' has an empty name"),
+        ("rank", ("--band", "1Hz", "10"), "'1Hz' is not a number; give it in rad/s, without the"),
+        ("rank", ("--wait", "-1"), "-1 must be a finite number of at least 0"),
+        ("rank", ("--wait", "nan"), "nan must be a finite number of at least 0"),
+    ],
+)
+def test_what_would_be_swallowed_or_guessed_at_is_refused(
+    name: str, arguments: tuple[str, ...], words: str, asked: list[Any]
+) -> None:
+    refused = typed(name, *arguments)
+    assert (refused.exit_code, asked) == (2, [])
+    assert words in refused.output
+
+
+def test_names_may_have_spaces_around_them(asked: list[Any]) -> None:
+    assert typed("rank", "--sources", " a, b").exit_code == 0
+    assert asked[0].sources == ("a", "b")
 
 
 def test_a_speed_that_is_none_is_refused_by_its_option(asked: list[Any]) -> None:

@@ -16,6 +16,7 @@ from click.testing import CliRunner, Result
 from robots_that_learn import LaggedRobot
 
 from nufleet.orchestrator.cli.drawing import import_drawing, list_drawings, show
+from nufleet.orchestrator.drawings.picture import travelled
 from nufleet.orchestrator.drawings.report import SPEEDS, refusals, report_of
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.paths.files import read_drawing
@@ -61,9 +62,9 @@ def test_an_svg_becomes_a_centred_csv_of_the_height_asked_for() -> None:
 def test_it_says_in_words_what_was_imported_and_how_to_track_it() -> None:
     result = run(import_drawing, "tall.txt", "--height", "1")
     assert result.exit_code == 0
-    assert result.stdout == ""
-    for words in ("m long", "tightest curve", "0.6 m/s", "--trajectory tall.csv"):
-        assert words in result.stderr
+    for words in ("m long", "tightest curve", "0.6 m/s"):
+        assert words in result.stdout
+    assert result.stderr == "track it with:  nufleet track --target NAME --trajectory tall.csv\n"
     assert np.ptp(read_drawing(Path("tall.csv")), axis=0) == pytest.approx([0.05, 1.0], abs=1e-3)
 
 
@@ -106,8 +107,8 @@ def test_installed_drawings_and_those_of_the_folder_are_listed() -> None:
     for entry in document["drawings"]:
         assert entry["shape"]["length_m"] > 1.0
     said = run(list_drawings)
-    assert said.stdout == ""
-    assert "heart.svg" in said.stderr
+    assert said.stderr == ""
+    assert "heart.svg" in said.stdout
 
 
 def test_a_drawing_is_shown_as_a_picture() -> None:
@@ -117,6 +118,7 @@ def test_a_drawing_is_shown_as_a_picture() -> None:
     assert min(picture.shape[:2]) > 500
     assert picture[..., :3].std() > 0.01
     assert "already exists" in str(run(show, "clover").exception)
+    assert "ends with .png" in str(run(show, "clover", "--png", "clover.jpg").exception)
     assert run(show, "heart.svg", "--png", "other.png", "--speed", "0.3").exit_code == 0
     assert Path("other.png").stat().st_size > 10_000
 
@@ -134,6 +136,19 @@ def test_a_robot_s_own_limits_decide_what_it_may_fly() -> None:
     beyond = report_of("clover", "clover.csv", 3 * points, robots)
     assert all(d.duration_s is None for d in beyond.durations)
     assert "outside the workspace" in refusals(beyond)[0]
+
+
+def test_a_robot_with_one_axis_flies_x_alone_for_as_long_as_the_table_says() -> None:
+    spec = LaggedRobot().spec
+    rail = spec.model_copy(update={"axes": spec.axes[:1]})
+    robots = [Description(robot="rail", boot_id="b", spec=rail)]
+    points = read_drawing(ROOT / "sims" / "drawings" / "clover.csv")
+    report = report_of("clover", "clover.csv", points, robots, (0.5,))
+    assert report.remarks == ("only the drawing's x is flown by rail: one axis",)
+    words, path, sample_time_s = travelled(points, 0.5, robots)
+    assert words == " by rail"
+    assert np.ptp(path, axis=0) == pytest.approx([np.ptp(points[:, 0]), 0.0], rel=0.05)
+    assert len(path) * sample_time_s == report.durations[0].duration_s
 
 
 def test_every_drawing_command_is_registered() -> None:

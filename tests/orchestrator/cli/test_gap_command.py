@@ -100,12 +100,12 @@ def test_measured_responses_have_a_band_limited_distance_and_no_gap(tmp_path: Pa
     assert 0 < document["chordal_max_in_band"] < 1
 
 
-def test_people_get_a_table_on_stderr(tmp_path: Path) -> None:
+def test_people_get_a_table_on_stdout_and_nothing_else(tmp_path: Path) -> None:
     (tmp_path / "controller.json").write_text(json.dumps(GAIN))
     options = ("--band", "1", "10", "--controller", str(tmp_path / "controller.json"))
     result = run(tmp_path, LAG, TWO_LAGS, options=options)
     assert result.exit_code == 0
-    assert result.stdout == ""
+    assert result.stderr == ""
     for text in (
         "ν-gap",
         "0.614737",
@@ -115,14 +115,14 @@ def test_people_get_a_table_on_stderr(tmp_path: Path) -> None:
         "0.656695",
         "0.123033",
     ):
-        assert text in result.stderr
+        assert text in result.stdout
 
 
 def test_the_table_says_that_a_measurement_gives_no_gap(tmp_path: Path) -> None:
     result = run(tmp_path, LAG, MEASURED, options=("--band", "0.5", "3"))
-    assert "unknown" in result.stderr
-    assert "not the whole band" in result.stderr
-    assert "lower bound" in result.stderr
+    assert "unknown" in result.stdout
+    assert "not the whole band" in result.stdout
+    assert "lower bound" in result.stdout
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from random_loops import SPEC
 
-from nufleet.orchestrator.conduct.desired_motion import desired_motion, read_motion
+from nufleet.orchestrator.conduct.desired_motion import desired_motion, leg_of, read_motion
 from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.robots.spec import TrackingLimits
+from nufleet.shared.wire.messages import Description
 
 CIRCLE = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 400))
 
@@ -34,6 +36,23 @@ def test_most_of_a_circle_s_motion_is_at_its_angular_speed(circle: Path) -> None
 def test_without_a_speed_the_target_s_axis_says_how_fast(circle: Path) -> None:
     motion = desired_motion(read_motion(str(circle), None), SPEC, "x")
     assert motion.name == f"circle at {SPEC.axes[0].velocity_max:g} m/s"
+
+
+def test_a_target_that_tracks_goes_no_faster_than_it_may_along_a_path(circle: Path) -> None:
+    tracking = TrackingLimits(
+        position_max=1.5,
+        speed_max=0.4,
+        acceleration_max=1.0,
+        correction_max=0.5,
+        correction_speed_max=1.0,
+    )
+    target = Description(
+        robot="target", boot_id="b", spec=SPEC.model_copy(update={"tracking": tracking})
+    )
+    assert desired_motion(read_motion(str(circle), None), target.spec, "x").name.endswith("0.4 m/s")
+    assert leg_of(read_motion(str(circle), None), target).speed == 0.4
+    with pytest.raises(InvalidInputError, match="choose a speed of at most"):
+        leg_of(read_motion(str(circle), 0.5), target)
 
 
 def test_an_axis_that_does_not_move_in_metres_is_refused(circle: Path) -> None:

@@ -132,11 +132,11 @@ def test_a_run_that_did_not_end_is_shown_as_interrupted(
     run = read_run(folder)
     assert (run.kind, run.result, run.headline, printed(run)) == (kind, None, "", "")
     show_and_print(tmp_path, folder.name, as_json=False)
-    said = capsys.readouterr().err
+    said = capsys.readouterr().out
     assert "interrupted" in said
     assert f"{kind} of fleet lab, begun 2026-01-02 12:00 UTC" in said
     list_and_print(tmp_path, as_json=False)
-    assert "interrupted" in capsys.readouterr().err
+    assert "interrupted" in capsys.readouterr().out
     show_and_print(tmp_path, folder.name, as_json=True)
     assert json.loads(capsys.readouterr().out)["result"] is None
 
@@ -151,11 +151,11 @@ def test_a_ranking_that_could_not_go_on_is_told_with_the_reason(
             repository.studies.begin(StudyRecord(study_id_of(run), "lab", "paper", plan, 0))
         repository.studies.end(study_id_of(failed), StudyStatus.FAILED, "the target is gone")
     show_and_print(tmp_path, failed.name, as_json=False)
-    assert "failed: the target is gone" in capsys.readouterr().err
+    assert "failed: the target is gone" in capsys.readouterr().out
     show_and_print(tmp_path, interrupted.name, as_json=False)
-    assert "interrupted" in capsys.readouterr().err
+    assert "interrupted" in capsys.readouterr().out
     list_and_print(tmp_path, as_json=False)
-    assert "the target" in capsys.readouterr().err
+    assert "the target" in capsys.readouterr().out
 
 
 def test_a_list_holds_all_kinds_and_what_is_wrong_with_the_damaged(
@@ -180,7 +180,7 @@ def test_a_list_holds_all_kinds_and_what_is_wrong_with_the_damaged(
     ranked = next(entry for entry in listed if entry.get("kind") == "rank")
     assert ranked["result"]["selected"] == "source-1"
     list_and_print(tmp_path, as_json=False)
-    said = capsys.readouterr().err
+    said = capsys.readouterr().out
     assert "swarm" in said
 
 

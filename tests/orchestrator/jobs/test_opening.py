@@ -15,6 +15,7 @@ from rich.console import Console
 from nufleet.orchestrator.conduct.leases import HeldLeases
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.fleet.reach import FleetChoice
+from nufleet.orchestrator.jobs.commands import StoredCommand
 from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.repository.errors import LeaseHeldError
@@ -66,7 +67,7 @@ def closed(fleet: FleetChoice, monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def opening(tmp_path: Path, console: Console | None = None) -> Opening:
-    return Opening(Storage(tmp_path / "runs"), console or Console(quiet=True))
+    return Opening(StoredCommand(runs_root=tmp_path / "runs"), console or Console(quiet=True))
 
 
 def steps(run: Opening, choice: FleetChoice) -> dict[str, Callable[[], object]]:

@@ -193,9 +193,20 @@ def test_the_command_imports_for_a_robot_of_the_repository(tmp_path: Path, fligh
     assert "counts it as evidence" in done.stderr
     listed = CliRunner().invoke(import_flight, [str(log), "--list"], catch_exceptions=False)
     assert listed.stdout.split() == ["time_s", "reference_x", "output_x"]
+    in_words = CliRunner().invoke(import_flight, [str(log), *options[:-1]], catch_exceptions=False)
+    assert "this flight is stored already" in in_words.stdout
     unnamed = CliRunner().invoke(import_flight, [str(log)])
     assert unnamed.exit_code == 2
     assert "--robot" in unnamed.stderr
+
+
+def test_a_log_that_cannot_be_read_is_refused_before_a_router_is_looked_for(tmp_path: Path) -> None:
+    (tmp_path / "damaged.csv").write_text("")
+    options = ("--robot", "drone", "--runs", str(tmp_path))
+    for name in ("missing.csv", "damaged.csv", "a.jpg"):
+        done = CliRunner().invoke(import_flight, [str(tmp_path / name), *options])
+        assert isinstance(done.exception, LogError)
+        assert name in str(done.exception)
 
 
 def path_flight(flight: Flown, *, failure: str | None = None) -> PathFlight:

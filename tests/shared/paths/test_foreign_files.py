@@ -34,6 +34,10 @@ def written(folder: Path, text: str, name: str = "a.csv") -> Path:
         "0,1,\n2,3,\n",
         "\ufeff0,1\r\n2,3\r\n",
         "across,up\n0,1\n2,3\n",
+        "Zeit;x;y;;\n9;0;1;;\n9;2;3;;\n",
+        "time [s],x [m],y [m],z [m]\n0,0,1,5\n1,2,3,5\n",
+        "x [mm];y [mm]\n0;1000\n2000;3000\n",
+        "x/cm\ty/cm\n0\t100\n2e2\t300\n",
     ],
 )
 def test_tables_are_understood_however_they_are_written(tmp_path: Path, text: str) -> None:
@@ -41,8 +45,35 @@ def test_tables_are_understood_however_they_are_written(tmp_path: Path, text: st
 
 
 @pytest.mark.parametrize(
+    "text",
+    [
+        "x;y\n1,5;-2,5\n1,6;3e-1\n",
+        "x;y\r\n1,5;-2,5\r\n1,6;,3\r\n",
+        "1,5\t-2,5\n1,6\t0,3\n",
+        "1,5 -2,5\n1,6  0,3\n",
+        "x y\n1,5 -2,5\n1,6 0,3\n",
+        "x;y\n1.5;-2.5\n1.6;.3\n",
+        '"x";"y"\n"1,5";"-2,5"\n"1,6";"0,3"\n',
+        "x_m, y_m\n1.5, -2.5\n1.6, 0.3\n",
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_a_comma_is_a_decimal_comma_where_it_separates_nothing(
+    tmp_path: Path, text: str, encoding: str
+) -> None:
+    path = tmp_path / "a.csv"
+    path.write_bytes(text.encode(encoding))
+    np.testing.assert_array_equal(import_points(path), [[1.5, -2.5], [1.6, 0.3]])
+
+
+@pytest.mark.parametrize(
     ("text", "words"),
     [
+        ("x,y\n1,5,2,5\n1,6,2,6\n", "line 2: 4 cells in a table of 2 columns; are these decimal"),
+        ("1;2\n1;2;3\n", "line 2: 3 cells in a table of 2 columns, got"),
+        ("x;y\n1,5;2.5\n", "line 2: some numbers have a decimal comma and others a decimal point"),
+        ("x;y\n1.234,5;2\n", "line 2: expected numbers for x and y"),
+        ("x;y\n0,1\n", "line 2: expected numbers for x and y"),
         ("0,1\n2,x\n", "line 2: expected numbers for x and y, got '2,x'"),
         ("0,1\n2\n", "line 2: expected numbers"),
         ("1,2,3\n4,5,6\n", "line 1: 3 columns; add a first line that names two of them x and y"),

@@ -56,7 +56,7 @@ def test_a_driver_whose_needs_are_not_installed_says_so(monkeypatch: pytest.Monk
 
 def test_settings_are_checked_before_anything_starts(tmp_path: Path) -> None:
     check_settings(*fleet(tmp_path, "{ alpha = 0.85, beta = 0.003 }"))
-    with pytest.raises(FleetFileError, match=r"robots\.a\.settings: alhpa: Extra inputs"):
+    with pytest.raises(FleetFileError, match=r"robots\.a\.settings: alhpa: unknown"):
         check_settings(*fleet(tmp_path, "{ alpha = 0.85, beta = 0.003, alhpa = 1.0 }"))
 
 
