@@ -11,7 +11,7 @@ from nufleet.shared.robots.spec import AxisSpec
 CLIPPING_ROUNDS = 60
 """Number of clipping iterations in the search for phases."""
 
-RAMPED = 0.7
+RAMPED = 0.6
 """Share of the limits that tones may take, so that ramps, which add to them, find room."""
 
 SAMPLES_PER_PERIOD = 8
@@ -45,8 +45,10 @@ def largest_amplitude(tones: tuple[Tone, ...], axis: AxisSpec) -> float:
     omega = np.array([tone.omega_rad_s for tone in tones])
     phases = np.array([tone.phase_rad for tone in tones])
     phasors = np.array([tone.weight for tone in tones]) * np.exp(1j * phases)
-    periods = int(omega.max() / omega.min()) + 1
-    times_s = np.linspace(0.0, 2 * np.pi / float(omega.min()), 2 * SAMPLES_PER_PERIOD * periods)
+    # The sum of harmonics repeats after a period of their base, at most half of their spacing.
+    base = min([float(omega.min()), *(np.diff(np.sort(omega)) / 2).tolist()])
+    samples = 2 * SAMPLES_PER_PERIOD * (int(omega.max() / base) + 1)
+    times_s = np.linspace(0.0, 2 * np.pi / base, samples)
     waves = np.exp(1j * np.outer(times_s, omega))
     peak, velocity, acceleration = (
         float(np.max(np.abs((waves @ (phasors * (1j * omega) ** order)).imag)))
