@@ -36,6 +36,7 @@ _GROUP_HELP = {
     "audit": "Look at the audit log of a robot: who asked it for what.",
     "drawing": "Import, draw and look at the drawings that robots track.",
     "fleet": "Start a simulated fleet, show a running one, or close one with certificates.",
+    "robot": "Check the driver of a robot, or begin to write one.",
     "runs": "Look at earlier runs, resume one that was interrupted, or delete old ones.",
 }
 
@@ -106,7 +107,9 @@ def command_line() -> click.Group:
     def begin(verbose: bool) -> None:
         handler = logging.StreamHandler(sys.stderr)
         handler.setFormatter(_OneLine("%(name)s: %(message)s"))
-        logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, handlers=[handler])
+        logging.basicConfig(level=logging.WARNING, handlers=[handler])
+        if verbose:
+            logging.getLogger("nufleet").setLevel(logging.INFO)
 
     return EntryPointGroup(
         entries,
@@ -150,7 +153,10 @@ def main() -> NoReturn:
             raise
         # A disk can be full at any write, and none of those places has a better remedy.
         place = f" ({error.filename})" if error.filename else ""
-        _print_error(f"cannot write: {os.strerror(error.errno)}{place}; free some space and retry")
+        remedy = "free some space and retry"
+        if error.errno == errno.EROFS:
+            remedy = "choose writable folders with NUFLEET_STATE and NUFLEET_RUNS"
+        _print_error(f"cannot write: {os.strerror(error.errno)}{place}; {remedy}")
         sys.exit(NufleetError.exit_code)
     # Without its standalone mode click returns the code of `--help`, `--version` and `Exit`.
     sys.exit(code if isinstance(code, int) else 0)

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from nufleet.orchestrator.cli.options import refuse_in_vain, runs_option
+from nufleet.orchestrator.cli.options import overwriting_option, refuse_in_vain, runs_option
 
 
 @click.command()
@@ -21,6 +21,7 @@ from nufleet.orchestrator.cli.options import refuse_in_vain, runs_option
     metavar="FILE",
     help="Save a picture (PNG) of the recording instead; needs no display.",
 )
+@overwriting_option
 @runs_option
 def view(run: str | None, live: bool, picture: Path | None, **options: Any) -> None:
     """Open the recording of RUN: a folder, its name, or `latest` (the default)."""
@@ -30,6 +31,8 @@ def view(run: str | None, live: bool, picture: Path | None, **options: Any) -> N
         refuse_in_vain("with --live", "runs_root")
     if picture is not None:
         refuse_in_vain("with --screenshot", "web")
+    if picture is None:
+        refuse_in_vain("without --screenshot", "force")
     if live and picture is not None:
         raise click.UsageError("--screenshot takes a picture of a recording: omit --live")
     from nufleet.orchestrator.jobs.view import view_and_print

@@ -7,8 +7,10 @@ no network, thread or clock, so that the same code runs in simulations of the wh
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
+
+import numpy as np
 
 from nufleet.orchestrator.conduct.replay import OpenTest
 from nufleet.orchestrator.fleet.goal_events import Ended
@@ -22,6 +24,7 @@ from nufleet.shared.frequency_test.frequency_response import (
     estimate_frequency_response,
 )
 from nufleet.shared.frequency_test.quality import Quality
+from nufleet.shared.frequency_test.timing import timing_findings
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import GoalResult, Outcome
 
@@ -75,7 +78,33 @@ class Settled:
 
 def estimated(result: GoalResult) -> FrequencyResponse:
     """Return the frequency response estimated from the samples of a complete test."""
-    return estimate_frequency_response(result.reference, result.response, result.test_plan)
+    plan = result.test_plan
+    response = estimate_frequency_response(result.reference, result.response, plan)
+    if result.timing is None:
+        return response
+    warnings = (*response.quality.warnings, *timing_findings(result.timing, plan.sample_time_s))
+    quality = response.quality.model_copy(update={"warnings": warnings})
+    return replace(response, quality=quality)
+
+
+def widened(
+    response: FrequencyResponse, robot: str, specs: Mapping[str, RobotSpec]
+) -> FrequencyResponse:
+    """Return a response whose variance includes the unknown delay of how its robot is measured.
+
+    A delay of standard deviation δ turns z by ω δ. Robots that are all measured through the same
+    chain share its delay, so that their distances do not depend on it.
+
+    Args:
+        response: Estimated response.
+        robot: Name of its robot.
+        specs: Specs of the robots that are compared, by name.
+    """
+    delay_s = specs[robot].delay_uncertainty_s
+    if delay_s == 0 or len({spec.measurement for spec in specs.values()}) == 1:
+        return response
+    turned = (response.omega_rad_s * delay_s * np.abs(response.z)) ** 2
+    return replace(response, variance=response.variance + turned)
 
 
 class Attempts:
@@ -141,7 +170,7 @@ class Attempts:
             reason = f"{result.outcome}: {result.reason}"
             retry = _retry(test, test.excitation, excuse)
         else:
-            response = self._estimate(result)
+            response = widened(self._estimate(result), test.robot, self._specs)
             if response.quality.usable:
                 end = TrialEnd(TrialStatus.MEASURED, result=result, response=response)
                 self._log.ended(test, end)

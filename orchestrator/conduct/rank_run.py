@@ -41,7 +41,7 @@ from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Description
 
-Algorithm = Literal["adaptive", "paper"]
+Algorithm = Literal["adaptive", "paper", "match"]
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from nufleet.orchestrator.evaluation.pairs import PairsResult
 from nufleet.orchestrator.evaluation.report import evaluation_table, pairs_table
 from nufleet.orchestrator.evaluation.results import EvaluationRecord, FlightRecord
 from nufleet.orchestrator.history.catalogue import Run
-from nufleet.orchestrator.runs.console import ranking_table
+from nufleet.orchestrator.runs.console import ranking_table, record_table
 from nufleet.orchestrator.runs.rank_result import RunRecord
 from nufleet.orchestrator.runs.verdict_table import verdict_parts
 
@@ -49,7 +49,7 @@ def _ranking(record: RunRecord) -> Iterator[RenderableType]:
         f"target {result.target}, axis {record.axis}, band {low:g} to {high:g} rad/s, "
         f"seed {record.seed}"
     )
-    yield ranking_table(result.ranking, record.closed_form)
+    yield record_table(record)
     for robot, stored in (result.stored or {}).items():
         yield f"[yellow]{said_of(robot, stored, datetime.now(UTC))}[/]"
     yield from verdict_parts(result)

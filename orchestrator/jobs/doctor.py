@@ -9,7 +9,7 @@ import socket
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, requires, version
+from importlib.metadata import PackageNotFoundError, metadata, requires, version
 from pathlib import Path
 from typing import Literal
 
@@ -21,7 +21,7 @@ from nufleet.orchestrator.viewer.server.ports import GRPC_PORT, WEB_PORT
 from nufleet.orchestrator.viewer.server.rerun_program import rerun_program
 from nufleet.shared.errors import NufleetError
 from nufleet.shared.redaction import without_secrets
-from nufleet.shared.robots.drivers import ENTRY_POINT_GROUP
+from nufleet.shared.robots.drivers import ENTRY_POINT_GROUP, load_driver
 from nufleet.shared.robots.installed import installed
 from nufleet.shared.wire.transport import open_router
 
@@ -71,7 +71,8 @@ def checkup(endpoint: str, fleet_name: str | None) -> list[Finding]:
     return [
         _python(),
         *_packages(),
-        _drivers(),
+        *_extras(),
+        *_drivers(),
         _viewer(),
         _own_router(),
         *_ports(),
@@ -102,9 +103,41 @@ def _packages() -> Iterator[Finding]:
         yield Finding(requirement.name, "ok" if right else "missing", found)
 
 
-def _drivers() -> Finding:
+def _extras() -> Iterator[Finding]:
+    """Check the packages of each extra; none of them is needed by everyone."""
+    wanted = [Requirement(line) for line in requires("nufleet") or ()]
+    for extra in metadata("nufleet").get_all("Provides-Extra") or ():
+        packages = {
+            one.name
+            for one in wanted
+            if one.marker is not None
+            and one.marker.evaluate({"extra": extra})
+            and not one.marker.evaluate({"extra": ""})
+        }
+        missing = sorted(name for name in packages if not _is_installed(name))
+        found = "installed"
+        if missing:
+            found = f"no {', '.join(missing)}: pip install 'nufleet[{extra}]' if you need it"
+        yield Finding(f"extra {extra}", "note" if missing else "ok", found)
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        version(package)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
+def _drivers() -> Iterator[Finding]:
+    """Check which drivers there are, and which of them lack a package that they need."""
     names = sorted(installed(ENTRY_POINT_GROUP))
-    return Finding("robot drivers", "ok" if names else "missing", ", ".join(names) or "none")
+    yield Finding("robot drivers", "ok" if names else "missing", ", ".join(names) or "none")
+    for name in names:
+        try:
+            load_driver(name)
+        except NufleetError as error:
+            yield Finding(f"driver {name}", "note", str(error))
 
 
 def _viewer() -> Finding:
@@ -137,7 +170,8 @@ def _ports() -> Iterator[Finding]:
             try:
                 probe.bind(("127.0.0.1", port))
             except OSError as error:
-                yield Finding(f"port {port}", "note", f"{purpose}: taken ({error.strerror})")
+                use = f"{purpose}: {error.strerror}, perhaps by a {purpose} of yours"
+                yield Finding(f"port {port}", "note", use)
                 continue
         yield Finding(f"port {port}", "ok", f"{purpose}: free")
 

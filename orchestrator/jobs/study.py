@@ -12,7 +12,7 @@ from nufleet.orchestrator.flights.ways import Foresight
 from nufleet.orchestrator.jobs.foresight import foreseen
 from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.repository.records import StudyRecord
-from nufleet.orchestrator.runs.console import ConsoleObserver, ranking_table
+from nufleet.orchestrator.runs.console import ConsoleObserver, record_table
 from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord
 from nufleet.orchestrator.runs.verdict_table import verdict_parts
 from nufleet.orchestrator.runs.way_table import way_parts, with_ways
@@ -84,11 +84,13 @@ def show_study(
         return with_ways(result, foresight, leg.size)
 
     record = follow_study(run, ready, study, foresee)
-    console.print(ranking_table(record.result.ranking, record.closed_form))
+    console.print(record_table(record))
     for robot, stored in (record.result.stored or {}).items():
         console.print(f"[yellow]{said_of(robot, stored, datetime.now(UTC))}[/]")
     for part in verdict_parts(record.result):
         console.print(part)
+    for robot, reason in record.dropped.items():
+        console.print(f"[red]{robot} was left out: {reason}[/]")
     console.print(
         f"selected: [bold green]{record.result.selected}[/]  "
         f"({record.result.robot_time_s:.0f} robot-seconds, {record.wall_time_s:.1f} s)"

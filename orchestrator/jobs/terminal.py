@@ -9,17 +9,20 @@ from rich.console import Console
 TABLE_CHARACTERS_MIN = 80
 """Least width of tables; a narrower terminal breaks their lines rather than lose digits."""
 FILE_CHARACTERS = 1000
-"""Width where no terminal shows the lines, so that other programs find each row on one line."""
+"""Width of results that no terminal shows, so that other programs find each row on one line."""
 
 
 def stdout_console() -> Console:
     """Return the console for what a command was asked for."""
-    return _console(Console(highlight=False, soft_wrap=True))
+    console = Console(highlight=False, soft_wrap=True)
+    if not console.is_terminal and "COLUMNS" not in os.environ:
+        console.width = FILE_CHARACTERS
+    return _wide_enough(console)
 
 
 def stderr_console() -> Console:
     """Return the console for progress, which leaves stdout to results."""
-    return _console(Console(stderr=True, highlight=False, soft_wrap=True))
+    return _wide_enough(Console(stderr=True, highlight=False, soft_wrap=True))
 
 
 def results_console(progress: Console, *, as_json: bool) -> Console:
@@ -32,8 +35,6 @@ def results_console(progress: Console, *, as_json: bool) -> Console:
     return stdout_console() if progress.stderr and not as_json else progress
 
 
-def _console(console: Console) -> Console:
-    if not console.is_terminal and "COLUMNS" not in os.environ:
-        console.width = FILE_CHARACTERS
+def _wide_enough(console: Console) -> Console:
     console.width = max(console.width, TABLE_CHARACTERS_MIN)
     return console

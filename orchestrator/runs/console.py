@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from rich.console import Console
 from rich.table import Table
 
-from nufleet.orchestrator.runs.rank_result import ClosedForm
+from nufleet.orchestrator.runs.rank_result import ClosedForm, RunRecord
 from nufleet.orchestrator.study.interface import Question, Report, SourceEstimate
 from nufleet.orchestrator.study.outcomes import Measured, TestOutcome
 
@@ -80,10 +80,26 @@ def _price(question: Question) -> str:
     return f" for {question.robot_time_s:.0f} robot-seconds: {question.purpose}"
 
 
+def record_table(record: RunRecord) -> Table:
+    """Return the final table of a ranking.
+
+    The adaptive algorithm stops as soon as the choice is sure, and its interval covers frequencies
+    that it did not test. Only the paper's algorithm, which estimates ψ* itself to the end, is
+    compared with the closed form.
+    """
+    exact = record.closed_form if record.result.confidence is None else {}
+    return ranking_table(record.result.ranking, exact)
+
+
 def ranking_table(
     ranking: tuple[SourceEstimate, ...], closed_form: Mapping[str, ClosedForm]
 ) -> Table:
-    """Return the final table, beside the closed form where robots know their models."""
+    """Return a table of estimates.
+
+    Args:
+        ranking: Estimates, best first.
+        closed_form: True distances, by source, where robots know their models.
+    """
     table = Table(title="worst-case chordal distance to the target", title_justify="left")
     table.add_column("source", no_wrap=True)
     exact_headings = ("closed form", "error") if closed_form else ("tests",)
@@ -97,6 +113,8 @@ def ranking_table(
             row.append(str(estimate.tests))
         elif exact is None:
             row += ["", ""]
+        elif exact.psi == 0:  # a twin of the target: no error is relative to nothing
+            row += ["0.0000", ""]
         else:
             row += [f"{exact.psi:.4f}", f"{100 * (estimate.psi / exact.psi - 1):+.2f} %"]
         table.add_row(*row, style="bold green" if place == 0 else None)

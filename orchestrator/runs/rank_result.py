@@ -55,6 +55,16 @@ class StoredResponses(Strict):
         counts = ((self.tests, "test"), (self.flights, "flight"))
         return " and ".join(f"{n} stored {what}{'s' * (n > 1)}" for n, what in counts if n)
 
+    @property
+    def reservation(self) -> str:
+        """What flights alone do not tell, in words; empty where there are tests."""
+        if self.tests:
+            return ""
+        return (
+            "; until a test of it confirms them, its ψ* ± σ holds for motions like these, and "
+            "claims nothing about others"
+        )
+
 
 class RankResult(Document):
     """The document that `nufleet rank --json` prints: the ranking and its cost.

@@ -148,7 +148,7 @@ def write_report(folder: Path, record: RunRecord, *, draws: bool = True) -> None
     lines += [f"\n{robot} was left out: {reason}" for robot, reason in record.dropped.items()]
     lines += [
         f"\n{robot} needed no first test: {stored.counted} replaced it, measured from "
-        f"{stored.measured_from} to {stored.measured_to}."
+        f"{stored.measured_from} to {stored.measured_to}{stored.reservation}."
         for robot, stored in (result.stored or {}).items()
     ]
     lines += ["", *verdict_markdown(result), "", *way_markdown(result)]

@@ -99,7 +99,7 @@ class Trust:
         if signature is None:
             raise UntrustedError(
                 f"it is not signed; start the agent of {robot} with its identity, so that {robot} "
-                "signs what it has learned, and transfer again"
+                "signs what it has learned, and transfer it from there"
             )
         signer = signer_of(signature, signed_content(payload), identity.authority)
         principal = signer.rpartition(".")[0]

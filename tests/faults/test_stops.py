@@ -53,7 +53,10 @@ def test_a_stop_of_all_halts_every_motion_and_outlasts_a_crash(lab: Lab, agent: 
         # A second stop is accepted, and a goal is refused with what to do.
         assert stop_robots(fleet, ROBOTS, "again") == {}
         request = GoalRequest(goal_id="g2", owner="somebody", motion=LONG)
-        with pytest.raises(RefusedError, match="release it first: it was stopped by somebody"):
+        with pytest.raises(
+            RefusedError,
+            match="release it first with `nufleet release`: it was stopped by somebody",
+        ):
             fleet.submit("a", request)
     assert all(len(lab.motions(robot)) == 1 for robot in ROBOTS)
 

@@ -384,6 +384,8 @@ def test_a_running_fleet_is_shown_ranked_stopped_and_released(
             "source-3",
         ]
         assert "continuing without source-2" in without.stderr
+        assert "source-2 was left out" in without.stderr
+        assert "release it first with `nufleet release`" in without.stderr
         assert nufleet("release", "source-2", *join, cwd=tmp_path).returncode == 0
         assert nufleet("stop", "nobody", *join, cwd=tmp_path).returncode == 1
     finally:

@@ -46,6 +46,26 @@ def test_a_full_disk_is_one_line_that_names_the_file(
     assert "No space left on device (runs/results.json.part); free some space" in line
 
 
+def test_a_disk_that_may_only_be_read_is_answered_by_the_variables_that_name_another(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    end_of(monkeypatch, OSError(errno.EROFS, os.strerror(errno.EROFS), "learned"))
+    assert "choose writable folders with NUFLEET_STATE and NUFLEET_RUNS" in capsys.readouterr().err
+
+
+def test_more_messages_are_those_of_nufleet_alone() -> None:
+    script = (
+        "import logging, sys; from nufleet.shared import command_line; "
+        "from importlib.metadata import EntryPoint; sys.argv = ['nufleet', '-v', 'doctor', '-h']\n"
+        "try: command_line.main()\n"
+        "except SystemExit: pass\n"
+        "logging.getLogger('alembic').info('its plugins')\n"
+        "logging.getLogger('nufleet.fleet').info('its own')"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stderr == "nufleet.fleet: its own\n"
+
+
 def test_an_error_of_the_system_that_nobody_foresaw_is_not_hidden(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

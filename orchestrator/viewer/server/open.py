@@ -33,7 +33,8 @@ def open_native(source: Path | str) -> subprocess.Popen[bytes]:
     """
     if sys.platform == "linux" and not _has_display():
         raise NufleetError(
-            "there is no display for the viewer's window; show it in a browser or take a picture"
+            "there is no display for the viewer's window: show it in a browser with --web, or take "
+            "a picture with --screenshot FILE.png"
         )
     return subprocess.Popen(
         [

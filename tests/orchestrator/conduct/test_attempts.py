@@ -17,6 +17,7 @@ from nufleet.orchestrator.conduct.attempts import (
     Attempts,
     Settled,
     retried,
+    widened,
 )
 from nufleet.orchestrator.conduct.replay import OpenTest, goal_id_of
 from nufleet.orchestrator.fleet.goal_events import Ended
@@ -28,6 +29,7 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import NoReplyError, NufleetError, RefusedError, RobotLostError
 from nufleet.shared.frequency_test.duration import duration_s
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan, Tone
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.frequency_test.quality import Finding, Quality
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import GoalResult, Outcome
@@ -370,3 +372,22 @@ def test_a_repeated_test_is_no_shorter_and_accepted_if_the_first_was(
     again = plan_excitation(longer, spec, "r1")
     assert again.duration_s <= spec.duration_max_s
     assert again.samples >= plan.samples
+
+
+def test_an_unknown_delay_widens_responses_unless_all_robots_are_measured_alike() -> None:
+    def spec(measurement: str, delay_uncertainty_s: float = 0.0) -> RobotSpec:
+        changes = {"measurement": measurement, "delay_uncertainty_s": delay_uncertainty_s}
+        return puppet_spec().model_copy(update=changes)
+
+    response = FrequencyResponse(
+        omega_rad_s=np.array([2.0, 5.0]),
+        z=np.array([1.0, 2.0j]),
+        variance=np.array([1e-6, 1e-6]),
+        segments=4,
+        quality=Quality(),
+    )
+    mocap, onboard = spec("motion-capture", 0.002), spec("onboard")
+    apart = widened(response, "a", {"a": mocap, "b": onboard})
+    np.testing.assert_allclose(apart.variance, 1e-6 + np.array([0.004, 0.02]) ** 2)
+    assert widened(response, "b", {"a": mocap, "b": onboard}) is response
+    assert widened(response, "a", {"a": mocap, "b": mocap}) is response

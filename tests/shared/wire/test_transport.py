@@ -408,7 +408,9 @@ def test_no_router_is_an_error_that_says_what_to_do(endpoint: str) -> None:
         pass
 
 
-def test_a_client_without_a_time_limit_waits_for_its_router(endpoint: str) -> None:
+def test_a_client_without_a_time_limit_waits_for_its_router(
+    endpoint: str, caplog: pytest.LogCaptureFixture
+) -> None:
     opened: queue.Queue[list[str]] = queue.Queue()
 
     def join() -> None:
@@ -419,6 +421,7 @@ def test_a_client_without_a_time_limit_waits_for_its_router(endpoint: str) -> No
     waiting = threading.Thread(target=join)
     waiting.start()
     assert opened.empty()
+    wait_until(lambda: f"no router answers at {endpoint}" in caplog.text)
     with open_router([endpoint]):
         assert opened.get(timeout=PATIENCE_S) == ["patient"]
         waiting.join(PATIENCE_S)
