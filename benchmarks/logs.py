@@ -22,15 +22,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.selection import CLAIM, RIGHT_BELOW
-from benchmarks.selection_fleets import (
-    BAND_RAD_S,
-    FAMILIES,
-    NOISE_LEVELS_M,
-    SAMPLE_TIME_S,
-    Fleet,
-    TestedRobot,
-    random_fleet,
-)
+from benchmarks.selection_families import BAND_RAD_S, FAMILIES, SAMPLE_TIME_S
+from benchmarks.selection_fleets import NOISE_LEVELS_M, Fleet, TestedRobot, random_fleet
 from benchmarks.selection_methods import ADAPTIVE_ROUNDS, follow
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy

@@ -18,7 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.selection_fleets import FAMILIES, NOISE_LEVELS_M, random_fleet
+from benchmarks.selection_families import FAMILIES
+from benchmarks.selection_fleets import NOISE_LEVELS_M, random_fleet
 from benchmarks.selection_methods import METHODS, Trace
 from nufleet.shared.arrays import FloatArray
 

@@ -1,73 +1,38 @@
-"""Random fleets for experience selection: six families of loops, each robot testable in no time.
-
-A linear robot's test is not simulated sample by sample: its estimates ẑ are drawn from the error
-that least squares has with white noise on the output, E|ẑ − z|² = 4σ²/(N A²) for a tone of
-amplitude A in N samples, and their variances from the χ² distribution with two degrees of freedom
-per segment and tone less one. `tests/benchmarks/test_selection_fleets.py` compares this with a
-simulation.
-"""
+"""Random fleets for experience selection: every test is played and estimated from its samples."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 from benchmarks.nonlinear_loop import NonlinearLoop, play
+from benchmarks.selection_families import (
+    FAMILIES,
+    SAMPLE_TIME_S,
+    SETTLED,
+    Family,
+    LinearLoop,
+    Loop,
+)
+from nufleet.orchestrator.conduct.attempts import ATTEMPTS, retried
 from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import chordal_distance
-from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan, Tone
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
 from nufleet.shared.frequency_test.frequency_response import (
     FrequencyResponse,
     estimate_frequency_response,
 )
-from nufleet.shared.frequency_test.quality import Quality
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
-BAND_RAD_S = (0.1, 5.4)
-SAMPLE_TIME_S = 0.02
 NOISE_LEVELS_M = {"low": 0.003, "high": 0.012}
 """Standard deviation of the white noise on each sample of the position, at 50 Hz."""
 
-SETTLED = 1e-3
-"""A transient is negligible when the slowest mode has decayed to this share."""
-
 TRUTH_POINTS = 4001
-
-
-@dataclass(frozen=True)
-class Mode:
-    """A second-order mode with (1 + lead s) in its numerator, and its share of the response."""
-
-    omega_rad_s: float
-    damping: float
-    lead_s: float = 0.0
-    gain: float = 1.0
-
-
-@dataclass(frozen=True)
-class LinearLoop:
-    """z(s) = e^{−delay s} Σ of modes."""
-
-    modes: tuple[Mode, ...]
-    delay_s: float
-
-    def response(self, omega_rad_s: FloatArray) -> ComplexArray:
-        """Return z at these frequencies."""
-        s = 1j * np.asarray(omega_rad_s)
-        total = np.zeros(s.shape, dtype=np.complex128)
-        for mode in self.modes:
-            x = s / mode.omega_rad_s
-            total += mode.gain * (1 + mode.lead_s * s) / (1 + 2 * mode.damping * x + x**2)
-        return np.asarray(total * np.exp(-self.delay_s * s))
-
-    @property
-    def slowest_decay_1_s(self) -> float:
-        """The real part of the slowest pole, without its sign."""
-        return min(_decay(mode) for mode in self.modes)
 
 
 class TestedRobot:
@@ -76,30 +41,41 @@ class TestedRobot:
     __test__ = False  # pytest: not a test case
 
     def __init__(
-        self, loop: LinearLoop | NonlinearLoop, noise_m: float, rng: np.random.Generator
+        self, loop: Loop, noise_m: float, rng: np.random.Generator, family: Family | None = None
     ) -> None:
+        family = family or Family(lambda _: loop)
         self.loop = loop
-        self.spec = spec_of(loop)
+        settling_time_s = -math.log(SETTLED) / loop.slowest_decay_1_s
+        self.spec = spec_of(family.stated(rng, settling_time_s), family.sample_time_s)
         self._noise_m = noise_m
+        self._spoil = family.spoil
         self._rng = rng
 
     def test(self, excitation: Excitation) -> tuple[FrequencyResponse, float]:
-        """Return the estimated response and the robot-seconds it took."""
-        plan = plan_excitation(excitation, self.spec, "robot")
-        if isinstance(self.loop, NonlinearLoop):
+        """Return the estimated response and the robot-seconds it took, all attempts included."""
+        flown_s = 0.0
+        for _ in range(ATTEMPTS):
+            plan = plan_excitation(excitation, self.spec, "robot")
+            flown_s += plan.duration_s
             reference = reference_of(plan)
-            clean = play(self.loop, reference, SAMPLE_TIME_S)
-            noisy = clean + self._noise_m * self._rng.standard_normal(len(clean))
-            return estimate_frequency_response(reference, noisy, plan), plan.duration_s
-        return drawn_response(self.loop, plan, self._noise_m, self._rng), plan.duration_s
+            response = estimate_frequency_response(reference, self.fly(reference), plan)
+            if response.quality.usable:
+                break
+            excitation = retried(excitation, plan, response.quality, self.spec)
+        return response, flown_s
 
     def fly(self, reference: FloatArray) -> FloatArray:
         """Return the output for any reference, shape (samples,), from rest at its first sample."""
+        clean = self.moved(reference)
+        noisy = clean + self._noise_m * self._rng.standard_normal(len(reference))
+        return noisy if self._spoil is None else self._spoil(self._rng, noisy)
+
+    def moved(self, reference: FloatArray) -> FloatArray:
+        """Return the position itself, without noise."""
+        step_s = self.spec.sample_time_s
         if isinstance(self.loop, NonlinearLoop):
-            clean = play(self.loop, reference - reference[0], SAMPLE_TIME_S) + reference[0]
-        else:
-            clean = _played(self.loop, reference)
-        return np.asarray(clean + self._noise_m * self._rng.standard_normal(len(reference)))
+            return play(self.loop, reference - reference[0], step_s) + reference[0]
+        return _played(self.loop, reference, step_s)
 
 
 @dataclass(frozen=True)
@@ -109,6 +85,7 @@ class Fleet:
     target: TestedRobot
     sources: Mapping[str, TestedRobot]
     psi_star: Mapping[str, float]
+    band_rad_s: tuple[float, float]
 
     @property
     def robots(self) -> dict[str, TestedRobot]:
@@ -122,145 +99,57 @@ class Fleet:
         return self.psi_star[selected] - min(self.psi_star.values())
 
 
-def drawn_response(
-    loop: LinearLoop, plan: ExcitationPlan, noise_m: float, rng: np.random.Generator
-) -> FrequencyResponse:
-    """Return a response with the errors that least squares has with white noise."""
-    omega = np.array([tone.omega_rad_s for tone in plan.tones])
-    samples = plan.segments * plan.segment_samples
-    variance = 4 * noise_m**2 / (samples * tone_amplitudes(plan) ** 2)
-    pairs = plan.segments - 1
-    error = rng.standard_normal((2, len(omega))) * np.sqrt(variance / 2)
-    return FrequencyResponse(
-        omega_rad_s=omega,
-        z=loop.response(omega) + error[0] + 1j * error[1],
-        variance=variance * rng.chisquare(2 * pairs, len(omega)) / (2 * pairs),
-        segments=plan.segments,
-        quality=Quality(),
-    )
-
-
-def tone_amplitudes(plan: ExcitationPlan) -> FloatArray:
-    """Return the amplitude of each tone of a plan's reference, in the axis's unit."""
-    times_s = np.arange(plan.samples) * plan.sample_time_s
-    weights = np.array([tone.weight for tone in plan.tones])
-    phases = np.array([tone.phase_rad for tone in plan.tones])
-    omega = np.array([tone.omega_rad_s for tone in plan.tones])
-    total = weights @ np.sin(np.outer(omega, times_s) + phases[:, None])
-    return plan.amplitude * weights / float(np.max(np.abs(total)))
-
-
-def spec_of(loop: LinearLoop | NonlinearLoop) -> RobotSpec:
-    """Return limits like a small quadrotor's, and the settling time of the loop's slowest pole."""
+def spec_of(settling_time_s: float, sample_time_s: float = SAMPLE_TIME_S) -> RobotSpec:
+    """Return limits like those of a small quadrotor."""
     return RobotSpec(
         kind="random-loop",
         axes=(
             AxisSpec(name="x", unit="m", amplitude_max=0.5, velocity_max=1.0, acceleration_max=4.0),
         ),
-        sample_time_s=SAMPLE_TIME_S,
+        sample_time_s=sample_time_s,
         omega_min_rad_s=0.05,
         omega_max_rad_s=20.0,
         duration_max_s=1800.0,
-        settling_time_s=-math.log(SETTLED) / loop.slowest_decay_1_s,
+        settling_time_s=settling_time_s,
         simulated=False,
     )
 
 
-def second_order(rng: np.random.Generator) -> LinearLoop:
-    """A well-damped loop with lead and delay."""
-    omega, damping = rng.uniform(1.5, 5.0), rng.uniform(0.4, 1.0)
-    lead_s = rng.uniform(0.0, 2.0) * damping / omega
-    return LinearLoop((Mode(omega, damping, lead_s),), rng.uniform(0.0, 0.15))
-
-
-def lightly_damped(rng: np.random.Generator) -> LinearLoop:
-    """A loop whose own mode is lightly damped: a resonance of up to 20 dB."""
-    omega, damping = rng.uniform(1.5, 5.0), rng.uniform(0.05, 0.15)
-    return LinearLoop((Mode(omega, damping, rng.uniform(0.0, 0.1)),), rng.uniform(0.0, 0.1))
-
-
-def flexible(rng: np.random.Generator) -> LinearLoop:
-    """A well-damped loop that also shakes something: a narrow mode of little weight."""
-    base = second_order(rng)
-    damping = rng.uniform(0.03, 0.1)
-    height = rng.uniform(0.1, 0.5) * rng.choice([-1.0, 1.0])
-    shaken = Mode(rng.uniform(1.5, 5.0), damping, gain=2 * damping * height)
-    return LinearLoop((*base.modes, shaken), base.delay_s)
-
-
-def gain_and_delay(rng: np.random.Generator) -> LinearLoop:
-    """A well-damped loop whose gain is not 1 and whose delay is long."""
-    omega, damping, gain = rng.uniform(2.0, 6.0), rng.uniform(0.5, 1.0), rng.uniform(0.7, 1.3)
-    return LinearLoop((Mode(omega, damping, gain=gain),), rng.uniform(0.0, 0.4))
-
-
-def mildly_nonlinear(rng: np.random.Generator) -> NonlinearLoop:
-    """A well-damped loop whose actuator has a dead zone, or cannot change as fast as asked."""
-    linear = second_order(rng)
-    mode = linear.modes[0]
-    dead = bool(rng.integers(2))
-    return NonlinearLoop(
-        omega_rad_s=mode.omega_rad_s,
-        damping=mode.damping,
-        lead_s=mode.lead_s,
-        delay_s=linear.delay_s,
-        dead_zone_m_s2=rng.uniform(0.01, 0.05) if dead else 0.0,
-        rate_max_m_s3=math.inf if dead else rng.uniform(25.0, 50.0),
-    )
-
-
-def strongly_nonlinear(rng: np.random.Generator) -> NonlinearLoop:
-    """The same, but so nonlinear that the responses to many tones and to one tone differ."""
-    mild = mildly_nonlinear(rng)
-    if mild.dead_zone_m_s2 > 0:
-        return replace(mild, dead_zone_m_s2=rng.uniform(0.1, 0.3))
-    return replace(mild, rate_max_m_s3=rng.uniform(12.0, 25.0))
-
-
-FAMILIES: dict[str, Callable[[np.random.Generator], LinearLoop | NonlinearLoop]] = {
-    "second-order": second_order,
-    "lightly-damped": lightly_damped,
-    "flexible": flexible,
-    "gain-and-delay": gain_and_delay,
-    "mildly-nonlinear": mildly_nonlinear,
-    "strongly-nonlinear": strongly_nonlinear,
-}
-
-
-def random_fleet(family: str, sources: int, noise_m: float, rng: np.random.Generator) -> Fleet:
+def random_fleet(name: str, sources: int, noise_m: float, rng: np.random.Generator) -> Fleet:
     """Draw a target and sources of one family.
 
     The true response of a nonlinear robot is the one to single tones of the amplitude that the
     robot itself chooses for them, without noise.
     """
-    draw = FAMILIES[family]
-    robots = [TestedRobot(draw(rng), noise_m, rng) for _ in range(sources + 1)]
+    family = FAMILIES[name]
+    band = family.band_rad_s
+    robots = [TestedRobot(family.draw(rng), noise_m, rng, family) for _ in range(sources + 1)]
     if isinstance(robots[0].loop, NonlinearLoop):
-        omega = np.geomspace(*BAND_RAD_S, 40)
+        omega = np.geomspace(*band, 40)
     else:
-        omega = np.linspace(*BAND_RAD_S, TRUTH_POINTS)
+        omega = np.linspace(*band, TRUTH_POINTS)
     z = [true_response(robot, omega) for robot in robots]
     named = {f"source-{n}": robot for n, robot in enumerate(robots[1:], start=1)}
     distances = [float(chordal_distance(z[0], other).max()) for other in z[1:]]
-    return Fleet(robots[0], named, dict(zip(named, distances, strict=True)))
+    return Fleet(robots[0], named, dict(zip(named, distances, strict=True)), band)
 
 
 def true_response(robot: TestedRobot, omega_rad_s: FloatArray) -> ComplexArray:
     """Return z without noise; of a nonlinear robot as `random_fleet` says."""
     if isinstance(robot.loop, LinearLoop):
         return robot.loop.response(omega_rad_s)
-    return np.array([_to_one_tone(robot.loop, robot.spec, omega) for omega in omega_rad_s.tolist()])
+    return np.array([_to_one_tone(robot, omega) for omega in omega_rad_s.tolist()])
 
 
-def _to_one_tone(loop: NonlinearLoop, spec: RobotSpec, omega_rad_s: float) -> complex:
+def _to_one_tone(robot: TestedRobot, omega_rad_s: float) -> complex:
     """Return the fundamental of a nonlinear robot's response over that of the reference."""
     single = Excitation(axis="x", tones=(Tone(omega_rad_s=omega_rad_s),), segments=3)
-    plan = plan_excitation(single, spec, "robot")
+    plan = plan_excitation(single, robot.spec, "robot")
     reference = reference_of(plan)
-    response = play(loop, reference, SAMPLE_TIME_S)
+    response = robot.moved(reference)
     first = plan.first_measured_sample
     measured = slice(first, first + plan.segments * plan.segment_samples)
-    phase = omega_rad_s * np.arange(plan.samples)[measured] * SAMPLE_TIME_S
+    phase = omega_rad_s * np.arange(plan.samples)[measured] * plan.sample_time_s
     columns = np.stack([np.cos(phase), np.sin(phase), np.ones(len(phase))], axis=1)
     both = np.stack([reference[measured], response[measured]], axis=1)
     cosine, sine, _ = np.linalg.lstsq(columns, both, rcond=None)[0]
@@ -268,24 +157,17 @@ def _to_one_tone(loop: NonlinearLoop, spec: RobotSpec, omega_rad_s: float) -> co
     return complex(y / u)
 
 
-def _played(loop: LinearLoop, reference: FloatArray) -> FloatArray:
+def _played(loop: LinearLoop, reference: FloatArray, sample_time_s: float) -> FloatArray:
     """Return a linear loop's output, through the spectrum of its reference's differences.
 
     They are padded until all that follows has settled, so that the transform's periodicity does no
     harm.
     """
     settled_s = -math.log(SETTLED**2) / loop.slowest_decay_1_s
-    samples = len(reference) + math.ceil(settled_s / SAMPLE_TIME_S)
+    samples = next_fast_len(len(reference) + math.ceil(settled_s / sample_time_s), real=True)
     steps = np.zeros(samples)
     steps[1 : len(reference)] = np.diff(reference)
-    omega = 2 * np.pi * np.fft.rfftfreq(samples, SAMPLE_TIME_S)
+    omega = 2 * np.pi * np.fft.rfftfreq(samples, sample_time_s)
     moved = np.fft.irfft(np.fft.rfft(steps) * loop.response(omega), samples)
     at_rest = float(loop.response(np.zeros(1))[0].real) * reference[0]
     return np.asarray(at_rest + np.cumsum(moved)[: len(reference)])
-
-
-def _decay(mode: Mode) -> float:
-    """Return the decay rate of a mode's slowest pole."""
-    if mode.damping <= 1:
-        return mode.damping * mode.omega_rad_s
-    return mode.omega_rad_s * (mode.damping - math.sqrt(mode.damping**2 - 1))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from benchmarks.selection_fleets import BAND_RAD_S, Fleet
+from benchmarks.selection_fleets import Fleet
 from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
 from nufleet.orchestrator.study.interface import Study, StudyPlan
 from nufleet.orchestrator.study.paper_algorithm import SEGMENT_MIN_S, SEGMENTS, PaperStudy
@@ -91,23 +91,23 @@ def follow(study: Study, fleet: Fleet) -> Trace:
 
 def uniform_sweep(fleet: Fleet, _rng: np.random.Generator) -> Trace:
     """Single tones, equally spaced."""
-    return _single_tones(fleet, np.linspace(*BAND_RAD_S, SWEEP_TONES).tolist())
+    return _single_tones(fleet, np.linspace(*fleet.band_rad_s, SWEEP_TONES).tolist())
 
 
 def logarithmic_sweep(fleet: Fleet, _rng: np.random.Generator) -> Trace:
     """Single tones, equally spaced on a logarithmic axis."""
-    return _single_tones(fleet, np.geomspace(*BAND_RAD_S, SWEEP_TONES).tolist())
+    return _single_tones(fleet, np.geomspace(*fleet.band_rad_s, SWEEP_TONES).tolist())
 
 
 def random_search(fleet: Fleet, rng: np.random.Generator) -> Trace:
     """Single tones, drawn uniformly."""
-    return _single_tones(fleet, rng.uniform(*BAND_RAD_S, RANDOM_TONES).tolist())
+    return _single_tones(fleet, rng.uniform(*fleet.band_rad_s, RANDOM_TONES).tolist())
 
 
 def long_multitone(fleet: Fleet, _rng: np.random.Generator) -> Trace:
     """One long test of many tones on every robot."""
     harmonics = tuple(range(3, LONG_TEST_PERIODS + 1, 2))
-    choice = ToneChoice(LONG_TEST_PERIODS * 2 * np.pi / BAND_RAD_S[1], harmonics)
+    choice = ToneChoice(LONG_TEST_PERIODS * 2 * np.pi / fleet.band_rad_s[1], harmonics)
     return _largest_so_far(fleet, [choice.excitation("x")])
 
 
@@ -122,7 +122,7 @@ METHODS: dict[str, Callable[[Fleet, np.random.Generator], Trace]] = {
 
 
 def _plan(fleet: Fleet, rounds: int) -> StudyPlan:
-    return StudyPlan("target", tuple(fleet.sources), BAND_RAD_S, rounds, "x")
+    return StudyPlan("target", tuple(fleet.sources), fleet.band_rad_s, rounds, "x")
 
 
 def _single_tones(fleet: Fleet, omegas_rad_s: Sequence[float]) -> Trace:

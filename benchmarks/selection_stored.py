@@ -20,9 +20,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.selection import CLAIM, RIGHT_BELOW
-from benchmarks.selection_fleets import BAND_RAD_S, FAMILIES, NOISE_LEVELS_M, random_fleet
+from benchmarks.selection_families import FAMILIES
+from benchmarks.selection_fleets import NOISE_LEVELS_M, random_fleet
 from benchmarks.selection_methods import ADAPTIVE_ROUNDS, follow
-from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveSettings, AdaptiveStudy
+from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
+from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.orchestrator.study.tone_choice import first_look
 from nufleet.shared.errors import InvalidInputError
@@ -60,13 +62,13 @@ def outcome_of(family: str, sources: int, noise_m: float, seed: int, number: int
     stored = {}
     for name, robot in fleet.sources.items():
         test = first_look(
-            BAND_RAD_S, robot.spec, settings.first_periods, settings.share_of_settling
+            fleet.band_rad_s, robot.spec, settings.first_periods, settings.share_of_settling
         )
         response, _ = robot.test(test.excitation("x"))
         if response.quality.usable:
             stored[name] = [response]
     specs = {name: robot.spec for name, robot in fleet.robots.items()}
-    plan = StudyPlan("target", tuple(stored), BAND_RAD_S, ADAPTIVE_ROUNDS, "x")
+    plan = StudyPlan("target", tuple(stored), fleet.band_rad_s, ADAPTIVE_ROUNDS, "x")
     study = AdaptiveStudy(plan, specs, rng, stored=stored, absent=tuple(stored))
     trace = follow(study, fleet)
     flown = {

@@ -23,14 +23,12 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import lsim
 
-from benchmarks.selection_fleets import (
+from benchmarks.selection_families import (
     BAND_RAD_S,
-    FAMILIES,
-    NOISE_LEVELS_M,
     SAMPLE_TIME_S,
     LinearLoop,
-    random_fleet,
 )
+from benchmarks.selection_fleets import NOISE_LEVELS_M, random_fleet
 from benchmarks.selection_methods import adaptive, follow
 from nufleet.orchestrator.study.interface import DesiredMotion, SourceEstimate, StudyPlan
 from nufleet.orchestrator.study.trajectory_spectrum import spectrum_of
@@ -45,7 +43,7 @@ FASTEST_RAD_S = (1.5, 5.0)
 LAPS = 3
 """Number of laps; the last one is measured, when even lightly damped transients have decayed."""
 
-LINEAR = tuple(family for family in FAMILIES if "nonlinear" not in family)
+LINEAR = ("second-order", "lightly-damped", "flexible", "gain-and-delay", "low-resonance")
 
 
 @dataclass(frozen=True)
@@ -133,7 +131,7 @@ def judged(family: str, sources: int, noise_m: float, seed: int, number: int) ->
     plans = [there, *(replace(there, target=s, sources=("target",)) for s in fleet.sources)]
     found = []
     for plan in plans:
-        ranking = [SourceEstimate(source, 0.0, 0.0, 0.0, 1) for source in plan.sources]
+        ranking = [SourceEstimate(source, 0.0, 0.0, 1.0, 0.0, 1) for source in plan.sources]
         verdicts = judge_transfers(plan, ranking, specs, study.responses, rng).verdicts
         for source, verdict in verdicts.items():
             loops = fleet.robots[source].loop, fleet.robots[plan.target].loop

@@ -25,6 +25,7 @@ from nufleet.robot_agent.forecast_service import ForecastService
 from nufleet.robot_agent.journal.audit_log import AuditLog
 from nufleet.robot_agent.journal.journal import Journal
 from nufleet.robot_agent.journal.unrecorded import Unrecorded
+from nufleet.robot_agent.motion.health_watch import HealthWatch
 from nufleet.robot_agent.motion.watched_robot import WatchedRobot
 from nufleet.robot_agent.motion_worker import MotionWorker
 from nufleet.robot_agent.network.certificate_watch import CertificateWatch
@@ -40,6 +41,7 @@ from nufleet.robot_agent.network.rivals import Rivals
 from nufleet.robot_agent.network.trust import Trust
 from nufleet.robot_agent.planner import Planner
 from nufleet.robot_agent.robot import Robot
+from nufleet.robot_agent.rules import fitness
 from nufleet.robot_agent.rules.freezes import Freezes
 from nufleet.robot_agent.rules.ownership import Commander
 from nufleet.robot_agent.stop_service import StopService
@@ -47,6 +49,7 @@ from nufleet.shared.robots.fleet_file import RobotPolicy
 from nufleet.shared.wire import messages
 from nufleet.shared.wire.codec import M, decode
 from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.motions import MotionPlan
 from nufleet.shared.wire.transport import MAX_STATE_BYTES, Session
 
 OWNER_PATIENCE_S = 1.0
@@ -115,6 +118,7 @@ class Agent:
             self._remember(opened)
             opened.callback(self._robot.let_go)
             self._robot.connect()
+            self._watch_health(opened)
             self._join(opened)
             self._open = opened.pop_all()
         return self
@@ -157,7 +161,7 @@ class Agent:
             self._policy.allow_unguarded,
         )
         self._decisions = Decisions(
-            self._boot_id, planner, journal, self._changed, may_last=self._may_last()
+            self._boot_id, planner, journal, self._changed, may_last=self._may_last(planner)
         )
         change = self._decisions.change
         audit = None if folder is None else AuditLog(folder, self._name)
@@ -170,12 +174,31 @@ class Agent:
         self._forecasts = ForecastService(planner, lambda: self._decisions.running)
         opened.callback(self._forecasts.close)
 
-    def _may_last(self) -> Callable[[float], messages.Refusal | None]:
-        """Return the function that refuses motions which would outlast the certificate."""
+    def _may_last(self, planner: Planner) -> Callable[[MotionPlan], messages.Refusal | None]:
+        """Return the function that refuses motions which outlast the battery or certificate."""
         identity = self._session.identity
-        if identity is None:
-            return lambda duration_s: None
-        return CertificateWatch(identity, partial(datetime.now, UTC)).refusal
+        watch = None if identity is None else CertificateWatch(identity, partial(datetime.now, UTC))
+        if watch is not None:
+            self._looks.append(watch.look)
+
+        def refusal(plan: MotionPlan) -> messages.Refusal | None:
+            health, _ = self._health.newest
+            too_long = fitness.refusal_to_last(health, plan.duration_s)
+            if too_long is None and watch is not None:
+                too_long = watch.refusal(planner.wall_duration_s(plan))
+            return too_long
+
+        return refusal
+
+    def _watch_health(self, opened: ExitStack) -> None:
+        self._health = HealthWatch(self._name, self._robot, fitness.HEALTH_INTERVAL_S)
+        opened.callback(self._health.close)
+        self._report_health()
+        self._looks.append(self._report_health)
+
+    def _report_health(self) -> None:
+        health, age_s = self._health.newest
+        self._decisions.reported(health, fitness.unfit(health, age_s))
 
     def _join(self, opened: ExitStack) -> None:
         """Open all services in the order of their dependencies; they close in reverse order."""
@@ -187,7 +210,7 @@ class Agent:
         opened.callback(rivals.withdraw)
         states = session.state_publisher(keys.robot(name, "state"))
         opened.callback(Heartbeat(name, states, self._state, self._changed).close)
-        stops = StopService(name, decisions, keys, self._commands)
+        stops = StopService(name, decisions, keys, self._commands, self._robot.kill)
         opened.callback(stops.close)
         for stop_key in (keys.robot(name, "**/stop"), *keys.every_stop):
             stop = session.subscribe(stop_key, stops.heard, max_bytes=MAX_REQUEST_BYTES)

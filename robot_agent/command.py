@@ -92,7 +92,7 @@ def agent(
     path = find_fleet_file(fleet_file)
     state_folder = state_folder or default_state_folder()
     if forget_owner:
-        from nufleet.robot_agent.forgotten_owners import forget_owners
+        from nufleet.robot_agent.journal.forgotten_owners import forget_owners
 
         return forget_owners(path, robots, state_folder)
     fleet = read_fleet_file(path)

@@ -78,7 +78,8 @@ class Commands:
         if self._audit is not None:
             sender, reason = ("", "") if request is None else (request.sender, request.reason)
             answer = "malformed, and obeyed" if request is None else "stopped"
-            self._audit.record(principal, sender, "stop", reason, answer)
+            what = "kill" if request is not None and request.kill else "stop"
+            self._audit.record(principal, sender, what, reason, answer)
 
     def _refusal(self, principal: str, request: Command) -> Refusal | None:
         sender = _sender(request)

@@ -22,6 +22,7 @@ from nufleet.robot_agent.rules import goal_machine, ownership, supervisor
 from nufleet.robot_agent.rules.goal_machine import Goal
 from nufleet.robot_agent.rules.kept_results import KeptResults
 from nufleet.robot_agent.rules.ownership import Commander, Waiting
+from nufleet.shared.robots.health import Health
 from nufleet.shared.wire.messages import (
     GoalAccepted,
     GoalRequest,
@@ -67,7 +68,7 @@ class Decisions:
         changed: threading.Event,
         clock: Callable[[], float] = time.monotonic,
         *,
-        may_last: Callable[[float], Refusal | None] = lambda duration_s: None,
+        may_last: Callable[[MotionPlan], Refusal | None] = lambda plan: None,
     ) -> None:
         """Begin in the state that the journal holds from earlier agent processes.
 
@@ -77,8 +78,8 @@ class Decisions:
             journal: Journal of the robot.
             changed: Event to set when the state to be published has changed.
             clock: Function that returns the time in s, which never decreases.
-            may_last: Function that returns why a motion of this duration on the wall clock, in s,
-                may not begin now; None when it may.
+            may_last: Function that returns why a motion may not begin now, because of how long it
+                takes; None when it may.
         """
         self._may_last = may_last
         self._robot = planner.robot
@@ -103,6 +104,7 @@ class Decisions:
         )
         self._results = KeptResults()
         self._owners_alive: set[str] = set()
+        self._health: Health | None = None
         self._stops = 0
         self._shutting_down = False
         self._motion: Assignment | None = None
@@ -146,6 +148,18 @@ class Decisions:
                 order = self._supervision.stop
             if order is not None:
                 self._journal.stopped(order)
+
+    def broke(self, fault: str) -> None:
+        """Record that the robot cannot be trusted with another motion; the present one ends."""
+        with self._lock:
+            self._supervise(supervisor.FaultFound(fault))
+
+    def reported(self, health: Health | None, unfit: str | None) -> None:
+        """Record the robot's health, and why it may not move; None when it may."""
+        with self._lock:
+            self._health = health
+            if unfit != self._supervision.unfit:
+                self._supervise(supervisor.HealthReported(unfit))
 
     def shut_down(self) -> None:
         """End the motion in progress and accept no more goals."""
@@ -346,6 +360,7 @@ class Decisions:
                 reason=reason,
                 last_goal_id=self._last_goal,
                 robot_time_s=self._robot_time_s,
+                health=self._health,
             )
 
     # Taking a goal, one at a time.
@@ -362,7 +377,7 @@ class Decisions:
         plan = None if answer.new else self._known_plan(request.goal_id)
         plan = plan or self._planner.plan(request.motion)
         if answer.new:
-            too_long = self._may_last(self._planner.wall_duration_s(plan))
+            too_long = self._may_last(plan)
             if too_long is not None:
                 return too_long, None
         motion = None
@@ -485,7 +500,7 @@ class Decisions:
         stop = self._supervision.stop
         if stop is not None:
             return RobotStatus.STOPPED, f"stopped by {stop.sender}: {stop.reason}"
-        return RobotStatus.IDLE, self._last_reason
+        return RobotStatus.IDLE, self._supervision.unfit or self._last_reason
 
 
 def _commander(request: GoalRequest) -> Commander:

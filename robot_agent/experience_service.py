@@ -109,7 +109,7 @@ class ExperienceService:
                 code="misfit",
                 reason=f"it was learned on {manifest.robot}; install it as a prior instead",
             )
-        refusal = None if own else self._trust.refusal(request.payload)
+        refusal = self._trust.refusal(request.payload)
         if refusal is not None:
             return refusal
         for axis in manifest.axes:

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,11 +21,12 @@ from nufleet.robot_agent.flight.online_gp import Correction
 from nufleet.robot_agent.flight.state_model import state_evidence
 from nufleet.robot_agent.motion.excitation import reference_of
 from nufleet.robot_agent.motion.perform import AxisMotion, Performance, Played, Samples, perform
+from nufleet.robot_agent.motion.sortie import Sortie
 from nufleet.robot_agent.motion.watched_robot import WatchedRobot
 from nufleet.robot_agent.network.telemetry import TelemetryBatcher
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.errors import RobotError
+from nufleet.shared.errors import RobotDownError, RobotError
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
 from nufleet.shared.wire.codec import Message
 from nufleet.shared.wire.messages import (
@@ -63,6 +65,7 @@ class MotionWorker:
         self._boot_id = boot_id
         self._foretold = foretold
         self._robot = robot
+        self._sortie = Sortie(robot)
         self._memory = memory
         self._decisions = decisions
         self._telemetry = telemetry
@@ -71,6 +74,7 @@ class MotionWorker:
         self._jobs: queue.SimpleQueue[Assignment | Future[Message] | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._performing: tuple[Assignment, Performance | None] | None = None
+        self._not_ended: str | None = None
         self._thread = threading.Thread(target=self._work, name=f"{name}-motions", daemon=True)
         self._thread.start()
 
@@ -113,7 +117,7 @@ class MotionWorker:
         """Finish the motions that were begun, and end; `Decisions` must have been shut down before.
 
         Raises:
-            RobotError: The driver hangs, so the robot cannot be left at rest.
+            RobotError: The driver hangs or cannot end, so the robot cannot be left at rest.
         """
         self._jobs.put(None)
         try:
@@ -122,16 +126,36 @@ class MotionWorker:
                 hang = self._robot.look()
                 if hang is not None:
                     raise RobotError(f"{hang}; the robot may not be at rest")
+            if self._not_ended is not None:
+                raise RobotError(f"{self._not_ended}; the robot may not be at rest")
         finally:
             self._telemetry.withdraw()
             self._tracking.withdraw()
 
     def _work(self) -> None:
-        while (job := self._jobs.get()) is not None:
+        while True:
+            try:
+                job = self._jobs.get(
+                    timeout=self._robot.spec.idle_s if self._sortie.begun else None
+                )
+            except queue.Empty:
+                self._end()
+                continue
+            if job is None:
+                self._not_ended = self._end()
+                return
             if isinstance(job, Assignment):
                 self._perform(job)
             else:
                 job.set_result(self._reconnected())
+
+    def _end(self) -> str | None:
+        """Land a robot that no motion keeps in the air; return why that failed."""
+        failed = self._sortie.end()
+        if failed is not None:
+            _log.error("%s", failed)
+            self._decisions.broke(failed)
+        return failed
 
     def _perform(self, assignment: Assignment) -> None:
         with self._lock:
@@ -162,11 +186,27 @@ class MotionWorker:
             plan=assignment.plan,
             reference=played.samples.reference,
             response=played.samples.response,
+            timing=played.samples.timing,
             details=played.samples.details,
         )
         self._decisions.ended(result, played.fault)
 
     def _played(self, assignment: Assignment) -> Played:
+        order = assignment.switch.order
+        if order is not None:  # a robot that was stopped in the meantime does not take off
+            return Played(*order, _nothing(assignment, self._robot))
+        try:
+            self._sortie.begin()
+        except RobotError as error:
+            fault = str(error) if isinstance(error, RobotDownError) else None
+            return Played(Outcome.FAILED, str(error), _nothing(assignment, self._robot), fault)
+        played = self._performed(assignment)
+        also = None if played.fault is None else self._sortie.end()
+        if also is None:
+            return played
+        return replace(played, fault=f"{played.fault}; {also}")
+
+    def _performed(self, assignment: Assignment) -> Played:
         telemetry = self._batcher(assignment)
         performance = self._performance(assignment, telemetry)
         with self._lock:
@@ -287,6 +327,7 @@ class MotionWorker:
             except RobotError as error:
                 _log.warning("a robot with a fault could not be disconnected: %s", error)
             self._robot.connect()
+            self._sortie = Sortie(self._robot)
         except Exception as error:  # noqa: BLE001 - a driver's mistake must not end the thread
             _log.exception("a robot could not be reconnected")
             fault = f"could not be reconnected: {error}"

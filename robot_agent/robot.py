@@ -3,26 +3,52 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 
 import numpy as np
 
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotError
+from nufleet.shared.robots.health import Health
 from nufleet.shared.robots.spec import RobotSpec
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """What was measured during a motion, with the times at which it was.
+
+    All times are in s on one clock, which the driver chooses; device time stamps are converted to
+    it.
+    """
+
+    sample_s: FloatArray
+    """Time at which the reference of each sample was sent, shape (samples,), increasing."""
+
+    measured_s: FloatArray
+    """Time at which each measurement was taken, shape (measurements,), increasing."""
+
+    outputs: FloatArray
+    """Measured outputs, shape (measurements, axes), in the axes' units."""
 
 
 class Robot(ABC):
     """A robot under its own baseline controller: references in, measured outputs out.
 
-    A robot rests at reference 0 of every axis: `connect` and `rest` leave it there, and every
-    motion begins there with a first reference of 0. The driver itself chooses the reference that
+    A robot rests at reference 0 of every axis: `begin` and `rest` leave it there, and every motion
+    begins there with a first reference of 0. The driver itself chooses the reference that
     holds the robot at rest, and therefore also how to get to 0. If a driver rested at the present
     position of the robot, its reference would jump when the next motion begins. The agent compares
     the output at rest with the first reference, and refuses to begin a motion when they are further
     apart than `nufleet.robot_agent.motion.monitor` allows.
 
     One sample lasts `spec.sample_time_s`. References and outputs hold one number per axis, in the
-    order and the units of `spec.axes`. Methods are called from one thread at a time. Each raises
-    `RobotError` when the robot cannot do what it is asked to.
+    order and the units of `spec.axes`. Methods are called from one thread at a time, except for
+    `health` and `kill`. Each raises `RobotError` when the robot cannot do what it is asked to, and
+    `RobotDownError` when it cannot even come to rest any more.
+
+    Calls come in this order: `connect`; then, as often as needed, `begin`, motions that each end
+    with `rest`, and `end`; at last `disconnect`. Between two calls a robot that has begun keeps its
+    place by itself, as long as its driver's process lives.
 
     Examples:
         A robot that reaches its reference within one sample:
@@ -72,7 +98,25 @@ class Robot(ABC):
 
     @abstractmethod
     def connect(self) -> None:
-        """Make the robot ready to move, at rest at reference 0."""
+        """Reach the robot and its sensors; a robot that flies stays on the ground.
+
+        A robot that needs no `begin` is ready to move afterwards, at rest at reference 0. Every
+        call after a `disconnect` or a failed `connect` is a new attempt.
+        """
+
+    def begin(self) -> None:  # noqa: B027 - most robots need nothing
+        """Get ready to move: arm, take off, and come to rest at reference 0.
+
+        The agent calls this before a motion if the robot has not begun since it was connected or
+        ended. Does nothing unless overridden.
+        """
+
+    def end(self) -> None:  # noqa: B027 - most robots need nothing
+        """Undo `begin`, from any state: land, and disarm.
+
+        The agent calls this when `spec.idle_s` has passed without a motion, after a fault, when
+        `begin` failed, and before it disconnects. Does nothing unless overridden.
+        """
 
     @abstractmethod
     def measure_output(self) -> FloatArray:
@@ -132,6 +176,35 @@ class Robot(ABC):
         """
         return np.empty((len(self.spec.axes), 0))
 
+    def record(self) -> Record | None:
+        """Return the measurements of the frequency test just played, before `rest` is called.
+
+        A real robot's measurement takes a while to arrive, so that `step` can only return the
+        newest one. With a record of all samples since the robot rested, the agent estimates
+        afterwards what the outputs were at the samples. None, the default, means that `step`
+        returned the outputs at the samples.
+        """
+        return None
+
+    def health(self) -> Health | None:
+        """Return the robot's condition; None, the default, for a robot that reports none.
+
+        The agent calls this twice a second from a thread of its own, also while another call is in
+        progress. It returns at once what the driver knows.
+        """
+        return None
+
+    def kill(self) -> None:
+        """Cut the motors now; a robot that flies falls.
+
+        Called from any thread, also while another call is in progress, which should then raise
+        `RobotDownError`. It returns within a second, and takes no lock that another call holds.
+
+        Raises:
+            RobotError: The robot has no such switch, which is the default, or it failed.
+        """
+        raise RobotError("the driver of this robot has no way of cutting its motors")
+
     @abstractmethod
     def rest(self) -> None:
         """Bring the robot to rest at reference 0 from any state; returns when it rests there.
@@ -159,6 +232,26 @@ class RobotAround(Robot):
     def connect(self) -> None:
         """Connect the robot inside."""
         self._robot.connect()
+
+    def begin(self) -> None:
+        """Get the robot inside ready to move."""
+        self._robot.begin()
+
+    def end(self) -> None:
+        """End what `begin` began."""
+        self._robot.end()
+
+    def record(self) -> Record | None:
+        """Return the measurements of the motion just played."""
+        return self._robot.record()
+
+    def health(self) -> Health | None:
+        """Return the condition of the robot inside."""
+        return self._robot.health()
+
+    def kill(self) -> None:
+        """Cut the motors of the robot inside."""
+        self._robot.kill()
 
     def measure_output(self) -> FloatArray:
         """Measure the output at rest, shape (axes,)."""

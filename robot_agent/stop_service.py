@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
 from nufleet.robot_agent.commands import Commands
@@ -23,12 +24,19 @@ class StopService:
     """Handles the stops of one robot on Zenoh's threads; a thread of its own stores them."""
 
     def __init__(
-        self, robot: str, decisions: Decisions, keys: FleetKeys, commands: Commands
+        self,
+        robot: str,
+        decisions: Decisions,
+        keys: FleetKeys,
+        commands: Commands,
+        kill: Callable[[], None],
     ) -> None:
         self._robot = robot
         self._decisions = decisions
         self._keys = keys
         self._commands = commands
+        self._kill = kill
+        self._killing: Future[Message] | None = None
         self._writer = ThreadPoolExecutor(1, thread_name_prefix=f"{robot}-stops")
         self._lock = threading.Lock()
         self._storing: Future[Message] | None = None
@@ -65,14 +73,41 @@ class StopService:
         proven = principal is None or principal_of(request.sender) == principal
         sender = request.sender if proven else f"{principal}.as-{request.sender}"[:200]
         self._decisions.stop(StopOrder(sender, request.reason))
+        killing = self._cut_motors(sender, request.reason) if request.kill else None
         self._commands.stopped(principal, request)
-        return self._stored()
+        stored = self._stored()
+        return stored if killing is None else killing
 
     def close(self) -> None:
         """Store the stops that have been handled, and end."""
         with self._lock:
             self._closed = True
         self._writer.shutdown()
+
+    def _cut_motors(self, sender: str, reason: str) -> Future[Message]:
+        """Cut the motors, and return the reply to come; orders in the meantime share it.
+
+        The stop is in force already, and is stored beside this.
+        """
+        with self._lock:
+            if self._killing is not None and not self._killing.done():
+                return self._killing
+            answer = self._killing = Future()
+
+        def cut() -> None:
+            try:
+                self._kill()
+            except Exception as error:  # noqa: BLE001 - the sender is told, of a driver's mistake too
+                _log.error("%s: its motors could not be cut: %r", self._robot, error)
+                text = f"it was stopped, but its motors were not cut: {error}"
+                answer.set_result(Refusal(code="not-killed", reason=text))
+            else:
+                self._decisions.broke(f"its motors were cut by {sender}: {reason}")
+                answer.set_result(Done())
+
+        # It is not joined: a driver that hangs must not keep the agent from ending.
+        threading.Thread(target=cut, name=f"{self._robot}-kill", daemon=True).start()
+        return answer
 
     def _stored(self) -> Future[Message]:
         """Return the reply to come; stops that wait for the disk at the same time share it."""

@@ -25,9 +25,9 @@ class _NoPandas(MetaPathFinder):
 def arrow() -> ModuleType:
     """Return pyarrow, which does not load pandas.
 
-    It would do so at the first array, if pandas is installed, only to ask whether the array
-    is one of pandas's; that takes a third of a second. A program that has loaded pandas keeps it,
-    and one that loads it later can.
+    If pandas is installed, pyarrow loads it at the first array, only to ask whether that array is
+    one of pandas's; this takes a third of a second. A program that has loaded pandas keeps it, and
+    one that loads it later can.
     """
     import pyarrow
 

@@ -36,6 +36,7 @@ _GROUP_HELP = {
     "audit": "Look at the audit log of a robot: who asked it for what.",
     "drawing": "Import, draw and look at the drawings that robots track.",
     "fleet": "Start a simulated fleet, show a running one, or close one with certificates.",
+    "robot": "Check the driver of a robot, or begin to write one.",
     "runs": "Look at earlier runs, resume one that was interrupted, or delete old ones.",
 }
 

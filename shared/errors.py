@@ -65,6 +65,17 @@ class RobotError(NufleetError):
     """The robot itself (driver, simulator or sensor) failed."""
 
 
+class RobotDownError(RobotError):
+    """The robot obeys no more: it crashed, lost its position, or its motors were cut.
+
+    It is asked for nothing else, not even to come to rest, until it is reconnected.
+    """
+
+
+class OutsideLimitsError(RobotError):
+    """The robot left the limits of its measured output; it comes to rest, and then has a fault."""
+
+
 class RobotLostError(NufleetError):
     """A robot that was present is no longer reachable."""
 

@@ -18,6 +18,7 @@ from nufleet.shared.robots.drivers import load_driver
 from nufleet.shared.strict import Strict, validation_errors_as
 from nufleet.sims.faults import Crash, DriverFault, DropOut, Fault, Hang
 from nufleet.sims.faulty_sensor import FaultySensor
+from nufleet.sims.field import FieldRobot, FieldSettings
 
 EXIT_CODE = 70
 """Exit status of a process whose driver crashes."""
@@ -32,8 +33,11 @@ class FaultyRobotSettings(Strict):
     settings: Annotated[dict[str, Any], Field(default_factory=dict)]
     """Settings of the robot inside."""
 
-    faults: tuple[Fault, ...]
+    faults: tuple[Fault, ...] = ()
     """Faults, in the order in which they are applied."""
+
+    field: FieldSettings | None = None
+    """Conditions under which the robot plays a real one; None for a simulated one."""
 
     @model_validator(mode="after")
     def _can_be_built(self) -> FaultyRobotSettings:
@@ -181,7 +185,7 @@ class FaultyRobotDriver:
 
     def build(
         self, settings: Mapping[str, FaultyRobotSettings], rng: np.random.Generator
-    ) -> Mapping[str, FaultyRobot]:
+    ) -> Mapping[str, Robot]:
         """Build the robots, disconnected, by name.
 
         The robot inside has the same noise as it would have without faults.
@@ -189,11 +193,14 @@ class FaultyRobotDriver:
         return {name: _built(name, own, rng) for name, own in settings.items()}
 
 
-def _built(name: str, settings: FaultyRobotSettings, rng: np.random.Generator) -> FaultyRobot:
+def _built(name: str, settings: FaultyRobotSettings, rng: np.random.Generator) -> Robot:
     driver = load_driver(settings.driver)
     inner = driver.settings.model_validate_json(json.dumps(settings.settings, default=str))
     robot = driver.build({name: inner}, rng)[name]
-    return FaultyRobot(robot, settings.faults, rng.spawn(1)[0])
+    faulty = FaultyRobot(robot, settings.faults, rng.spawn(1)[0])
+    if settings.field is None:
+        return faulty
+    return FieldRobot(faulty, settings.field, rng.spawn(1)[0])
 
 
 FAULTY = FaultyRobotDriver()

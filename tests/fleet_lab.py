@@ -47,7 +47,20 @@ class Orchestrator:
         )
 
     def submit(self, robot: str, goal_id: str, **excitation: object) -> GoalAccepted:
-        return self.fleet.submit(robot, self.request(goal_id, **excitation))
+        """Send a goal; a robot may see this orchestrator later than this one sees the robot."""
+        request = self.request(goal_id, **excitation)
+        accepted: list[GoalAccepted] = []
+
+        def answered() -> bool:
+            try:
+                accepted.append(self.fleet.submit(robot, request))
+            except RefusedError as error:
+                if error.code != "owner-not-alive":
+                    raise
+            return bool(accepted)
+
+        wait_until(answered)
+        return accepted[0]
 
     def state(self, robot: str, condition: Callable[[RobotState], bool]) -> RobotState:
         """Wait for a state of a robot that fulfils a condition, and return it."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.robots.health import Health
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
 
@@ -47,6 +48,12 @@ class PuppetRobot(Robot):
         self.on_rest: Callable[[], None] = lambda: None
         self.on_connect: Callable[[], None] = lambda: None
         self.on_disconnect: Callable[[], None] = lambda: None
+        self.on_begin: Callable[[], None] = lambda: None
+        self.on_end: Callable[[], None] = lambda: None
+        self.on_kill: Callable[[], None] | None = None
+        self.reports: Callable[[], Health | None] = lambda: None
+        self.begun = 0
+        self.ended = 0
         self.connected = False
         self.at_rest = True
         self.motions = 0
@@ -62,6 +69,27 @@ class PuppetRobot(Robot):
         with self._alone():
             self.on_connect()
             self.connected = True
+
+    def begin(self) -> None:
+        assert self.connected
+        with self._alone():
+            self.begun += 1
+            self.on_begin()
+
+    def end(self) -> None:
+        assert self.connected
+        with self._alone():
+            self.ended += 1
+            self.on_end()
+
+    def health(self) -> Health | None:
+        return self.reports()
+
+    def kill(self) -> None:
+        if self.on_kill is None:
+            super().kill()
+        else:
+            self.on_kill()
 
     def measure_output(self) -> FloatArray:
         assert self.connected

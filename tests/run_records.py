@@ -20,7 +20,7 @@ NOON = datetime(2026, 1, 2, 12, 0, 0, tzinfo=UTC)
 
 
 def a_record(run: Path) -> RunRecord:
-    estimate = SourceEstimate("source-1", 0.07, 0.001, 4.5, 2)
+    estimate = SourceEstimate("source-1", 0.07, 0.068, 0.073, 4.5, 2, 0.0689, 4.5)
     return RunRecord(
         result=RankResult(
             target="target",

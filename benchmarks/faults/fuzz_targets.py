@@ -293,7 +293,7 @@ def fleet_files(folder: Path) -> list[bytes]:
 
 def results_example() -> bytes:
     """Return a run's results as they are stored."""
-    estimate = SourceEstimate("source-1", 0.1, 0.01, 4.0, 7)
+    estimate = SourceEstimate("source-1", 0.1, 0.08, 0.12, 4.0, 7)
     result = RankResult(
         target="target",
         band_rad_s=(0.5, 10.0),

@@ -25,8 +25,16 @@ TAPS_BANDWIDTH = 1.2
 """Number of taps in the residual's impulse response, and half the period of the residual in ω as a
 multiple of the band's upper end; beyond it, the residual repeats."""
 
-MODE_DECAYS = 5
-MODE_DAMPING_MIN = 0.02
+MODE_DAMPINGS = (0.02, 0.045, 0.1, 0.22, 0.5)
+"""Damping ratios ζ of the candidate modes."""
+
+SLOWER_EXPONENT = 8
+"""Exponent of the prior probability of modes that decay k times slower than the robot settles, k to
+the power of minus this. Tests show whether it settles as it says, so that it may be large."""
+
+MODE_LOWEST = 0.015
+MODE_HIGHEST = 1.3
+"""Frequencies between which modes are sought, as multiples of the band's upper end."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +48,8 @@ class ResponsePrior:
     omega_max_rad_s: float
     """Upper end of the tested band in rad/s."""
     decay_min_1_s: float
-    """Slowest decay rate σ = ζω₀ of a mode in 1/s, from the robot's declared settling time."""
+    """Decay rate σ = ζω₀ in 1/s, from the robot's settling time, below which a mode is the less
+    probable the slower it is. It excludes nothing: a stated settling time may be wrong."""
     gain_std: float = 0.5
     """Standard deviation of the gain b₀ about 1."""
     lead_std: float = 1.5
@@ -77,20 +86,17 @@ class ResponsePrior:
     def mode_grid(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return ω₀ (rad/s), ζ and log prior weight of all candidate modes, each of shape (modes,).
 
-        For each decay σ = ζω₀, the candidates are spaced by σ, half the width of the resonance.
-        There are none when the slowest decay is faster than any mode of the band, since such modes
-        decay before they could be observed.
+        For each ζ, the candidates are spaced by ζω₀, half the width of the resonance.
         """
-        top = 1.3 * self.omega_max_rad_s
-        slowest = max(self.decay_min_1_s, MODE_DAMPING_MIN * 0.5 * top)
-        decays = np.geomspace(slowest, max(0.25 * top, 1.5 * slowest), MODE_DECAYS)
-        decays = decays[decays < top]
-        omegas = [np.arange(max(decay, 0.05 * top), top, decay) for decay in decays]
-        counts = np.array([len(omega) for omega in omegas], dtype=np.int64)
-        omega = np.concatenate([np.empty(0), *omegas])
-        damping = np.minimum(np.repeat(decays, counts) / omega, 1.0)
-        # Uniform weights over the decays, and over the frequencies of each decay.
-        return omega, damping, -np.log(np.repeat(counts, counts) * len(decays))
+        top = MODE_HIGHEST * self.omega_max_rad_s
+        range_ = np.log(MODE_HIGHEST / MODE_LOWEST)
+        counts = np.array([int(range_ / np.log1p(damping)) + 1 for damping in MODE_DAMPINGS])
+        omega = np.concatenate([top * np.exp(-range_ * np.arange(n) / n) for n in counts])
+        damping = np.repeat(MODE_DAMPINGS, counts)
+        # Uniform over the dampings and, for each, between uniform over ω₀ and over ln ω₀.
+        believed = np.minimum(damping * omega / self.decay_min_1_s, 1.0) ** SLOWER_EXPONENT
+        weight = believed * np.sqrt(omega) / np.repeat(counts, counts)
+        return omega, damping, np.log(weight / weight.sum())
 
 
 def response(theta: FloatArray, omega_rad_s: FloatArray) -> ComplexArray:

@@ -167,7 +167,7 @@ class ResponseModel:
         for modes in range(self._settings.modes_max + 1):
             components = self._components_about(expansion)
             self._components += components
-            if modes == self._settings.modes_max or not len(self._grid_omega):
+            if modes == self._settings.modes_max:
                 break
             expansion = self._fit_mode(expansion, components, floored)
 

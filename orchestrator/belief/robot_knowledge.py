@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.special import chdtri
 
@@ -9,13 +12,15 @@ from nufleet.orchestrator.belief.loop_features import LOOP_PARAMETERS, ResponseP
 from nufleet.orchestrator.belief.loop_fit import Tones
 from nufleet.orchestrator.belief.noise_pooling import pooled_variance
 from nufleet.orchestrator.belief.response_belief import ResponseModel
-from nufleet.shared.arrays import FloatArray
+from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.frequency_test.frequency_response import Flight, FrequencyResponse
+from nufleet.shared.frequency_test.nonlinearity import nonlinearity_in_words
+from nufleet.shared.frequency_test.ring_down import DECAYS_UNTIL_SETTLED
 from nufleet.shared.robots.spec import RobotSpec
 
-DECAYS_UNTIL_SETTLED = 3.0
-"""Least number of time constants of the slowest mode in a robot's declared settling time."""
+MISSTATED = 1.2
+"""Ratio of a measured settling time to the stated one from which the stated one is reported."""
 
 NONLINEAR_DEVIATION = 0.02
 """Assumed relative change of a nonlinear robot's response at another amplitude."""
@@ -26,11 +31,37 @@ FLIGHT_TEST_STD = 0.02
 DEGREES_OF_A_VARIANCE = 2.0
 """A t distribution with d degrees of freedom has the variance d / (d − 2)."""
 
+AMPLITUDES_DIFFER = 1.25
+"""Ratio of two amplitudes from which a change of the response is laid to them."""
+
 CHANGE_SIGNIFICANCE = 1e-3
 CHECK_SAMPLES = 400
 VARIANCE_MIN = 1e-10
 """Lower bound of a variance: no response is known better than to 1e-5, and smaller variances would
 be lost to rounding."""
+
+
+@dataclass(frozen=True)
+class _Miss:
+    """How far a test misses what the earlier tests predict of it."""
+
+    expected: ComplexArray
+    """Mean of the prediction at each tone, shape (tones,)."""
+    squared: FloatArray
+    """Squared distance from it, shape (tones,)."""
+    usual: FloatArray
+    """Variance that the distance was expected to have, shape (tones,)."""
+    worst: float
+    """The most significant distance."""
+    worst_rad_s: float
+    """Its frequency in rad/s."""
+
+
+def _differ(one: float | None, other: float | None) -> bool:
+    """Return whether two amplitudes are known and clearly different."""
+    if one is None or other is None:
+        return False
+    return max(one, other) > AMPLITUDES_DIFFER * min(one, other)
 
 
 class RobotKnowledge:
@@ -39,13 +70,15 @@ class RobotKnowledge:
     def __init__(self, robot: str, spec: RobotSpec, omega_max_rad_s: float) -> None:
         self.robot = robot
         self.spec = spec
-        self.prior = ResponsePrior(
-            omega_max_rad_s, DECAYS_UNTIL_SETTLED / max(spec.settling_time_s, 1e-3)
-        )
+        self.settling_time_s = spec.settling_time_s
+        """Settling time in s: what the spec states or, if it is too short, what tests measured."""
+        self._omega_max_rad_s = omega_max_rad_s
         self.responses: list[FrequencyResponse] = []
-        self.findings: tuple[str, ...] = ()
+        self._found: tuple[str, ...] = ()
         self.flight_doubt = 0.0
         """Variance by which flights missed tests, or flights at other speeds, where they did."""
+        self._test_doubt = 0.0
+        """Variance by which tests missed each other, where only time differed between them."""
         self._tones: list[Tones] = []
         self._noise: list[FloatArray] = []
         self._model: ResponseModel | None = None
@@ -79,17 +112,30 @@ class RobotKnowledge:
             # A reference of no tones has its own spectrum, so no line in ln ω fits its variances.
             variance = response.variance[known] * degrees / (degrees - DEGREES_OF_A_VARIANCE)
         variance = np.maximum(variance, VARIANCE_MIN)
+        if flight is None:
+            variance = variance + self._test_doubt
         for finding in response.quality.warnings:
             if finding.code == "nonlinear":
                 self._find(finding.text)
-                variance = variance + (NONLINEAR_DEVIATION * np.abs(z)) ** 2
+                share = max(NONLINEAR_DEVIATION, finding.value or 0.0)
+                variance = variance + (share * np.abs(z)) ** 2
+            if finding.code == "ringing" and (finding.value or 0.0) > self.settling_time_s:
+                self.settling_time_s, self._model = finding.value or 0.0, None
         new = Tones(omega, z, variance)
         later = None if first or not check else self._modelled(new)
-        doubt = 0.0 if later is None else self._contradiction(new, later, flight, rng)
+        miss = None if later is None else self._miss(new, later, rng)
+        before = self.amplitude
         self.responses.append(response)
         self._tones.append(new)
-        self._doubt(doubt)
-        self._model = None if doubt else later
+        if miss is None:
+            self._model = later
+            return
+        self._model = None
+        tests_only = all(one.flight is None for one in self.responses)
+        if tests_only and _differ(before, response.amplitude):
+            self._doubt_amplitudes(new, miss, before or 0.0, response.amplitude or 0.0)
+        else:
+            self._doubt(self._changed(new, miss, flight))
 
     def doubt_flights(self, variance: float) -> None:
         """Make all flights less certain, as flights of another robot missed its tests.
@@ -101,6 +147,29 @@ class RobotKnowledge:
         if more > 0 and any(response.flight is not None for response in self.responses):
             self._doubt(more)
             self._model = None
+
+    def _doubt_amplitudes(self, new: Tones, miss: _Miss, before: float, now: float) -> None:
+        """Make the tests less certain by what amplitude does to the response, at each frequency.
+
+        What halving the amplitude does, doubling it may do again, so that a test is the less
+        certain the further its amplitude is from the largest.
+        """
+        larger, smaller = (miss.expected, new.z) if before > now else (new.z, miss.expected)
+        unit = self.spec.axes[0].unit
+        self._find(
+            f"its response depends on the amplitude: at {now:.2g} {unit} it is "
+            f"{miss.worst:.3g} away from that at {before:.2g} {unit}, at "
+            f"{miss.worst_rad_s:.4g} rad/s{nonlinearity_in_words(larger, smaller)}"
+        )
+        excess = np.maximum(miss.squared - miss.usual, float(np.mean(miss.squared)) / 4)
+        top = self.amplitude or now
+        tones = []
+        for known, response in zip(self._tones, self.responses, strict=True):
+            halvings = math.log2(top / (response.amplitude or top))
+            at = np.interp(known.omega_rad_s, new.omega_rad_s, excess)
+            variance = known.variance + at * (1 + halvings) ** 2
+            tones.append(Tones(known.omega_rad_s, known.z, variance))
+        self._tones = tones
 
     def _doubt(self, variance: float) -> None:
         """Add a variance to all flights or, where there are none, to all tests.
@@ -117,11 +186,59 @@ class RobotKnowledge:
                 len(t.z) for t, of_flight in zip(self._tones, flown, strict=True) if of_flight
             )
             variance *= max(1.0, estimates / LOOP_PARAMETERS)
+        else:
+            self._test_doubt += variance
         doubted = flown if any(flown) else [True] * len(flown)
         self._tones = [
             Tones(t.omega_rad_s, t.z, t.variance + variance * at_stake)
             for t, at_stake in zip(self._tones, doubted, strict=True)
         ]
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What the tests showed that weakens what is believed of the robot, in words."""
+        stated, found = self.spec.settling_time_s, self.settling_time_s
+        if found <= MISSTATED * stated:
+            return self._found
+        misstated = (
+            f"{self.robot}: its settling time is stated as {stated:.3g} s, and it was measured to "
+            f"be {found:.3g} s: later tests wait as long; correct what its driver states"
+        )
+        return (misstated, *self._found)
+
+    @property
+    def prior(self) -> ResponsePrior:
+        """The belief about the robot before its tests, but for its settling time."""
+        decay_min_1_s = DECAYS_UNTIL_SETTLED / max(self.settling_time_s, 1e-3)
+        return ResponsePrior(self._omega_max_rad_s, decay_min_1_s)
+
+    @property
+    def settle_s(self) -> float | None:
+        """Time in s for which a test has to wait, where the robot itself would not wait as long."""
+        return None if self.settling_time_s <= self.spec.settling_time_s else self.settling_time_s
+
+    @property
+    def lowest_rad_s(self) -> float:
+        """Lowest tested frequency in rad/s; infinite before the first test."""
+        return min((float(t.omega_rad_s.min()) for t in self._tones), default=math.inf)
+
+    @property
+    def amplitude(self) -> float | None:
+        """Largest amplitude of the tests in the axis's unit; None where it is not known."""
+        played = [r.amplitude for r in self.responses if r.flight is None]
+        return max((one for one in played if one is not None), default=None)
+
+    @property
+    def silent(self) -> bool:
+        """Whether the robot was tested, and no test of it found a response."""
+        return bool(self.responses) and all(
+            any(finding.code == "no-response" for finding in response.quality.warnings)
+            for response in self.responses
+        )
+
+    def forget(self) -> None:
+        """Forget all tests."""
+        self.responses, self._tones, self._noise, self._model = [], [], [], None
 
     @property
     def tests(self) -> int:
@@ -175,34 +292,43 @@ class RobotKnowledge:
         nearest = np.argmin(np.abs(omega - omega_rad_s[:, None]), axis=1)
         return np.asarray(density[nearest] * len(omega_rad_s) / times_as_long)
 
-    def _contradiction(
-        self, new: Tones, later: ResponseModel, flight: Flight | None, rng: np.random.Generator
-    ) -> float:
-        """Return the variance to add to all tests if a new one contradicts the earlier ones.
+    def _miss(self, new: Tones, later: ResponseModel, rng: np.random.Generator) -> _Miss | None:
+        """Return how far a new test misses what the earlier ones predict; None if it does not.
 
         The test statistic is the squared distance of the new ẑ from what was expected, of which the
         belief with the new one as well says how large it is; its distribution is χ² with one degree
         of freedom for each real and imaginary part.
         """
         if self.model.distance(later) <= chdtri(2 * len(new.z), CHANGE_SIGNIFICANCE):
-            return 0.0
+            return None
         expected = self.model.draw(new.omega_rad_s, CHECK_SAMPLES, rng)
-        excess = np.abs(new.z - expected.mean(axis=0)) ** 2
+        squared = np.abs(new.z - expected.mean(axis=0)) ** 2
         usual = new.variance + np.var(expected, axis=0)
-        worst = int(np.argmax(excess / usual))
-        self._find(
-            f"its response changed between {self._motions(flight)}, by "
-            f"{np.sqrt(excess[worst]):.3g} at {new.omega_rad_s[worst]:.4g} rad/s: it depends on "
-            "the amplitude or on time"
+        worst = int(np.argmax(squared / usual))
+        return _Miss(
+            expected.mean(axis=0),
+            squared,
+            usual,
+            float(np.sqrt(squared[worst])),
+            float(new.omega_rad_s[worst]),
         )
-        if flight is None and all(response.flight is None for response in self.responses):
-            return float(np.mean(excess))
+
+    def _changed(self, new: Tones, miss: _Miss, flight: Flight | None) -> float:
+        """Return the variance to add to all tests if a new one contradicts the earlier ones."""
+        tests_only = all(one.flight is None for one in self.responses)
+        depends = "on time" if tests_only else "on the amplitude or on time"
+        self._find(
+            f"its response changed between {self._motions(flight)}, by {miss.worst:.3g} at "
+            f"{miss.worst_rad_s:.4g} rad/s: it depends {depends}"
+        )
+        if tests_only:
+            return float(np.mean(miss.squared))
         # A flight's estimates differ in certainty; the uncertain ones say nothing about the change.
-        return float(np.average(np.maximum(excess - usual, 0.0), weights=1 / usual))
+        return float(np.average(np.maximum(miss.squared - miss.usual, 0.0), weights=1 / miss.usual))
 
     def _motions(self, flight: Flight | None) -> str:
         """Return in words what a new response and the earlier ones were measured in."""
-        earlier = [one.flight for one in self.responses if one.flight is not None]
+        earlier = [one.flight for one in self.responses[:-1] if one.flight is not None]
         if flight is None:
             return "its flights and its test" if earlier else "tests"
         if not earlier:
@@ -213,5 +339,5 @@ class RobotKnowledge:
 
     def _find(self, text: str) -> None:
         finding = f"{self.robot}: {text}"
-        if finding not in self.findings:
-            self.findings = (*self.findings, finding)
+        if finding not in self._found:
+            self._found = (*self._found, finding)

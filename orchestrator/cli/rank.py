@@ -50,6 +50,21 @@ from nufleet.orchestrator.cli.types import Names, Number, PositiveNumber
     show_default=True,
     help="Tests per robot; with the adaptive algorithm, the largest number of rounds.",
 )
+@click.option(
+    "--precision",
+    type=PositiveNumber(),
+    metavar="WIDTH",
+    help="Go on until the 95 % interval of the selected source's distance is no wider than this.",
+)
+@click.option(
+    "--amplitude",
+    type=PositiveNumber(),
+    metavar="A",
+    help=(
+        "Amplitude of the task in m (rad for angles), at which distances are meant; robots whose "
+        "limits are tighter play less.  [default: what each robot's limits allow]"
+    ),
+)
 @seed_option("Seed of the random choices, such as the first test.")
 @click.option(
     "--algorithm",

@@ -19,11 +19,18 @@ from nufleet.shared.wire.openness import chosen_addresses
     show_default=True,
     help="Reason that the robots store and show.",
 )
+@click.option(
+    "--kill",
+    is_flag=True,
+    help="Cut the motors at once instead of coming to rest: what flies falls. Robots without such "
+    "a switch come to rest, and are named.",
+)
 @address_options
 def stop(
     robots: tuple[str, ...],
     everyone: bool,
     reason: str,
+    kill: bool,
     connect: str | None,
     identity: Path | None,
     allow_open: bool,  # noqa: ARG001 - see below
@@ -42,7 +49,7 @@ def stop(
 
     # A stop of robots that any machine could command is not refused for that reason.
     fleets = chosen_addresses(connect, identity, allow_open=True)
-    if not stop_fleets(fleets, fleet_name, None if everyone else robots, reason):
+    if not stop_fleets(fleets, fleet_name, None if everyone else robots, reason, kill=kill):
         raise click.exceptions.Exit(1)
 
 

@@ -7,8 +7,10 @@ no network, thread or clock, so that the same code runs in simulations of the wh
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
+
+import numpy as np
 
 from nufleet.orchestrator.conduct.replay import OpenTest
 from nufleet.orchestrator.fleet.goal_events import Ended
@@ -16,11 +18,13 @@ from nufleet.orchestrator.repository.records import TrialEnd, TrialStatus
 from nufleet.orchestrator.study.outcomes import Failed, Measured, TestOutcome
 from nufleet.shared.errors import RefusedError
 from nufleet.shared.frequency_test.duration import duration_s
-from nufleet.shared.frequency_test.excitation import Excitation
+from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
 from nufleet.shared.frequency_test.frequency_response import (
     FrequencyResponse,
     estimate_frequency_response,
 )
+from nufleet.shared.frequency_test.quality import Quality
+from nufleet.shared.frequency_test.timing import timing_findings
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import GoalResult, Outcome
 
@@ -74,7 +78,33 @@ class Settled:
 
 def estimated(result: GoalResult) -> FrequencyResponse:
     """Return the frequency response estimated from the samples of a complete test."""
-    return estimate_frequency_response(result.reference, result.response, result.test_plan)
+    plan = result.test_plan
+    response = estimate_frequency_response(result.reference, result.response, plan)
+    if result.timing is None:
+        return response
+    warnings = (*response.quality.warnings, *timing_findings(result.timing, plan.sample_time_s))
+    quality = response.quality.model_copy(update={"warnings": warnings})
+    return replace(response, quality=quality)
+
+
+def widened(
+    response: FrequencyResponse, robot: str, specs: Mapping[str, RobotSpec]
+) -> FrequencyResponse:
+    """Return a response whose variance includes the unknown delay of how its robot is measured.
+
+    A delay of standard deviation δ turns z by ω δ. Robots that are all measured through the same
+    chain share its delay, so that their distances do not depend on it.
+
+    Args:
+        response: Estimated response.
+        robot: Name of its robot.
+        specs: Specs of the robots that are compared, by name.
+    """
+    delay_s = specs[robot].delay_uncertainty_s
+    if delay_s == 0 or len({spec.measurement for spec in specs.values()}) == 1:
+        return response
+    turned = (response.omega_rad_s * delay_s * np.abs(response.z)) ** 2
+    return replace(response, variance=response.variance + turned)
 
 
 class Attempts:
@@ -140,13 +170,15 @@ class Attempts:
             reason = f"{result.outcome}: {result.reason}"
             retry = _retry(test, test.excitation, excuse)
         else:
-            response = self._estimate(result)
+            response = widened(self._estimate(result), test.robot, self._specs)
             if response.quality.usable:
                 end = TrialEnd(TrialStatus.MEASURED, result=result, response=response)
                 self._log.ended(test, end)
                 return Settled(Measured(test.robot, response, result, test.attempt, total_s))
             reason = "; ".join(str(finding) for finding in response.quality.reasons)
-            retry = _retry(test, lengthened(test.excitation, result, self._specs[test.robot]))
+            spec = self._specs[test.robot]
+            played = retried(test.excitation, result.test_plan, response.quality, spec)
+            retry = _retry(test, played)
         return self._followed(
             test, TrialEnd(TrialStatus.FAILED, reason, retry, excuse, result, response)
         )
@@ -183,19 +215,28 @@ def _retry(test: OpenTest, excitation: Excitation, excuse: bool = False) -> Exci
     return None if given_up else excitation
 
 
-def lengthened(excitation: Excitation, result: GoalResult, spec: RobotSpec) -> Excitation:
-    """Return a test with up to twice the settling and measuring time of a completed one.
+def retried(
+    excitation: Excitation, plan: ExcitationPlan, quality: Quality, spec: RobotSpec
+) -> Excitation:
+    """Return what a robot plays after a test that was not usable.
+
+    What saturated is played at half the amplitude. Everything else is played for up to twice as
+    long and, if noise hid the response, as large as the robot allows.
 
     Args:
         excitation: Excitation of the completed test.
-        result: Result of the completed test, with the plan that the robot executed.
+        plan: Plan that the robot executed.
+        quality: Verdict on the test.
         spec: Spec of the robot, which limits the duration of a test.
 
     Returns:
-        The longest of the lengthened excitations that the robot accepts, or `excitation` itself
-        where nothing longer fits.
+        The next excitation; the longest that the robot accepts, which may be as long as before.
     """
-    plan = result.test_plan
+    codes = {reason.code for reason in quality.reasons}
+    if "clipped" in codes:
+        return excitation.model_copy(update={"amplitude": plan.amplitude / 2})
+    if "uncertain" in codes:
+        excitation = excitation.model_copy(update={"amplitude": None})
     settle_s = max(plan.settle_samples, plan.ramp_samples) * plan.sample_time_s
     segment_s = plan.segment_samples * plan.sample_time_s
     for step in range(_LENGTHEN_STEPS):

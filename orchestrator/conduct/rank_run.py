@@ -41,7 +41,7 @@ from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Description
 
-Algorithm = Literal["adaptive", "paper"]
+Algorithm = Literal["adaptive", "paper", "match"]
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,10 @@ class RankRequest:
     """Name of the axis to test; None takes the first axis of the target."""
     drawing: TimedPath | None = None
     """Trajectory to rank for; None ranks by distance over the whole band."""
+    precision: float | None = None
+    """Width of the selected source's 95 % interval to go on to; None for any."""
+    amplitude: float | None = None
+    """Amplitude of the task in the unit of the axis; None for what each robot chooses."""
 
     def sources_among(self, there: tuple[str, ...]) -> tuple[str, ...]:
         """Return the sources that were requested, or all these robots but the target."""
@@ -125,6 +129,8 @@ def prepare(
         motion=None
         if request.drawing is None
         else desired_motion(request.drawing, at_target, axis),
+        precision=request.precision,
+        amplitude=request.amplitude,
     )
     check_plan(plan, descriptions)
     if request.drawing is not None and at_target.tracking is not None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -15,7 +16,7 @@ from pydantic import Field, JsonValue
 from nufleet.orchestrator.conduct.replay import ResumeError
 from nufleet.orchestrator.repository.errors import DamagedRecordError
 from nufleet.orchestrator.repository.records import StudyRecord
-from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
+from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveSettings, AdaptiveStudy
 from nufleet.orchestrator.study.interface import Study
 from nufleet.orchestrator.study.paper_algorithm import PaperStudy
 from nufleet.shared.robots.spec import RobotSpec
@@ -23,6 +24,11 @@ from nufleet.shared.strict import Identifier, Name, Strict, validation_errors_as
 
 if TYPE_CHECKING:
     from nufleet.orchestrator.repository.study_store import StudyStore
+
+
+MATCH_PERIODS = 33
+"""Duration of the first test where simulators are matched with a robot, in periods of the band's
+upper end: 16 tones over the upper nine tenths of the band, the same for all robots."""
 
 
 class Recipe(Strict):
@@ -72,13 +78,21 @@ def make_study(record: StudyRecord, studies: StudyStore) -> Study:
     rng = np.random.default_rng(record.seed)
     if record.algorithm == "paper":
         return PaperStudy(record.plan, rng)
-    if record.algorithm == "adaptive":
+    if record.algorithm in ("adaptive", "match"):
         stored = {
             robot: [studies.response(goal_id).response for goal_id in goal_ids]
             for robot, goal_ids in recipe.stored.items()
         }
+        settings = AdaptiveSettings()
+        if record.algorithm == "match":
+            settings = replace(settings, first_periods=MATCH_PERIODS)
         return AdaptiveStudy(
-            record.plan, recipe.specs, rng, stored=stored, absent=recipe.untestable
+            record.plan,
+            recipe.specs,
+            rng,
+            stored=stored,
+            absent=recipe.untestable,
+            settings=settings,
         )
     raise ResumeError(
         f"study {record.study_id} uses the algorithm {record.algorithm!r}; resume it with the "

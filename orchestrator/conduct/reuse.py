@@ -136,7 +136,7 @@ def said_of(robot: str, stored: StoredResponses, now: datetime) -> str:
     ages = dict.fromkeys(age_text(now - datetime.fromisoformat(when)) for when in measured)
     return (
         f"{robot} needed no first test: {stored.counted} replaced it, measured "
-        f"{' to '.join(ages)} ago ({', '.join(stored.studies)})"
+        f"{' to '.join(ages)} ago ({', '.join(stored.studies)}){stored.reservation}"
     )
 
 

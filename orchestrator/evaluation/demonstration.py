@@ -116,7 +116,10 @@ def demonstrate(
         flights=summarise(
             target.robot,
             flown,
-            {source: Psi(estimate.psi, estimate.psi_std) for source, estimate in chosen.items()},
+            {
+                source: Psi(estimate.psi, (estimate.psi_high - estimate.psi_low) / 4)
+                for source, estimate in chosen.items()
+            },
             architecture,
             unit=leg.unit,
             guarded=True,

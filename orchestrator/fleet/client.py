@@ -285,9 +285,15 @@ class Fleet:
                 return found
             time.sleep(FORECAST_LOOK_S)
 
-    def stop(self, robot: str, reason: str) -> None:
-        """Stop a robot; return once it confirms the stop, and raise if it does not."""
-        request = StopRequest(sender=self.orchestrator_id, reason=reason)
+    def stop(self, robot: str, reason: str, *, kill: bool = False) -> None:
+        """Stop a robot; return once it confirms the stop, and raise if it does not.
+
+        Args:
+            robot: Name of the robot.
+            reason: Reason for the stop.
+            kill: Whether to cut its motors instead of bringing it to rest.
+        """
+        request = StopRequest(sender=self.orchestrator_id, reason=reason, kill=kill)
         self._session.put_urgent(self._key(robot, STOP), encode(request))
         self._ask(robot, STOP, request, Done)
 

@@ -126,7 +126,7 @@ def started_fleet(
         The connected fleet, with all robots of the file alive.
 
     Raises:
-        InvalidInputError: The machine has no room for all robots of the file.
+        InvalidInputError: The fleet has more robots than fit this machine.
     """
     check_settings(file, path)
     check_room(len(file.robots), processes=processes, machine=Machine.this())

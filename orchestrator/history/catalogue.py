@@ -27,7 +27,7 @@ from nufleet.orchestrator.runs.folder import (
     read_document,
     read_record,
 )
-from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord, deviation_text
+from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.strict import Strict
 
@@ -152,9 +152,7 @@ def latest_ranking(root: Path, fleet: str, target: str) -> tuple[Path, RunRecord
 
 
 def _ranked(result: RankResult) -> str:
-    first = result.ranking[0]
-    psi = f"ψ* {first.psi:.4f} ± {deviation_text(first.psi_std)}"
-    return f"{result.selected} for {result.target}, {psi}"
+    return f"{result.selected} for {result.target}, ψ* {result.ranking[0].stated}"
 
 
 def _demonstrated(result: DemoResult) -> str:

@@ -44,6 +44,10 @@ class RankCommand(AnyFleetCommand):
     """Name of the axis to test; None for the target's first."""
     iterations: int = 7
     """Limit on the number of iterations."""
+    precision: float | None = None
+    """Width of the selected source's 95 % interval to go on to; None for any."""
+    amplitude: float | None = None
+    """Amplitude of the task in the unit of the axis; None for what each robot chooses."""
     seed: int = 0
     """Seed of the study."""
     algorithm: Algorithm = "adaptive"
@@ -133,6 +137,8 @@ def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:
         check_band(command.band_rad_s)
     if command.reuse_days is not None and command.algorithm != "adaptive":
         raise InvalidInputError("--reuse requires --algorithm adaptive")
+    if command.algorithm != "adaptive" and (command.precision or command.amplitude):
+        raise InvalidInputError("--precision and --amplitude require --algorithm adaptive")
     request = RankRequest(
         target=choice.target(command.target),
         sources=command.sources,
@@ -141,6 +147,8 @@ def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:
         seed=command.seed,
         axis=command.axis,
         drawing=_drawing(command),
+        precision=command.precision,
+        amplitude=command.amplitude,
     )
     if choice.file is not None:
         # No process has to be started to refuse names that are not in the file.

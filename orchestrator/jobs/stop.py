@@ -37,6 +37,8 @@ def stop_fleets(
     fleet_name: str | None,
     robots: tuple[str, ...] | None,
     reason: str,
+    *,
+    kill: bool = False,
 ) -> bool:
     """Stop robots at several addresses at the same time; see `stop_and_print`.
 
@@ -46,13 +48,13 @@ def stop_fleets(
         NufleetError: The error of the only address.
     """
     if len(addresses) == 1:
-        return stop_and_print(addresses[0], fleet_name, robots, reason)
+        return stop_and_print(addresses[0], fleet_name, robots, reason, kill=kill)
     from concurrent.futures import ThreadPoolExecutor, as_completed
 
     confirmed = True
     with ThreadPoolExecutor(len(addresses)) as pool:
         stops = {
-            pool.submit(stop_and_print, address, fleet_name, robots, reason): address
+            pool.submit(stop_and_print, address, fleet_name, robots, reason, kill=kill): address
             for address in addresses
         }
         for stop in as_completed(stops):
@@ -65,7 +67,12 @@ def stop_fleets(
 
 
 def stop_and_print(
-    endpoint: str, fleet_name: str | None, robots: tuple[str, ...] | None, reason: str
+    endpoint: str,
+    fleet_name: str | None,
+    robots: tuple[str, ...] | None,
+    reason: str,
+    *,
+    kill: bool = False,
 ) -> bool:
     """Stop the named robots, or all robots, and return whether each of them confirmed.
 
@@ -78,6 +85,7 @@ def stop_and_print(
         fleet_name: Name of the fleet; None means every fleet at the router.
         robots: Names of the robots to stop; None stops all.
         reason: Reason for the stop, in any words.
+        kill: Whether to cut the motors instead of bringing the robots to rest.
 
     Raises:
         NoRouterError: No router answers, so no robot can be reached.
@@ -87,7 +95,7 @@ def stop_and_print(
     with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as telling:
         principal = telling.principal
         sender = new_orchestrator_id(principal)
-        order = stop_frame(sender, reason)
+        order = stop_frame(sender, reason, kill=kill)
         if telling.identity is not None:
             # A stop asks no questions: another fleet's name is not known to this router anyway.
             fleet_name = telling.identity.fleet
@@ -101,7 +109,7 @@ def stop_and_print(
                 if fleet_name in (None, fleet) and (robots is None or robot in robots):
                     asking.put_urgent(FleetKeys(fleet).command(robot, principal, STOP), order)
             fleets = tuple(sorted({fleet for fleet, _ in there}))
-            confirmed = _all_confirm(asking, fleets, sender, robots, reason, fleet_name)
+            confirmed = _all_confirm(asking, fleets, sender, robots, reason, fleet_name, kill=kill)
     if not confirmed:
         _print_failure("Stop these robots by hand.")
     return confirmed
@@ -174,6 +182,8 @@ def _all_confirm(
     robots: tuple[str, ...] | None,
     reason: str,
     fleet_name: str | None,
+    *,
+    kill: bool,
 ) -> bool:
     from nufleet.orchestrator.fleet.client import Fleet
 
@@ -185,7 +195,7 @@ def _all_confirm(
     def told(target: _Target, why: str | None) -> None:
         name = target.robot if len(fleets) == 1 else f"{target.fleet_name}/{target.robot}"
         if why is None:
-            click.echo(f"{name} is stopped", err=True)
+            click.echo(f"{name} is stopped{', its motors are cut' if kill else ''}", err=True)
         else:
             unconfirmed.add(target)
             _print_failure(f"{name} DID NOT CONFIRM ITS STOP: {why}")
@@ -193,7 +203,7 @@ def _all_confirm(
     # Repeat until no new robot appears: some may appear while others are being asked.
     while new := [target for target in _targets(fleets, robots) if target not in asked]:
         asked.update(new)
-        _stop(new, reason, told)
+        _stop(new, reason, told, kill=kill)
     if not asked:
         session.check_admitted()
         everyone = "all robots" if fleet_name is None else f"all robots of fleet {fleet_name}"
@@ -220,13 +230,19 @@ def _print_failure(sentence: str) -> None:
     click.secho(sentence, fg="red", bold=True, err=True)
 
 
-def _stop(targets: list[_Target], reason: str, told: Callable[[_Target, str | None], None]) -> None:
+def _stop(
+    targets: list[_Target],
+    reason: str,
+    told: Callable[[_Target, str | None], None],
+    *,
+    kill: bool = False,
+) -> None:
     """Stop all robots at once, and report the answer of each as soon as it is known."""
     from concurrent.futures import ThreadPoolExecutor, as_completed
 
     def stop_one(target: _Target) -> str | None:
         try:
-            target.fleet.stop(target.robot, reason)
+            target.fleet.stop(target.robot, reason, kill=kill)
         except NufleetError as error:
             return str(error)
         except Exception as error:  # noqa: BLE001 - one robot's trouble must not hide the others'

@@ -26,7 +26,6 @@ from nufleet.orchestrator.jobs.commands import FleetCommand
 from nufleet.orchestrator.jobs.foresight import say_expected
 from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.terminal import stderr_console
-from nufleet.orchestrator.runs.rank_result import deviation_text
 from nufleet.orchestrator.study.verdict import Verdict
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.layout import Architecture
@@ -182,7 +181,7 @@ def _best(command: TransferCommand, run: Opening) -> str:
     leader = found.result.ranking[0]
     run.results.print(
         f"best source of {command.target}: [bold]{leader.robot}[/], "
-        f"ψ* = {leader.psi:.4f} ± {deviation_text(leader.psi_std)}, from {found.run}"
+        f"ψ* = {leader.stated}, from {found.run}"
     )
     verdict = found.result.verdicts.get(leader.robot)
     if verdict is not None and verdict.verdict is not Verdict.TRANSFER:

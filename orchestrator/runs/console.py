@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from rich.console import Console
 from rich.table import Table
 
-from nufleet.orchestrator.runs.rank_result import ClosedForm, RunRecord, deviation_text
+from nufleet.orchestrator.runs.rank_result import ClosedForm, RunRecord
 from nufleet.orchestrator.study.interface import Question, Report, SourceEstimate
 from nufleet.orchestrator.study.outcomes import Measured, TestOutcome
 from nufleet.shared.frequency_test.duration import duration_s
@@ -36,6 +36,7 @@ class ConsoleObserver:
         self._console.print(
             f"[bold]iteration {question.iteration}/{self._iterations}[/]  "
             f"{len(question.robots)} robots play {tones} rad/s{self._motion(question)}"
+            f"{_price(question)}"
         )
 
     def _motion(self, question: Question) -> str:
@@ -46,7 +47,8 @@ class ConsoleObserver:
         longest_s = max(duration_s(test, spec) for test, spec in tested)
         axes = [spec.axis(test.axis) for test, spec in tested]
         furthest = max(axes, key=lambda axis: axis.amplitude_max)
-        return f" for {longest_s:.0f} s, within ±{furthest.amplitude_max:g} {furthest.unit}"
+        within = f"±{furthest.amplitude_max:g} {furthest.unit}"
+        return f", {longest_s:.0f} s long and within {within},"
 
     def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
         """Print that a test has to be repeated or given up."""
@@ -84,61 +86,54 @@ class ConsoleObserver:
             leader = "  [green]← closest[/]" if estimate.robot == report.selected else ""
             self._console.print(
                 f"  {estimate.robot:<16} {measured:<12}  "
-                f"ψ* = {estimate.psi:.4f} ± {deviation_text(estimate.psi_std)} "
+                f"ψ* = {estimate.stated} "
                 f"at {estimate.omega_rad_s:.3f} rad/s{leader}"
             )
+
+
+def _price(question: Question) -> str:
+    """Return what a round costs and is for, in words."""
+    if question.robot_time_s is None:
+        return ""
+    return f" for {question.robot_time_s:.0f} robot-seconds: {question.purpose}"
 
 
 def record_table(record: RunRecord) -> Table:
     """Return the final table of a ranking.
 
-    The adaptive algorithm stops as soon as the choice is sure, and its ± covers frequencies that it
-    did not test. Beside its estimates stands the largest distance that was measured; only the
-    paper's algorithm, which estimates ψ* itself to the end, is compared with the closed form.
+    The adaptive algorithm stops as soon as the choice is sure, and its interval covers frequencies
+    that it did not test. Only the paper's algorithm, which estimates ψ* itself to the end, is
+    compared with the closed form.
     """
-    result = record.result
-    if result.confidence is None:
-        return ranking_table(result.ranking, record.closed_form)
-    return ranking_table(result.ranking, {}, record.largest_measured())
+    exact = record.closed_form if record.result.confidence is None else {}
+    return ranking_table(record.result.ranking, exact)
 
 
 def ranking_table(
-    ranking: tuple[SourceEstimate, ...],
-    closed_form: Mapping[str, ClosedForm],
-    measured: Mapping[str, float] | None = None,
+    ranking: tuple[SourceEstimate, ...], closed_form: Mapping[str, ClosedForm]
 ) -> Table:
     """Return a table of estimates.
 
     Args:
         ranking: Estimates, best first.
         closed_form: True distances, by source, where robots know their models.
-        measured: Largest distance that was measured, by source; None for no such column.
     """
     table = Table(title="worst-case chordal distance to the target", title_justify="left")
-    table.add_column("source")
-    for heading in ("ψ*", "± σ", "at ω, rad/s", "tests"):
+    table.add_column("source", no_wrap=True)
+    exact_headings = ("closed form", "error") if closed_form else ("tests",)
+    for heading in ("ψ*", "95 % interval", "measured, at rad/s", *exact_headings):
         table.add_column(heading, justify="right")
-    if measured is not None:
-        table.add_column("largest measured", justify="right")
-    if closed_form:
-        table.add_column("closed form", justify="right")
-        table.add_column("error", justify="right")
     for place, estimate in enumerate(ranking):
-        row = [
-            estimate.robot,
-            f"{estimate.psi:.4f}",
-            deviation_text(estimate.psi_std),
-            f"{estimate.omega_rad_s:.3f}",
-            str(estimate.tests),
-        ]
-        if measured is not None:
-            largest = measured.get(estimate.robot)
-            row.append("" if largest is None else f"{largest:.4f}")
-        if closed_form:
-            exact = closed_form.get(estimate.robot)
-            if exact is None:
-                row += ["", ""]
-            else:
-                row += [f"{exact.psi:.4f}", f"{100 * (estimate.psi / exact.psi - 1):+.2f} %"]
+        interval = f"{estimate.psi_low:.4f}–{estimate.psi_high:.4f}"
+        row = [estimate.robot, f"{estimate.psi:.4f}", interval, estimate.measured]
+        exact = closed_form.get(estimate.robot)
+        if not closed_form:
+            row.append(str(estimate.tests))
+        elif exact is None:
+            row += ["", ""]
+        elif exact.psi == 0:  # a twin of the target: no error is relative to nothing
+            row += ["0.0000", ""]
+        else:
+            row += [f"{exact.psi:.4f}", f"{100 * (estimate.psi / exact.psi - 1):+.2f} %"]
         table.add_row(*row, style="bold green" if place == 0 else None)
     return table

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from nufleet.orchestrator.flights.ways import WayRecord
 from nufleet.orchestrator.runs.response_record import ResponseRecord
@@ -15,9 +15,24 @@ from nufleet.shared.strict import Document, NonNegative, Strict
 Count = Annotated[int, Field(ge=0)]
 
 
-def deviation_text(std: float) -> str:
-    """Return a standard deviation to four decimal places, never rounded to zero."""
-    return f"{std:.4f}" if std >= 5e-5 else "<0.0001"
+def _with_intervals(ranking: object) -> object:
+    """Return the estimates of a document, which earlier versions wrote as a mean ± a deviation."""
+    if not isinstance(ranking, list):
+        return ranking
+    return tuple(_with_interval(one) for one in ranking)
+
+
+def _with_interval(estimate: object) -> object:
+    if not isinstance(estimate, dict) or "psi_std" not in estimate:
+        return estimate
+    psi, psi_std = estimate["psi"], estimate["psi_std"]
+    kept = {name: value for name, value in estimate.items() if name != "psi_std"}
+    low, high = max(psi - 1.96 * psi_std, 0.0), min(psi + 1.96 * psi_std, 1.0)
+    return {**kept, "psi_low": low, "psi_high": high}
+
+
+Ranking = Annotated[tuple[SourceEstimate, ...], BeforeValidator(_with_intervals)]
+"""Estimates of sources, best first."""
 
 
 class StoredResponses(Strict):
@@ -40,6 +55,16 @@ class StoredResponses(Strict):
         counts = ((self.tests, "test"), (self.flights, "flight"))
         return " and ".join(f"{n} stored {what}{'s' * (n > 1)}" for n, what in counts if n)
 
+    @property
+    def reservation(self) -> str:
+        """What flights alone do not tell, in words; empty where there are tests."""
+        if self.tests:
+            return ""
+        return (
+            "; until a test of it confirms them, its ψ* ± σ holds for motions like these, and "
+            "claims nothing about others"
+        )
+
 
 class RankResult(Document):
     """The document that `nufleet rank --json` prints: the ranking and its cost.
@@ -55,7 +80,7 @@ class RankResult(Document):
     """Lowest and highest frequency of the band in rad/s."""
     selected: str
     """Name of the selected source, the first of the ranking."""
-    ranking: tuple[SourceEstimate, ...]
+    ranking: Ranking
     """Estimates of all remaining sources, best first."""
     iterations: Count
     """Number of rounds of tests."""
@@ -100,7 +125,7 @@ class IterationRecord(Strict):
     """All frequencies that were played, in rad/s."""
     sampled_psi: dict[str, float]
     """Largest chordal distance measured in the round, by source."""
-    ranking: tuple[SourceEstimate, ...]
+    ranking: Ranking
     """Estimates after the round, best first."""
 
 
@@ -132,11 +157,3 @@ class RunRecord(Strict):
     """Wall time of the run in s; of a resumed run, since it was resumed."""
     responses: Annotated[dict[str, tuple[ResponseRecord, ...]], Field(default_factory=dict)]
     """All responses known of each robot, by robot."""
-
-    def largest_measured(self) -> dict[str, float]:
-        """Return the largest distance that was measured in any round, by source."""
-        largest: dict[str, float] = {}
-        for entry in self.history:
-            for source, psi in entry.sampled_psi.items():
-                largest[source] = max(psi, largest.get(source, 0.0))
-        return largest

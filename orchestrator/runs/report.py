@@ -6,8 +6,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from nufleet.orchestrator.runs.figures import COLOURS, new_figure, plain, save
-from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord, deviation_text
+from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord
 from nufleet.orchestrator.runs.verdict_table import verdict_markdown
 from nufleet.orchestrator.runs.way_table import way_markdown
 from nufleet.orchestrator.study.interface import Curve
@@ -61,9 +63,8 @@ def _draw_curves(
         if curve.source not in colours:
             continue
         colour, omega = colours[curve.source], curve.omega_rad_s
-        low, high = curve.mean - 2 * curve.std, curve.mean + 2 * curve.std
-        axes.fill_between(omega, low, high, color=colour, alpha=0.15, linewidth=0)
-        axes.plot(omega, curve.mean, color=colour, label=curve.source)
+        axes.fill_between(omega, curve.low, curve.high, color=colour, alpha=0.15, linewidth=0)
+        axes.plot(omega, curve.median, color=colour, label=curve.source)
         axes.plot(curve.sampled_omega_rad_s, curve.sampled_psi, "o", color=colour, markersize=5)
         if curve.source in true_psi:
             axes.plot(omega, true_psi[curve.source], "--", color="black", linewidth=0.9)
@@ -72,26 +73,26 @@ def _draw_curves(
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("ω [rad/s]")
     axes.set_ylabel("chordal distance ψ to the target")
-    axes.set_title("posterior mean, ± 2σ, and the tests", loc="left", fontsize=10)
+    axes.set_title("median, 95 % interval, and the tests", loc="left", fontsize=10)
 
 
 def _draw_history(axes: Axes, record: RunRecord, colours: Mapping[str, str]) -> None:
     for source, colour in colours.items():
         points = [
-            (entry.iteration, estimate.psi, estimate.psi_std)
+            (entry.iteration, estimate.psi, estimate.psi_low, estimate.psi_high)
             for entry in record.history
             for estimate in entry.ranking
             if estimate.robot == source
         ]
-        iterations, psi, psi_std = zip(*points, strict=True)
+        iterations, psi, low, high = np.array(points).T
         axes.errorbar(
-            iterations, psi, yerr=[2 * s for s in psi_std], color=colour, label=source, capsize=3
+            iterations, psi, yerr=[psi - low, high - psi], color=colour, label=source, capsize=3
         )
         if source in record.closed_form:
             axes.axhline(record.closed_form[source].psi, color=colour, linestyle=":", linewidth=1)
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("iteration")
-    axes.set_ylabel("estimate ψ* ± 2σ")
+    axes.set_ylabel("median of ψ* and 95 % interval")
     title = "worst-case chordal distance"
     if record.closed_form:
         title += " (dotted: closed form)"
@@ -133,20 +134,21 @@ def write_report(folder: Path, record: RunRecord, *, draws: bool = True) -> None
         ),
         *_certainty(result),
         "",
-        "| source | ψ* | σ | at ω [rad/s] | tests | closed form |",
-        "|---|---|---|---|---|---|",
+        "| source | ψ* | 95 % interval | at ω [rad/s] | largest measured | tests | closed form |",
+        "|---|---|---|---|---|---|---|",
     ]
     for estimate in result.ranking:
         exact = record.closed_form.get(estimate.robot)
         lines.append(
-            f"| {estimate.robot} | {estimate.psi:.4f} | {deviation_text(estimate.psi_std)} "
-            f"| {estimate.omega_rad_s:.3f} | {estimate.tests} "
+            f"| {estimate.robot} | {estimate.psi:.4f} "
+            f"| {estimate.psi_low:.4f} to {estimate.psi_high:.4f} | {estimate.omega_rad_s:.3f} "
+            f"| {estimate.measured} | {estimate.tests} "
             f"| {'' if exact is None else f'{exact.psi:.4f}'} |"
         )
     lines += [f"\n{robot} was left out: {reason}" for robot, reason in record.dropped.items()]
     lines += [
         f"\n{robot} needed no first test: {stored.counted} replaced it, measured from "
-        f"{stored.measured_from} to {stored.measured_to}."
+        f"{stored.measured_from} to {stored.measured_to}{stored.reservation}."
         for robot, stored in (result.stored or {}).items()
     ]
     lines += ["", *verdict_markdown(result), "", *way_markdown(result)]

@@ -5,68 +5,48 @@ tests, of all robots that are there, are chosen by how much they are expected to
 probability of a wrong selection per second of robot time, and sources that can no longer win are
 not tested again. The study is complete when the selected source is, with probability 1 − δ, within
 ε of the closest (the stopping rule of Garivier and Kaufmann, COLT 2016, with ε as the difference
-that does not matter). A source that is known from flights alone is tested before it is selected:
-the response to a drawing need not be that to tones.
+that does not matter), and every source that may be the closest has played its lowest look, as
+`nufleet.orchestrator.study.looks` says. A source that is known from flights alone is tested before
+it is selected: the response to a drawing need not be that to tones.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from nufleet.orchestrator.belief.response_belief import ResponseModel
 from nufleet.orchestrator.belief.resting_gain import draw_resting
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
-from nufleet.orchestrator.study.interface import (
-    Curve,
-    Question,
-    Report,
-    Responses,
-    SourceEstimate,
-    StudyPlan,
-)
+from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
+from nufleet.orchestrator.study.interface import Question, Report, Responses, StudyPlan
+from nufleet.orchestrator.study.looks import Looks
+from nufleet.orchestrator.study.ranking import INTERVAL, curves_of, ranking_of, sampled_psi
 from nufleet.orchestrator.study.selection_belief import SelectionBelief
-from nufleet.orchestrator.study.tone_choice import ToneChoice, closer_looks, first_look
+from nufleet.orchestrator.study.tone_choice import ToneChoice
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum
-from nufleet.orchestrator.study.value_of_tests import expected_gain
+from nufleet.orchestrator.study.value_of_tests import expected_gain, expected_narrowing
 from nufleet.shared.arrays import ComplexArray, FloatArray
-from nufleet.shared.distance.chordal import chordal_distance
 from nufleet.shared.errors import StudyError
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.robots.spec import RobotSpec
 
+_Value = Callable[[ComplexArray, FloatArray], float]
+"""Value of a test, from samples of the response at its tones and the variances expected there."""
+
 
 @dataclass(frozen=True)
-class AdaptiveSettings:
-    """The stopping rule, and the tests that the algorithm may choose."""
+class _Verdict:
+    """What follows from a round: further tests, or the end."""
 
-    delta: float = 0.05
-    """Accepted probability δ of a wrong selection."""
-    epsilon: float = 0.01
-    """Difference ε of two chordal distances, or relative errors, that does not matter."""
-    first_periods: int = 11
-    """Least length of the first test's measuring part, in periods of the band's upper end."""
-    share_of_settling: float = 0.7
-    """Least length of the first test's measuring part, as a share of the settling time."""
-    lengths: tuple[float, ...] = (1.0, 1.7, 3.0)
-    """Lengths of later tests, as multiples of the first test's measuring time."""
-    window_tones: int = 5
-    """Number of tones in a test around one frequency."""
-    contenders: int = 4
-    """Number of rivals, the most probable winners, that are considered for tests in a round."""
-    together: float = 0.5
-    """Share of the best gain per second that another robot's test needs to join the round."""
-    simulated_cost: float = 0.01
-    """Cost of a simulated robot's time, relative to that of a real one."""
-    flight_error_max: float = 0.05
-    """Error of flights, found by a test or between speeds, from which on no source is judged by
-    flights alone."""
-    samples: int = 600
-    """Number of samples drawn from the belief about each robot's response."""
-    grid_points: int = 256
-    """Number of frequencies, evenly spaced over the band, at which distances are computed."""
+    confidence: float
+    """Probability that the right one of the measured sources is selected."""
+    tests: Mapping[str, ToneChoice] = field(default_factory=dict)
+    """Tests of the next round, by robot."""
+    why: str = ""
+    """Reason for these tests or, where there are none, for the end."""
 
 
 class AdaptiveStudy:
@@ -111,20 +91,14 @@ class AdaptiveStudy:
         self._dropped: dict[str, str] = {}
         self._grounded = dict.fromkeys(absent, "it is not there")
         self._share_doubt()
-        self._first: dict[str, ToneChoice] = {
-            name: first_look(
-                plan.band_rad_s,
-                robot.spec,
-                self._settings.first_periods,
-                self._settings.share_of_settling,
-            )
-            for name, robot in self._robots.items()
-        }
-        self._next: dict[str, ToneChoice] = {
-            name: self._first[name]
+        self._looks = Looks(plan, self._settings, self._robots)
+        self._draws: dict[str, tuple[ResponseModel, ComplexArray]] = {}
+        self._next: Mapping[str, ToneChoice] = {
+            name: self._looks.first[name]
             for name in (plan.target, *plan.sources)
             if name == plan.target or not self._robots[name].tests
         }
+        self._purpose = "a first look at the whole band"
         self._asked = 0
         self._open: Question | None = None
 
@@ -140,8 +114,10 @@ class AdaptiveStudy:
         if not self._next:
             return None
         self._asked += 1
-        tests = {n: choice.excitation(self._plan.axis) for n, choice in self._next.items()}
-        self._open = Question(self._asked, tests)
+        before_s = self._looks.asked_s
+        tests = {name: self._looks.excitation(name, one) for name, one in self._next.items()}
+        cost_s = self._looks.asked_s - before_s
+        self._open = Question(self._asked, tests, self._purpose, cost_s)
         return self._open
 
     def tell(self, responses: Responses, failed: Mapping[str, str]) -> Report:
@@ -156,57 +132,157 @@ class AdaptiveStudy:
             else:
                 self._lose(name, failed.get(name, "it returned no response"))
         self._share_doubt()
+        self._lose_the_silent()
         sources = self._remaining()
-        # Distances are compared over the band that is tested; a motion reaches far below it.
-        draw = ResponseModel.draw if self._spectrum is None else draw_resting
-        draws = {
-            name: draw(self._robots[name].model, self._drawn, self._settings.samples, self._rng)
-            for name in (self._plan.target, *sources)
-        }
+        draws = {name: self._draw(name) for name in (self._plan.target, *sources)}
         target = draws[self._plan.target]
         belief = SelectionBelief.of(
             self._grid, target, {n: draws[n] for n in sources}, self._spectrum
         )
         leader, confidence = belief.leader(self._settings.epsilon, self._settings.delta)
         hopeless = belief.hopeless(leader, self._settings.delta)
-        stopped = self._stop(belief, leader, confidence)
-        misled = self._misled_by_flights(sources)
-        # What flights alone say is claimed only once a test has confirmed it.
-        if misled and self._asked < self._plan.iterations:
-            confidence = min(confidence, 1 - 2 * self._settings.delta)
-            stopped = None
-            self._next = {name: self._first[name] for name in misled}
-        elif self._robots[leader].flown_only and confidence >= 1 - self._settings.delta:
-            confidence = 1 - 2 * self._settings.delta
-            if leader in self._grounded or self._asked >= self._plan.iterations:
-                stopped = f"{leader} is known from flights alone, and no test could confirm them"
-                self._next = {}
-            else:
-                stopped = None
-                self._next = {leader: self._first[leader]}
-        else:
-            self._next = {} if stopped else self._choose(belief, draws, leader, hopeless)
-        if self._flights_mislead and stopped is not None:
-            confidence = min(confidence, 1 - 2 * self._settings.delta)
-            stopped = (
-                f"{leader} is selected without a claim: flights and tests differ, so that the "
-                "responses of this fleet depend on the amplitude"
-            )
-        if not self._next and stopped is None:
-            stopped = f"no further test would help; P(correct selection) = {confidence:.3f}"
+        verdict = self._judge(belief, draws, leader, confidence, hopeless)
+        self._next, self._purpose = verdict.tests, verdict.why
+        known = self.responses
         return Report(
             iteration=question.iteration,
             omega_rad_s=question.omega_rad_s,
             responses=responses,
-            sampled_psi=self._sampled(responses),
-            curves=tuple(self._curve(n, source, belief) for n, source in enumerate(sources)),
-            ranking=self._ranking(belief, leader),
+            sampled_psi=sampled_psi(self._plan.target, sources, responses),
+            curves=curves_of(belief, known),
+            ranking=ranking_of(belief, self._plan.target, leader, known),
             dropped=dict(self._dropped),
-            confidence=confidence,
+            confidence=verdict.confidence * self._share_measured,
             eliminated=hopeless,
-            findings=tuple(f for robot in self._robots.values() for f in robot.findings),
-            stopped_because=stopped,
+            findings=self._findings(),
+            stopped_because=None if verdict.tests else verdict.why + self._left_open(),
         )
+
+    def _draw(self, name: str) -> ComplexArray:
+        """Return samples of a robot's response, the same ones as long as nothing new is known."""
+        model = self._robots[name].model
+        before = self._draws.get(name)
+        if before is None or before[0] is not model:
+            # Distances are compared over the band that is tested; a motion reaches far below it.
+            draw = ResponseModel.draw if self._spectrum is None else draw_resting
+            before = model, draw(model, self._drawn, self._settings.samples, self._rng)
+            self._draws[name] = before
+        return before[1]
+
+    def _judge(
+        self,
+        belief: SelectionBelief,
+        draws: Mapping[str, ComplexArray],
+        leader: str,
+        confidence: float,
+        hopeless: Mapping[str, str],
+    ) -> _Verdict:
+        """Decide between further tests and the end.
+
+        What flights alone say, or tests that did not reach the lower end of the band, is claimed
+        only once a test has confirmed it.
+        """
+        sure, doubtful = 1 - self._settings.delta, 1 - 2 * self._settings.delta
+        rounds_left = self._asked < self._plan.iterations
+        misled = self._misled_by_flights(belief.sources)
+        used = f"all {self._asked} rounds have been used"
+        if misled and rounds_left:
+            tests = {name: self._looks.first[name] for name in misled}
+            return _Verdict(min(confidence, doubtful), tests, "flights differ from tests")
+        if self._flights_mislead and (confidence >= sure or not rounds_left):
+            return _Verdict(
+                min(confidence, doubtful),
+                why=f"{leader} is selected without a claim: flights and tests differ, so that the "
+                "responses of this fleet depend on the amplitude",
+            )
+        if confidence < sure:
+            chance = f"P(correct selection) = {confidence:.3f}"
+            if not rounds_left:
+                return _Verdict(confidence, why=f"{used}; {chance}")
+            tests = self._choose(belief, draws, leader, hopeless, self._settling(belief, leader))
+            why = "what is contested" if tests else f"no further test would help; {chance}"
+            return _Verdict(confidence, tests, why)
+        if self._robots[leader].flown_only:
+            if leader in self._grounded or not rounds_left:
+                why = f"{leader} is known from flights alone, and no test could confirm them"
+                return _Verdict(doubtful, why=why)
+            return _Verdict(doubtful, {leader: self._looks.first[leader]}, "a test after flights")
+        looks = self._looks.due(
+            name
+            for name in (self._plan.target, *belief.sources)
+            if name not in hopeless and name not in self._grounded
+        )
+        if looks and rounds_left:
+            why = f"nothing is claimed unseen below {self._unseen_rad_s(looks):.3g} rad/s"
+            return _Verdict(doubtful, looks, why)
+        if looks:
+            why = f"{used}, and the lower end of the band was not tested on {', '.join(looks)}"
+            return _Verdict(doubtful, why=why)
+        claim = self._claim(belief, leader, confidence)
+        low, _, high = np.quantile(belief.psi_star[belief.sources.index(leader)], INTERVAL)
+        wanted = self._plan.precision
+        if wanted is None or high - low <= wanted:
+            return _Verdict(confidence, why=claim)
+        wide = f"ψ* of {leader} is known to {high - low:.2g}, and {wanted:g} is wanted"
+        narrowing = self._narrowing(belief, leader)
+        tests = self._choose(belief, draws, leader, hopeless, narrowing) if rounds_left else {}
+        return _Verdict(confidence, tests, wide if tests else f"{claim}; {wide}")
+
+    def _settling(self, belief: SelectionBelief, leader: str) -> _Value:
+        """Return the value of a test that is to settle which source is the best."""
+        n, epsilon = belief.sources.index(leader), self._settings.epsilon
+        return lambda z, variance: expected_gain(belief.loss, n, z, variance, epsilon)
+
+    def _narrowing(self, belief: SelectionBelief, leader: str) -> _Value:
+        """Return the value of a test that is to narrow the interval of the selected source."""
+        psi_star = belief.psi_star[belief.sources.index(leader)]
+        return lambda z, variance: expected_narrowing(psi_star, z, variance)
+
+    def _unseen_rad_s(self, names: Collection[str]) -> float:
+        return max(self._robots[name].lowest_rad_s for name in names)
+
+    def _lose_the_silent(self) -> None:
+        """Drop the robots that respond to no tone, down to the lowest that they can be asked."""
+        for name, robot in self._robots.items():
+            if robot.silent and self._looks.reached(name):
+                lowest_rad_s = robot.lowest_rad_s
+                robot.forget()
+                self._lose(
+                    name,
+                    f"it responds to no tone from {lowest_rad_s:.3g} rad/s on: it is not armed, or "
+                    "its dead zone is larger than the amplitudes that it allows",
+                )
+
+    @property
+    def _share_measured(self) -> float:
+        """Probability that the best source was measured, if it may be any of them."""
+        return len(self._remaining()) / len(self._plan.sources)
+
+    def _left_open(self) -> str:
+        """Return in words what would settle which source is the best, where tests failed."""
+        if not self._dropped:
+            return ""
+        named = "; ".join(f"{source} ({why})" for source, why in self._dropped.items())
+        return f"; a source that was not measured may be closer, so test again: {named}"
+
+    def _findings(self) -> tuple[str, ...]:
+        found = [finding for robot in self._robots.values() for finding in robot.findings]
+        for name in self._grounded:
+            robot = self._robots[name]
+            if robot.tests and not self._looks.reached(name):
+                found.append(
+                    f"{name}: nothing is known of it below {robot.lowest_rad_s:.3g} rad/s, and "
+                    "nothing is claimed there; test it again from the lower end of the band on"
+                )
+        looks = self._looks
+        if looks.lowest_asked_s > self._settings.dear * looks.asked_s:
+            lowest_rad_s = max(float(one.omega_rad_s[0]) for one in looks.first.values())
+            found.append(
+                f"the band's lower end took {looks.lowest_asked_s:.0f} of {looks.asked_s:.0f} "
+                f"robot-seconds: --band {lowest_rad_s:.2g} {self._plan.band_rad_s[1]:g} would do "
+                "without them"
+            )
+        return tuple(found)
 
     @property
     def _flights_mislead(self) -> bool:
@@ -246,21 +322,15 @@ class AdaptiveStudy:
             lost = "; ".join(f"{source}: {why}" for source, why in self._dropped.items())
             raise StudyError(f"no source is left: {lost}")
 
-    def _stop(self, belief: SelectionBelief, leader: str, confidence: float) -> str | None:
-        if confidence >= 1 - self._settings.delta:
-            best = "is the closest" if self._spectrum is None else "leaves the smallest error"
-            alone = float(belief.probability_best()[belief.sources.index(leader)])
-            if alone >= 1 - self._settings.delta:
-                return f"{leader} {best} with probability {alone:.3f}"
-            return (
-                f"{leader} {best}, or within {self._settings.epsilon:g} of it, with probability "
-                f"{confidence:.3f}"
-            )
-        if self._asked >= self._plan.iterations:
-            return (
-                f"all {self._asked} rounds have been used; P(correct selection) = {confidence:.3f}"
-            )
-        return None
+    def _claim(self, belief: SelectionBelief, leader: str, confidence: float) -> str:
+        best = "is the closest" if self._spectrum is None else "leaves the smallest error"
+        alone = float(belief.probability_best()[belief.sources.index(leader)])
+        if alone >= 1 - self._settings.delta:
+            return f"{leader} {best} with probability {alone:.3f}"
+        return (
+            f"{leader} {best}, or within {self._settings.epsilon:g} of it, with probability "
+            f"{confidence:.3f}"
+        )
 
     def _choose(
         self,
@@ -268,8 +338,9 @@ class AdaptiveStudy:
         draws: Mapping[str, ComplexArray],
         leader: str,
         hopeless: Mapping[str, str],
+        value: _Value,
     ) -> dict[str, ToneChoice]:
-        """Return the next round: each robot's best test, if its gain per second is competitive."""
+        """Return the next round: each robot's best test, if its value per second is competitive."""
         chances = belief.probability_best()
         rivals = sorted(
             (s for s in belief.sources if s not in hopeless and s != leader),
@@ -281,7 +352,7 @@ class AdaptiveStudy:
         for name in (self._plan.target, leader, *rivals):
             if name in self._grounded:
                 continue
-            rate, choice = self._best_test(name, draws[name], belief, leader, centres)
+            rate, choice = self._best_test(name, draws[name], centres, value)
             if choice is not None:
                 rates[name], choices[name] = rate, choice
         best = max(rates.values(), default=0.0)
@@ -289,36 +360,16 @@ class AdaptiveStudy:
         return {name: choice for name, choice in choices.items() if rates[name] >= enough}
 
     def _best_test(
-        self,
-        name: str,
-        z: ComplexArray,
-        belief: SelectionBelief,
-        leader: str,
-        centres_rad_s: Sequence[float],
+        self, name: str, z: ComplexArray, centres_rad_s: Sequence[float], value: _Value
     ) -> tuple[float, ToneChoice | None]:
-        robot, first_s = self._robots[name], self._first[name].measure_s
-        price = self._settings.simulated_cost if robot.spec.simulated else 1.0
+        price = self._settings.simulated_cost if self._robots[name].spec.simulated else 1.0
         best: tuple[float, ToneChoice | None] = (0.0, None)
-        for choice in closer_looks(
-            self._plan.band_rad_s,
-            first_s,
-            self._settings.lengths,
-            centres_rad_s,
-            self._settings.window_tones,
-        ):
-            cost_s = choice.duration_s(robot.spec)
-            if cost_s > robot.spec.duration_max_s:
-                continue
+        for choice in self._looks.candidates(name, centres_rad_s):
             # Samples exist on the grid only, so each tone takes them from the next grid point.
-            gain = expected_gain(
-                belief.loss,
-                belief.sources.index(leader),
-                z[:, np.searchsorted(self._grid, choice.omega_rad_s).clip(0, len(self._grid) - 1)],
-                robot.expected_variance(choice.omega_rad_s, choice.measure_s / first_s),
-                self._settings.epsilon,
-            )
+            at = np.searchsorted(self._grid, choice.omega_rad_s).clip(0, len(self._grid) - 1)
+            gain = value(z[:, at], self._looks.expected_variance(name, choice))
             # Gains below the floor cannot be told from sampling noise; the cheapest test then wins.
-            rate = max(gain, 1e-6) / (price * cost_s)
+            rate = max(gain, 1e-6) / (price * self._looks.duration_s(name, choice))
             if rate > best[0]:
                 best = (rate, choice)
         return best
@@ -329,42 +380,3 @@ class AdaptiveStudy:
         """Return the frequencies (rad/s) that decide the losses of the leader and two rivals."""
         found = [belief.decisive_omega_rad_s(source) for source in (leader, *rivals[:2])]
         return tuple(dict.fromkeys(found))
-
-    def _sampled(self, responses: Responses) -> dict[str, float]:
-        """Return each source's largest measured ψ over the tones it shared with the target now."""
-        at_target = responses.get(self._plan.target)
-        found: dict[str, float] = {}
-        for source in self._remaining():
-            if at_target is None or source not in responses:
-                continue
-            at_source = responses[source]
-            _, i, j = np.intersect1d(
-                at_target.omega_rad_s, at_source.omega_rad_s, return_indices=True
-            )
-            if len(i):
-                found[source] = float(np.max(chordal_distance(at_target.z[i], at_source.z[j])))
-        return found
-
-    def _curve(self, n: int, source: str, belief: SelectionBelief) -> Curve:
-        psi = belief.psi[n]
-        sampled = np.sort(self._robots[source].omega_rad_s)
-        sampled = sampled[(sampled >= self._grid[0]) & (sampled <= self._grid[-1])]
-        mean: FloatArray = psi.mean(axis=0)
-        return Curve(
-            source, self._grid, mean, psi.std(axis=0), sampled, np.interp(sampled, self._grid, mean)
-        )
-
-    def _ranking(self, belief: SelectionBelief, leader: str) -> tuple[SourceEstimate, ...]:
-        """Return the estimates with the leader first and the others by rising typical loss."""
-        estimates = []
-        for n, source in enumerate(belief.sources):
-            top = int(np.argmax(belief.psi[n].mean(axis=0)))
-            estimate = SourceEstimate(
-                robot=source,
-                psi=float(belief.psi_star[n].mean()),
-                psi_std=float(belief.psi_star[n].std()),
-                omega_rad_s=float(self._grid[top]),
-                tests=self._robots[source].tests,
-            )
-            estimates.append((source != leader, float(belief.typical_loss[n]), estimate))
-        return tuple(estimate for _, _, estimate in sorted(estimates, key=lambda e: e[:2]))

@@ -48,6 +48,11 @@ class StudyPlan:
     """Name of the axis that is tested on every robot."""
     motion: DesiredMotion | None = None
     """Trajectory that the target is to fly, if one is known."""
+    precision: float | None = None
+    """Width of the selected source's 95 % interval of ψ* to go on to; None for any."""
+    amplitude: float | None = None
+    """Amplitude of the task, in the axis's unit, at which ψ is meant; None for the one that each
+    robot chooses."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,10 @@ class Question:
     """Number of the round, from 1."""
     tests: Mapping[str, Excitation]
     """Excitation that each robot is to play, by robot."""
+    purpose: str = ""
+    """What the round is for, in words."""
+    robot_time_s: float | None = None
+    """Time that all robots together move for it, as far as it is known, in s."""
 
     @property
     def robots(self) -> tuple[str, ...]:
@@ -78,13 +87,30 @@ class SourceEstimate:
     robot: str
     """Name of the source."""
     psi: float
-    """Estimated distance, from 0 to 1."""
-    psi_std: float
-    """Standard deviation of the estimate."""
+    """Median of the distance, from 0 to 1."""
+    psi_low: float
+    psi_high: float
+    """Bounds of the interval that holds the distance with a probability of 95 %."""
     omega_rad_s: float
-    """Frequency in rad/s at which the mean distance is largest."""
+    """Frequency in rad/s at which the median of ψ_n(ω) is largest."""
     tests: int
     """Number of tests of the source that the estimate rests on."""
+    measured_psi: float | None = None
+    """Largest distance at a tone that both robots played; None if they share none."""
+    measured_omega_rad_s: float | None = None
+    """That tone, in rad/s."""
+
+    @property
+    def stated(self) -> str:
+        """Median and interval in words."""
+        return f"{self.psi:.4f} ({self.psi_low:.4f} to {self.psi_high:.4f})"
+
+    @property
+    def measured(self) -> str:
+        """The largest measured distance in words; empty where there is none."""
+        if self.measured_psi is None or self.measured_omega_rad_s is None:
+            return ""
+        return f"{self.measured_psi:.4f} at {self.measured_omega_rad_s:.3g}"
 
 
 @dataclass(frozen=True)
@@ -95,10 +121,11 @@ class Curve:
     """Name of the source."""
     omega_rad_s: FloatArray
     """Frequencies of the grid in rad/s, shape (grid,)."""
-    mean: FloatArray
-    """Posterior mean of ψ_n, shape (grid,)."""
-    std: FloatArray
-    """Posterior standard deviation of ψ_n, shape (grid,)."""
+    median: FloatArray
+    """Median of ψ_n, shape (grid,)."""
+    low: FloatArray
+    high: FloatArray
+    """Bounds of the interval that holds ψ_n with a probability of 95 %, shape (grid,)."""
     sampled_omega_rad_s: FloatArray
     """Frequencies at which the source was tested, in rad/s, shape (tones,)."""
     sampled_psi: FloatArray

@@ -36,6 +36,9 @@ SEGMENTS = 4
 SEGMENT_MIN_S = 2.0
 """Least length of a measuring segment in s, so that fast tones are averaged over many periods."""
 
+DEVIATIONS = 1.96
+"""Standard deviations on either side of a normal variable's mean that hold 95 % of it."""
+
 
 @dataclass(frozen=True)
 class PaperSettings:
@@ -189,18 +192,22 @@ class PaperStudy:
         # Rounding may leave a variance just below 0 at a sampled frequency.
         std = np.sqrt(np.maximum(variance, 0.0))
         curves = tuple(
-            Curve(source, self._grid, mean[n], std[n], samples[n][:, 0], samples[n][:, 1])
+            Curve(
+                source,
+                self._grid,
+                mean[n],
+                np.clip(mean[n] - DEVIATIONS * std[n], 0.0, 1.0),
+                np.clip(mean[n] + DEVIATIONS * std[n], 0.0, 1.0),
+                *samples[n][:, :2].T,
+            )
             for n, source in enumerate(sources)
         )
         improvements = np.stack(
             [
                 expected_improvement(
-                    curve.mean,
-                    curve.std,
-                    float(curve.sampled_psi.max()),
-                    self._settings.exploration,
+                    mean[n], std[n], float(curve.sampled_psi.max()), self._settings.exploration
                 )
-                for curve in curves
+                for n, curve in enumerate(curves)
             ]
         )
         return curves, improvements
@@ -230,12 +237,15 @@ def expected_improvement(
 
 
 def _estimate(curve: Curve) -> SourceEstimate:
-    """Return ψ̂*_n = max ψ̂_n(ω) with the standard deviation at its ω (eq. 10, Fig. 4)."""
-    top = int(np.argmax(curve.mean))
+    """Return ψ̂*_n = max ψ̂_n(ω) with its interval at its ω (eq. 10, Fig. 4)."""
+    top, largest = int(np.argmax(curve.median)), int(np.argmax(curve.sampled_psi))
     return SourceEstimate(
         robot=curve.source,
-        psi=float(curve.mean[top]),
-        psi_std=float(curve.std[top]),
+        psi=float(curve.median[top]),
+        psi_low=float(curve.low[top]),
+        psi_high=float(curve.high[top]),
         omega_rad_s=float(curve.omega_rad_s[top]),
         tests=len(curve.sampled_psi),
+        measured_psi=float(curve.sampled_psi[largest]),
+        measured_omega_rad_s=float(curve.sampled_omega_rad_s[largest]),
     )

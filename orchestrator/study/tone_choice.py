@@ -15,11 +15,14 @@ from nufleet.shared.frequency_test.multitone import multitone
 from nufleet.shared.robots.spec import RobotSpec
 
 SEGMENTS = 3
-"""Number of measuring segments, as few as possible.
+"""Number of measuring segments, as few as possible, since each must be long enough to tell its
+tones apart. The variance, which few segments measure poorly, is pooled over tones."""
 
-A segment lasts at least one period of the slowest tone, so more segments would cost time at low
-frequency. The variance, which few segments measure poorly, is pooled over tones.
-"""
+SAMPLES_MIN = 256
+"""Least number of measured samples of a first test, which tell the noise from the tones."""
+
+LOW_SPACING = 1.15
+"""Least ratio of neighbouring tones in a test that reaches down to the band's lower end."""
 
 STEP = 2
 """Spacing of the tones, in harmonics of 2π/T, where T is the measuring time.
@@ -47,16 +50,27 @@ class ToneChoice:
         """Frequencies of the tones in rad/s, rising, shape (tones,)."""
         return np.asarray(np.array(self.harmonics) * (2 * math.pi / self.measure_s))
 
-    def excitation(self, axis: str) -> Excitation:
-        """Return the excitation that plays these tones on an axis."""
+    def excitation(
+        self, axis: str, *, settle_s: float | None = None, amplitude: float | None = None
+    ) -> Excitation:
+        """Return the excitation that plays these tones on an axis.
+
+        Args:
+            axis: Name of the axis.
+            settle_s: Time before the measuring part; None leaves it to the robot.
+            amplitude: Peak of the reference in the axis's unit; None leaves it to the robot.
+        """
         weights = np.asarray(self.omega_rad_s**WEIGHT_EXPONENT)
         tones = multitone(2 * math.pi / self.measure_s, self.harmonics, weights)
-        return Excitation(axis=axis, tones=tones, segments=SEGMENTS)
+        return Excitation(
+            axis=axis, tones=tones, segments=SEGMENTS, settle_s=settle_s, amplitude=amplitude
+        )
 
-    def duration_s(self, spec: RobotSpec) -> float:
+    def duration_s(self, spec: RobotSpec, settle_s: float | None = None) -> float:
         """Return the duration of the test on a robot in s, which does not depend on the phases."""
         tones = tuple(Tone(omega_rad_s=omega) for omega in self.omega_rad_s.tolist())
-        return duration_s(Excitation(axis="any", tones=tones, segments=SEGMENTS), spec)
+        test = Excitation(axis="any", tones=tones, segments=SEGMENTS, settle_s=settle_s)
+        return duration_s(test, spec)
 
 
 def first_look(
@@ -67,7 +81,7 @@ def first_look(
     A resonance is as narrow as its transient is slow to decay, so a long settling time requires
     closely spaced tones, that is a long measuring time. A test of such a robot costs its settling
     time anyway. The measuring part therefore lasts a share of the settling time or a number of
-    periods of the band's upper end, whichever is longer.
+    periods of the band's upper end, whichever is longer, and at least `SAMPLES_MIN` samples.
 
     Args:
         band_rad_s: Lowest and highest frequency in rad/s.
@@ -76,18 +90,47 @@ def first_look(
         share_of_settling: Least measuring time, as a share of the settling time.
 
     Returns:
-        At most `TONES_MAX` tones.
+        At most `TONES_MAX` tones, for as long as the robot moves at most.
     """
     high = band_rad_s[1]
-    wanted = share_of_settling * spec.settling_time_s * high / (2 * math.pi)
-    highest = max(periods, math.ceil(wanted))
-    highest += 1 - highest % 2  # odd like the lowest, 3: each of the 3 segments holds one period
+    wanted_s = max(share_of_settling * spec.settling_time_s, SAMPLES_MIN * spec.sample_time_s)
+    highest = max(periods, math.ceil(wanted_s * high / (2 * math.pi)))
+    highest += 1 - highest % 2  # odd like the lowest, 1
     while highest > 3:
         choice = _between(band_rad_s, highest * 2 * math.pi / high, 0)
-        if choice is not None and len(choice.harmonics) <= TONES_MAX:
+        if (
+            choice is not None
+            and len(choice.harmonics) <= TONES_MAX
+            and choice.duration_s(spec) <= spec.duration_max_s
+        ):
             return choice
         highest -= 2
     return _up_to(high, 3 * 2 * math.pi / high, (3,))
+
+
+def lowest_look(
+    band_rad_s: tuple[float, float], spec: RobotSpec, lowest_rad_s: float, first: ToneChoice
+) -> ToneChoice:
+    """Return tones over the whole band, from one period of the lowest on, spaced in proportion.
+
+    Args:
+        band_rad_s: Lowest and highest frequency in rad/s.
+        spec: Spec of the robot, which may not allow a motion as long as that.
+        lowest_rad_s: Frequency in rad/s of the lowest tone, whose period is the measuring time.
+        first: First test of the robot, which the robot allows.
+    """
+    while lowest_rad_s < first.omega_rad_s[0]:
+        # Robots refuse tones below their band, so that the lowest must not be rounded down.
+        base = lowest_rad_s * (1 + 1e-9)
+        top = math.floor(band_rad_s[1] / base)
+        harmonics = [1]
+        while (further := max(harmonics[-1] + STEP, math.ceil(LOW_SPACING * harmonics[-1]))) <= top:
+            harmonics.append(further)
+        choice = ToneChoice(2 * math.pi / base, tuple(harmonics))
+        if choice.duration_s(spec) <= spec.duration_max_s:
+            return choice
+        lowest_rad_s *= LOW_SPACING
+    return first
 
 
 def closer_looks(
@@ -132,9 +175,12 @@ def _between(window_rad_s: tuple[float, float], measure_s: float, offset: int) -
     """Return every second harmonic in a window, counted from the top; None if it has none."""
     base = 2 * math.pi / measure_s
     top = math.floor(window_rad_s[1] / base * (1 + 1e-9)) - offset
-    lowest = max(SEGMENTS, math.ceil(window_rad_s[0] / base * (1 + 1e-9)))
+    lowest = max(1, math.ceil(window_rad_s[0] / base * (1 + 1e-9)))
     harmonics = tuple(range(top, lowest - 1, -STEP))[::-1]
-    return _up_to(window_rad_s[1], measure_s, harmonics) if harmonics else None
+    # Each segment holds a period of a single tone, which would last longer than asked for.
+    if len(harmonics) < 2 and harmonics < (SEGMENTS,):
+        return None
+    return _up_to(window_rad_s[1], measure_s, harmonics)
 
 
 def _up_to(high_rad_s: float, measure_s: float, harmonics: tuple[int, ...]) -> ToneChoice:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.special import ndtr, ndtri
 
@@ -31,11 +33,36 @@ def expected_gain(
     Returns:
         The expected decrease, summed over all sources but the leader.
     """
-    samples = psi_star.shape[1]
     leads = np.delete(psi_star - psi_star[leader], leader, axis=0)
     if not len(leads):
         return 0.0
     mean, deviation = leads.mean(axis=1), leads.std(axis=1)
+    share = _explained_share(leads, z, variance)
+    return float(np.sum(_wrong(mean, deviation, epsilon) - _after(mean, deviation, share, epsilon)))
+
+
+def expected_narrowing(psi_star: FloatArray, z: ComplexArray, variance: FloatArray) -> float:
+    """Return the expected decrease of the standard deviation of a source's distance ψ*.
+
+    Args:
+        psi_star: Samples of the distance, shape (samples,).
+        z: Response of the tested robot at the test's tones, in the same draws, shape
+            (samples, tones).
+        variance: Predicted variance E|ẑ − z|² of the test, shape (tones,).
+    """
+    share = float(_explained_share(psi_star[None], z, variance)[0])
+    return float(np.std(psi_star)) * (1.0 - math.sqrt(1.0 - share))
+
+
+def _explained_share(values: FloatArray, z: ComplexArray, variance: FloatArray) -> FloatArray:
+    """Return the share R² of the variance of each quantity that a test explains.
+
+    Args:
+        values: Samples of the quantities, shape (quantities, samples).
+        z: Response of the tested robot at the test's tones, shape (samples, tones).
+        variance: Predicted variance E|ẑ − z|² of the test, shape (tones,).
+    """
+    samples = values.shape[1]
     measured = np.concatenate([z.real, z.imag], axis=1)
     measured = measured - measured.mean(axis=0)
     # The error ẑ − z is circular: its real and imaginary parts have half the variance each.
@@ -43,17 +70,17 @@ def expected_gain(
     scale = np.sqrt(np.mean(measured**2, axis=0) + noise)
     measured, noise = measured / scale, noise / scale**2
     # R²_n = c_n Σ⁻¹ c_nᵀ / σ_n², with the measurements' covariance Σ and their covariance c_n with
-    # d_n. Measurements are scaled to unit variance, which keeps Σ well conditioned.
+    # the quantity. Measurements are scaled to unit variance, which keeps Σ well conditioned.
     covariance = measured.T @ measured / samples + np.diag(noise + RIDGE)
-    centred = leads - mean[:, None]
+    centred = values - values.mean(axis=1, keepdims=True)
     cross = centred @ measured / samples
     explained = np.einsum("nj,jn->n", cross, np.linalg.solve(covariance, cross.T))
-    share = explained / np.maximum(deviation**2, 1e-300)
+    share = explained / np.maximum(np.mean(centred**2, axis=1), 1e-300)
     # Adjusted R²: even unrelated regressors explain about 1 / `samples` of the variance each, so
     # the share expected by chance is removed. A noisy tone counts as a part of a regressor.
     effective = float(np.sum(1 - noise / np.diag(covariance)))
-    share = np.clip((share - effective / samples) / (1 - effective / samples), 0.0, 1.0)
-    return float(np.sum(_wrong(mean, deviation, epsilon) - _after(mean, deviation, share, epsilon)))
+    adjusted = (share - effective / samples) / (1 - effective / samples)
+    return np.asarray(np.clip(adjusted, 0.0, 1.0))
 
 
 def _wrong(mean: FloatArray, deviation: FloatArray, epsilon: float) -> FloatArray:

@@ -200,7 +200,7 @@ def _differences() -> rrb.View:
 def _surrogates() -> rrb.View:
     return rrb.Spatial2DView(
         origin=f"/{CAMERA}",
-        contents=[f"/{part}/**" for part in (CAMERA, "psi/mean", *FULL_PARTS)],
+        contents=[f"/{part}/**" for part in (CAMERA, "psi/median", *FULL_PARTS)],
         name="Chordal distance ψ(ω) to the target: belief ± 1σ, 2σ and tests",
         background=GROUND,
         visual_bounds=rrb.VisualBounds2D(

@@ -86,7 +86,7 @@ class _Steps:
         self._outputs = np.empty((0, len(robot.spec.axes)))
 
     def play(self) -> tuple[Outcome, str]:
-        self._monitored.begin(self._references)
+        self._monitored.begin_motion(self._references)
         self._outputs = self._robot.run(self._references)
         return Outcome.COMPLETED, ""
 
@@ -109,7 +109,7 @@ class _Rich:
         spec = self._robot.spec
         rng = np.random.default_rng(self._motion.seed)
         references = rich_references(spec, self._motion.duration_s, rng)
-        self._monitored.begin(references)
+        self._monitored.begin_motion(references)
         self._record = fly_record(self._robot, references)
         outputs = self._record.states[:, :, 0]
         try:
@@ -157,7 +157,7 @@ class _Path:
             raise RobotError("the robot does not track")
         # The approach to the path's start begins at rest, too.
         origin = np.zeros((1, len(self._robot.spec.axes)))
-        self._monitored.begin(np.concatenate([origin, self._motion.desired]))
+        self._monitored.begin_motion(np.concatenate([origin, self._motion.desired]))
         self._record = track(
             self._robot,
             self._motion.desired,
@@ -174,6 +174,7 @@ class _Path:
             return Outcome.COMPLETED, ""
         if self._record.failure == STOPPED and self._switch.order is not None:
             return self._switch.order
+        self._monitored.raise_again()
         return Outcome.FAILED, self._record.failure
 
     def _learn(self, record: TrackingRecord) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from nufleet.robot_agent.flight.state_model import StateEvidence
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.models.error_belief import MODEL_ERROR, ErrorBelief, believe, like
+from nufleet.shared.models.error_belief import MODEL_ERROR, ErrorBelief, believe, fitted, like
 from nufleet.shared.models.error_response import ErrorBasis
 from nufleet.shared.models.evidence import Evidence
 from nufleet.shared.models.path_inverse import inverted
@@ -179,7 +179,7 @@ def _evidence(basis: ErrorBasis, reference: FloatArray, output: FloatArray) -> E
     """Return the evidence of one axis, which counts for less where gusts or friction last."""
     before = float(reference[0])
     evidence = Evidence.of(basis, reference, output, before)
-    left = believe(basis, evidence).error(reference, before) - (reference - output)
+    left = fitted(basis, evidence).error(reference, before) - (reference - output)
     return evidence.thinned(correlation_samples(left - left.mean()))
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import OutsideLimitsError, RobotError
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
 REST_DEVIATIONS = 4.0
@@ -62,6 +63,14 @@ class Failure:
 
     reason: str
     """What is wrong, for a person to read."""
+
+    outside: bool = False
+    """Whether the robot left the limits of its measured output."""
+
+    @property
+    def error(self) -> RobotError:
+        """The error that ends the motion."""
+        return OutsideLimitsError(self.reason) if self.outside else RobotError(self.reason)
 
 
 def rest_error_max(spec: RobotSpec, axis: AxisSpec) -> float:
@@ -208,6 +217,8 @@ class _AxisMonitor:
         self._offset = rest_error_max(spec, axis) + axis.amplitude_max / 4
         self._offset += NOISE_DEVIATIONS / 2 * noise
         self._furthest = 0.0
+        self._low = -math.inf if axis.output_min is None else axis.output_min
+        self._high = math.inf if axis.output_max is None else axis.output_max
 
     def check(self, references: FloatArray, outputs: FloatArray) -> Failure | None:
         """Check the next samples of this axis; both arrays have shape (samples,) and are finite."""
@@ -218,6 +229,8 @@ class _AxisMonitor:
             reason = self._frozen(reference, output) or self._implausible(reference, output)
             if reason is not None:
                 return Failure(k, reason)
+            if self._last_is_outside:
+                return Failure(k, self._outside(output), outside=True)
         return None
 
     def _plain(self, references: FloatArray, outputs: FloatArray) -> bool:
@@ -229,6 +242,8 @@ class _AxisMonitor:
             return False
         steps = np.abs(np.diff(outputs, prepend=self._good))
         if not (steps <= self._leap).all() or not steps.all():
+            return False
+        if outputs.min() < self._low or outputs.max() > self._high:
             return False
         self._good = self._last = float(outputs[-1])
         self._bad = max(0.0, self._bad - GOOD_SAMPLE * len(outputs))
@@ -273,6 +288,18 @@ class _AxisMonitor:
         return (
             f"the output of axis {name}, {output:.4g} {unit}, does not follow its reference: it is "
             "far from every reference of the last settling time"
+        )
+
+    @property
+    def _last_is_outside(self) -> bool:
+        # A single spike is no position; `_good` is the last output that the robot can have reached.
+        return not self._low <= self._good <= self._high
+
+    def _outside(self, output: float) -> str:
+        axis = self._axis
+        return (
+            f"the output of axis {axis.name}, {output:.4g} {axis.unit}, is outside the limits of "
+            f"the robot, {self._low:g} to {self._high:g} {axis.unit}"
         )
 
     def _far(self, reference: float, output: float) -> bool:

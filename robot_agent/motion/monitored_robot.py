@@ -14,16 +14,17 @@ class MonitoredRobot(RobotAround):
     """Passes every call on to a robot and checks the samples of one motion, from rest to rest.
 
     `noise_std` is the standard deviation of the output at rest, shape (axes,), in the axes' units;
-    it is zero before `begin`.
+    it is zero before `begin_motion`.
     """
 
     def __init__(self, robot: Robot) -> None:
         """Prepare for one motion of a robot that is connected and at rest."""
         super().__init__(robot)
         self._monitor: Monitor | None = None
+        self._failed: RobotError | None = None
         self.noise_std = np.zeros(len(robot.spec.axes))
 
-    def begin(self, references: FloatArray) -> None:
+    def begin_motion(self, references: FloatArray) -> None:
         """Compare where the robot rests with where its motion begins.
 
         To be called before the first sample.
@@ -62,6 +63,11 @@ class MonitoredRobot(RobotAround):
             self._check(references, outputs)
         return outputs
 
+    def raise_again(self) -> None:
+        """Raise the error that the monitor raised before, if it did and a caller caught it."""
+        if self._failed is not None:
+            raise self._failed
+
     def disconnect(self) -> None:
         """Do nothing: the robot stays connected until the motion worker releases it."""
 
@@ -70,7 +76,8 @@ class MonitoredRobot(RobotAround):
             raise RuntimeError("a motion has to begin before its first sample")
         failure = self._monitor.check(references, outputs)
         if failure is not None:
-            raise RobotError(failure.reason)
+            self._failed = failure.error
+            raise self._failed
 
 
 def begun(robot: Robot, references: FloatArray, *, flight: bool) -> tuple[FloatArray, Monitor]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -12,9 +12,11 @@ import numpy as np
 from nufleet.robot_agent.motion.monitored_robot import begun
 from nufleet.robot_agent.motion.pace import HaltSwitch, Pace
 from nufleet.robot_agent.motion.paced_robot import CHUNK_SAMPLES, Halted
+from nufleet.robot_agent.motion.resampling import outputs_at_samples
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.errors import RobotError
+from nufleet.shared.errors import OutsideLimitsError, RobotDownError, RobotError
+from nufleet.shared.frequency_test.timing import Timing
 from nufleet.shared.wire.messages import Outcome
 from nufleet.shared.wire.motions import FlightDetails
 
@@ -42,6 +44,12 @@ class Samples:
 
     details: FlightDetails | None = None
     """Other signals of a flight; None for a motion that has none."""
+
+    column: int | None = None
+    """Index of the axis that a test moves; None for a flight."""
+
+    timing: Timing | None = None
+    """Times of a test's samples, for a robot that records them."""
 
     states: FloatArray | None = None
     """All states of the axis that a test moves, shape (samples, states), NaN where they were not
@@ -81,7 +89,8 @@ def perform(
     """Perform a motion, from rest to rest.
 
     A robot that breaks its interface (raises anything but `RobotError`, or does not come to rest)
-    yields a failed motion with a fault; no exception of the robot leaves this function.
+    yields a failed motion with a fault; no exception of the robot leaves this function. A robot
+    that is down (`RobotDownError`) is not asked to come to rest.
 
     Args:
         robot: The robot, connected and at rest.
@@ -93,25 +102,45 @@ def perform(
         The outcome of the motion and its samples.
     """
     fault: str | None = None
+    down: str | None = None
     try:
         outcome, reason = performance.play()
     except Halted:
         outcome, reason = switch.order or (Outcome.ABORTED, "halted")
     except RobotError as error:
         outcome, reason = Outcome.FAILED, str(error)
+        if isinstance(error, RobotDownError):
+            down = reason
+        if isinstance(error, RobotDownError | OutsideLimitsError):
+            fault = reason
     except Exception as error:  # noqa: BLE001 - a driver's mistake must not leave it moving
         _log.exception("a motion ended unexpectedly")
         outcome, reason = Outcome.FAILED, f"an unexpected error: {error!r}"
         fault = reason
+    samples = performance.measured()
     try:
         on_resting()
+        if down is None and samples.column is not None:
+            samples = _recorded(robot, samples)
+    except RobotError as error:
+        outcome = Outcome.FAILED
+        reason = f"{reason}; {error}" if reason else str(error)
     finally:
-        not_at_rest = _bring_to_rest(robot)
+        not_at_rest = None if down is not None else _bring_to_rest(robot)
     if not_at_rest is not None:
         outcome = Outcome.FAILED
         reason = f"{reason}; {not_at_rest}" if reason else not_at_rest
         fault = reason
-    return Played(outcome, reason, performance.measured(), fault)
+    return Played(outcome, reason, samples, fault)
+
+
+def _recorded(robot: Robot, samples: Samples) -> Samples:
+    """Return a test's samples with the outputs that the robot recorded, if it records them."""
+    record = robot.record()
+    if record is None:
+        return samples
+    outputs, timing = outputs_at_samples(record, len(samples.reference), robot.spec)
+    return replace(samples, response=outputs[:, samples.column], timing=timing)
 
 
 def _bring_to_rest(robot: Robot) -> str | None:
@@ -151,7 +180,8 @@ class AxisMotion:
             on_samples: Callback that receives each batch: the index of its first sample, and its
                 references and outputs, both of shape (samples,).
         """
-        self._robot, self._axis, self._reference = robot, axis, reference
+        self._robot, self._reference = robot, reference
+        self._column = [known.name for known in robot.spec.axes].index(axis)
         self._switch, self._on_samples = switch, on_samples
         self._pace = Pace(robot.spec, realtime, switch)
         self._response = np.empty_like(reference)
@@ -163,15 +193,19 @@ class AxisMotion:
         """Return the samples measured until now; both arrays have shape (samples,)."""
         done = slice(0, self._done)
         states = None if self._states is None else self._states[done].copy()
-        return Samples(self._reference[done].copy(), self._response[done].copy(), states=states)
+        return Samples(
+            self._reference[done].copy(),
+            self._response[done].copy(),
+            column=self._column,
+            states=states,
+        )
 
     def play(self) -> tuple[Outcome, str]:
         """Play the reference to its end, or until the switch is thrown."""
-        axes = [axis.name for axis in self._robot.spec.axes]
-        column = axes.index(self._axis)
+        column = self._column
         if self._switch.order is not None:
             return self._switch.order
-        whole = np.zeros((len(self._reference), len(axes)))
+        whole = np.zeros((len(self._reference), len(self._robot.spec.axes)))
         whole[:, column] = self._reference
         _, monitor = begun(self._robot, whole, flight=False)
         for start, stop in self._batches():
@@ -193,7 +227,7 @@ class AxisMotion:
                 start, self._reference[start : self._done], self._response[start : self._done]
             )
             if failure is not None:
-                return Outcome.FAILED, failure.reason
+                raise failure.error
         return Outcome.COMPLETED, ""
 
     def _batches(self) -> Iterator[tuple[int, int]]:

@@ -10,9 +10,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from nufleet.robot_agent.motion.pace import GAP_MAX_S
-from nufleet.robot_agent.robot import Robot, RobotAround
+from nufleet.robot_agent.robot import Record, Robot, RobotAround
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.errors import RobotError
+from nufleet.shared.errors import RobotDownError, RobotError
 
 SLOW_CALL_MAX_S = 60.0
 """Time limit of one call that connects, comes to rest, or simulates as fast as possible."""
@@ -46,7 +46,8 @@ class WatchedRobot(RobotAround):
     """Passes every call on to a driver, one at a time.
 
     No other thread can end a call. A robot whose driver hangs therefore cannot be brought to rest
-    from here; it can only be reported.
+    from here; it can only be reported, or its motors cut. A robot that is down (`RobotDownError`)
+    is asked for nothing until it is connected again.
     """
 
     def __init__(self, robot: Robot, *, realtime: float | None) -> None:
@@ -63,6 +64,7 @@ class WatchedRobot(RobotAround):
         self._busy = threading.Lock()
         self._call: _Call | None = None
         self._looked_s = time.monotonic()
+        self._down: str | None = None
 
     @property
     def hangs(self) -> bool:
@@ -89,8 +91,32 @@ class WatchedRobot(RobotAround):
 
     def connect(self) -> None:
         """Connect; raises RobotError."""
+        self._down = None
         with self._calling("connect", SLOW_CALL_MAX_S):
             self._robot.connect()
+
+    def begin(self) -> None:
+        """Get the robot ready to move."""
+        with self._calling("begin", SLOW_CALL_MAX_S):
+            self._robot.begin()
+
+    def end(self) -> None:
+        """End what `begin` began."""
+        with self._calling("end", SLOW_CALL_MAX_S):
+            self._robot.end()
+
+    def record(self) -> Record | None:
+        """Return the measurements of the motion just played."""
+        with self._calling("record", self._sample_max_s):
+            return self._robot.record()
+
+    def kill(self) -> None:
+        """Cut the motors, also during another call; raises RobotError if that fails.
+
+        A robot without such a switch stays as it is.
+        """
+        self._robot.kill()
+        self._down = "its motors were cut"
 
     def measure_output(self) -> FloatArray:
         """Measure the output at rest, shape (axes,)."""
@@ -120,7 +146,7 @@ class WatchedRobot(RobotAround):
 
     def disconnect(self) -> None:
         """Release the robot; raises RobotError while another call is in progress."""
-        with self._calling("disconnect", SLOW_CALL_MAX_S):
+        with self._calling("disconnect", SLOW_CALL_MAX_S, down_too=True):
             self._robot.disconnect()
 
     def let_go(self) -> None:
@@ -147,7 +173,9 @@ class WatchedRobot(RobotAround):
         done.result()
 
     @contextmanager
-    def _calling(self, what: str, allowed_s: float) -> Iterator[None]:
+    def _calling(self, what: str, allowed_s: float, *, down_too: bool = False) -> Iterator[None]:
+        if self._down is not None and not down_too:
+            raise RobotDownError(self._down)
         if not self._busy.acquire(blocking=False):
             call = self._call
             raise RobotError(
@@ -158,6 +186,9 @@ class WatchedRobot(RobotAround):
         self._call = _Call(what, allowed_s)
         try:
             yield
+        except RobotDownError as error:
+            self._down = str(error)
+            raise
         finally:
             self._call = None
             self._busy.release()

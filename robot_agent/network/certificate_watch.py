@@ -37,8 +37,13 @@ class CertificateWatch:
         """
         self._identity, self._now = identity, now
         begins, self._ends = validity(identity)
-        if (self._ends - now()) < WARN_BELOW * (self._ends - begins):
-            _log.warning("%s", self._due())
+        self._warn_at: datetime | None = self._ends - WARN_BELOW * (self._ends - begins)
+
+    def look(self) -> None:
+        """Warn once when less than a third of the certificate's life is left; called regularly."""
+        if self._warn_at is not None and self._now() >= self._warn_at:
+            self._warn_at = None
+            _log.warning("%s", self.due)
 
     def refusal(self, duration_s: float) -> Refusal | None:
         """Return why a goal may not begin now; None when it may.
@@ -51,15 +56,18 @@ class CertificateWatch:
             self._read_again()
         if (self._ends - self._now()).total_seconds() > duration_s + MARGIN_S:
             return None
-        return Refusal(code="certificate", reason=self._due())
+        return Refusal(code="certificate", reason=self.due)
 
     def _read_again(self) -> None:
         try:
-            self._ends = validity(read_identity(self._identity.path))[1]
+            begins, self._ends = validity(read_identity(self._identity.path))
+            self._warn_at = self._ends - WARN_BELOW * (self._ends - begins)
         except IdentityError as error:
             _log.warning("%s", error)
 
-    def _due(self) -> str:
+    @property
+    def due(self) -> str:
+        """What has to be done about the certificate, and until when, for a person."""
         name = self._identity.principal
         return (
             f"the certificate of {name} ends at {self._ends:%Y-%m-%d %H:%M} UTC, and its link with "

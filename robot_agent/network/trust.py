@@ -70,20 +70,19 @@ class Trust:
     def refusal(self, payload: bytes) -> Refusal | None:
         """Return why the robot does not take an experience as its prior; None when it does.
 
-        What it has learned itself, it takes without a signature: it would sign it.
+        What an orchestrator trains from its own flights, it takes without a signature: it tries it
+        before it signs it. Whether it may learn at all is for `priors_from` to say.
 
         Args:
             payload: Contents of the file of the experience.
         """
         robot = decode_experience(payload).manifest.robot
-        if robot == self._name:
-            return None
         admitted = self._policy.priors_from
         if admitted is not None and robot not in admitted:
             allowed = f"{', '.join(admitted) or 'no robot'} (`priors_from` of {self._name})"
             reason = f"its fleet file lets it take priors from {allowed}, not from {robot}"
             return Refusal(code="policy", reason=reason)
-        if self._identity is None:
+        if self._identity is None or robot == self._name:
             return None
         try:
             self._check_signed(payload, robot, self._identity)
@@ -100,7 +99,7 @@ class Trust:
         if signature is None:
             raise UntrustedError(
                 f"it is not signed; start the agent of {robot} with its identity, so that {robot} "
-                "signs what it has learned, and transfer again"
+                "signs what it has learned, and transfer it from there"
             )
         signer = signer_of(signature, signed_content(payload), identity.authority)
         principal = signer.rpartition(".")[0]

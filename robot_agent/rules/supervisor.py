@@ -33,6 +33,9 @@ class Supervision:
     """Why the robot cannot be trusted to obey, latched until it is reconnected; None when it
     can."""
 
+    unfit: str | None = None
+    """Why the robot's health keeps it from moving, until the next report; None when it does not."""
+
     motion_owner: str | None = None
     """Orchestrator that commands the motion in progress; None while there is none."""
 
@@ -79,7 +82,30 @@ class Reconnected:
     fault: str | None = None
 
 
-Event = StopOrdered | ReleaseOrdered | OwnerLost | MotionBegan | MotionEnded | Reconnected
+@dataclass(frozen=True)
+class FaultFound:
+    """Something other than a motion's end showed that the robot cannot be trusted to obey."""
+
+    fault: str
+
+
+@dataclass(frozen=True)
+class HealthReported:
+    """The robot reported its health; `unfit` says why it may not move, if it may not."""
+
+    unfit: str | None
+
+
+Event = (
+    StopOrdered
+    | ReleaseOrdered
+    | OwnerLost
+    | MotionBegan
+    | MotionEnded
+    | Reconnected
+    | FaultFound
+    | HealthReported
+)
 
 
 @dataclass(frozen=True)
@@ -113,6 +139,11 @@ def supervise(state: Supervision, event: Event) -> tuple[Supervision, Halt | Non
             return replace(state, motion_owner=None, fault=state.fault or fault), None
         case Reconnected(fault):
             return replace(state, fault=fault), None
+        case FaultFound(fault):
+            return replace(state, fault=state.fault or fault), _halt_if_moving(state, fault)
+        case HealthReported(unfit):
+            halt = None if unfit is None else _halt_if_moving(state, unfit)
+            return replace(state, unfit=unfit), halt
 
 
 def refusal_to_start(state: Supervision, *, owner: str, owner_alive: bool) -> Refusal | None:
@@ -136,6 +167,8 @@ def refusal_to_start(state: Supervision, *, owner: str, owner_alive: bool) -> Re
                 f"{state.stop.reason}"
             ),
         )
+    if state.unfit is not None:
+        return Refusal(code="not-ready", reason=f"it is not ready to move: {state.unfit}")
     if not owner_alive:
         return Refusal(
             code="owner-not-alive",

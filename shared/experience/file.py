@@ -79,8 +79,12 @@ def decode_experience(payload: bytes, sha256: str | None = None) -> Experience:
             "the experience is not the one that was offered: its sha256 differs"
         )
     metadata = _metadata(payload)
-    manifest = _read(ExperienceManifest, metadata, _MANIFEST_KEY)
-    signature = _read(Signature, metadata, _SIGNATURE_KEY) if _SIGNATURE_KEY in metadata else None
+    manifest = _read(ExperienceManifest, metadata, _MANIFEST_KEY, "manifest")
+    signature = (
+        _read(Signature, metadata, _SIGNATURE_KEY, "signature")
+        if _SIGNATURE_KEY in metadata
+        else None
+    )
     try:
         arrays = safetensors.numpy.load(payload)
     except (safetensors.SafetensorError, KeyError, ValueError, TypeError) as error:
@@ -143,8 +147,8 @@ def _metadata(payload: bytes) -> dict[str, str]:
     return dict(metadata)
 
 
-def _read(kind: type[S], metadata: dict[str, str], key: str) -> S:
-    with validation_errors_as(MalformedMessageError, f"the experience's {key}"):
+def _read(kind: type[S], metadata: dict[str, str], key: str, what: str) -> S:
+    with validation_errors_as(MalformedMessageError, f"the experience's {what}"):
         return kind.model_validate_json(metadata[key])
 
 

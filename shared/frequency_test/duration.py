@@ -1,7 +1,8 @@
 """The durations of the parts of a frequency test, known before the test is requested.
 
-A segment lasts the longest of three times: one period of the slowest tone; `segment_min_s`; and the
-time that lets all segments together hold `RESOLUTION_PERIODS` beats of the two closest tones.
+The segments of several tones together hold one period of the slowest of them, and
+`RESOLUTION_PERIODS` beats of the two closest; a segment of a single tone holds a period of its own.
+No segment is shorter than `segment_min_s`.
 Without `settle_s` the measuring part begins `settling_time_s` after the ramp: a transient decays at
 the robot's own rate, which does not depend on the frequency of the tone.
 """
@@ -68,17 +69,17 @@ def timing(excitation: Excitation, spec: RobotSpec) -> Timing:
     """
     omegas = sorted(tone.omega_rad_s for tone in excitation.tones)
     period_s = 2 * math.pi / omegas[0]
-    segment_s = max(period_s, excitation.segment_min_s)
+    measure_s = excitation.segments * period_s
     if len(omegas) > 1:
         beat_s = 2 * math.pi / float(np.min(np.diff(omegas)))
-        segment_s = max(segment_s, RESOLUTION_PERIODS * beat_s / excitation.segments)
+        measure_s = max(period_s, RESOLUTION_PERIODS * beat_s)
     # The period of the geometric mean of all frequencies, see RAMP_MIN_PERIODS.
     middle_s = 2 * math.pi / math.exp(float(np.mean(np.log(omegas))))
     return Timing(
         ramp_s=min(middle_s, max(RAMP_MAX_S, RAMP_MIN_PERIODS * middle_s)),
         settle_s=spec.settling_time_s if excitation.settle_s is None else excitation.settle_s,
         segments=excitation.segments,
-        segment_s=segment_s,
+        segment_s=max(measure_s / excitation.segments, excitation.segment_min_s),
     )
 
 

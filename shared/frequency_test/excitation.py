@@ -23,8 +23,8 @@ class Tone(Strict):
 class Excitation(Strict):
     """A request for a frequency test. The robot chooses omitted values within its own limits.
 
-    The measuring part consists of segments of equal length. Each holds at least one period of every
-    tone and yields its own phasors, whose scatter measures the uncertainty.
+    The measuring part consists of segments of equal length, which together hold at least one period
+    of every tone. Each yields its own phasors, whose scatter measures the uncertainty.
     """
 
     kind: Literal["excitation"] = "excitation"

@@ -7,7 +7,7 @@ output.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,11 +27,13 @@ from nufleet.shared.frequency_test.quality import (
     changed,
     disturbed,
     f_quantile,
+    stopped,
     uncertain,
     unexplained,
     unsettled,
     verdict,
 )
+from nufleet.shared.frequency_test.ring_down import RingDown, ring_down, still_ringing
 from nufleet.shared.frequency_test.sensor_faults import sensor_faults
 from nufleet.shared.frequency_test.sinusoid_fit import (
     SinusoidFit,
@@ -159,12 +161,19 @@ def estimate_frequency_response(
     if y_scale > GAIN_MAX * u_scale:
         text = f"the output reaches {y_scale:.2g} with a reference of {u_scale:.2g}: it ran away"
         return _failed(omegas, plan, "unexplained", text)
-    return _estimate(_Samples(u / u_scale, y / (y_scale or 1.0), u_scale, y_scale), omegas, plan)
+    begin = plan.ramp_samples
+    before = np.stack([reference[begin:first], response[begin:first]])
+    if not np.all(np.isfinite(before)) or np.max(np.abs(before), initial=0.0) > GAIN_MAX * u_scale:
+        begin = first
+    settled = _Samples(
+        reference[begin:end] / u_scale, response[begin:end] / (y_scale or 1.0), u_scale, y_scale
+    )
+    return _estimate(settled, first - begin, omegas, plan)
 
 
 @dataclass(frozen=True)
 class _Samples:
-    """The measuring part of a test, scaled so that the largest sample of each signal is 1."""
+    """A part of a test, scaled so that the largest measured sample of each signal is 1."""
 
     u: FloatArray
     """Scaled reference, shape (samples,)."""
@@ -188,13 +197,23 @@ class _Estimates:
     """Degrees of freedom of that variance, shape (tones,)."""
 
 
-def _estimate(samples: _Samples, omegas: FloatArray, plan: ExcitationPlan) -> FrequencyResponse:
+def _estimate(
+    between: _Samples, settle_samples: int, omegas: FloatArray, plan: ExcitationPlan
+) -> FrequencyResponse:
+    """Estimate z from what a robot did between the ramps, of which it was to settle first."""
     tones, step_s = len(omegas), plan.sample_time_s
-    extra = resolvable_harmonics(omegas, step_s, len(samples.u) * step_s)
+    extra = resolvable_harmonics(omegas, step_s, plan.segments * plan.segment_samples * step_s)
     every_omega = np.concatenate([omegas, extra])
+    ringing = ring_down(between.y, every_omega, float(omegas.max()), step_s, settle_samples)
+    start, transient = settle_samples, None
+    if ringing.lasting.any():
+        # A transient is known best where it is largest, so that all of it is fitted.
+        start = len(between.y) % plan.segments
+        transient = ringing.columns(len(between.y), step_s)[start:]
+    samples = replace(between, u=between.u[start:], y=between.y[start:])
     try:
         input_fit, output_fit = fit_sinusoids(
-            [samples.u, samples.y], every_omega, step_s, plan.segments
+            [samples.u, samples.y], every_omega, step_s, plan.segments, transient
         )
     except UnresolvableError as error:
         return _failed(omegas, plan, "unresolvable", str(error))
@@ -223,7 +242,8 @@ def _estimate(samples: _Samples, omegas: FloatArray, plan: ExcitationPlan) -> Fr
         variance += (gain * suspicion.phasor_error / np.abs(input_tones)) ** 2
     degrees = output_fit.scatter_degrees[:tones]
     estimates = _Estimates(gain * segment_z, variance, degrees)
-    findings = _findings(tested, samples, input_fit, output_fit, estimates, plan)
+    findings = _findings(tested, samples, ringing, input_fit, output_fit, estimates, plan)
+    findings.append(still_ringing(ringing, settle_samples * step_s))
     return FrequencyResponse(
         omega_rad_s=omegas,
         z=gain * scaled_z,
@@ -238,6 +258,7 @@ def _estimate(samples: _Samples, omegas: FloatArray, plan: ExcitationPlan) -> Fr
 def _findings(
     tested: Tested,
     samples: _Samples,
+    ringing: RingDown,
     input_fit: SinusoidFit,
     output_fit: SinusoidFit,
     estimates: _Estimates,
@@ -266,7 +287,11 @@ def _findings(
         *uncertain(omegas, silent, geodesic_radius(z, uncertainty_radius(variance, degrees))),
     ]
     if silent.all():
-        return findings
+        return [
+            *findings,
+            stopped(ringing.unexplained, residual),
+            disturbed(residual, moved, segments),
+        ]
     distortion = harmonic_distortion(output_fit, tones, residual)
     # For a single tone the powers contain nothing but harmonics, which were tested above.
     if tones > 1:

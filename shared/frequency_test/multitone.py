@@ -6,9 +6,13 @@ import numpy as np
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.excitation import Tone
+from nufleet.shared.robots.spec import AxisSpec
 
 CLIPPING_ROUNDS = 60
 """Number of clipping iterations in the search for phases."""
+
+RAMPED = 0.5
+"""Share of the limits that tones may take, so that ramps, which add to them, find room."""
 
 SAMPLES_PER_PERIOD = 8
 """Samples per period of the fastest tone during the search; more would find the same phases."""
@@ -28,6 +32,27 @@ def multitone(
     return tuple(
         Tone(omega_rad_s=harmonic * base_rad_s, weight=float(weight), phase_rad=float(phase))
         for harmonic, weight, phase in zip(harmonics, weights, phases, strict=True)
+    )
+
+
+def largest_amplitude(tones: tuple[Tone, ...], axis: AxisSpec) -> float:
+    """Return an amplitude at which a robot accepts these tones with any ramp.
+
+    It is a bound, from the sums of the tones' own velocities and accelerations.
+
+    Args:
+        tones: Tones of a test.
+        axis: Axis with its limits.
+    """
+    omega = np.array([tone.omega_rad_s for tone in tones])
+    weights = np.array([tone.weight for tone in tones])
+    phases = np.array([tone.phase_rad for tone in tones])
+    period_s = 2 * np.pi / float(omega.min())
+    times_s = np.linspace(0.0, period_s, SAMPLES_PER_PERIOD * int(omega.max() / omega.min() + 1))
+    peak = float(np.max(np.abs(weights @ np.sin(np.outer(omega, times_s) + phases[:, None]))))
+    velocity, acceleration = (float(weights @ omega**power) / peak for power in (1, 2))
+    return RAMPED * min(
+        axis.amplitude_max, axis.velocity_max / velocity, axis.acceleration_max / acceleration
     )
 
 

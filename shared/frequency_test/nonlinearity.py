@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from nufleet.shared.arrays import FloatArray
+from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.frequency_test.quality import SILENCE, Finding, f_quantile
 from nufleet.shared.frequency_test.sinusoid_fit import SinusoidFit, fit_sinusoids
 
@@ -20,10 +20,7 @@ POWERS_EXPLAIN_MIN = 0.1
 predict to count as distortion."""
 
 DISTORTION_REPORTED = 0.01
-DISTORTION_MAX = 0.2
-"""Ratio of the nonlinear to the linear part of the output. Above the first value distortion is
-reported; above the second the test fails, because one complex number no longer describes the
-response."""
+"""Ratio of the nonlinear to the linear part of the output from which distortion is reported."""
 
 
 def nonlinear(distortion: float) -> Finding | None:
@@ -31,10 +28,40 @@ def nonlinear(distortion: float) -> Finding | None:
     if distortion <= DISTORTION_REPORTED:
         return None
     return Finding(
-        code="distorted" if distortion > DISTORTION_MAX else "nonlinear",
+        code="nonlinear",
         text=f"the response is not linear at this amplitude: {100 * distortion:.2g} % of it is "
         "distortion; repeat at half the amplitude",
+        value=distortion,
     )
+
+
+def nonlinearity_in_words(larger: ComplexArray, smaller: ComplexArray) -> str:
+    """Return which nonlinearity changes a response like this; empty if none is known to.
+
+    What saturates holds back large motions, mostly fast ones: they are smaller and later. What
+    sticks, is slack or dead holds back small ones, as far as it acts: friction takes off amplitude
+    at all frequencies, backlash delays, and a dead zone weakens the loop, so that slow motions
+    overshoot and fast ones are smaller.
+
+    Args:
+        larger: Response at the larger of two amplitudes, at rising frequencies, shape (tones,).
+        smaller: Response at the smaller one, shape (tones,).
+    """
+    middle = (len(larger) + 1) // 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.log(smaller / larger)
+    ratio = np.where(np.isfinite(ratio), ratio, 0.0)
+    slow, fast = ratio[:middle].mean(), ratio[middle:].mean()
+    if fast.real > 0 and fast.imag > 0:
+        return ", as with an actuator that saturates or is slow to change"
+    if slow.real > 0 > fast.real:
+        return ", as with a dead zone"
+    if slow.real < 0 and fast.real < 0:
+        later = -float(ratio.imag.mean()) > -float(ratio.real.mean())
+        return ", as with backlash" if later else ", as with friction"
+    if slow.real > 0:
+        return ", as with a spring that hardens"
+    return ""
 
 
 def harmonic_distortion(fit: SinusoidFit, tones: int, residual: FloatArray) -> float:

@@ -24,9 +24,10 @@ SETTLED_SIGNIFICANCE = 1e-3
 WINDOWS_MAX = 64
 """Largest number of windows in which a tone's response is examined for a change."""
 
+CHANGED_WINDOWS_MIN = 6
 CHANGED_SIGNIFICANCE = 1e-4
-"""Probability that white noise is taken for a change in the middle of a test; for slow noise it is
-several times higher."""
+"""Least number of windows in which a change is sought, and the probability that white noise is
+taken for one in the middle of a test; for slow noise it is several times higher."""
 
 R_SQUARED_REPORTED = 0.9
 R_SQUARED_MIN = 0.5
@@ -37,6 +38,9 @@ DISTURBED_RATIO = 10.0
 DISTURBED_SHARE = 0.1
 """A segment counts as disturbed if its residual has more than `DISTURBED_RATIO` times the power of
 the other segments' residuals, and more than `DISTURBED_SHARE` of the tones' root mean square."""
+
+STOPPED_RATIO = 1.25
+"""Motion before the measuring part, as a multiple of the noise in it, that is no noise."""
 
 NO_RESPONSE_SIGNIFICANCE = 1e-3
 """Probability that the noise of a robot that does not move at all is taken for a response."""
@@ -56,6 +60,8 @@ class Finding(Strict):
     """Kind of finding, for programs."""
     text: Reason
     """The finding in words, for people."""
+    value: float | None = None
+    """What was found to be how large, for programs: a time in s, or a share of the response."""
 
     def __str__(self) -> str:
         return self.text
@@ -109,6 +115,22 @@ def unexplained(reference_rms: float, measured: FloatArray, residual: FloatArray
             text=f"the tones explain {100 * max(0.0, r_squared):.0f} % of the output's variance",
         )
     return None
+
+
+def stopped(before: float, residual: FloatArray) -> Finding | None:
+    """Return the finding that a robot moved while it settled, and not while it was measured.
+
+    Args:
+        before: Deviation of what no decay explains before the measuring part.
+        residual: Output minus the fit in the measuring part, shape (samples,), in the same unit.
+    """
+    if before <= STOPPED_RATIO * float(np.std(_detrended(residual[None]))):
+        return None
+    return Finding(
+        code="stopped",
+        text="the robot moved before it was measured, and responds to no tone from then on: it "
+        "stopped following its reference",
+    )
 
 
 def disturbed(residual: FloatArray, tones: FloatArray, segments: int) -> Finding | None:
@@ -194,6 +216,8 @@ def changed(
     for omega, scale in zip(omega_rad_s.tolist(), z_scale.tolist(), strict=True):
         edges = _half_periods(len(residual), omega * sample_time_s)
         windows = len(edges) - 1
+        if windows < CHANGED_WINDOWS_MIN:
+            continue
         turned = residual * np.exp(-1j * omega * sample_time_s * np.arange(len(residual)))
         # The phasor of the residual in each window: twice the mean of r(t) e^{−jωt}.
         values = 2 * np.add.reduceat(turned, edges[:-1]) / np.diff(edges)
@@ -245,14 +269,13 @@ def uncertain(
 FATAL = frozenset(
     {
         "frozen",
+        "stopped",
         "clipped",
         "unexplained",
         "disturbed",
         "unsettled",
         "changed",
         "too-many-spikes",
-        "distorted",
-        "no-response",
         "uncertain",
     }
 )

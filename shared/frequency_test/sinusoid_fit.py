@@ -78,7 +78,11 @@ def complex_median(segment_values: ComplexArray) -> ComplexArray:
 
 
 def fit_sinusoids(
-    signals: Sequence[FloatArray], omega_rad_s: FloatArray, sample_time_s: float, segments: int
+    signals: Sequence[FloatArray],
+    omega_rad_s: FloatArray,
+    sample_time_s: float,
+    segments: int,
+    transient: FloatArray | None = None,
 ) -> list[SinusoidFit]:
     """Fit all frequencies jointly to the whole of each signal.
 
@@ -101,6 +105,7 @@ def fit_sinusoids(
         omega_rad_s: Frequencies, shape (F,), all different and below the Nyquist frequency.
         sample_time_s: Time between samples.
         segments: Number of segments P of equal length.
+        transient: Further columns of H, which a transient consists of, shape (samples, columns).
 
     Returns:
         One fit per signal, in the same order.
@@ -113,12 +118,13 @@ def fit_sinusoids(
     samples, count = stacked.shape
     length = samples // segments
     blocks = [slice(p * length, (p + 1) * length) for p in range(segments)]
-    size = 2 * len(omega_rad_s) + 2
+    columns_of = _Columns(samples, omega_rad_s, sample_time_s, transient)
+    size = columns_of.count
     grams = np.empty((segments, size, size))
     moments = np.zeros((size, count))
     # One segment of H at a time: the whole of H would take gigabytes for many tones in a long test.
     for p, block in enumerate(blocks):
-        columns = _columns(block, samples, omega_rad_s, sample_time_s)
+        columns = columns_of(block)
         grams[p] = columns.T @ columns
         moments += columns.T @ stacked[block]
     gram = grams.sum(axis=0)
@@ -127,19 +133,20 @@ def fit_sinusoids(
         raise UnresolvableError("signals of this length cannot resolve the frequencies")
     factor = cho_factor(gram)
     theta = cho_solve(factor, moments)
-    scatter_factor, scatter_degrees = _scatter(factor, grams)
+    frequencies = len(omega_rad_s)
+    scatter_factor, scatter_degrees = _scatter(factor, grams, frequencies)
 
     fitted = np.empty_like(stacked)
     contributions = np.empty((segments, size, count))
     for p, block in enumerate(blocks):
-        columns = _columns(block, samples, omega_rad_s, sample_time_s)
+        columns = columns_of(block)
         fitted[block] = columns @ theta
         contributions[p] = cho_solve(factor, columns.T @ (stacked[block] - fitted[block]))
     return [
         SinusoidFit(
             omega_rad_s=omega_rad_s,
-            phasors=_phasors(theta[:, s]),
-            segment_phasors=_phasors(theta[:, s] + segments * contributions[:, :, s]),
+            phasors=_phasors(theta[:, s], frequencies),
+            segment_phasors=_phasors(theta[:, s] + segments * contributions[:, :, s], frequencies),
             scatter_factor=scatter_factor,
             scatter_degrees=scatter_degrees,
             fitted=fitted[:, s],
@@ -197,19 +204,21 @@ def resolvable_harmonics(
     return np.array(kept)
 
 
-def _scatter(factor: tuple[FloatArray, bool], grams: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _scatter(
+    factor: tuple[FloatArray, bool], grams: FloatArray, frequencies: int
+) -> tuple[FloatArray, FloatArray]:
     """Compare s²/P of each phasor with its variance in white noise, see `fit_sinusoids`.
 
     Args:
         factor: Cholesky factor of G, as returned by `cho_factor`.
-        grams: G_p of each segment, shape (segments, 2F + 2, 2F + 2).
+        grams: G_p of each segment, shape (segments, columns, columns).
+        frequencies: Number F of frequencies, whose columns are the first 2F.
 
     Returns:
         The factor by which s²/P underestimates the variance, and the degrees of freedom of s²/P,
         both of shape (F,).
     """
     segments, size, _ = grams.shape
-    frequencies = (size - 2) // 2
     inverse = cho_solve(factor, np.eye(size))
     # Columns of G⁻¹ for cos and sin of each frequency: (size, 2, F).
     both = inverse[:, : 2 * frequencies].reshape(size, 2, frequencies)
@@ -234,16 +243,29 @@ def _scatter(factor: tuple[FloatArray, bool], grams: FloatArray) -> tuple[FloatA
     return np.asarray(variance / expected), np.asarray(total**2 / squares)
 
 
-def _columns(
-    block: slice, samples: int, omega_rad_s: FloatArray, sample_time_s: float
-) -> FloatArray:
-    index = np.arange(block.start, block.stop)
-    phase = np.outer(index * sample_time_s, omega_rad_s)
-    drift = (2.0 * index - (samples - 1)) / samples
-    return np.column_stack([np.cos(phase), np.sin(phase), np.ones(len(index)), drift])
+@dataclass(frozen=True)
+class _Columns:
+    """The matrix H, of which a block of rows is made at a time."""
+
+    samples: int
+    omega_rad_s: FloatArray
+    sample_time_s: float
+    transient: FloatArray | None
+
+    @property
+    def count(self) -> int:
+        """Number of columns."""
+        more = 0 if self.transient is None else self.transient.shape[1]
+        return 2 * len(self.omega_rad_s) + 2 + more
+
+    def __call__(self, block: slice) -> FloatArray:
+        index = np.arange(block.start, block.stop)
+        phase = np.outer(index * self.sample_time_s, self.omega_rad_s)
+        drift = (2.0 * index - (self.samples - 1)) / self.samples
+        more = [] if self.transient is None else [self.transient[block]]
+        return np.column_stack([np.cos(phase), np.sin(phase), np.ones(len(index)), drift, *more])
 
 
-def _phasors(theta: FloatArray) -> ComplexArray:
-    """Turn a, b of a cos ωt + b sin ωt into a − jb; shape (…, 2F + 2) to (…, F)."""
-    frequencies = (theta.shape[-1] - 2) // 2
+def _phasors(theta: FloatArray, frequencies: int) -> ComplexArray:
+    """Turn a, b of a cos ωt + b sin ωt, which lead θ, into a − jb; shape (…, columns) to (…, F)."""
     return theta[..., :frequencies] - 1j * theta[..., frequencies : 2 * frequencies]

@@ -9,6 +9,7 @@ adds its rows.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
@@ -30,6 +31,8 @@ responses of two axes of one robot."""
 
 _DECAYS = (1.5, 3.0, 6.0, 12.0, 24.0)  # rates at which a response may decay, per settling time
 _SMOOTH_S = (0.05, 0.1, 0.2, 0.4, 0.8)  # correlation times of its slope in s
+_SCALES = tuple(product(_DECAYS, _SMOOTH_S))
+_WIDE = ((3.0, 0.1),)  # those of a prior that restricts hardly any response
 _SIZES = (0.03, 0.3, 3.0)  # scales of the prior's variance
 _REST = ((1e-3, 0.9), (3e-2, 0.1))  # standard deviations of g∞, and how probable each is
 _TAIL = 1e-3  # largest share of its reference by which a settled loop may still move
@@ -38,6 +41,8 @@ _NOISES = np.geomspace(1.0, 1e-12, 241)  # noise variances, as shares of the mea
 _SURE = 2.0  # standard deviations of the noise's mean square that may hide what is not linear
 _JITTER = 1e-10
 _TINY = float(np.finfo(np.float64).tiny)
+_Prior = tuple[tuple[FloatArray, FloatArray], float, tuple[float, float]]
+"""Mean and covariance, scale of the covariance, and standard deviation and probability of g∞."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +177,25 @@ def believe(basis: ErrorBasis, evidence: Evidence) -> ErrorBelief:
         basis: Parameters of the error response.
         evidence: Evidence of all flights, on that basis.
     """
+    return _likeliest(basis, evidence, product(_priors(basis, _SCALES), _SIZES, _REST))
+
+
+def fitted(basis: ErrorBasis, evidence: Evidence) -> ErrorBelief:
+    """Return the belief about an axis under a wide prior alone, in a tenth of the time.
+
+    What it leaves of the motions, it leaves like the likeliest of all priors, apart from 2 %. How
+    sure it is of the response says little, and what it foresees of other motions may be worse.
+
+    Args:
+        basis: Parameters of the error response.
+        evidence: Evidence of the motions, on that basis.
+    """
+    widest = product(_priors(basis, _WIDE), _SIZES[-1:], _REST[-1:])
+    return _likeliest(basis, evidence, widest)
+
+
+def _likeliest(basis: ErrorBasis, evidence: Evidence, priors: Iterable[_Prior]) -> ErrorBelief:
+    """Return the belief under that prior, and with that noise, that explain the evidence best."""
     normal, right = _arrays(evidence)
     best: tuple[float, ErrorBelief] | None = None
     # The mean square of n samples of noise varies by √(2/n) of itself.
@@ -179,7 +203,7 @@ def believe(basis: ErrorBasis, evidence: Evidence) -> ErrorBelief:
     scale = max(evidence.squares / evidence.rows, _TINY)
     moved = max(evidence.moved / evidence.rows, _TINY)
     noise = scale * _NOISES
-    for (mean, covariance), size, (rest_std, probability) in product(_priors(basis), _SIZES, _REST):
+    for (mean, covariance), size, (rest_std, probability) in priors:
         prior = size * covariance
         prior[-1, -1] = rest_std**2
         prior += _JITTER * np.eye(len(mean))
@@ -266,8 +290,10 @@ def _arrays(evidence: Evidence) -> tuple[FloatArray, FloatArray]:
 
 
 @lru_cache(maxsize=16)
-def _priors(basis: ErrorBasis) -> tuple[tuple[FloatArray, FloatArray], ...]:
-    """Return prior means and covariances, shapes (size,) and (size, size), for all scales.
+def _priors(
+    basis: ErrorBasis, scales: tuple[tuple[float, float], ...]
+) -> tuple[tuple[FloatArray, FloatArray], ...]:
+    """Return prior means and covariances, shapes (size,) and (size, size), for these scales.
 
     The impulse response h of the error has the covariance e^{−λ(τ + τ′)} M(τ − τ′), with a Matérn
     3/2 kernel M, and g(τ) = ∫_τ^∞ h. Conditioned on g(0) = 1, since an output that is measured
@@ -285,7 +311,7 @@ def _priors(basis: ErrorBasis) -> tuple[tuple[FloatArray, FloatArray], ...]:
     interpolate[np.arange(len(nodes)), below] = 1 - (place - below)
     interpolate[np.arange(len(nodes)), below + 1] += place - below
     priors = []
-    for decay, smooth_s in product(_DECAYS, _SMOOTH_S):
+    for decay, smooth_s in scales:
         near = np.sqrt(3) * apart / smooth_s
         kernel = np.exp(-decay / last_s * (grid[:, None] + grid)) * (1 + near) * np.exp(-near)
         covariance = interpolate @ (summed @ kernel @ summed.T) @ interpolate.T

@@ -24,7 +24,7 @@ class RobotPolicy(Strict):
     allow_unguarded: bool = False
     """True if the robot accepts requests to fly with a learned inverse and without the guard."""
     priors_from: tuple[Name, ...] | None = None
-    """Robots whose experiences it flies with; None for all of its fleet. Its own it always may."""
+    """Robots whose experiences it flies with, among them itself if it is to learn; None for all."""
     prior_output_max: Positive | None = None
     """Largest |γ| in unit/s that a prior may output on the paths that the robot may fly; None for
     ten times what a correction within its bounds needs."""

@@ -32,8 +32,24 @@ class AxisSpec(Strict):
     """Largest velocity of the reference, in unit/s."""
     acceleration_max: Positive
     """Largest acceleration of the reference, in unit/s²."""
+    output_min: float | None = None
+    output_max: float | None = None
+    """Limits on the *measured* output (a geofence), in the axis's unit, around 0; None for none. A
+    motion that leaves them ends, and the robot has a fault."""
     model: LinearModel | None = None
     """Exact model of the axis, known only for linear simulations; used to check estimates."""
+
+    @model_validator(mode="after")
+    def _holds_the_reference(self) -> AxisSpec:
+        for name, limit in (("output_min", self.output_min), ("output_max", self.output_max)):
+            if limit is not None and abs(limit) < self.amplitude_max:
+                raise ValueError(
+                    f"{name} {limit:g} {self.unit} of axis {self.name} is closer to 0 than its "
+                    f"amplitude_max {self.amplitude_max:g} {self.unit}"
+                )
+        if (self.output_min or -1.0) >= 0.0 or (self.output_max or 1.0) <= 0.0:
+            raise ValueError(f"axis {self.name} rests at 0, outside its output_min and output_max")
+        return self
 
 
 class TrackingLimits(Strict):
@@ -91,6 +107,14 @@ class RobotSpec(Strict):
     """True for a simulated robot."""
     tracking: TrackingLimits | None = None
     """Limits on paths; a robot without them accepts only frequency tests."""
+    idle_s: Positive | None = None
+    """Time without a motion after which the agent ends (lands) a robot that has begun; None to end
+    it only with the agent."""
+    measurement: Name = "own-sensor"
+    """Chain from the robot to its measured output, such as `onboard` or `motion-capture`. The
+    unknown delay of a chain is the same for all robots measured through it."""
+    delay_uncertainty_s: NonNegative = 0.0
+    """Standard deviation of the unknown part of that chain's delay."""
 
     @model_validator(mode="after")
     def _consistent(self) -> RobotSpec:

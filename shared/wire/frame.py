@@ -12,7 +12,7 @@ import struct
 
 from nufleet.shared.text import as_reason
 
-PROTOCOL_VERSION = 3
+PROTOCOL_VERSION = 4
 MAGIC = b"NUF1"
 LENGTHS = struct.Struct("<II")
 PREFIX_BYTES = len(MAGIC) + LENGTHS.size
@@ -28,7 +28,7 @@ def framed(head: bytes, body: bytes) -> bytes:
     return b"".join([MAGIC, LENGTHS.pack(len(head), len(body)), head, body])
 
 
-def stop_frame(sender: str, reason: str) -> bytes:
+def stop_frame(sender: str, reason: str, *, kill: bool = False) -> bytes:
     """Return a StopRequest as `nufleet.shared.wire.codec.encode` would encode it.
 
     It is made without pydantic and NumPy, because importing them takes longer than all other steps
@@ -37,9 +37,11 @@ def stop_frame(sender: str, reason: str) -> bytes:
     Args:
         sender: Identifier of the person or program that stops the robot.
         reason: Why it is stopped; any text is made printable and cut to length.
+        kill: Whether to cut its motors instead of bringing it to rest.
     """
     head = {"protocol": PROTOCOL_VERSION, "type": "StopRequest", "arrays": []}
-    return framed(_json(head), _json({"sender": sender, "reason": as_reason(reason)}))
+    body = {"sender": sender, "reason": as_reason(reason), "kill": kill}
+    return framed(_json(head), _json(body))
 
 
 def _json(value: object) -> bytes:

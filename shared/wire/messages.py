@@ -11,6 +11,8 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import MalformedMessageError
 from nufleet.shared.experience.manifest import ExperienceManifest
 from nufleet.shared.frequency_test.excitation import ExcitationPlan
+from nufleet.shared.frequency_test.timing import Timing
+from nufleet.shared.robots.health import Health
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.strict import Digest, Identifier, Name, NonNegative, Reason, Strict
 from nufleet.shared.wire.codec import Bytes, Float64Array, Message
@@ -214,6 +216,8 @@ class GoalResult(Message):
     """Measured output, same unit and shape as the reference."""
     details: FlightDetails | None = None
     """Further measurements of a flight; None for a frequency test."""
+    timing: Timing | None = None
+    """Times of a test's samples; None for a robot that does not record them."""
 
     @model_validator(mode="after")
     def _samples_agree(self) -> GoalResult:
@@ -347,6 +351,8 @@ class StopRequest(Message):
     """Identifier of the person or program that stops the robot."""
     reason: Reason
     """Why it is stopped."""
+    kill: bool = False
+    """Whether to cut the motors instead of coming to rest."""
 
 
 class ReleaseRequest(Message):
@@ -381,6 +387,8 @@ class RobotState(Message):
     """Goal that ended last."""
     robot_time_s: NonNegative
     """Time on the robot's own clock."""
+    health: Health | None = None
+    """Condition of the robot; None for one that reports none."""
 
 
 class Telemetry(Message):

@@ -25,17 +25,24 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nufleet.orchestrator.scripting import load_run, rank, track, transfer
-    from nufleet.robot_agent.robot import Robot
-    from nufleet.shared.errors import NufleetError
+    from nufleet.robot_agent.robot import Record, Robot
+    from nufleet.shared.errors import NufleetError, RobotDownError, RobotError
     from nufleet.shared.robots.drivers import RobotDriver
+    from nufleet.shared.robots.health import Health
     from nufleet.shared.robots.spec import AxisSpec, RobotSpec
+    from nufleet.shared.strict import Strict as Settings
 
 __all__ = [
     "AxisSpec",
+    "Health",
     "NufleetError",
+    "Record",
     "Robot",
+    "RobotDownError",
     "RobotDriver",
+    "RobotError",
     "RobotSpec",
+    "Settings",
     "load_run",
     "rank",
     "track",
@@ -44,10 +51,15 @@ __all__ = [
 
 _PLACES = {
     "AxisSpec": "nufleet.shared.robots.spec",
+    "Health": "nufleet.shared.robots.health",
     "NufleetError": "nufleet.shared.errors",
+    "Record": "nufleet.robot_agent.robot",
     "Robot": "nufleet.robot_agent.robot",
+    "RobotDownError": "nufleet.shared.errors",
     "RobotDriver": "nufleet.shared.robots.drivers",
+    "RobotError": "nufleet.shared.errors",
     "RobotSpec": "nufleet.shared.robots.spec",
+    "Settings": "nufleet.shared.strict",
     "load_run": "nufleet.orchestrator.scripting",
     "rank": "nufleet.orchestrator.scripting",
     "track": "nufleet.orchestrator.scripting",
@@ -59,4 +71,4 @@ def __getattr__(name: str) -> Any:
     """Import a public name when it is first used, so that the command line starts quickly."""
     if name not in _PLACES:
         raise AttributeError(f"module 'nufleet' has no attribute {name!r}")
-    return getattr(import_module(_PLACES[name]), name)
+    return getattr(import_module(_PLACES[name]), {"Settings": "Strict"}.get(name, name))

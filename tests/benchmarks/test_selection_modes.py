@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.selection_fleets import LinearLoop, Mode
+from benchmarks.selection_families import LinearLoop, Mode
 from benchmarks.selection_stored import outcome_of
 from benchmarks.selection_stored import row_of as stored_row_of
 from benchmarks.selection_verdicts import (

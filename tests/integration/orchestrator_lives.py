@@ -90,7 +90,8 @@ class OrchestratorLives:
 
 def ranking_of(conclusion: Conclusion) -> list[list[object]]:
     """What must be alike to the last bit."""
-    return [[one.robot, one.psi, one.psi_std, one.tests] for one in conclusion.report.ranking]
+    ranking = conclusion.report.ranking
+    return [[one.robot, one.psi, one.psi_low, one.psi_high, one.tests] for one in ranking]
 
 
 @contextmanager

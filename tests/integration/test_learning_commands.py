@@ -163,7 +163,7 @@ def test_the_best_source_is_that_of_the_latest_ranking(
     unknown = typed("transfer", *nobody, cwd=lab.folder)
     assert unknown.returncode == 2
     assert "nufleet rank --target slower" in unknown.stderr
-    band = ("--band", "0.5", "10", "--iterations", "1")
+    band = ("--band", "0.5", "10", "--iterations", "1", "--no-recording")
     before = lab.describe().priors
     ranked = lab.json("rank", "--target", "target", "--sources", "source-1,source-2", *band)
     assert ranked["selected"] == "source-2"

@@ -51,7 +51,10 @@ def test_rank_prints_the_documented_json_alone_on_stdout(tmp_path: Path) -> None
     assert document["iterations"] == 7
     assert [row["robot"] for row in document["ranking"]] == ["source-2", "source-1", "source-3"]
     for row, closed_form in zip(document["ranking"], (0.0212, 0.0694, 0.0918), strict=True):
-        assert set(row) == {"robot", "psi", "psi_std", "omega_rad_s", "tests"}
+        assert set(row) == {
+            *("robot", "psi", "psi_low", "psi_high", "omega_rad_s", "tests"),
+            *("measured_psi", "measured_omega_rad_s"),
+        }
         assert row["psi"] == pytest.approx(closed_form, rel=0.01)
         assert row["tests"] == 7
     assert document["robot_time_s"] > 0

@@ -6,11 +6,12 @@ import errno
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from agent_lives import EXCITATION
 from polling import PATIENCE_S, wait_until
-from puppet_robot import puppet_spec
+from puppet_robot import PuppetRobot, puppet_spec
 
 from nufleet.robot_agent.commands import Commands
 from nufleet.robot_agent.decisions import Decisions
@@ -22,7 +23,14 @@ from nufleet.shared import private_files
 from nufleet.shared.errors import MalformedMessageError
 from nufleet.shared.wire.codec import encode
 from nufleet.shared.wire.keys import FleetKeys
-from nufleet.shared.wire.messages import Done, GoalRequest, Outcome, Refusal, StopRequest
+from nufleet.shared.wire.messages import (
+    Done,
+    GoalRequest,
+    Outcome,
+    Refusal,
+    RobotStatus,
+    StopRequest,
+)
 
 STOP = encode(StopRequest(sender="alice", reason="smoke"))
 
@@ -40,8 +48,15 @@ def decisions(journal: Journal) -> Decisions:
 
 
 @pytest.fixture
-def stops(decisions: Decisions) -> Iterator[StopService]:
-    stops = StopService("r", decisions, FleetKeys("lab"), Commands(None))
+def robot() -> PuppetRobot:
+    robot = PuppetRobot()
+    robot.on_kill = Mock()
+    return robot
+
+
+@pytest.fixture
+def stops(decisions: Decisions, robot: PuppetRobot) -> Iterator[StopService]:
+    stops = StopService("r", decisions, FleetKeys("lab"), Commands(None), robot.kill)
     yield stops
     stops.close()
 
@@ -127,3 +142,61 @@ def test_who_asks_an_agent_that_ends_is_told_so(stops: StopService, decisions: D
     assert isinstance(answer, Refusal)
     assert answer.code == "shutting-down"
     wait_until(lambda: not [t for t in threading.enumerate() if t.name.startswith("r-stops")])
+
+
+KILL = encode(StopRequest(sender="alice", reason="smoke", kill=True))
+
+
+def test_a_kill_stops_and_cuts_the_motors_and_only_a_reconnection_undoes_it(
+    stops: StopService, decisions: Decisions, robot: PuppetRobot
+) -> None:
+    assert stops.asked("alice", KILL).result(PATIENCE_S) == Done()
+    assert isinstance(robot.on_kill, Mock)
+    robot.on_kill.assert_called_once_with()
+    assert decisions.fault == "its motors were cut by alice: smoke"
+    assert decisions.release("alice") is None
+    decisions.owner_appeared("o")
+    refused, _ = decisions.take(GoalRequest(goal_id="a", owner="o", motion=EXCITATION))
+    assert isinstance(refused, Refusal)
+    assert refused.code == "fault"
+
+
+def test_a_motion_is_halted_before_its_motors_are_cut(
+    stops: StopService, decisions: Decisions, robot: PuppetRobot
+) -> None:
+    decisions.owner_appeared("o")
+    _, motion = decisions.take(GoalRequest(goal_id="a", owner="o", motion=EXCITATION))
+    assert motion is not None
+    halted: list[bool] = []
+    robot.on_kill = lambda: halted.append(motion.switch.order is not None)
+    assert stops.asked("alice", KILL).result(PATIENCE_S) == Done()
+    assert halted == [True]
+
+
+def test_a_robot_without_a_switch_is_stopped_and_the_sender_learns_that_it_was_not_killed(
+    stops: StopService, decisions: Decisions, robot: PuppetRobot
+) -> None:
+    robot.on_kill = None
+    answer = stops.asked("alice", KILL).result(PATIENCE_S)
+    assert isinstance(answer, Refusal)
+    assert answer.code == "not-killed"
+    assert "no way of cutting its motors" in answer.reason
+    assert decisions.fault is None
+    assert decisions.state().status is RobotStatus.STOPPED
+
+
+def test_a_driver_that_hangs_in_its_kill_holds_up_no_stop(
+    stops: StopService, decisions: Decisions, robot: PuppetRobot
+) -> None:
+    goes_on = threading.Event()
+    robot.on_kill = lambda: assert_waited(goes_on)
+    killing = stops.asked("alice", KILL)
+    assert stops.asked("alice", KILL) is killing  # one thread, however often it is asked
+    assert stops.asked("bob", STOP).result(PATIENCE_S) == Done()
+    assert not killing.done()
+    goes_on.set()
+    assert killing.result(PATIENCE_S) == Done()
+
+
+def assert_waited(event: threading.Event) -> None:
+    assert event.wait(PATIENCE_S)

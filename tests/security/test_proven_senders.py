@@ -256,6 +256,19 @@ def test_no_goal_begins_that_may_outlast_the_certificate(
         assert isinstance(decode(encode(refusal), Refusal), Refusal)
 
 
+def test_an_agent_that_runs_warns_once_when_a_third_of_the_life_is_left(
+    fleet: Fleetlet, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    now = [utc_now()]
+    identity = short_lived(fleet.lab, tmp_path, timedelta(days=3) - timedelta(hours=1))
+    watch = CertificateWatch(identity, lambda: now[0])
+    for hours, warnings in ((0, 0), (46, 0), (2, 1), (1, 1)):
+        now[0] += timedelta(hours=hours)
+        watch.look()
+        assert [record.message for record in caplog.records] == warnings * [watch.due]
+    assert "`nufleet fleet renew b`" in watch.due
+
+
 def test_a_robot_takes_the_goals_that_end_before_its_certificate_and_no_others(
     fleet: Fleetlet, tmp_path: Path
 ) -> None:

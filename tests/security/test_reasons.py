@@ -25,6 +25,7 @@ from nufleet.orchestrator.authority.certificates import (
 )
 from nufleet.shared.errors import NoRouterError
 from nufleet.shared.private_files import write_privately
+from nufleet.shared.wire import handshake
 from nufleet.shared.wire.identity import Identity, address_of, identity_text, read_identity
 from nufleet.shared.wire.transport import open_client, open_configured_router, open_router
 
@@ -141,7 +142,10 @@ def test_a_stolen_robot_cannot_be_the_router(
         )
 
 
-def test_a_port_without_tls(desk: Identity, tmp_path: Path) -> None:
+def test_a_port_without_tls(
+    desk: Identity, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(handshake, "TIMEOUT_S", TRIED_S)  # such a port never answers
     port = free_port()
     with open_router([f"tcp/127.0.0.1:{port}"]):
         elsewhere = replace(desk, router=f"tls/127.0.0.1:{port}")

@@ -32,6 +32,7 @@ from nufleet.shared.experience.file import (
 from nufleet.shared.experience.signature import sign
 from nufleet.shared.robots.fleet_file import RobotPolicy
 from nufleet.shared.wire.identity import Identity, read_identity
+from nufleet.shared.wire.messages import ExperienceOffer, InstallRequest, Refusal
 
 ALL = RobotPolicy()
 
@@ -166,7 +167,21 @@ def test_the_fleet_file_of_the_target_decides_whose_priors_it_takes(
         if refusal is not None:
             allowed = ", ".join(robots) or "no robot"
             assert f"take priors from {allowed} (`priors_from` of a), not from b" in refusal.reason
-    assert trust(lab, "a", RobotPolicy(priors_from=())).refusal(experience("a")) is None
+
+
+@pytest.mark.parametrize(("robots", "learns"), [(None, True), (("b", "a"), True), (("b",), False)])
+def test_a_robot_tries_what_is_trained_from_its_flights_if_its_fleet_file_lets_it_learn(
+    robots: tuple[str, ...] | None, learns: bool, lab: ClosedLab
+) -> None:
+    policy, payload, memory = RobotPolicy(priors_from=robots), experience("a"), Memory(None)
+    service = ExperienceService(
+        "a", double_integrator(), memory, lambda sender: None, trust(lab, "a", policy)
+    )
+    request = InstallRequest(sender="desk.1", sha256=digest(payload), payload=payload)
+    for install_it in (service.install_prior, service.install_experience):
+        answer = install_it(request)
+        assert isinstance(answer, ExperienceOffer if learns else Refusal)
+    assert (len(memory.priors), len(memory.experiences)) == (int(learns), int(learns))
 
 
 def test_an_agent_signs_what_it_learned_before_and_gives_up_priors_that_it_may_not_have(

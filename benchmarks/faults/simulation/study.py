@@ -78,5 +78,5 @@ class RankingStudy:
             raise StudyError("no source is left")
         for robot, response in responses.items():
             self._sums[robot] += abs(complex(response.z[0]))
-        ranking = tuple(SourceEstimate(r, self._sums[r], 0.0, 1.0, 1) for r in self.ranking)
+        ranking = tuple(SourceEstimate(r, self._sums[r], 0.0, 1.0, 1.0, 1) for r in self.ranking)
         return Report(self._iteration, (), responses, {}, (), ranking, dict(self.dropped))

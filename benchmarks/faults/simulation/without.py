@@ -35,9 +35,10 @@ from nufleet.orchestrator.repository.lease_rules import StoredLease
 from nufleet.orchestrator.repository.records import Lease
 from nufleet.robot_agent.rules import goal_machine, ownership
 from nufleet.robot_agent.rules.freezes import Freezes
-from nufleet.shared.frequency_test.excitation import Excitation
+from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
+from nufleet.shared.frequency_test.quality import Quality
 from nufleet.shared.robots.spec import RobotSpec
-from nufleet.shared.wire.messages import Description, GoalResult
+from nufleet.shared.wire.messages import Description
 
 Patches = Iterator[Any]
 
@@ -97,15 +98,16 @@ def _compare_epochs() -> Patches:
 def _lengthen_without_limit() -> Patches:
     """A test is repeated with twice the time, even if its robot will refuse that (defect 11)."""
 
-    def longer(excitation: Excitation, result: GoalResult, spec: RobotSpec) -> Excitation:
-        del spec
-        plan = result.test_plan
+    def longer(
+        excitation: Excitation, plan: ExcitationPlan, quality: Quality, spec: RobotSpec
+    ) -> Excitation:
+        del quality, spec
         settle = max(plan.settle_samples, plan.ramp_samples) * plan.sample_time_s
         segment = plan.segment_samples * plan.sample_time_s
         update = {"settle_s": 2 * settle, "segment_min_s": 2 * segment}
         return excitation.model_copy(update=update)
 
-    yield patch.object(attempts, "lengthened", longer)
+    yield patch.object(attempts, "retried", longer)
 
 
 def _time_leases() -> Patches:

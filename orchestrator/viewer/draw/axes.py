@@ -57,9 +57,9 @@ class Axes:
 
 
 def fitting_axes(curves: Sequence[Curve]) -> Axes:
-    """Return axes that show all means and samples, and the bands unless these are very wide."""
-    highest = max(max(float(c.mean.max()), float(c.sampled_psi.max(initial=0.0))) for c in curves)
-    band = max(float((c.mean + 2 * c.std).max()) for c in curves)
+    """Return axes that show all medians and samples, and the bands unless these are very wide."""
+    highest = max(max(float(c.median.max()), float(c.sampled_psi.max(initial=0.0))) for c in curves)
+    band = max(float(c.high.max()) for c in curves)
     shown = min(max(1.1 * highest, min(band, 3.0 * highest), 1e-6), 1.0)
     step = round_up(shown / 5)
     return Axes(

@@ -13,7 +13,7 @@ TONES_NAMED = 6
 
 
 class Estimates:
-    """A view of ψ̂*_n ± one standard deviation over time, and of the ranking as a table."""
+    """A view of ψ̂*_n and its 95 % interval over time, and of the ranking as a table."""
 
     def __init__(self, stream: rr.RecordingStream, palette: Palette) -> None:
         self._stream = stream
@@ -22,16 +22,18 @@ class Estimates:
     def draw(self, event: IterationEvent) -> None:
         """Draw one round at the time that is set on the stream."""
         for row in event.ranking:
-            self._stream.log(
-                f"psi/worst/{row.robot}",
-                rr.Measurements(
-                    values=[row.psi],
-                    variances=[row.psi_std**2],
-                    colors=[self._palette.of(row.robot)],
-                    widths=[2.0],
-                    names=[row.robot],
-                ),
-            )
+            # Rerun draws a value with a symmetric band, so that a skewed interval takes two series.
+            for part, value in (("", row.psi), ("/low", row.psi_low), ("/high", row.psi_high)):
+                self._stream.log(
+                    f"psi/worst/{row.robot}{part}",
+                    rr.Measurements(
+                        values=[value],
+                        variances=[0.0],
+                        colors=[self._palette.of(row.robot)],
+                        widths=[0.7 if part else 2.0],
+                        names=[f"{row.robot}{part}"],
+                    ),
+                )
         self._stream.log(
             "ranking", rr.TextDocument(ranking_table(event), media_type=rr.MediaType.MARKDOWN)
         )
@@ -42,8 +44,8 @@ def ranking_table(event: IterationEvent) -> str:
     lines = [
         f"**Iteration {event.iteration}**, tested at {_tones(event)}, target **{event.target}**",
         "",
-        "| | source | worst ψ | ± σ | at ω [rad/s] | tests |",
-        "|---:|:---|---:|---:|---:|---:|",
+        "| | source | worst ψ | 95 % interval | at ω [rad/s] | measured | tests |",
+        "|---:|:---|---:|---:|---:|---:|---:|",
         *(_line(place, row) for place, row in enumerate(event.ranking, start=1)),
     ]
     return "\n".join(lines)
@@ -55,7 +57,7 @@ def summary(event: IterationEvent) -> str:
     if not event.ranking:
         return said
     best = event.ranking[0]
-    return f"{said}: {best.robot} is closest, worst ψ = {best.psi:.4f} ± {_deviation(best)}"
+    return f"{said}: {best.robot} is closest, worst ψ = {best.stated}"
 
 
 def _tones(event: IterationEvent) -> str:
@@ -68,10 +70,7 @@ def _tones(event: IterationEvent) -> str:
 def _line(place: int, row: SourceEstimate) -> str:
     mark = "**" if place == 1 else ""
     return (
-        f"| {place} | {mark}{row.robot}{mark} | {mark}{row.psi:.4f}{mark} | {_deviation(row)} "
-        f"| {row.omega_rad_s:.3g} | {row.tests} |"
+        f"| {place} | {mark}{row.robot}{mark} | {mark}{row.psi:.4f}{mark} "
+        f"| {row.psi_low:.4f} to {row.psi_high:.4f} | {row.omega_rad_s:.3g} | {row.measured} "
+        f"| {row.tests} |"
     )
-
-
-def _deviation(row: SourceEstimate) -> str:
-    return f"{row.psi_std:.4f}" if row.psi_std >= 0.00005 else "< 0.0001"

@@ -25,15 +25,15 @@ DISTANCE = 400.0
 # Distances in front of the plane: parts nearer to the camera cover those behind.
 _BAND, _LINE, _SAMPLES = 0.0, 0.5, 1.0
 
-_BANDS = ((2, 30), (1, 50))
-"""Half width in standard deviations and opacity (of 255) of each band."""
+_OPACITY = 45
+"""Opacity (of 255) of the band."""
 
-FULL_PARTS = ("psi/samples", *(f"psi/band_{deviations}" for deviations, _ in _BANDS))
+FULL_PARTS = ("psi/samples", "psi/interval")
 """Paths of the parts that are drawn only for the leading sources."""
 
 
 class Surrogates:
-    """A view of the posterior mean, bands of one and two standard deviations, and the samples."""
+    """A view of the median, the band that holds 95 %, and the samples."""
 
     def __init__(self, stream: rr.RecordingStream, palette: Palette) -> None:
         self._stream = stream
@@ -68,17 +68,13 @@ class Surrogates:
             if source in leaders:
                 self._draw_in_full(axes, curve, first=source == leaders[0])
             else:
-                self._draw_mean(axes, curve, QUIET, 0.6)
+                self._draw_median(axes, curve, QUIET, 0.6)
         self._draw_worst(axes, event, leaders)
 
     def _draw_in_full(self, axes: Axes, curve: Curve, *, first: bool) -> None:
         colour = self._palette.of(curve.source)
-        self._draw_mean(axes, curve, colour, 2.0 if first else 1.4)
-        for deviations, opacity in _BANDS:
-            self._stream.log(
-                f"psi/band_{deviations}/{curve.source}",
-                _band(axes, curve, deviations, (*colour, opacity)),
-            )
+        self._draw_median(axes, curve, colour, 2.0 if first else 1.4)
+        self._stream.log(f"psi/interval/{curve.source}", _band(axes, curve, (*colour, _OPACITY)))
         self._stream.log(
             f"psi/samples/{curve.source}",
             rr.Points3D(
@@ -88,9 +84,9 @@ class Surrogates:
             ),
         )
 
-    def _draw_mean(self, axes: Axes, curve: Curve, colour: Colour, width: float) -> None:
-        places = _place(axes, curve.omega_rad_s, curve.mean, _LINE)
-        self._stream.log(f"psi/mean/{curve.source}", lines_3d([places], [colour], width))
+    def _draw_median(self, axes: Axes, curve: Curve, colour: Colour, width: float) -> None:
+        places = _place(axes, curve.omega_rad_s, curve.median, _LINE)
+        self._stream.log(f"psi/median/{curve.source}", lines_3d([places], [colour], width))
 
     def _draw_axes(self, axes: Axes, tested_rad_s: tuple[float, ...]) -> None:
         omega_ticks, psi_ticks = axes.omega_ticks_rad_s(), axes.psi_ticks()
@@ -143,13 +139,10 @@ class Surrogates:
         )
 
 
-def _band(
-    axes: Axes, curve: Curve, deviations: int, colour: tuple[int, int, int, int]
-) -> rr.Mesh3D:
+def _band(axes: Axes, curve: Curve, colour: tuple[int, int, int, int]) -> rr.Mesh3D:
     n = len(curve.omega_rad_s)
     upper, lower = (
-        _place(axes, curve.omega_rad_s, curve.mean + sign * deviations * curve.std, _BAND)
-        for sign in (1, -1)
+        _place(axes, curve.omega_rad_s, bound, _BAND) for bound in (curve.high, curve.low)
     )
     corner = np.arange(n - 1)
     return rr.Mesh3D(

@@ -16,7 +16,8 @@ from nufleet.orchestrator.conduct.attempts import (
     ATTEMPTS_IN_ALL,
     Attempts,
     Settled,
-    lengthened,
+    retried,
+    widened,
 )
 from nufleet.orchestrator.conduct.replay import OpenTest, goal_id_of
 from nufleet.orchestrator.fleet.goal_events import Ended
@@ -28,6 +29,8 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import NoReplyError, NufleetError, RefusedError, RobotLostError
 from nufleet.shared.frequency_test.duration import duration_s
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan, Tone
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.quality import Finding, Quality
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import GoalResult, Outcome
 
@@ -305,8 +308,29 @@ def test_a_test_as_long_as_its_robot_accepts_is_repeated_as_it_is() -> None:
     excitation = Excitation(axis="x", tones=(Tone(omega_rad_s=0.5),))
     longest_s = duration_s(excitation, puppet_spec())
     spec = puppet_spec().model_copy(update={"duration_max_s": longest_s})
-    bad = played(a_test(excitation), spec, measure=np.zeros_like)
-    assert lengthened(excitation, bad, spec) == excitation
+    plan = plan_excitation(excitation, spec, "r1")
+    assert retried(excitation, plan, failed("unsettled"), spec) == excitation
+
+
+def failed(code: str) -> Quality:
+    return Quality(reasons=(Finding(code=code, text="it went wrong"),))
+
+
+def test_what_saturated_is_repeated_at_half_the_amplitude() -> None:
+    excitation = Excitation(axis="x", tones=(Tone(omega_rad_s=2.0),))
+    plan = plan_excitation(excitation, puppet_spec(), "r1")
+    again = retried(excitation, plan, failed("clipped"), puppet_spec())
+    assert again == excitation.model_copy(update={"amplitude": plan.amplitude / 2})
+
+
+def test_what_noise_hid_is_repeated_for_longer_and_as_large_as_the_robot_allows() -> None:
+    excitation = Excitation(axis="x", tones=(Tone(omega_rad_s=2.0),), amplitude=0.01)
+    plan = plan_excitation(excitation, puppet_spec(), "r1")
+    again = retried(excitation, plan, failed("uncertain"), puppet_spec())
+    assert again.amplitude is None
+    longer = plan_excitation(again, puppet_spec(), "r1")
+    assert longer.segment_samples == pytest.approx(2 * plan.segment_samples, abs=1)
+    assert longer.amplitude > plan.amplitude
 
 
 @st.composite
@@ -343,17 +367,27 @@ def test_a_repeated_test_is_no_shorter_and_accepted_if_the_first_was(
     accepted_test: tuple[Excitation, RobotSpec, ExcitationPlan],
 ) -> None:
     excitation, spec, plan = accepted_test
-    result = GoalResult(
-        goal_id="g",
-        boot_id="boot",
-        outcome=Outcome.FAILED,
-        reason="",
-        plan=plan,
-        reference=np.empty(0),
-        response=np.empty(0),
-    )
-    longer = lengthened(excitation, result, spec)
+    longer = retried(excitation, plan, failed("unsettled"), spec)
     assert Excitation.model_validate(longer.model_dump()) == longer
     again = plan_excitation(longer, spec, "r1")
     assert again.duration_s <= spec.duration_max_s
     assert again.samples >= plan.samples
+
+
+def test_an_unknown_delay_widens_responses_unless_all_robots_are_measured_alike() -> None:
+    def spec(measurement: str, delay_uncertainty_s: float = 0.0) -> RobotSpec:
+        changes = {"measurement": measurement, "delay_uncertainty_s": delay_uncertainty_s}
+        return puppet_spec().model_copy(update=changes)
+
+    response = FrequencyResponse(
+        omega_rad_s=np.array([2.0, 5.0]),
+        z=np.array([1.0, 2.0j]),
+        variance=np.array([1e-6, 1e-6]),
+        segments=4,
+        quality=Quality(),
+    )
+    mocap, onboard = spec("motion-capture", 0.002), spec("onboard")
+    apart = widened(response, "a", {"a": mocap, "b": onboard})
+    np.testing.assert_allclose(apart.variance, 1e-6 + np.array([0.004, 0.02]) ** 2)
+    assert widened(response, "b", {"a": mocap, "b": onboard}) is response
+    assert widened(response, "a", {"a": mocap, "b": mocap}) is response

@@ -120,6 +120,14 @@ def test_flights_count_after_the_tests_of_their_robot(measured: Archive) -> None
     assert "1 stored test and 1 stored flight replaced it" in said_of("near", stored["near"], NOW)
 
 
+def test_flights_alone_are_said_to_claim_nothing_about_other_motions(measured: Archive) -> None:
+    for robot in ("near", "far"):
+        add_flight(measured, robot)
+    stored = stored_responses(measured.repository.studies, find(measured).known)
+    assert "until a test of it confirms them" in said_of("far", stored["far"], NOW)
+    assert "until a test" not in said_of("near", stored["near"], NOW)
+
+
 def test_of_flights_at_one_speed_the_latest_counts_and_those_at_others_are_kept(
     measured: Archive,
 ) -> None:

@@ -27,8 +27,12 @@ RANKING = RankResult(
     band_rad_s=(0.05, 10.0),
     selected="near",
     ranking=(
-        SourceEstimate(robot="near", psi=0.02, psi_std=0.001, omega_rad_s=4.0, tests=7),
-        SourceEstimate(robot="far", psi=0.39, psi_std=0.001, omega_rad_s=2.5, tests=7),
+        SourceEstimate(
+            robot="near", psi=0.02, psi_low=0.018, psi_high=0.022, omega_rad_s=4.0, tests=7
+        ),
+        SourceEstimate(
+            robot="far", psi=0.39, psi_low=0.388, psi_high=0.392, omega_rad_s=2.5, tests=7
+        ),
     ),
     iterations=7,
     robot_time_s=100.0,

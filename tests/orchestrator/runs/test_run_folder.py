@@ -127,3 +127,14 @@ def test_no_document_is_written_through_a_link(tmp_path: Path) -> None:
             folder.write_configuration({})
             assert victim.read_text(encoding="utf-8") == "somebody's"
         assert not (folder.path / CONFIG).is_symlink()
+
+
+def test_estimates_of_earlier_versions_are_read_with_their_intervals(tmp_path: Path) -> None:
+    document = json.loads(a_record(tmp_path).model_dump_json(by_alias=True))
+    for ranking in (document["result"]["ranking"], document["history"][0]["ranking"]):
+        del ranking[0]["psi_low"], ranking[0]["psi_high"]
+        ranking[0]["psi_std"] = 0.01
+    (tmp_path / "results.json").write_text(json.dumps(document))
+    estimate = read_record(tmp_path).result.ranking[0]
+    assert (estimate.psi, estimate.psi_low) == pytest.approx((0.07, 0.0504))
+    assert estimate.psi_high == pytest.approx(0.0896)

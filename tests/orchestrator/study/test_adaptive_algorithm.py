@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from random_loops import BAND, SPEC, Loop, answers
 
-from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveSettings, AdaptiveStudy
+from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
+from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.interface import DesiredMotion, Question, Report, StudyPlan
 from nufleet.orchestrator.study.tone_choice import first_look
 from nufleet.shared.distance.chordal import chordal_distance
@@ -68,9 +69,17 @@ def random_fleet(rng: np.random.Generator, sources: int) -> dict[str, Loop]:
     }
 
 
-def test_an_easy_fleet_is_decided_by_one_test_of_each_robot() -> None:
+def test_an_easy_fleet_takes_a_test_of_each_robot_and_a_lowest_look_of_the_contenders() -> None:
     questions, reports = to_the_end(begin(FLEET), FLEET, 0.01)
-    assert [question.robots for question in questions] == [("target", *SOURCES)]
+    assert [question.robots for question in questions] == [
+        ("target", *SOURCES),
+        ("target", "near"),
+    ]
+    assert reports[0].confidence is not None
+    assert reports[0].confidence < 0.95, "nothing is claimed unseen"
+    assert questions[0].omega_rad_s[0] > 4 * BAND[0]
+    assert questions[1].omega_rad_s[0] == pytest.approx(2 * BAND[0])
+    assert questions[1].purpose == "nothing is claimed unseen below 0.491 rad/s"
     last = reports[-1]
     assert last.selected == "near"
     assert last.confidence is not None
@@ -80,7 +89,7 @@ def test_an_easy_fleet_is_decided_by_one_test_of_each_robot() -> None:
     assert "near is the closest" in last.stopped_because
     for estimate in last.ranking:
         truth = true_psi_star(FLEET, estimate.robot)
-        assert abs(estimate.psi - truth) < 4 * estimate.psi_std + 0.005
+        assert estimate.psi_low - 0.005 < truth < estimate.psi_high + 0.005
 
 
 @pytest.mark.thorough
@@ -119,10 +128,13 @@ def test_sources_with_stored_responses_stay_on_the_ground() -> None:
     rng = np.random.default_rng(0)
     test = first_look(BAND, SPEC, 11, 0.7).excitation("x")
     stored = {name: [FLEET[name].answer(test, 0.01, rng)] for name in SOURCES}
-    study = AdaptiveStudy(plan_of(FLEET), dict.fromkeys(FLEET, SPEC), rng, stored=stored)
+    specs = dict.fromkeys(FLEET, SPEC)
+    study = AdaptiveStudy(plan_of(FLEET), specs, rng, stored=stored, absent=SOURCES)
     questions, reports = to_the_end(study, FLEET, 0.01)
     assert all(question.robots == ("target",) for question in questions)
     assert reports[-1].selected == "near"
+    unseen = "near: nothing is known of it below 0.491 rad/s, and nothing is claimed there"
+    assert any(finding.startswith(unseen) for finding in reports[-1].findings)
 
 
 def test_sources_that_are_the_same_end_the_study_by_the_gap() -> None:
@@ -236,9 +248,11 @@ def test_a_robot_that_changes_between_its_tests_is_said_and_believed_less() -> N
             last[kind] = study.tell(answers(there, question, 0.02, rng), {})
     assert last["steady"].findings == ()
     assert len(last["worn"].findings) == 1
-    assert last["worn"].findings[0].startswith("target: its response changed between tests, by 0.0")
-    assert "depends on the amplitude or on time" in last["worn"].findings[0]
-    steady, worn_out = ({e.robot: e.psi_std for e in last[k].ranking} for k in ("steady", "worn"))
+    assert last["worn"].findings[0].startswith("target: its response changed between tests, by 0.1")
+    assert "it depends on time" in last["worn"].findings[0]
+    steady, worn_out = (
+        {e.robot: e.psi_high - e.psi_low for e in last[k].ranking} for k in ("steady", "worn")
+    )
     assert all(worn_out[source] > 1.5 * steady[source] for source in steady)
 
 
@@ -254,5 +268,5 @@ def test_harmonics_that_a_test_finds_are_said_and_the_response_is_believed_less(
             given["near"] = replace(given["near"], quality=Quality(warnings=(finding,)))
         report = study.tell(given, {})
         assert report.findings == (("near: 5 % of it is distortion",) if bent else ())
-        deviations[bent] = {e.robot: e.psi_std for e in report.ranking}
+        deviations[bent] = {e.robot: e.psi_high - e.psi_low for e in report.ranking}
     assert deviations[True]["near"] > 1.5 * deviations[False]["near"]

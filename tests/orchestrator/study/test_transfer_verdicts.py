@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from random_loops import BAND, SPEC, Loop, answers
 
 from nufleet.orchestrator.runs.response_record import ResponseRecord
-from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveSettings, AdaptiveStudy
+from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
+from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.interface import DesiredMotion, SourceEstimate, Study, StudyPlan
 from nufleet.orchestrator.study.paper_algorithm import PaperStudy
 from nufleet.orchestrator.study.transfer_verdicts import (
@@ -51,7 +52,7 @@ def judged(
 
 
 def ranked(*sources: str) -> tuple[SourceEstimate, ...]:
-    return tuple(SourceEstimate(source, 0.1, 0.01, 1.0, 7) for source in sources)
+    return tuple(SourceEstimate(source, 0.1, 0.08, 0.12, 1.0, 7) for source in sources)
 
 
 @pytest.mark.parametrize("algorithm", ["paper", "adaptive"])

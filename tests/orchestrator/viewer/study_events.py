@@ -45,14 +45,17 @@ def iteration_event(
                 source,
                 grid,
                 peak[source] * np.exp(-(np.log(grid / 4.0) ** 2)),
-                0.3 * peak[source] * np.ones_like(grid),
+                np.zeros_like(grid),
+                1.3 * peak[source] * np.ones_like(grid),
                 np.array([2.0]),
                 np.array([peak[source]]),
             )
             for source in sources
         ),
         ranking=tuple(
-            SourceEstimate(source, peak[source], 0.2 * peak[source], 4.0, iteration)
+            SourceEstimate(
+                source, peak[source], 0.8 * peak[source], 1.3 * peak[source], 4.0, iteration
+            )
             for source in sources
         ),
         messages=("s4 was dropped",),

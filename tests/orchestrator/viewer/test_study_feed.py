@@ -126,7 +126,7 @@ def test_a_failed_attempt_is_logged(view: LiveView, seen: list[ViewerEvent]) -> 
 def test_a_round_is_drawn_with_what_it_taught_and_who_was_lost(
     view: LiveView, seen: list[ViewerEvent]
 ) -> None:
-    ranking = (SourceEstimate("source-1", 0.1, 0.01, 2.0, 1),)
+    ranking = (SourceEstimate("source-1", 0.1, 0.08, 0.12, 2.0, 1),)
     report = Report(
         iteration=1,
         omega_rad_s=(2.0,),

@@ -52,12 +52,12 @@ def test_a_round_draws_every_robot_and_every_source(tmp_path: Path) -> None:
     assert "/sphere/chords/target" not in paths
 
 
-def test_estimates_carry_their_variance_on_both_timelines(tmp_path: Path) -> None:
+def test_estimates_carry_their_intervals_on_both_timelines(tmp_path: Path) -> None:
     path = record(tmp_path / "run.rrd", *(iteration_event(k, t_s=5.0 * k) for k in (1, 2)))
     for timeline in ("t", "iteration"):
-        assert column(path, "/psi/worst/s2", "Measurements:values", timeline) == [[0.04], [0.04]]
-        variances = column(path, "/psi/worst/s2", "Measurements:variances", timeline)
-        np.testing.assert_allclose(np.array(variances), 0.008**2, rtol=1e-6)
+        for part, value in (("", 0.04), ("/low", 0.032), ("/high", 0.052)):
+            drawn = column(path, f"/psi/worst/s2{part}", "Measurements:values", timeline)
+            np.testing.assert_allclose(np.array(drawn), [[value], [value]])
 
 
 def test_a_lane_changes_only_when_the_status_does(tmp_path: Path) -> None:
@@ -79,7 +79,7 @@ def test_messages_are_recorded_with_their_levels(tmp_path: Path) -> None:
     )
     assert column(path, "/log", "TextLog:text") == [
         ["    1.0 s  s1 is slow"],
-        ["    2.0 s  round 1 at ω = 2 rad/s: s1 is closest, worst ψ = 0.0200 ± 0.0040"],
+        ["    2.0 s  round 1 at ω = 2 rad/s: s1 is closest, worst ψ = 0.0200 (0.0160 to 0.0260)"],
         ["    2.0 s  s4 was dropped"],
     ]
     assert column(path, "/log", "TextLog:level") == [["WARN"], ["INFO"], ["INFO"]]
@@ -118,7 +118,7 @@ def test_an_event_that_cannot_be_drawn_costs_nothing_but_itself(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     good = iteration_event(2, t_s=9.0)
-    curve = replace(good.curves[0], mean=np.zeros(3))
+    curve = replace(good.curves[0], median=np.zeros(3))
     path = record(tmp_path / "run.rrd", replace(good, iteration=1, curves=(curve,)), good)
     assert "could not draw" in caplog.text
     assert column(path, "/psi/worst/s2", "Measurements:values") == [[0.04]]

@@ -8,7 +8,9 @@ import pytest
 
 from nufleet.robot_agent.rules.supervisor import (
     Event,
+    FaultFound,
     Halt,
+    HealthReported,
     MotionBegan,
     MotionEnded,
     OwnerLost,
@@ -36,6 +38,9 @@ EVENTS: tuple[Event, ...] = (
     MotionEnded("would not rest"),
     Reconnected(),
     Reconnected("no such port"),
+    FaultFound("its motors were cut"),
+    HealthReported("battery empty"),
+    HealthReported(None),
 )
 
 
@@ -75,14 +80,15 @@ STEPS = [(state, event) for state in STATES for event in EVENTS if can_happen(st
 
 
 def test_all_states_are_looked_at() -> None:
-    # Not stopped, or by alice or bob; no fault or one of two; at rest, or moving for one of two
-    # owners, which a robot with a fault never does.
-    assert len(STATES) == 3 * 3 + 3 * 2
+    # Not stopped, or by alice or bob; fit or not; at rest with no fault or one of three, or moving
+    # for one of two owners, and then with no fault but one that was found meanwhile.
+    assert len(STATES) == 3 * 2 * (4 + 2 * 2)
 
 
 @pytest.mark.parametrize("state", STATES, ids=str)
 def test_a_motion_may_begin_only_unstopped_and_without_fault(state: Supervision) -> None:
-    assert may_begin(state) == (state.stop is None and state.fault is None)
+    free = state.stop is None and state.fault is None and state.unfit is None
+    assert may_begin(state) == free
     assert refusal_to_start(state, owner=ME, owner_alive=False) is not None
 
 
@@ -133,11 +139,13 @@ def test_a_stop_is_accepted_in_every_state() -> None:
                 assert halt == Halt(Outcome.ABORTED, f"stopped by {order.sender}: {order.reason}")
 
 
-def test_a_motion_is_halted_by_a_stop_or_the_loss_of_its_owner_and_by_nothing_else() -> None:
+def test_a_motion_is_halted_by_stop_lost_owner_fault_or_bad_health_and_by_nothing_else() -> None:
     for state, event in STEPS:
         _, halt = supervise(state, event)
         expected = state.motion_owner is not None and (
-            isinstance(event, StopOrdered) or event == OwnerLost(state.motion_owner)
+            isinstance(event, StopOrdered | FaultFound)
+            or event == OwnerLost(state.motion_owner)
+            or event == HealthReported("battery empty")
         )
         assert (halt is not None) == expected
         if halt is not None:

@@ -38,6 +38,7 @@ def a_test(omegas_rad_s: tuple[float, ...]) -> tuple[ExcitationPlan, FloatArray,
             Tone(omega_rad_s=omega, phase_rad=np.pi * k**2 / len(omegas_rad_s))
             for k, omega in enumerate(omegas_rad_s)
         ),
+        segment_min_s=2 * np.pi / min(omegas_rad_s),
     )
     plan = plan_excitation(excitation, spec, "target")
     truth = closed_loop(settings(0.0)).frequency_response(np.array(omegas_rad_s))

@@ -11,10 +11,11 @@ from scipy.signal import dlsim, lfilter
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.models.error_belief import MODEL_ERROR, ErrorBelief, believe, like
+from nufleet.shared.models.error_belief import MODEL_ERROR, ErrorBelief, believe, fitted, like
 from nufleet.shared.models.error_response import ErrorBasis
 from nufleet.shared.models.evidence import Evidence
 from nufleet.shared.models.linear_model import LinearModel
+from nufleet.shared.models.unexplained import correlation_samples
 from nufleet.sims.double_integrator import DoubleIntegratorSettings, closed_loop
 
 LOOP = closed_loop(DoubleIntegratorSettings(alpha=0.85, beta=0.003))
@@ -115,6 +116,29 @@ def test_a_flight_with_holds_shows_a_loop_that_rests_short_of_its_reference() ->
 
 def test_the_noise_is_found() -> None:
     assert belief(2e-3).noise_std == pytest.approx(2e-3, rel=0.1)
+
+
+@pytest.mark.parametrize("noise_std", [1e-4, 1e-2])
+@pytest.mark.parametrize("lasting", [0.0, 0.95])
+def test_a_single_wide_prior_leaves_of_a_motion_what_the_likeliest_one_leaves(
+    noise_std: float, lasting: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    white = np.random.default_rng(1).standard_normal(len(tones()))
+    output = played(tones()) + noise_std * lfilter([1.0], [1.0, -lasting], white)
+    shown = Evidence.of(BASIS, tones(), output, 0.0)
+
+    def left(belief: ErrorBelief) -> FloatArray:
+        found = belief.error(tones(), 0.0) - (tones() - output)
+        return np.asarray(found - found.mean())
+
+    likeliest = left(believe(BASIS, shown))
+    decompositions, eigh = [], np.linalg.eigh
+    with monkeypatch.context() as patched:
+        patched.setattr(np.linalg, "eigh", lambda a: decompositions.append(a) or eigh(a))
+        wide = left(fitted(BASIS, shown))
+    assert len(decompositions) == 1, "a robot fits a response after every test"
+    assert np.std(wide) == pytest.approx(np.std(likeliest), rel=0.02)
+    assert correlation_samples(wide) == pytest.approx(correlation_samples(likeliest), rel=0.05)
 
 
 def test_a_loop_that_was_seen_to_be_linear_is_believed_to_be() -> None:

@@ -1,0 +1,77 @@
+"""`nufleet match`: how well does a simulator match a robot?"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from nufleet.orchestrator.cli.options import (
+    connect_options,
+    fleet_option,
+    seed_option,
+    storage_options,
+    wait_option,
+)
+from nufleet.orchestrator.cli.types import Names, PositiveNumber
+
+
+@click.command()
+@fleet_option
+@connect_options
+@wait_option("With --connect: how long to wait for the router and the robots named.")
+@click.option("--robot", "target", metavar="NAME", help="Robot.  [default: the target of the file]")
+@click.option(
+    "--simulators",
+    "sources",
+    type=Names(),
+    metavar="NAME,NAME",
+    help="Simulated robots to compare with it, or one with several settings.  [default: all but "
+    "the robot]",
+)
+@click.option(
+    "--band",
+    "band_rad_s",
+    type=float,
+    nargs=2,
+    metavar="LOW HIGH",
+    help="Band of the tests, rad/s.  [default: from the fleet file, or what all robots accept]",
+)
+@click.option("--axis", help="Axis to test.  [default: the robot's first]")
+@click.option(
+    "--rounds",
+    "iterations",
+    type=click.IntRange(min=1),
+    default=3,
+    show_default=True,
+    help="Largest number of rounds of tests.",
+)
+@click.option(
+    "--max",
+    "psi_max",
+    type=PositiveNumber(),
+    metavar="PSI",
+    help="End with exit code 1 if even the best simulator is further from the robot than this.",
+)
+@click.option(
+    "--realtime",
+    type=PositiveNumber(),
+    metavar="FACTOR",
+    help="With --fleet: run simulated robots at this multiple of real time.",
+)
+@seed_option("Seed of the random choices.")
+@storage_options
+def match(**options: Any) -> None:
+    """Print how well simulators match a robot, and in which way they differ from it.
+
+    Robot and simulators play the same tones. The result is the chordal distance ψ between their
+    responses, from 0 (equal) to 1, with the frequency at which it is largest, and the differences
+    in delay, stiffness and gain.
+
+    \b
+    nufleet match --fleet lab.toml --robot cf-1 --simulators sim --max 0.05
+    """
+    from nufleet.orchestrator.jobs.match import MatchCommand, match_and_print
+
+    if not match_and_print(MatchCommand(**options)):
+        raise click.exceptions.Exit(1)

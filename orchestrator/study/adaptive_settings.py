@@ -1,0 +1,42 @@
+"""The stopping rule of the default algorithm, and the tests that it may choose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class AdaptiveSettings:
+    """The stopping rule, and the tests that the algorithm may choose."""
+
+    delta: float = 0.05
+    """Accepted probability δ of a wrong selection."""
+    epsilon: float = 0.01
+    """Difference ε of two chordal distances, or relative errors, that does not matter."""
+    first_periods: int = 11
+    """Least length of the first test's measuring part, in periods of the band's upper end."""
+    share_of_settling: float = 0.7
+    """Least length of the first test's measuring part, as a share of the settling time."""
+    lowest: float = 2.0
+    """Lowest tone that a claim rests on, as a multiple of the band's lower end."""
+    other_amplitude: float = 0.5
+    """Amplitude of that test, as a share of the largest that was played."""
+    dear: float = 0.5
+    """Share of the robot time from which the price of that test is a finding."""
+    lengths: tuple[float, ...] = (1.0, 1.7, 3.0)
+    """Lengths of later tests, as multiples of the first test's measuring time."""
+    window_tones: int = 5
+    """Number of tones in a test around one frequency."""
+    contenders: int = 4
+    """Number of rivals, the most probable winners, that are considered for tests in a round."""
+    together: float = 0.5
+    """Share of the best gain per second that another robot's test needs to join the round."""
+    simulated_cost: float = 0.01
+    """Cost of a simulated robot's time, relative to that of a real one."""
+    flight_error_max: float = 0.05
+    """Error of flights, found by a test or between speeds, from which on no source is judged by
+    flights alone."""
+    samples: int = 600
+    """Number of samples drawn from the belief about each robot's response."""
+    grid_points: int = 256
+    """Number of frequencies, evenly spaced over the band, at which distances are computed."""

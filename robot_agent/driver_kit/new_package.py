@@ -1,0 +1,37 @@
+"""Writes a package with a driver that works as it is, for an author to replace its robot."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from nufleet.shared.errors import InvalidInputError, system_errors_as
+
+TEMPLATES = Path(__file__).with_name("templates")
+"""Folder with the files of the package; `NAME` stands for the driver's name in names and text."""
+
+
+def write_package(name: str, folder: Path) -> None:
+    """Write a package.
+
+    Args:
+        name: Name of its driver and of its Python module.
+        folder: Folder to make; it must not exist, or be empty.
+
+    Raises:
+        InvalidInputError: The name cannot be a driver's, or the folder cannot be written.
+    """
+    if not re.fullmatch(r"[a-z][a-z0-9_]{0,62}", name):
+        raise InvalidInputError(
+            f"{name!r} cannot be the name of a driver: begin with a lower-case letter, and go on "
+            "with lower-case letters, digits and _"
+        )
+    with system_errors_as(InvalidInputError, f"{folder}: cannot be written"):
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise InvalidInputError(f"{folder} exists already: give another --folder")
+        for template in sorted(TEMPLATES.rglob("*.txt")):
+            place = str(template.relative_to(TEMPLATES)).removesuffix(".txt")
+            path = folder / place.replace("NAME", name)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            text = template.read_text(encoding="utf-8").replace("NAME", name)
+            path.write_text(text, encoding="utf-8")

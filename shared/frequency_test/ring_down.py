@@ -1,0 +1,276 @@
+"""The transient that a test leaves: what still rings after the ramp, and how slowly it decays.
+
+After the ramp the reference consists of tones alone, so that everything else in the output is noise
+or the decay of what the ramp excited, Σ Re c e^{(−σ + jν)t}. Its slowest σ is measured for nothing,
+and with σ and ν known the transient is a few more columns of the least squares that estimate the
+tones. Noise does not decay: a transient has to stand out of the same record read backwards.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.optimize import minimize
+
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.frequency_test.quality import BoolArray, Finding
+
+RATIO_MIN = 30.0
+"""Power of a transient over that of the noise at its frequency from which it is believed. Noise
+exceeds it with a probability of about 1e-3 in all places of a record together."""
+
+PARTS_MAX = 4
+"""Largest number of decaying oscillations that are fitted to a transient."""
+
+DECAYS = 8
+"""Number of decay rates at which a transient is sought, between that of the whole record and that
+of the fastest tone."""
+
+NEIGHBOURS = 17
+"""Number of frequencies, around a transient's, whose noise it is compared with."""
+
+PHASE_PER_BLOCK = 0.4
+"""Phase in rad by which the fastest tone may turn within a block of samples that are averaged."""
+
+DEPENDENT = 1e-4
+"""Ratio of singular values below which parts of transients are not told apart."""
+
+HALF = 0.5
+"""Share of what tones leave from which a decay is believed without a comparison with noise."""
+
+SAMPLES_MAX = 1000
+"""Length of a record, in blocks, from which a transient stands out of it anyway."""
+
+HIGHER = 1.2
+"""Highest frequency of a transient, as a multiple of that of the highest tone."""
+
+NOISE_RATIO = 2.0
+"""Power of what tones leave over that of white noise from which there is more to explain."""
+
+REAL = 0.1
+"""Ratio of frequency and decay rate below which a part does not oscillate."""
+
+NEGLIGIBLE = 1e-5
+"""Fraction of the output below which a transient does not matter."""
+
+UNEVEN = 2.0
+LASTING = 3e-4
+"""Share of the output's deviation in the measuring part below which a decay does no harm."""
+
+SLIGHT_BEFORE = 2e-2
+SLIGHT = 1e-3
+"""Deviation of what is unexplained in the first third, as a multiple of the rest's, above which
+decays do not explain the output, and shares of the output's deviation that are never too much: in
+the whole record, and in its measuring part."""
+
+DECAYS_UNTIL_SETTLED = 3.0
+"""Number of time constants of the slowest part in a settling time, which leave 5 % of it."""
+
+
+@dataclass(frozen=True)
+class RingDown:
+    """The decaying oscillations that a ramp leaves, slowest first."""
+
+    decay_1_s: FloatArray
+    """Decay rates σ, shape (parts,)."""
+    omega_rad_s: FloatArray
+    """Frequencies ν, shape (parts,)."""
+    lasting: BoolArray
+    """True for those that disturb what is measured, shape (parts,)."""
+    unexplained: float = 0.0
+    """Deviation of what neither tones nor decays explain before the measuring part, in the output's
+    unit."""
+
+    def columns(self, samples: int, sample_time_s: float) -> FloatArray:
+        """Return what the transient may consist of, from the ramp on, shape (samples, columns)."""
+        times_s = sample_time_s * np.arange(samples, dtype=np.float64)
+        columns = _decaying(times_s, self.decay_1_s, self.omega_rad_s)
+        # A slightly different σ and ν change a part by multiples of these, times t.
+        late = times_s[:, None] * columns[:, np.tile(self.lasting, 2)]
+        both = np.concatenate([columns, late / times_s[-1]], axis=1)
+        # Two parts may be nearly the same, as the poles of a critically damped loop are.
+        different, sizes, _ = np.linalg.svd(both, full_matrices=False)
+        return different[:, sizes > DEPENDENT * sizes[0]] * math.sqrt(samples)
+
+
+def still_ringing(found: RingDown, settle_s: float) -> Finding | None:
+    """Return the finding that a robot settles more slowly than the test waited; None if it did.
+
+    Its value is the time in s in which the slowest part decays to 5 %.
+
+    Args:
+        found: Transient that was left when the measuring part began.
+        settle_s: Time that the test waited, after the ramp.
+    """
+    if not found.lasting.any():
+        return None
+    slowest = int(np.argmax(found.lasting))
+    settling_s = DECAYS_UNTIL_SETTLED / float(found.decay_1_s[slowest])
+    if settling_s <= settle_s:
+        return None
+    return Finding(
+        code="ringing",
+        text=f"it needs {settling_s:.3g} s to settle to 5 %, at "
+        f"{found.omega_rad_s[slowest]:.3g} rad/s, and the test waited {settle_s:.3g} s",
+        value=settling_s,
+    )
+
+
+def ring_down(
+    output: FloatArray,
+    omega_rad_s: FloatArray,
+    top_rad_s: float,
+    sample_time_s: float,
+    settle_samples: int,
+) -> RingDown:
+    """Find the transient in the output between the ramps of a test.
+
+    Args:
+        output: Output while the reference consists of tones alone, that is while the robot settles
+            and is measured, shape (samples,), in any unit.
+        omega_rad_s: Frequencies of the tones and their harmonics, shape (F,).
+        top_rad_s: Frequency of the highest tone, up to which transients are sought.
+        sample_time_s: Time between samples.
+        settle_samples: Number of samples before the measuring part.
+
+    Returns:
+        The parts of the transient that noise does not hide; none in a record that is too short, or
+        that decays do not explain.
+    """
+    nothing = RingDown(np.empty(0), np.empty(0), np.empty(0, dtype=bool))
+    block = max(1, int(PHASE_PER_BLOCK / (top_rad_s * sample_time_s)))
+    count = len(output) // block
+    if count < 4 * len(omega_rad_s) + 8:
+        return nothing
+    y = output[: count * block].reshape(count, block).mean(axis=1)
+    times_s = (block * sample_time_s) * np.arange(count, dtype=np.float64)
+    size = float(np.std(y))
+    if size == 0.0:
+        return nothing
+    phase = np.outer(times_s, omega_rad_s)
+    steady = [np.cos(phase), np.sin(phase), np.ones((count, 1)), times_s[:, None] / times_s[-1]]
+    basis = np.linalg.qr(np.concatenate(steady, axis=1))[0]
+    # White noise, from what neighbouring samples differ by.
+    noise = float(np.mean(np.diff(output, 2) ** 2)) / (6 * block)
+    found: list[tuple[float, float]] = []
+    for _ in range(PARTS_MAX):
+        left = y - basis @ (basis.T @ y)
+        if float(np.std(left)) <= NEGLIGIBLE * size:
+            break
+        start = _loudest(left, times_s, HIGHER * top_rad_s)
+        if start is None and np.var(left) > NOISE_RATIO * noise:
+            start = _most(left, basis, times_s, HIGHER * top_rad_s)
+        if start is None:
+            break
+        decay, omega = _refined(left, basis, times_s, start)
+        found.append((decay, omega))
+        part = _decaying(times_s, np.array([decay]), np.array([omega]))
+        part = part[:, : 2 if omega else 1]
+        part -= basis @ (basis.T @ part)
+        basis = np.concatenate([basis, np.linalg.qr(part)[0]], axis=1)
+    first = settle_samples // block
+    left = y - basis @ (basis.T @ y)
+    steady_basis = basis[:, : 2 * len(omega_rad_s) + 2]
+    # What hardly decays in the record may as well be a drift or a step.
+    slow = any(decay * times_s[-1] < 1.0 for decay, _ in found)
+    odd = _uneven(left, SLIGHT_BEFORE * size) or _uneven(left[first:], SLIGHT * size)
+    if not found or slow or odd:
+        steady_left = y - steady_basis @ (steady_basis.T @ y)
+        return replace(nothing, unexplained=float(np.std(steady_left[:first])) if first else 0.0)
+    # Slowest first, and only what is left of them that would disturb the estimates.
+    parts = np.array(sorted(found))
+    columns = _decaying(times_s, parts[:, 0], parts[:, 1])
+    free, moved = (one - steady_basis @ (steady_basis.T @ one) for one in (columns, y))
+    weights = np.linalg.lstsq(free, moved, rcond=1e-9)[0]
+    late = np.mean((columns * weights)[first:] ** 2, axis=0).reshape(2, -1).sum(axis=0)
+    lasting = late > np.maximum(np.var(left[first:]) / (count - first), (LASTING * size) ** 2)
+    before = float(np.std(left[:first])) if first else 0.0
+    return RingDown(parts[:, 0], parts[:, 1], lasting, before)
+
+
+def _uneven(left: FloatArray, slight: float) -> bool:
+    """Return whether more is unexplained in the beginning: a crash or a change is no decay."""
+    beginning, rest = np.split(left, [len(left) // 3])
+    return bool(np.std(beginning) > max(UNEVEN * float(np.std(rest)), slight))
+
+
+def _decaying(times_s: FloatArray, decay_1_s: FloatArray, omega_rad_s: FloatArray) -> FloatArray:
+    envelope = np.exp(-np.outer(times_s, decay_1_s))
+    phase = np.outer(times_s, omega_rad_s)
+    return np.concatenate([envelope * np.cos(phase), envelope * np.sin(phase)], axis=1)
+
+
+def _loudest(left: FloatArray, times_s: FloatArray, top_rad_s: float) -> tuple[float, float] | None:
+    """Return decay and frequency of what most exceeds the noise; None if nothing does."""
+    step_s = times_s[1]
+    bins = np.fft.rfftfreq(2 * len(left), step_s) * 2 * np.pi
+    heard = bins <= top_rad_s
+    white = float(np.var(left[len(left) // 2 :]))
+    best, start = RATIO_MIN, None
+    for decay in np.geomspace(1 / times_s[-1], max(top_rad_s, 2 / times_s[-1]), DECAYS):
+        envelope = np.exp(-decay * times_s)
+        energy = float(np.sum(envelope**2))
+        forwards, backwards = (
+            np.abs(np.fft.rfft(envelope * signal, 2 * len(left))) ** 2 / energy
+            for signal in (left, left[::-1])
+        )
+        noise = np.maximum(uniform_filter1d(backwards, NEIGHBOURS, mode="nearest"), white)
+        ratio = (forwards / np.maximum(noise, np.finfo(float).tiny))[heard]
+        if ratio.max() > best:
+            best, start = float(ratio.max()), (float(decay), float(bins[np.argmax(ratio)]))
+    return start
+
+
+def _most(
+    left: FloatArray, basis: FloatArray, times_s: FloatArray, top_rad_s: float
+) -> tuple[float, float] | None:
+    """Return decay and frequency of what explains most of the rest; None if less than half of it.
+
+    In a record shorter than the decay, tones take up most of it, and leave something that is loud
+    at both ends.
+    """
+    if len(times_s) > SAMPLES_MAX:
+        return None
+    best, start = HALF * float(left @ left), None
+    for decay in np.geomspace(0.5 / times_s[-1], max(top_rad_s, 2 / times_s[-1]), DECAYS):
+        omega = np.arange(0.0, top_rad_s, max(decay, np.pi / times_s[-1])) + REAL * decay
+        part = _decaying(times_s, np.full(len(omega), decay), omega)
+        part = (part - basis @ (basis.T @ part)).reshape(len(times_s), 2, -1)
+        (a, b), c = np.sum(part**2, axis=0), np.sum(part[:, 0] * part[:, 1], axis=0)
+        u, v = np.tensordot(left, part, 1)
+        # The energy that two columns explain, uᵀS⁻¹u with S = [[a, c], [c, b]].
+        determinant = np.maximum(a * b - c**2, 1e-9 * a * b)
+        gain = (b * u**2 - 2 * c * u * v + a * v**2) / np.maximum(determinant, 1e-300)
+        if gain.max() > best:
+            best, start = float(gain.max()), (float(decay), float(omega[np.argmax(gain)]))
+    return start
+
+
+def _refined(
+    left: FloatArray, basis: FloatArray, times_s: FloatArray, start: tuple[float, float]
+) -> tuple[float, float]:
+    """Return decay and frequency that leave the least, by variable projection."""
+
+    def unexplained(place: FloatArray) -> float:
+        # Slower than this is not told from offset and drift, faster not from a single block.
+        decay = float(np.clip(np.exp(place[0]), 0.3 / times_s[-1], 1 / times_s[1]))
+        part = _decaying(times_s, np.array([decay]), np.array([abs(place[1])]))
+        part = part - basis @ (basis.T @ part)
+        weights = np.linalg.lstsq(part, left, rcond=1e-9)[0]
+        return float(np.sum((left - part @ weights) ** 2))
+
+    width = max(start[0], 2 * np.pi / times_s[-1])
+    corner = np.array([np.log(start[0]), start[1]])
+    simplex = corner + np.array([[0.0, 0.0], [0.7, 0.0], [0.0, 0.5 * width]])
+    found = minimize(
+        unexplained,
+        corner,
+        method="Nelder-Mead",
+        options={"initial_simplex": simplex, "maxfev": 80, "xatol": 1e-3, "fatol": 0.0},
+    ).x
+    decay = float(np.clip(np.exp(found[0]), 0.3 / times_s[-1], 1 / times_s[1]))
+    omega = abs(float(found[1]))
+    return decay, omega if omega > REAL * decay else 0.0

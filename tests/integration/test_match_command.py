@@ -1,0 +1,66 @@
+"""`nufleet match`: robots and simulators play the same tones, and the result is a number."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from nufleet.orchestrator.jobs.match import MatchCommand, MatchResult, match, match_table
+from nufleet.shared.errors import InvalidInputError
+
+FLEET = """
+schema = 1
+name = "lab"
+[study]
+target = "robot"
+band_rad_s = [1.0, 8.0]
+[robots.robot]
+driver = "faulty"
+settings.driver = "double_integrator"
+settings.settings = { alpha = 0.9, beta = 0.003, noise_std_m = 0.001 }
+settings.field = { delay_s = 0.02, jitter_s = 0.008, loss = 0.01, takes_off = true }
+[robots.other]
+driver = "double_integrator"
+settings = { alpha = 1.0, beta = 0.003, noise_std_m = 0.001 }
+[robots.twin]
+driver = "double_integrator"
+settings = { alpha = 0.9, beta = 0.003, noise_std_m = 0.001 }
+"""
+
+
+@pytest.fixture
+def command(tmp_path: Path) -> MatchCommand:
+    (tmp_path / "lab.toml").write_text(FLEET)
+    return MatchCommand(
+        runs_root=tmp_path / "runs",
+        fleet_file=tmp_path / "lab.toml",
+        draws=False,
+        iterations=1,
+        processes=1,
+    )
+
+
+def test_simulators_of_a_robot_behind_a_poor_link_are_told_apart(command: MatchCommand) -> None:
+    result = match(command, Console(quiet=True))
+    twin, other = result.simulators
+    assert (result.robot, twin.simulator, other.simulator) == ("robot", "twin", "other")
+    # The model of both is known: ψ* is 0.0450 at 4.65 rad/s, and 0 for the twin.
+    assert twin.psi_low < 0.002
+    assert twin.psi < 0.01
+    assert other.psi_low < 0.0452
+    assert other.psi_high > 0.0448
+    assert 3.5 < other.omega_rad_s < 6.5  # the maximum is flat
+    assert "softer" in other.words
+    assert match_table(result).row_count == 2
+    assert MatchResult.model_validate_json(result.document()) == result
+
+
+def test_a_limit_that_is_no_distance_is_refused_before_anything_starts(
+    command: MatchCommand,
+) -> None:
+    limited = MatchCommand(**{**vars(command), "psi_max": 1.5})
+    with pytest.raises(InvalidInputError, match="--max is a chordal distance"):
+        match(limited, Console(quiet=True))
+    assert not command.runs_root.exists()

@@ -1,0 +1,113 @@
+"""What a study claims, what it leaves open, and what it does before it claims anything."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from random_loops import BAND, SPEC, Loop, answers
+
+from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
+from nufleet.orchestrator.study.interface import Report, StudyPlan
+from nufleet.shared.errors import StudyError
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.quality import Finding, Quality
+
+FLEET = {
+    "target": Loop(3.0),
+    "near": Loop(3.1, damping=0.75),
+    "middle": Loop(4.0),
+    "far": Loop(1.6, delay_s=0.2),
+}
+SILENT = Quality(warnings=(Finding(code="no-response", text="no response"),))
+
+
+def still(response: FrequencyResponse) -> FrequencyResponse:
+    return replace(response, z=0.001 * response.z, quality=SILENT)
+
+
+def last_of(
+    fleet: Mapping[str, Loop],
+    *,
+    silent: tuple[str, ...] = (),
+    failed: Mapping[str, str] | None = None,
+    weaker: Mapping[str, float] | None = None,
+    plan: StudyPlan | None = None,
+) -> tuple[Report, list[tuple[str, ...]]]:
+    """Return the last report of a study, and the robots of each round."""
+    sources = tuple(name for name in fleet if name != "target")
+    plan = plan or StudyPlan("target", sources, BAND, 8, "x")
+    rng = np.random.default_rng(0)
+    study = AdaptiveStudy(plan, dict.fromkeys(fleet, SPEC), rng)
+    report, asked = None, []
+    while (question := study.ask()) is not None:
+        asked.append(question.robots)
+        given = answers(fleet, question, 0.005, rng)
+        for name in question.robots:
+            played = question.tests[name].amplitude or 0.2
+            share = 1 + (weaker or {}).get(name, 0.0) * np.log2(0.2 / played)
+            given[name] = replace(given[name], z=share * given[name].z, amplitude=played)
+            if name in silent:
+                given[name] = still(given[name])
+            if name in (failed or {}):
+                del given[name]
+        report = study.tell(given, failed or {})
+    assert report is not None
+    return report, asked
+
+
+def test_a_source_that_could_not_be_measured_counts_as_possibly_the_closest() -> None:
+    report, _ = last_of(FLEET, failed={"middle": "its battery is empty"})
+    assert report.selected == "near"
+    assert report.confidence == pytest.approx(2 / 3, abs=0.02)
+    assert report.stopped_because is not None
+    assert "test again: middle (its battery is empty)" in report.stopped_because
+
+
+def test_a_robot_that_responds_to_no_tone_is_asked_for_lower_ones_and_dropped() -> None:
+    report, asked = last_of(FLEET, silent=("far",))
+    assert report.selected == "near"
+    if "far" in report.dropped:
+        assert "responds to no tone from 0.2 rad/s on" in report.dropped["far"]
+        assert "dead zone" in report.dropped["far"]
+    else:
+        assert "far" in report.eliminated, "no response is a measurement, and a far one"
+    assert len(asked) <= 3
+
+
+def test_a_target_that_responds_to_no_tone_ends_the_study_with_the_reason() -> None:
+    with pytest.raises(StudyError, match="target cannot be tested: it responds to no tone"):
+        last_of(FLEET, silent=("target",))
+
+
+def test_a_response_that_depends_on_the_amplitude_is_said_and_believed_less() -> None:
+    linear, _ = last_of(FLEET)
+    bent, _ = last_of(FLEET, weaker={"target": -0.1})
+    assert linear.findings == ()
+    said = [finding for finding in bent.findings if "depends on the amplitude" in finding]
+    assert len(said) == 1
+    assert said[0].startswith("target: its response depends on the amplitude: at 0.1 m it is 0.")
+    assert said[0].endswith("as with friction")
+    widths = [r.ranking[0].psi_high - r.ranking[0].psi_low for r in (linear, bent)]
+    assert widths[1] > 2 * widths[0]
+
+
+def test_with_a_precision_it_goes_on_until_the_interval_is_as_narrow() -> None:
+    plan = StudyPlan("target", ("near", "middle", "far"), BAND, 12, "x")
+    loose, rounds = last_of(FLEET, plan=plan)
+    width = loose.ranking[0].psi_high - loose.ranking[0].psi_low
+    tight, more = last_of(FLEET, plan=replace(plan, precision=0.7 * width))
+    assert tight.ranking[0].psi_high - tight.ranking[0].psi_low <= 0.7 * width
+    assert len(more) > len(rounds)
+
+
+def test_the_estimate_names_the_largest_distance_that_was_measured() -> None:
+    report, _ = last_of(FLEET)
+    for estimate in report.ranking:
+        assert estimate.measured_psi is not None
+        assert estimate.measured_omega_rad_s is not None
+        assert BAND[0] <= estimate.measured_omega_rad_s <= BAND[1]
+        assert estimate.psi_low - 0.02 < estimate.measured_psi < estimate.psi_high + 0.02
+        assert estimate.psi_low <= estimate.psi <= estimate.psi_high

@@ -1,0 +1,99 @@
+"""Every test that a study may ask for is one that its robot accepts, and what it costs is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from random_loops import BAND, SPEC, Loop
+
+from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
+from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
+from nufleet.orchestrator.study.interface import StudyPlan
+from nufleet.orchestrator.study.looks import Looks
+from nufleet.robot_agent.motion.excitation import plan_excitation
+from nufleet.shared.robots.spec import RobotSpec
+
+
+def looks_of(
+    spec: RobotSpec, band: tuple[float, float] = BAND, amplitude: float | None = None
+) -> tuple[Looks, RobotKnowledge]:
+    plan = StudyPlan("robot", (), band, 8, "x", amplitude=amplitude)
+    known = RobotKnowledge("robot", spec, band[1])
+    return Looks(plan, AdaptiveSettings(), {"robot": known}), known
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    settling_time_s=st.floats(1e-3, 100.0),
+    low=st.floats(0.01, 1.0),
+    span=st.floats(1.5, 300.0),
+    sample_time_s=st.sampled_from([0.001, 0.02, 0.1, 1.0]),
+    amplitude=st.none() | st.floats(1e-3, 10.0),
+    played=st.floats(0.01, 0.5),
+)
+def test_a_robot_accepts_every_test_from_one_millisecond_to_one_second(
+    settling_time_s: float,
+    low: float,
+    span: float,
+    sample_time_s: float,
+    amplitude: float | None,
+    played: float,
+) -> None:
+    high = min(low * span, 0.9 * np.pi / sample_time_s)
+    if high < 1.2 * low:
+        low = high / 1.5
+    spec = SPEC.model_copy(
+        update={
+            "settling_time_s": settling_time_s,
+            "sample_time_s": sample_time_s,
+            "omega_min_rad_s": low,
+            "omega_max_rad_s": high,
+            "duration_max_s": 3600.0,
+        }
+    )
+    looks, known = looks_of(spec, (low, high), amplitude)
+    first = looks.first["robot"]
+    rng = np.random.default_rng(0)
+    test = looks.excitation("robot", first)
+    plan_excitation(test, spec, "robot")
+    response = Loop(0.5 * high).answer(test, 0.01, rng)
+    known.learn(replace(response, amplitude=played), rng, check=False)
+    for choice in looks.candidates("robot", (low, 0.5 * (low + high))):
+        plan = plan_excitation(looks.excitation("robot", choice), spec, "robot")
+        assert plan.duration_s == pytest.approx(looks.duration_s("robot", choice))
+
+
+def test_the_lowest_look_reaches_down_to_twice_the_lower_end_at_half_the_amplitude() -> None:
+    looks, known = looks_of(SPEC)
+    rng = np.random.default_rng(0)
+    first = looks.first["robot"]
+    assert looks.due(["robot"]) == {"robot": looks.lowest["robot"]}
+    response = Loop(3.0).answer(looks.excitation("robot", first), 0.01, rng)
+    known.learn(replace(response, amplitude=0.1), rng)
+    assert looks.due(["robot"]) == {"robot": looks.lowest["robot"]}
+    lowest = looks.lowest["robot"]
+    test = looks.excitation("robot", lowest)
+    assert test.amplitude == pytest.approx(0.05)
+    assert lowest.omega_rad_s[0] == pytest.approx(2 * BAND[0])
+    known.learn(Loop(3.0).answer(test, 0.01, rng), rng)
+    assert looks.due(["robot"]) == {}
+    assert looks.asked_s > looks.lowest_asked_s > 0.5 * looks.asked_s
+
+
+def test_the_lowest_look_is_as_low_as_the_longest_motion_of_the_robot_allows() -> None:
+    short = SPEC.model_copy(update={"duration_max_s": 35.0})
+    looks, _ = looks_of(short)
+    lowest = looks.lowest["robot"]
+    assert 2 * BAND[0] < lowest.omega_rad_s[0] < looks.first["robot"].omega_rad_s[0]
+    assert looks.duration_s("robot", lowest) <= 35.0
+
+
+def test_a_robot_that_was_measured_to_settle_slowly_is_waited_for() -> None:
+    looks, known = looks_of(SPEC)
+    known.settling_time_s = 3 * SPEC.settling_time_s
+    test = looks.excitation("robot", looks.first["robot"])
+    assert test.settle_s == 3 * SPEC.settling_time_s

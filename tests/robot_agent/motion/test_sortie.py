@@ -1,0 +1,65 @@
+"""A robot is begun once before its motions and ended once after them, whatever fails."""
+
+from __future__ import annotations
+
+import pytest
+from puppet_robot import PuppetRobot
+
+from nufleet.robot_agent.motion.sortie import Sortie
+from nufleet.shared.errors import RobotDownError, RobotError
+
+
+@pytest.fixture
+def robot() -> PuppetRobot:
+    robot = PuppetRobot()
+    robot.connect()
+    return robot
+
+
+def fails(error: Exception) -> None:
+    raise error
+
+
+def test_a_robot_is_begun_once_and_ended_once(robot: PuppetRobot) -> None:
+    sortie = Sortie(robot)
+    assert sortie.end() is None
+    assert robot.ended == 0
+    sortie.begin()
+    sortie.begin()
+    assert (sortie.begun, robot.begun) == (True, 1)
+    assert sortie.end() is None
+    assert sortie.end() is None
+    assert (sortie.begun, robot.ended) == (False, 1)
+    sortie.begin()
+    assert robot.begun == 2
+
+
+@pytest.mark.parametrize("error", [RobotError("no GPS"), OSError("no GPS")])
+def test_a_robot_that_half_began_is_ended_and_may_try_again(
+    robot: PuppetRobot, error: Exception
+) -> None:
+    robot.on_begin = lambda: fails(error)
+    sortie = Sortie(robot)
+    with pytest.raises(RobotError, match=r"could not get ready to move: .*no GPS") as raised:
+        sortie.begin()
+    assert not isinstance(raised.value, RobotDownError)
+    assert (sortie.begun, robot.ended) == (False, 1)
+    robot.on_begin = lambda: None
+    sortie.begin()
+    assert sortie.begun
+
+
+def test_a_robot_that_can_neither_begin_nor_end_is_down(robot: PuppetRobot) -> None:
+    robot.on_begin = lambda: fails(RobotError("no GPS"))
+    robot.on_end = lambda: fails(RobotError("no landing"))
+    with pytest.raises(RobotDownError, match="no GPS; could not be ended: no landing"):
+        Sortie(robot).begin()
+
+
+def test_a_robot_that_cannot_be_ended_says_why_and_is_not_asked_again(robot: PuppetRobot) -> None:
+    robot.on_end = lambda: fails(OSError("broken"))
+    sortie = Sortie(robot)
+    sortie.begin()
+    assert sortie.end() == "could not be ended: OSError('broken')"
+    assert sortie.end() is None
+    assert robot.ended == 1

@@ -1,0 +1,101 @@
+"""What still rings after the ramp of a test is found, measured and kept out of its estimate."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import cont2discrete, lfilter
+
+from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
+from nufleet.shared.arrays import ComplexArray, FloatArray
+from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan, Tone
+from nufleet.shared.frequency_test.frequency_response import (
+    FrequencyResponse,
+    estimate_frequency_response,
+)
+from nufleet.shared.frequency_test.multitone import multitone
+from nufleet.shared.frequency_test.ring_down import ring_down
+from nufleet.shared.robots.spec import AxisSpec, RobotSpec
+
+STEP_S = 0.02
+HARMONICS = (1, 3, 5, 7, 9, 11)
+
+
+class Resonant:
+    """A second-order loop, discretised exactly for references that are held between samples."""
+
+    def __init__(self, omega_rad_s: float, damping: float) -> None:
+        w = omega_rad_s
+        continuous = ([w**2], [1.0, 2 * damping * w, w**2])
+        numerator, self._denominator, _ = cont2discrete(continuous, STEP_S, "zoh")
+        self._numerator = numerator.ravel()
+        self.decay_1_s = damping * w
+
+    def play(self, reference: FloatArray) -> FloatArray:
+        return np.asarray(lfilter(self._numerator, self._denominator, reference))
+
+    def z(self, omega_rad_s: FloatArray) -> ComplexArray:
+        step = np.exp(-1j * omega_rad_s * STEP_S)
+        return np.asarray(
+            np.polyval(self._numerator[::-1], step) / np.polyval(self._denominator[::-1], step)
+        )
+
+
+def played(robot: Resonant, settle_s: float, noise: float, seed: int) -> FrequencyResponse:
+    spec = RobotSpec(
+        kind="any",
+        axes=(AxisSpec(name="x", unit="m", amplitude_max=1, velocity_max=2, acceleration_max=9),),
+        sample_time_s=STEP_S,
+        omega_min_rad_s=0.01,
+        omega_max_rad_s=20.0,
+        duration_max_s=600.0,
+        settling_time_s=settle_s,
+        simulated=False,
+    )
+    tones: tuple[Tone, ...] = multitone(0.5, HARMONICS, np.ones(len(HARMONICS)))
+    plan: ExcitationPlan = plan_excitation(
+        Excitation(axis="x", tones=tones, segments=3), spec, "robot"
+    )
+    reference = reference_of(plan)
+    rng = np.random.default_rng(seed)
+    output = robot.play(reference) + noise * rng.standard_normal(plan.samples)
+    return estimate_frequency_response(reference, output, plan)
+
+
+@settings(max_examples=12, deadline=None)
+@given(omega=st.floats(1.5, 4.0), damping=st.floats(0.04, 0.1), seed=st.integers(0, 1000))
+def test_a_settling_time_that_is_stated_ten_times_too_short_is_measured(
+    omega: float, damping: float, seed: int
+) -> None:
+    robot = Resonant(omega, damping)
+    settling_s = 3 / robot.decay_1_s
+    measured = played(robot, 0.1 * settling_s, 0.003, seed)
+    assert measured.quality.usable, str(measured.quality)
+    found = {finding.code: finding.value for finding in measured.quality.warnings}
+    assert found["ringing"] == pytest.approx(settling_s, rel=0.25)
+    # The estimates are as good as if the robot had settled.
+    off = np.abs(measured.z - robot.z(measured.omega_rad_s))
+    assert np.mean(off <= measured.radius(0.001)) > 0.8
+    assert np.all(off < 0.02 * (1 + np.abs(measured.z) ** 2))
+
+
+def test_a_robot_that_settled_is_not_said_to_ring() -> None:
+    robot = Resonant(3.0, 0.2)
+    ringing = [
+        any(f.code == "ringing" for f in played(robot, 12.0, 0.003, seed).quality.warnings)
+        for seed in range(20)
+    ]
+    assert not any(ringing)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.95])
+def test_noise_alone_hardly_ever_rings(memory: float) -> None:
+    omega = 0.5 * np.array(HARMONICS)
+    rung = 0
+    for seed in range(60):
+        drawn = np.random.default_rng(seed).standard_normal(1300)
+        noise = lfilter([1.0], [1.0, -memory], drawn)[300:]
+        rung += len(ring_down(noise, omega, 5.5, STEP_S, 300).decay_1_s) > 0
+    assert rung <= 2
