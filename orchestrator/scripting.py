@@ -38,6 +38,8 @@ def rank(
     band_rad_s: tuple[float, float] | None = None,
     axis: str | None = None,
     iterations: int = 7,
+    precision: float | None = None,
+    amplitude: float | None = None,
     seed: int = 0,
     algorithm: Algorithm = "adaptive",
     trajectory: str | None = None,
@@ -68,6 +70,8 @@ def rank(
             the band that all robots accept.
         axis: Name of the axis to test; None for the target's first.
         iterations: Limit on the number of rounds of tests.
+        precision: Width of the selected source's 95 % interval to continue to; None for any.
+        amplitude: Amplitude of the task in the unit of the axis; None for what each robot chooses.
         seed: Seed of the random choices.
         algorithm: `adaptive`, or `paper` for the paper's Algorithm 1.
         trajectory: Path or name of the drawing to rank for; None for no particular one.
@@ -101,6 +105,8 @@ def rank(
         band_rad_s=band_rad_s,
         axis=axis,
         iterations=iterations,
+        precision=precision,
+        amplitude=amplitude,
         seed=seed,
         algorithm=algorithm,
         trajectory=trajectory,

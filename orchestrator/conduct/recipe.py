@@ -16,7 +16,8 @@ from pydantic import Field, JsonValue
 from nufleet.orchestrator.conduct.replay import ResumeError
 from nufleet.orchestrator.repository.errors import DamagedRecordError
 from nufleet.orchestrator.repository.records import StudyRecord
-from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveSettings, AdaptiveStudy
+from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
+from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.interface import Study
 from nufleet.orchestrator.study.paper_algorithm import PaperStudy
 from nufleet.shared.robots.spec import RobotSpec

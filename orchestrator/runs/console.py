@@ -95,7 +95,7 @@ def _price(question: Question) -> str:
     """Return what a round costs and is for, in words."""
     if question.robot_time_s is None:
         return ""
-    return f" for {question.robot_time_s:.0f} robot-seconds: {question.purpose}"
+    return f"; {question.robot_time_s:.0f} robot-seconds: {question.purpose}"
 
 
 def record_table(record: RunRecord) -> Table:

@@ -13,6 +13,9 @@ from nufleet.shared.arrays import ComplexArray, FloatArray
 CONDITION_MAX = 1e10
 """Condition number of the normal equations above which frequencies cannot be separated."""
 
+KEPT_MAX = 2**20
+"""Largest number of entries of a design matrix that is kept in memory."""
+
 SCATTER_MIN = 1e-6
 """Fraction of the variance below which the scatter of segments is rounding rather than noise."""
 
@@ -122,9 +125,14 @@ def fit_sinusoids(
     size = columns_of.count
     grams = np.empty((segments, size, size))
     moments = np.zeros((size, count))
-    # One segment of H at a time: the whole of H would take gigabytes for many tones in a long test.
+    # H is needed twice. Of many tones in a long test it would take gigabytes, so that it is made
+    # twice, one segment at a time.
+    kept: list[FloatArray] = []
+    keeps = samples * size <= KEPT_MAX
     for p, block in enumerate(blocks):
         columns = columns_of(block)
+        if keeps:
+            kept.append(columns)
         grams[p] = columns.T @ columns
         moments += columns.T @ stacked[block]
     gram = grams.sum(axis=0)
@@ -139,7 +147,7 @@ def fit_sinusoids(
     fitted = np.empty_like(stacked)
     contributions = np.empty((segments, size, count))
     for p, block in enumerate(blocks):
-        columns = columns_of(block)
+        columns = kept[p] if keeps else columns_of(block)
         fitted[block] = columns @ theta
         contributions[p] = cho_solve(factor, columns.T @ (stacked[block] - fitted[block]))
     return [

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.signal import lfilter
 
 from nufleet.shared.arrays import ComplexArray, FloatArray
+from nufleet.shared.frequency_test import sinusoid_fit
 from nufleet.shared.frequency_test.sinusoid_fit import (
     SinusoidFit,
     UnresolvableError,
@@ -179,3 +180,24 @@ def test_signals_fitted_together_are_fitted_as_if_alone() -> None:
         alone = fit_one(signal, omega_rad_s, STEP_S, 4)
         np.testing.assert_allclose(fit.segment_phasors, alone.segment_phasors, atol=1e-13)
         np.testing.assert_allclose(fit.fitted, alone.fitted, atol=1e-13)
+
+
+def test_a_design_matrix_that_fits_into_memory_is_made_once_with_the_same_result(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made: list[slice] = []
+    columns_of = sinusoid_fit._Columns.__call__
+    monkeypatch.setattr(
+        sinusoid_fit._Columns,
+        "__call__",
+        lambda self, block: made.append(block) or columns_of(self, block),
+    )
+    signal = np.random.default_rng(0).standard_normal(400)
+    fits = []
+    for most in (sinusoid_fit.KEPT_MAX, 0):
+        monkeypatch.setattr(sinusoid_fit, "KEPT_MAX", most)
+        fits += fit_sinusoids([signal], np.array([0.5, 1.5]), 0.1, 4)
+    assert len(made) == 4 + 2 * 4
+    for field in ("phasors", "segment_phasors", "scatter_factor", "fitted"):
+        one, other = (getattr(fit, field) for fit in fits)
+        assert one.tobytes() == other.tobytes()
