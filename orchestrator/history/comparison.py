@@ -13,7 +13,6 @@ from nufleet.orchestrator.evaluation.flight_documents import DemoResult, TrackRe
 from nufleet.orchestrator.evaluation.results import EvaluationRecord, FlightRecord
 from nufleet.orchestrator.history.catalogue import Run
 from nufleet.orchestrator.runs.rank_result import RankResult
-from nufleet.orchestrator.study.interface import SourceEstimate
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.strict import Document, Strict
 
@@ -41,8 +40,9 @@ class Compared(Strict):
     """Value in the first run."""
     second: float
     """Value in the second run."""
-    std: float | None = None
-    """Standard deviation of the difference; None where it is not known."""
+    spread: float | None = None
+    """Half the width of the 95 % interval of the difference, from the intervals of both; None where
+    these are not known."""
 
 
 class Comparison(Document):
@@ -115,21 +115,16 @@ def comparison_parts(found: Comparison) -> Iterator[RenderableType]:
 def _numbers(
     title: str, what: str, rows: tuple[Compared, ...], factor: float, digits: int
 ) -> Table:
-    sure = any(row.std is not None for row in rows)
-    headings = ("first", "second", "difference", *(("± σ",) if sure else ()))
+    sure = any(row.spread is not None for row in rows)
+    headings = ("first", "second", "difference", *(("±, 95 %",) if sure else ()))
     numbers = [Column(heading, justify="right") for heading in headings]
     table = Table(what, *numbers, title=title, title_justify="left")
     for row in rows:
         first, second = factor * row.first, factor * row.second
-        spread = ("" if row.std is None else _deviation_text(row.std),) if sure else ()
+        spread = ("" if row.spread is None else f"{row.spread:.4f}",) if sure else ()
         cells = (f"{first:.{digits}f}", f"{second:.{digits}f}", f"{second - first:+.{digits}f}")
         table.add_row(row.what, *cells, *spread)
     return table
-
-
-def _deviation_text(std: float) -> str:
-    """Return a standard deviation to four decimal places, never rounded to zero."""
-    return f"{std:.4f}" if std >= 5e-5 else "<0.0001"
 
 
 def _flights(run: Run) -> tuple[FlightRecord, ...]:
@@ -150,13 +145,9 @@ def _psi(first: RankResult | None, second: RankResult | None) -> Iterator[Compar
     for one in first.ranking:
         other = others.get(one.robot)
         if other is not None:
-            std = math.hypot(_psi_std(one), _psi_std(other))
-            yield Compared(what=one.robot, first=one.psi, second=other.psi, std=std)
-
-
-def _psi_std(estimate: SourceEstimate) -> float:
-    """Return the standard deviation of which the 95 % interval would be that of a normal ψ*."""
-    return (estimate.psi_high - estimate.psi_low) / (2 * 1.96)
+            halves = [(each.psi_high - each.psi_low) / 2 for each in (one, other)]
+            spread = math.hypot(*halves)
+            yield Compared(what=one.robot, first=one.psi, second=other.psi, spread=spread)
 
 
 def _rms(first: tuple[FlightRecord, ...], second: tuple[FlightRecord, ...]) -> Iterator[Compared]:
