@@ -43,16 +43,19 @@ from nufleet.shared.command_line import folder_option
 )
 @click.option("--browser", is_flag=True, help="Open the page in the browser.")
 @overwriting_option
+@drawing_robots_options
 @json_option
 def draw(**options: Any) -> None:
-    """Serve a page on this machine to draw on with a mouse, a pen or a finger.
+    """Serve a page on this machine to draw on with a mouse, a pen or, on a touch screen, a finger.
 
-    Prints the page's address, and ends when the drawing is saved or with Ctrl-C.
+    Prints the page's address, and ends when the drawing is saved or with Ctrl-C. With --fleet or
+    --robot the page shows how far the robots may go.
 
     \b
-    nufleet drawing draw --out loop.csv
+    nufleet drawing draw --out loop.csv --fleet paper_linear
     nufleet track --target drone-7 --trajectory loop.csv
     """
+    refuse_robots_in_vain(options)
     from nufleet.orchestrator.jobs.drawings import draw_and_print
 
     draw_and_print(**options)

@@ -66,6 +66,25 @@ def show(run: str, runs_root: Path, as_json: bool) -> None:
 
 
 @click.command()
+@click.argument("first", metavar="RUN")
+@click.argument("second", metavar="RUN", default="latest")
+@runs_option
+@json_option
+def compare(first: str, second: str, runs_root: Path, as_json: bool) -> None:
+    """Compare two runs: what was set differently, and how far their results are apart.
+
+    Sources that both ranked are compared by ψ*, and flights of the same robot along the same path
+    by their errors. The second RUN is the latest unless it is named.
+
+    \b
+    nufleet runs compare 20260102T120000Z-lab latest
+    """
+    from nufleet.orchestrator.jobs.runs import compare_and_print
+
+    compare_and_print(runs_root, first, second, as_json=as_json)
+
+
+@click.command()
 @click.argument("run", default="latest")
 @folder_option(
     "--to",

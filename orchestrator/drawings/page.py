@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import secrets
 import threading
 from collections.abc import Callable
@@ -21,6 +22,8 @@ from nufleet.shared.strict import Strict, describe_validation
 
 BODY_BYTES_MAX = 8 * 2**20
 SPACING_M = 0.02
+SPEED_M_S = 0.6
+"""Speed at which the page estimates a duration: the middle one of the paper's (Section VI)."""
 
 _PAGE = Path(__file__).with_name("page.html")
 _SECURITY = (
@@ -41,7 +44,15 @@ class DrawingPage:
     Its address holds a secret, so that no other page in the same browser can post to it.
     """
 
-    def __init__(self, port: int, extent_m: float, save: Callable[[FloatArray], None]) -> None:
+    def __init__(
+        self,
+        port: int,
+        extent_m: float,
+        save: Callable[[FloatArray], None],
+        *,
+        workspace_m: float | None = None,
+        speed_m_s: float = SPEED_M_S,
+    ) -> None:
         """Start to serve.
 
         Args:
@@ -49,12 +60,18 @@ class DrawingPage:
             extent_m: Distance from the middle of the paper, the origin, to its edges.
             save: Function that stores the points, shape (n, 2), in m. The page shows the message of
                 an InvalidInputError that it raises.
+            workspace_m: Largest |x| and |y| that the robots may reach, which the page shows; None
+                if no robot is named.
+            speed_m_s: Speed at which the page estimates how long the drawing takes, in m/s.
 
         Raises:
             EndpointInUseError: The port is in use.
         """
         self._path = f"/{secrets.token_urlsafe(16)}"
-        self._html = _PAGE.read_text(encoding="utf-8").replace("EXTENT_M", repr(float(extent_m)))
+        self._html = _PAGE.read_text(encoding="utf-8")
+        shown = {"EXTENT_M": extent_m, "WORKSPACE_M": workspace_m, "SPEED_M_S": speed_m_s}
+        for word, number in shown.items():
+            self._html = self._html.replace(word, json.dumps(number))
         self._save = save
         self._lock = threading.Lock()
         self._saved: FloatArray | None = None

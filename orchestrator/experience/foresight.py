@@ -6,7 +6,7 @@ priors that it held are put back. Nothing moves.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from nufleet.orchestrator.experience.library import ExperienceLibrary
@@ -30,6 +30,9 @@ RICH_FLIGHTS_S = (15.0, 30.0, 60.0)
 HORIZON_S = 0.4
 """Horizon of learning from nothing where no source's experience suggests one."""
 
+OnForeseen = Callable[[int, int], None]
+"""Callback that receives the number of ways that are rehearsed, and that of all."""
+
 _PREFERRED: tuple[Architecture, ...] = ("state", "preview")
 
 
@@ -50,6 +53,7 @@ def foresee(
     sources: Sequence[str],
     leg: Leg,
     psi: Mapping[str, float] | None = None,
+    on_foreseen: OnForeseen = lambda done, total: None,
 ) -> Foresight:
     """Return what a target expects of a path: alone, with each source, and with all of them.
 
@@ -62,6 +66,7 @@ def foresee(
         leg: Path that would be flown.
         psi: Estimated distance of the sources, from which the mixture's weights start; None to
             start from equal ones.
+        on_foreseen: Callback that receives the number of ways that are done, and of all.
 
     Raises:
         RefusedError, NoReplyError, RobotLostError: The target does not answer, or not now.
@@ -71,7 +76,7 @@ def foresee(
     payloads = _payloads(library, target, sources, without)
     if not payloads:
         held: tuple[ExperienceOffer, ...] = ()
-        found = _found(fleet, target, held, leg, present_s, psi)
+        found = _found(fleet, target, held, leg, present_s, psi, on_foreseen)
     else:
         with prior_put_back(fleet, pilot, target):
             installed = 0
@@ -83,7 +88,7 @@ def foresee(
                 else:
                     installed += 1
             held = fleet.describe(target.robot).priors if installed else ()
-            found = _found(fleet, target, held, leg, present_s, psi)
+            found = _found(fleet, target, held, leg, present_s, psi, on_foreseen)
     named = [
         WayRecord(way=source, own_flight_s=present_s, reason=reason)
         for source, reason in without.items()
@@ -97,7 +102,14 @@ def foresee(
     )
 
 
-def expected(fleet: Fleet, target: Description, way: ForeseenWay, leg: Leg, name: str) -> Foresight:
+def expected(
+    fleet: Fleet,
+    target: Description,
+    way: ForeseenWay,
+    leg: Leg,
+    name: str,
+    on_foreseen: OnForeseen = lambda done, total: None,
+) -> Foresight:
     """Return what a target expects of the baseline and of one other way, with what it holds."""
     present_s = target.least_known_s
     asked = [
@@ -108,7 +120,7 @@ def expected(fleet: Fleet, target: Description, way: ForeseenWay, leg: Leg, name
         target=target.robot,
         path=leg.title,
         unit=target.spec.axes[0].unit,
-        ways=_answered(fleet, target, asked[name == BASELINE :], leg),
+        ways=_answered(fleet, target, asked[name == BASELINE :], leg, on_foreseen),
     )
 
 
@@ -154,6 +166,7 @@ def _found(
     leg: Leg,
     present_s: float,
     psi: Mapping[str, float] | None,
+    on_foreseen: OnForeseen,
 ) -> tuple[WayRecord, ...]:
     asked = [_Asked(BASELINE, present_s, ForeseenWay(inverse="baseline"))]
     layout = held[0].manifest.layout if held else _layout(target)
@@ -171,13 +184,22 @@ def _found(
         _Asked(OWN, present_s + more_s, ForeseenWay(inverse="own", after_rich_flight_s=more_s))
         for more_s in RICH_FLIGHTS_S
     ]
-    return _answered(fleet, target, asked, leg)
+    return _answered(fleet, target, asked, leg, on_foreseen)
 
 
 def _answered(
-    fleet: Fleet, target: Description, asked: Sequence[_Asked], leg: Leg
+    fleet: Fleet,
+    target: Description,
+    asked: Sequence[_Asked],
+    leg: Leg,
+    on_foreseen: OnForeseen,
 ) -> tuple[WayRecord, ...]:
-    found = fleet.forecast(target.robot, leg.desired, [each.way for each in asked])
+    found = fleet.forecast(
+        target.robot,
+        leg.desired,
+        [each.way for each in asked],
+        on_foreseen=lambda done: on_foreseen(done, len(asked)),
+    )
     return tuple(
         WayRecord.of(each.name, each.own_flight_s, one)
         for each, one in zip(asked, found, strict=True)

@@ -54,6 +54,12 @@ class Leg:
         size = "" if self.scale == 1.0 else f", {100 * self.scale:.0f} % as large,"
         return f"{self.drawing}{size} at {self.speed:g} {self.unit}/s"
 
+    def extent_text(self, spec: RobotSpec) -> str:
+        """Return how long and how far the path leads, in words."""
+        flown_s = len(self.desired) * spec.sample_time_s
+        furthest = float(np.abs(self.desired).max())
+        return f"{self.title}: {flown_s:.1f} s, up to {furthest:.2f} {self.unit} from the origin"
+
     def label(self, inverse: str) -> str:
         """Return the name of a flight along this path with an inverse; see `flight_label`."""
         return flight_label(inverse, path_label(self.drawing, self.speed, self.unit))

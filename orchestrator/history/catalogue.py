@@ -72,6 +72,16 @@ class Run:
     """Results; None for a run that has not ended or was interrupted."""
 
     @property
+    def ranking(self) -> RankResult | None:
+        """The ranking that it made; None if it made none."""
+        match self.result:
+            case RunRecord() as record:
+                return record.result
+            case DemoResult() as demo:
+                return demo.ranking
+        return None
+
+    @property
     def headline(self) -> str:
         """Summary of the results in one line."""
         if self.result is None:

@@ -18,6 +18,7 @@ from nufleet.orchestrator.history.catalogue import Run
 from nufleet.orchestrator.runs.console import ranking_table, record_table
 from nufleet.orchestrator.runs.rank_result import RunRecord
 from nufleet.orchestrator.runs.verdict_table import verdict_parts
+from nufleet.orchestrator.runs.way_table import foresight_of, way_parts
 
 
 def run_tables(run: Run) -> Iterator[RenderableType]:
@@ -53,6 +54,9 @@ def _ranking(record: RunRecord) -> Iterator[RenderableType]:
     for robot, stored in (result.stored or {}).items():
         yield f"[yellow]{said_of(robot, stored, datetime.now(UTC))}[/]"
     yield from verdict_parts(result)
+    foresight = foresight_of(result)
+    if foresight is not None:
+        yield from way_parts(foresight)
     for robot, reason in record.dropped.items():
         yield f"[red]{robot} was left out: {reason}[/]"
 

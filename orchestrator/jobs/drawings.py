@@ -10,7 +10,7 @@ from typing import TypedDict, Unpack
 import click
 
 from nufleet.orchestrator.conduct.preflight import check_robots
-from nufleet.orchestrator.drawings.page import DrawingPage
+from nufleet.orchestrator.drawings.page import SPEED_M_S, DrawingPage
 from nufleet.orchestrator.drawings.picture import draw_picture
 from nufleet.orchestrator.drawings.report import (
     DrawingReport,
@@ -43,7 +43,14 @@ class RobotOptions(TypedDict):
 
 
 def draw_and_print(
-    out: Path, *, extent_m: float, port: int, browser: bool, force: bool, as_json: bool
+    out: Path,
+    *,
+    extent_m: float,
+    port: int,
+    browser: bool,
+    force: bool,
+    as_json: bool,
+    **robots: Unpack[RobotOptions],
 ) -> None:
     """Serve a page for drawing until the drawing is saved, and print the report on it.
 
@@ -54,6 +61,7 @@ def draw_and_print(
         browser: Whether to open the page in the user's browser.
         force: Whether an existing file may be overwritten.
         as_json: Whether to print the report as JSON on stdout too.
+        robots: The robots whose workspace the page shows, and whose limits count.
 
     Raises:
         InvalidInputError: The file exists, or it is not a CSV file.
@@ -63,12 +71,22 @@ def draw_and_print(
         raise InvalidInputError(f"{out}: a drawing is stored as a .csv file")
     path = _output_file(out, str(out), force=force)
     console = stderr_console()
-    with DrawingPage(port, extent_m, lambda points: write_drawing(path, points)) as page:
+    described = _described(robots)
+    limits = [one.spec.tracking for one in described if one.spec.tracking is not None]
+    workspace_m = min((one.position_max for one in limits), default=None)
+    speed_m_s = min((SPEED_M_S, *(one.speed_max for one in limits)))
+    with DrawingPage(
+        port,
+        extent_m,
+        lambda points: write_drawing(path, points),
+        workspace_m=workspace_m,
+        speed_m_s=speed_m_s,
+    ) as page:
         console.print(f"draw at  {page.url}   (Ctrl-C ends without a drawing)")
         if browser:
             webbrowser.open(page.url)
         points = page.wait()
-    report = report_of(path.stem, str(path), points, ())
+    report = report_of(path.stem, str(path), points, described)
     _print_report(report, str(path), as_json=as_json)
 
 

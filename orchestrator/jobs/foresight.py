@@ -10,6 +10,7 @@ from nufleet.orchestrator.flights.legs import Leg, typical_leg
 from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.orchestrator.flights.ways import Foresight, error_range
 from nufleet.orchestrator.jobs.opening import Opening
+from nufleet.orchestrator.jobs.terminal import rehearsal_shown
 from nufleet.orchestrator.runs.rank_result import RankResult
 from nufleet.shared.errors import (
     InvalidInputError,
@@ -57,7 +58,8 @@ def foreseen(
         psi = {one.robot: one.psi for one in result.ranking}
         pilot = Pilot(fleet, run.folder.study_id)
         library = ExperienceLibrary(fleet, store, name, ready.descriptions)
-        return foresee(fleet, pilot, library, target, tuple(psi), leg, psi), leg
+        with rehearsal_shown(run.console) as shown:
+            return foresee(fleet, pilot, library, target, tuple(psi), leg, psi, shown), leg
     except _UNANSWERED as error:
         run.console.print(f"[yellow]which way to fly could not be predicted: {error}[/]")
         return None
@@ -74,7 +76,8 @@ def say_expected(run: Opening, target: Description, way: ForeseenWay, leg: Leg, 
         name: Name of the way; see `nufleet.orchestrator.flights.labels`.
     """
     try:
-        foresight = expected(run.connection.fleet, target, way, leg, name)
+        with rehearsal_shown(run.console) as shown:
+            foresight = expected(run.connection.fleet, target, way, leg, name, shown)
     except _UNANSWERED as error:
         run.console.print(f"[yellow]{leg.title}: no error could be predicted: {error}[/]")
         return

@@ -14,6 +14,7 @@ from nufleet.orchestrator.conduct.archive import Archive
 from nufleet.orchestrator.conduct.leases import lease_robots
 from nufleet.orchestrator.fleet.connection import Connection
 from nufleet.orchestrator.fleet.reach import FleetChoice
+from nufleet.orchestrator.fleet.robot_watch import RobotWatch
 from nufleet.orchestrator.jobs.commands import StoredCommand
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.terminal import results_console
@@ -25,7 +26,17 @@ from nufleet.orchestrator.viewer.server.ports import GRPC_PORT, WEB_PORT
 from nufleet.orchestrator.viewer.writer import RerunWriter, ServeOptions
 from nufleet.shared.command_line import invocation
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.wire.messages import Description
+from nufleet.shared.wire.messages import Description, RobotStatus
+
+REST_TIMEOUT_S = 10.0
+"""Longest time after an interrupt in which robots report that they are at rest."""
+
+
+def _rests(watch: RobotWatch) -> bool:
+    return watch.state is not None and watch.state.status in (
+        RobotStatus.IDLE,
+        RobotStatus.STOPPED,
+    )
 
 
 class Opening:
@@ -74,6 +85,13 @@ class Opening:
 
     def __exit__(self, *error: Any) -> None:
         self._stack.__exit__(*error)
+        if error[0] is None and self._run_id:
+            # All files of the run are complete only now.
+            from nufleet.orchestrator.history.report_page import leave_report
+
+            page = leave_report(self.folder.path)
+            if page is not None:
+                self.console.print(f"report to hand on:  {page}")
 
     def reach(
         self, choice: FleetChoice, robots: tuple[str, ...] = (), *, wait_s: float = 0.0
@@ -146,6 +164,7 @@ class Opening:
         self._lease(descriptions, study_id_of(path), patient=True)
         again = RunFolder(path.parent, path.name, goes_on=True)
         self.folder = self._stack.enter_context(again)
+        self._run_id = again.study_id
         return self.folder
 
     def record(self, *, live: bool, draws: bool = True) -> RerunWriter:
@@ -178,6 +197,7 @@ class Opening:
         self, descriptions: Mapping[str, Description], run_id: str, *, patient: bool
     ) -> Archive:
         fleet, name, _ = self.connection
+        self._stack.enter_context(self._saying_who_rests(tuple(descriptions)))
         scope = self.choice.reach.lease_scope(name, run_id)
         leases = lease_robots(
             self.repository.leases,
@@ -195,6 +215,29 @@ class Opening:
             f"{held.owner} held {held.robot} when it was last heard of; "
             f"its lease runs out in {held.remaining_s:.1f} s"
         )
+
+    @contextmanager
+    def _saying_who_rests(self, robots: tuple[str, ...]) -> Iterator[None]:
+        """Print after an interrupt, when the rest has been closed, that robots are at rest."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            watches = [self.connection.fleet.watch(robot) for robot in robots]
+            deadline_s = time.monotonic() + REST_TIMEOUT_S
+            moving = [
+                watch.robot
+                for watch in watches
+                if not watch.wait_until(_rests, timeout_s=max(0.0, deadline_s - time.monotonic()))
+            ]
+            if moving:
+                self.console.print(
+                    f"[bold red]{', '.join(moving)} did not report to be at rest: look at them, "
+                    "or stop them with `nufleet stop --all`[/]"
+                )
+            else:
+                what = f"all {len(robots)} robots are" if len(robots) > 1 else f"{robots[0]} is"
+                self.console.print(f"{what} at rest")
+            raise
 
     @contextmanager
     def _recording(self, *, live: bool) -> Iterator[RerunWriter]:

@@ -1,4 +1,4 @@
-"""The work of `nufleet runs show` and `export`."""
+"""The work of `nufleet runs show`, `compare` and `export`."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from pathlib import Path
 import click
 
 from nufleet.orchestrator.history.catalogue import read_run
+from nufleet.orchestrator.history.comparison import compare_runs, comparison_parts
 from nufleet.orchestrator.history.export import export_responses, run_responses
 from nufleet.orchestrator.history.tables import run_tables
 from nufleet.orchestrator.jobs.resume import can_reach_again
 from nufleet.orchestrator.jobs.run_list import INTERRUPTED, full_document, why_unfinished
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.terminal import stdout_console
-from nufleet.orchestrator.runs.folder import RECORDING, find_run
+from nufleet.orchestrator.runs.folder import RECORDING, find_run, read_configuration
 from nufleet.shared.command_line import invocation
 
 
@@ -44,6 +45,25 @@ def show_and_print(runs_root: Path, name: str, *, as_json: bool) -> None:
     console.print(f"files: {', '.join(sorted(p.name for p in run.folder.iterdir()))}")
     if (run.folder / RECORDING).exists():
         console.print(f"open the recording with:  {invocation()} view {run.folder}")
+
+
+def compare_and_print(runs_root: Path, first: str, second: str, *, as_json: bool) -> None:
+    """Print two runs side by side.
+
+    Args:
+        runs_root: Folder that holds the folders of all runs.
+        first: Name of a run, path of its folder, or `latest`.
+        second: The same of another run.
+        as_json: Whether to print the comparison as JSON on stdout.
+    """
+    one, other = (find_run(runs_root, name) for name in (first, second))
+    settings = read_configuration(one), read_configuration(other)
+    found = compare_runs(read_run(one), read_run(other), settings)
+    if as_json:
+        click.echo(found.document())
+        return
+    for part in comparison_parts(found):
+        stdout_console().print(part)
 
 
 def export_and_print(

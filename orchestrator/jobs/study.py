@@ -38,6 +38,7 @@ def follow_study(
     """
     fleet = run.connection.fleet
     unit = ready.descriptions[ready.plan.target].spec.axis(ready.plan.axis).unit
+    specs = {robot: one.spec for robot, one in ready.descriptions.items()}
     view = LiveView(ready.plan, unit, run.clock, run.writer.emit)
     view.watch(fleet)
     try:
@@ -48,7 +49,7 @@ def follow_study(
             run.archive,
             folder=run.folder,
             draws=run.draws,
-            observers=[ConsoleObserver(run.console, ready.plan.iterations), view],
+            observers=[ConsoleObserver(run.console, ready.plan.iterations, specs), view],
             foresee=foresee,
         )
     finally:

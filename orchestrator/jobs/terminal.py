@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from rich.console import Console
 
@@ -33,6 +35,32 @@ def results_console(progress: Console, *, as_json: bool) -> Console:
         as_json: Whether stdout is taken by a document, so that people read the results on stderr.
     """
     return stdout_console() if progress.stderr and not as_json else progress
+
+
+@contextmanager
+def rehearsal_shown(console: Console) -> Iterator[Callable[[int, int], None]]:
+    """Show on a terminal how many ways of flying a robot has rehearsed, and the time left.
+
+    Args:
+        console: Console for progress; one that is no terminal shows nothing.
+
+    Yields:
+        Function to call with the number of ways that are done, and of all.
+    """
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    with Progress(
+        "  rehearsing",
+        BarColumn(),
+        MofNCompleteColumn(),
+        "ways, time left",
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=console.quiet or not console.is_terminal,
+    ) as progress:
+        task = progress.add_task("", total=None)
+        yield lambda done, total: progress.update(task, completed=done, total=total)
 
 
 def _wide_enough(console: Console) -> Console:

@@ -93,6 +93,8 @@ def track(command: TrackCommand, console: Console) -> TrackResult:
         inverse = _inverse(command, target, ranking)
         run.fly("track", {target.robot: target}, live=command.live)
         run.configure({"kind": "track", **asdict(command)})
+        for leg in legs:
+            run.console.print(f"{command.target} will fly {leg.extent_text(target.spec)}")
         _learn_first(inverse, command, run)
         records = [_flown(run, command, target, inverse, leg) for leg in legs]
         result = TrackResult(flights=tuple(records), run=str(run.folder.path))

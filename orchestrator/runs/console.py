@@ -10,14 +10,20 @@ from rich.table import Table
 from nufleet.orchestrator.runs.rank_result import ClosedForm, RunRecord
 from nufleet.orchestrator.study.interface import Question, Report, SourceEstimate
 from nufleet.orchestrator.study.outcomes import Measured, TestOutcome
+from nufleet.shared.frequency_test.duration import duration_s
+from nufleet.shared.robots.spec import RobotSpec
 
 
 class ConsoleObserver:
     """Prints the tests of each round, the ranking after it, and its confidence."""
 
-    def __init__(self, console: Console, iterations: int) -> None:
+    def __init__(
+        self, console: Console, iterations: int, specs: Mapping[str, RobotSpec] | None = None
+    ) -> None:
+        """Print on a console; with the specs of the robots, also how long and how far they move."""
         self._console = console
         self._iterations = iterations
+        self._specs = specs or {}
         self._dropped: set[str] = set()
         self._eliminated: set[str] = set()
 
@@ -29,8 +35,20 @@ class ConsoleObserver:
             tones = f"{len(played)} tones from {played[0]:.3f} to {played[-1]:.3f}"
         self._console.print(
             f"[bold]iteration {question.iteration}/{self._iterations}[/]  "
-            f"{len(question.robots)} robots play {tones} rad/s{_price(question)}"
+            f"{len(question.robots)} robots play {tones} rad/s{self._motion(question)}"
+            f"{_price(question)}"
         )
+
+    def _motion(self, question: Question) -> str:
+        """Return how long the robots move and within which bounds, where their specs are known."""
+        tested = [(test, self._specs[r]) for r, test in question.tests.items() if r in self._specs]
+        if not tested:
+            return ""
+        longest_s = max(duration_s(test, spec) for test, spec in tested)
+        axes = [spec.axis(test.axis) for test, spec in tested]
+        furthest = max(axes, key=lambda axis: axis.amplitude_max)
+        within = f"±{furthest.amplitude_max:g} {furthest.unit}"
+        return f", {longest_s:.0f} s long and within {within},"
 
     def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
         """Print that a test has to be repeated or given up."""
@@ -77,7 +95,7 @@ def _price(question: Question) -> str:
     """Return what a round costs and is for, in words."""
     if question.robot_time_s is None:
         return ""
-    return f" for {question.robot_time_s:.0f} robot-seconds: {question.purpose}"
+    return f"; {question.robot_time_s:.0f} robot-seconds: {question.purpose}"
 
 
 def record_table(record: RunRecord) -> Table:

@@ -60,11 +60,18 @@ def way_parts(foresight: Foresight) -> Iterator[RenderableType]:
     yield f"[bold]{advice(foresight)}[/]"
 
 
+def foresight_of(result: RankResult) -> Foresight | None:
+    """Return what the target expected when it was ranked; None where nothing was predicted."""
+    if result.ways_path is None or result.ways_unit is None:
+        return None
+    return Foresight(result.target, result.ways_path, result.ways_unit, result.ways)
+
+
 def way_markdown(result: RankResult) -> list[str]:
     """Return the same as lines for a report; none where nothing was predicted."""
-    if result.ways_path is None or result.ways_unit is None:
+    foresight = foresight_of(result)
+    if foresight is None:
         return []
-    foresight = Foresight(result.target, result.ways_path, result.ways_unit, result.ways)
     table = [f"| {name} | {error} |" for _, name, error in _rows(foresight)]
     missing = [f"- {name}: {reason}" for name, reason in _missing(foresight)]
     title = [f"{_title(foresight)}:", "", "| way | expected error |", "|---|---|"]

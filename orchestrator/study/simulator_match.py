@@ -165,7 +165,7 @@ def _pooled(tests: Sequence[FrequencyResponse]) -> _Tones:
     weights = 1 / np.maximum(variance[known], np.finfo(np.float64).tiny)
     total = np.bincount(which, weights)
     parts = (np.bincount(which, weights * part) for part in (z[known].real, z[known].imag))
-    mean = (next(parts) + 1j * next(parts)) / total
+    mean = np.asarray(next(parts) + 1j * next(parts), dtype=np.complex128) / total
     return _Tones(omega, mean, 1 / total)
 
 
@@ -195,7 +195,8 @@ def _fit(
     best = least_squares(residual, np.zeros(3), x_scale=scale, loss="soft_l1")
     # What three numbers cannot explain makes them less certain than the noise does.
     excess = max(1.0, 2 * float(best.cost) / max(1, 2 * len(omega) - 3))
-    stds = np.sqrt(np.diag(np.linalg.pinv(best.jac.T @ best.jac)) * excess)
+    slope = np.asarray(best.jac, dtype=np.float64)
+    stds = np.sqrt(np.diag(np.linalg.pinv(slope.T @ slope)) * excess)
     log_g, delay_s, log_k = best.x.tolist()
     left = float(chordal_distance(z, loop(best.x)).max())
     return (

@@ -13,7 +13,7 @@ from nufleet.shared.models.error_response import ErrorBasis
 from nufleet.shared.strict import NonNegative, Strict
 
 _LARGEST = 1e9  # no robot goes farther, in m or rad, and no square of it overflows
-_DISTORTION = 0.25  # least share of an error due to friction that is beyond a linear answer
+_DISTORTION = 0.3  # least share of an error due to friction that is beyond a linear answer
 _SURE = 2.0  # standard deviations of what chance may explain
 _ROUNDED = 0.06  # share by which a noise's mean square is found too large or too small
 _HELD = (0.3, 0.7, 1.4)  # how far friction may hold an axis, as shares of its reference's size

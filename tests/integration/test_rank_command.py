@@ -160,7 +160,8 @@ def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(
     assert done.returncode == 0, done.stderr
     run = tmp_path / json.loads(done.stdout)["run"]
     assert {path.name for path in run.iterdir()} == {
-        *("config.json", "results.json", "telemetry.parquet", "run.rrd", "plots", "report.md")
+        *("config.json", "results.json", "telemetry.parquet", "run.rrd", "plots", "report.md"),
+        *("report.html", "ranking.csv"),
     }
     assert {path.suffix for path in (run / "plots").iterdir()} == {".png"}
     listed = json.loads(typed("runs", "list", "--json", cwd=tmp_path).stdout)
@@ -240,6 +241,7 @@ def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, moment: s
     # interrupt came while a module was being imported.
     assert ranking.returncode in (130, -signal.SIGINT), said
     assert "Traceback" not in said
+    assert ("all 4 robots are at rest" in said) == (moment == "while they move")
     assert not started_with("NUFLEET_STATE", state)
 
 

@@ -38,7 +38,7 @@ def workplace(tmp_path: Path) -> Path:
     with RunFolder(tmp_path / "runs", "lab", now=NOON) as folder:
         folder.write_configuration({"kind": "rank", "fleet": "lab"})
         folder.write_record(a_record(folder.path))
-        folder.recording.touch()
+        folder.recording.write_bytes(b"RRF2")
     return tmp_path
 
 

@@ -27,8 +27,9 @@ CIRCLE = np.stack([np.cos(TURN), np.sin(TURN)], axis=1)
 @contextmanager
 def page(folder: Path, **settings: Any) -> Iterator[DrawingPage]:
     threads = set(threading.enumerate())
+    port = settings.pop("port", 0)
     with DrawingPage(
-        settings.get("port", 0), 1.3, lambda points: write_drawing(folder / "a.csv", points)
+        port, 1.3, lambda points: write_drawing(folder / "a.csv", points), **settings
     ) as served:
         yield served
     left = {t for t in threading.enumerate() if t.name == "drawing-page"}
@@ -53,6 +54,15 @@ def test_the_page_has_a_paper_as_large_as_was_asked_for(tmp_path: Path) -> None:
     assert status == 200
     assert "<canvas" in html
     assert "const extent = 1.3;" in html
+    assert "const workspace = null;" in html
+    assert html.index("Save</button>") < html.index("<canvas"), "in sight on a low screen"
+
+
+def test_the_page_shows_the_workspace_of_the_robots_and_how_long_they_take(tmp_path: Path) -> None:
+    with page(tmp_path, workspace_m=0.9, speed_m_s=0.4) as served:
+        _, html = asked(served.url)
+    assert "const workspace = 0.9;" in html
+    assert "const speed = 0.4;" in html
 
 
 def test_a_drawing_is_saved_evenly_spaced_and_ends_the_wait(tmp_path: Path) -> None:

@@ -170,3 +170,14 @@ def test_a_typical_leg_fits_into_any_workspace_and_into_a_few_seconds(share: flo
     assert leg.speed <= tracking.speed_max
     assert 0.0 < leg.size <= tracking.position_max
     assert leg.title.startswith(f"{leg.drawing}, {100 * leg.scale:.0f} % as large, at ")
+
+
+def test_a_path_says_how_long_and_how_far_it_leads() -> None:
+    spec = LaggedRobot().spec
+    desired = np.zeros((100, 2))
+    desired[50, 1] = -0.75
+    leg = Leg("clover", 0.6, "m", desired)
+    seconds = 100 * spec.sample_time_s
+    assert leg.extent_text(spec) == (
+        f"clover at 0.6 m/s: {seconds:.1f} s, up to 0.75 m from the origin"
+    )

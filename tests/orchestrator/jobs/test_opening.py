@@ -112,7 +112,7 @@ def test_a_command_that_ends_well_says_where_its_recording_is_and_leaves_its_rob
     with opening(tmp_path, Console(file=said, soft_wrap=True)) as run:
         for step in steps(run, fleet).values():
             step()
-        run.configure({"kind": "test", "repository": "postgresql://me:secret@h/d"})
+        run.configure({"kind": "track", "repository": "postgresql://me:secret@h/d"})
         assert [*run.repository.leases.held("lab")] == ["a"]
     assert closed == [*ENDS]
     assert (run.folder.path / RECORDING).is_file()
@@ -134,7 +134,7 @@ def test_a_run_that_fails_keeps_its_folder_once_it_is_configured_and_praises_no_
         with run:
             for step in steps(run, fleet).values():
                 step()
-            run.configure({"kind": "test"})
+            run.configure({"kind": "track"})
             run.say_how_to_resume()
             raise InvalidInputError("the command cannot go on")
 
@@ -160,7 +160,7 @@ def test_the_folder_of_a_run_whose_owner_is_alive_is_left_as_it_is(
     with opening(tmp_path) as owner, ExitStack() as stack:
         for step in steps(owner, fleet).values():
             step()
-        owner.configure({"kind": "test"})
+        owner.configure({"kind": "track"})
         path = owner.folder.path
         before = {file.name for file in path.iterdir()}
         heir = stack.enter_context(opening(tmp_path))

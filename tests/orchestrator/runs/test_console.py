@@ -1,0 +1,57 @@
+"""What a study prints: how long and how far robots will move, and tables that keep their digits."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from random_loops import SPEC
+from rich.console import Console
+
+from nufleet.orchestrator.jobs.terminal import (
+    rehearsal_shown,
+    results_console,
+    stderr_console,
+    stdout_console,
+)
+from nufleet.orchestrator.runs.console import ConsoleObserver
+from nufleet.orchestrator.study.interface import Question
+from nufleet.shared.frequency_test.duration import duration_s
+from nufleet.shared.frequency_test.excitation import Excitation, Tone
+
+
+def test_a_round_says_how_long_and_how_far_its_robots_move() -> None:
+    console = Console(file=io.StringIO(), width=200)
+    test = Excitation(axis="x", tones=(Tone(omega_rad_s=2.0),))
+    question = Question(1, {"a": test, "b": test})
+    ConsoleObserver(console, 7, {"a": SPEC, "b": SPEC}).asked(question)
+    assert isinstance(console.file, io.StringIO)
+    within = f"{duration_s(test, SPEC):.0f} s long and within ±{SPEC.axes[0].amplitude_max:g} m"
+    assert f"2 robots play 2.000 rad/s, {within}" in console.file.getvalue()
+
+
+def test_a_narrow_terminal_costs_no_digits_and_a_file_has_one_line_per_row(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    assert stdout_console().width == 80
+    assert stderr_console().width == 80
+    monkeypatch.delenv("COLUMNS")
+    assert stdout_console().width >= 1000
+
+
+def test_results_go_to_stdout_unless_a_document_or_a_script_takes_them_elsewhere() -> None:
+    progress = stderr_console()
+    assert not results_console(progress, as_json=False).stderr
+    assert results_console(progress, as_json=True) is progress
+    given = Console(quiet=True)
+    assert results_console(given, as_json=False) is given
+
+
+def test_a_rehearsal_is_shown_on_a_terminal_alone() -> None:
+    for terminal in (True, False):
+        console = Console(file=io.StringIO(), force_terminal=terminal, width=100)
+        with rehearsal_shown(console) as shown:
+            shown(1, 4)
+        assert isinstance(console.file, io.StringIO)
+        assert ("1/4" in console.file.getvalue()) == terminal
