@@ -11,7 +11,7 @@ from rich.table import Column, Table
 from nufleet.orchestrator.evaluation.flight_documents import DemoResult, TrackResult
 from nufleet.orchestrator.evaluation.results import EvaluationRecord, FlightRecord
 from nufleet.orchestrator.history.catalogue import Run
-from nufleet.orchestrator.runs.rank_result import RankResult, deviation_text
+from nufleet.orchestrator.runs.rank_result import RankResult
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.strict import Document, Strict
 
@@ -119,7 +119,7 @@ def _numbers(
     table = Table(what, *numbers, title=title, title_justify="left")
     for row in rows:
         first, second = factor * row.first, factor * row.second
-        spread = ("" if row.std is None else deviation_text(row.std),) if sure else ()
+        spread = ("" if row.std is None else f"{row.std:.4f}",) if sure else ()
         cells = (f"{first:.{digits}f}", f"{second:.{digits}f}", f"{second - first:+.{digits}f}")
         table.add_row(row.what, *cells, *spread)
     return table
@@ -143,7 +143,9 @@ def _psi(first: RankResult | None, second: RankResult | None) -> Iterator[Compar
     for one in first.ranking:
         other = others.get(one.robot)
         if other is not None:
-            std = (one.psi_std**2 + other.psi_std**2) ** 0.5
+            # An interval of 95 % is four standard deviations wide.
+            widths = (estimate.psi_high - estimate.psi_low for estimate in (one, other))
+            std = sum(width**2 for width in widths) ** 0.5 / 4
             yield Compared(what=one.robot, first=one.psi, second=other.psi, std=std)
 
 

@@ -102,11 +102,12 @@ def ranking_csv(result: RankResult) -> str:
     """Return a ranking as a table of comma-separated values, best source first."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["source", "psi", "psi_std", "omega_rad_s", "tests", "verdict"])
+    writer.writerow(["source", "psi", "psi_low", "psi_high", "omega_rad_s", "tests", "verdict"])
     for one in result.ranking:
         found = result.verdicts.get(one.robot)
         verdict = "" if found is None else str(found.verdict)
-        writer.writerow([one.robot, one.psi, one.psi_std, one.omega_rad_s, one.tests, verdict])
+        numbers = (one.psi, one.psi_low, one.psi_high, one.omega_rad_s, one.tests)
+        writer.writerow([one.robot, *numbers, verdict])
     return text.getvalue()
 
 

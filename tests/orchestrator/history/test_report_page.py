@@ -78,6 +78,6 @@ def test_it_says_how_to_repeat_the_run_and_lets_no_name_act_as_markup(tmp_path: 
 
 def test_a_ranking_is_a_table_for_spreadsheets(tmp_path: Path) -> None:
     assert ranking_csv(a_record(tmp_path).result).splitlines() == [
-        "source,psi,psi_std,omega_rad_s,tests,verdict",
-        "source-1,0.07,0.001,4.5,2,",
+        "source,psi,psi_low,psi_high,omega_rad_s,tests,verdict",
+        "source-1,0.07,0.068,0.073,4.5,2,",
     ]

@@ -38,8 +38,9 @@ def test_the_table_of_an_adaptive_ranking_stands_beside_what_was_measured(tmp_pa
     assert headings[-2:] == ["closed form", "error"]
     sure = record.result.model_copy(update={"confidence": 0.99})
     table = record_table(record.model_copy(update={"result": sure}))
-    assert table.columns[-1].header == "largest measured"
-    assert list(table.columns[-1].cells) == ["0.0700"]
+    measured = next(column for column in table.columns if column.header == "measured, at rad/s")
+    assert list(measured.cells) == ["0.0689 at 4.5"]
+    assert table.columns[-1].header == "tests"
 
 
 def test_a_narrow_terminal_costs_no_digits_and_a_file_has_one_line_per_row(
