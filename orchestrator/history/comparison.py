@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -39,8 +40,9 @@ class Compared(Strict):
     """Value in the first run."""
     second: float
     """Value in the second run."""
-    std: float | None = None
-    """Standard deviation of the difference; None where it is not known."""
+    spread: float | None = None
+    """Half the width of the 95 % interval of the difference, from the intervals of both; None where
+    these are not known."""
 
 
 class Comparison(Document):
@@ -113,13 +115,13 @@ def comparison_parts(found: Comparison) -> Iterator[RenderableType]:
 def _numbers(
     title: str, what: str, rows: tuple[Compared, ...], factor: float, digits: int
 ) -> Table:
-    sure = any(row.std is not None for row in rows)
-    headings = ("first", "second", "difference", *(("± σ",) if sure else ()))
+    sure = any(row.spread is not None for row in rows)
+    headings = ("first", "second", "difference", *(("±, 95 %",) if sure else ()))
     numbers = [Column(heading, justify="right") for heading in headings]
     table = Table(what, *numbers, title=title, title_justify="left")
     for row in rows:
         first, second = factor * row.first, factor * row.second
-        spread = ("" if row.std is None else f"{row.std:.4f}",) if sure else ()
+        spread = ("" if row.spread is None else f"{row.spread:.4f}",) if sure else ()
         cells = (f"{first:.{digits}f}", f"{second:.{digits}f}", f"{second - first:+.{digits}f}")
         table.add_row(row.what, *cells, *spread)
     return table
@@ -143,10 +145,9 @@ def _psi(first: RankResult | None, second: RankResult | None) -> Iterator[Compar
     for one in first.ranking:
         other = others.get(one.robot)
         if other is not None:
-            # An interval of 95 % is four standard deviations wide.
-            widths = (estimate.psi_high - estimate.psi_low for estimate in (one, other))
-            std = sum(width**2 for width in widths) ** 0.5 / 4
-            yield Compared(what=one.robot, first=one.psi, second=other.psi, std=std)
+            halves = [(each.psi_high - each.psi_low) / 2 for each in (one, other)]
+            spread = math.hypot(*halves)
+            yield Compared(what=one.robot, first=one.psi, second=other.psi, spread=spread)
 
 
 def _rms(first: tuple[FlightRecord, ...], second: tuple[FlightRecord, ...]) -> Iterator[Compared]:

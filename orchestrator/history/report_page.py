@@ -106,8 +106,9 @@ def ranking_csv(result: RankResult) -> str:
     for one in result.ranking:
         found = result.verdicts.get(one.robot)
         verdict = "" if found is None else str(found.verdict)
-        numbers = (one.psi, one.psi_low, one.psi_high, one.omega_rad_s, one.tests)
-        writer.writerow([one.robot, *numbers, verdict])
+        writer.writerow(
+            [*(one.robot, one.psi, one.psi_low, one.psi_high, one.omega_rad_s, one.tests, verdict)]
+        )
     return text.getvalue()
 
 

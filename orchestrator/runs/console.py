@@ -47,7 +47,8 @@ class ConsoleObserver:
         longest_s = max(duration_s(test, spec) for test, spec in tested)
         axes = [spec.axis(test.axis) for test, spec in tested]
         furthest = max(axes, key=lambda axis: axis.amplitude_max)
-        return f" for {longest_s:.0f} s, within ±{furthest.amplitude_max:g} {furthest.unit}"
+        within = f"±{furthest.amplitude_max:g} {furthest.unit}"
+        return f", {longest_s:.0f} s long and within {within},"
 
     def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
         """Print that a test has to be repeated or given up."""

@@ -32,7 +32,7 @@ def test_sources_that_both_ranked_are_compared_with_their_uncertainty(tmp_path: 
     found = compare_runs(*two(tmp_path, "rank"), ({}, {}))
     (source,) = found.psi
     assert (source.what, source.first, source.second) == ("source-1", 0.07, 0.07)
-    assert source.std == pytest.approx((0.073 - 0.068) / 4 * 2**0.5)
+    assert source.spread == pytest.approx(0.0025 * 2**0.5)
     assert found.rms == ()
 
 
