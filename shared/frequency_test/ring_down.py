@@ -32,6 +32,10 @@ of the fastest tone."""
 REFINEMENTS = 80
 """Number of places at which a part of a transient is tried."""
 
+SETTLING_BLOCKS = 8
+"""Smallest number of blocks in the part before the measuring part, where the record allows. What
+decays within one block is not told from what decays faster, and must not seem to last."""
+
 NEIGHBOURS = 17
 """Number of frequencies, around a transient's, whose noise it is compared with."""
 
@@ -144,7 +148,10 @@ def ring_down(
         that decays do not explain.
     """
     nothing = RingDown(np.empty(0), np.empty(0), np.empty(0, dtype=bool))
-    block = max(1, int(PHASE_PER_BLOCK / (top_rad_s * sample_time_s)))
+    block = int(PHASE_PER_BLOCK / (top_rad_s * sample_time_s))
+    if settle_samples > 0:
+        block = min(block, max(settle_samples // SETTLING_BLOCKS, len(output) // SAMPLES_MAX))
+    block = max(1, block)
     count = len(output) // block
     if count < 4 * len(omega_rad_s) + 8:
         return nothing
