@@ -117,6 +117,7 @@ def rank(
         live=live,
         draws=draws,
         rehearses=rehearses,
+        yes=True,
         runs_root=Path(runs_root),
         repository=repository,
     )

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 
 import click
@@ -18,7 +19,7 @@ from nufleet.shared.errors import FleetFileError, NufleetError, RobotError
 from nufleet.shared.interrupts import Interrupts
 from nufleet.shared.lifeline import when_stdin_closes
 from nufleet.shared.redaction import without_secrets
-from nufleet.shared.robots.drivers import load_driver
+from nufleet.shared.robots.drivers import load_driver, shared_thing
 from nufleet.shared.robots.fleet_file import FleetFile, read_fleet_file, validated_settings
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.transport import open_client
@@ -60,8 +61,11 @@ def build_robots(fleet: FleetFile, path: Path, names: tuple[str, ...]) -> dict[s
             name: validated_settings(driver.settings, path, name, fleet.robots[name].settings)
             for name in members
         }
-        groups = [members] if driver.shares_process else [[name] for name in members]
-        for group in groups:
+        groups: dict[str, list[str]] = {}
+        for name in members:
+            shared = shared_thing(driver, partial(settings.__getitem__, name))
+            groups.setdefault(f"alone: {name}" if shared is None else shared, []).append(name)
+        for group in groups.values():
             rng = np.random.default_rng([fleet.seed, places[group[0]]])
             built.update(driver.build({name: settings[name] for name in group}, rng))
     return {name: built[name] for name in names}

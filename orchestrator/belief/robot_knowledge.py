@@ -79,6 +79,8 @@ class RobotKnowledge:
         """Variance by which flights missed tests, or flights at other speeds, where they did."""
         self._test_doubt = 0.0
         """Variance by which tests missed each other, where only time differed between them."""
+        self._bent: tuple[FloatArray, FloatArray] | None = None
+        """Frequencies, and the variance at each by what the amplitude does to the response."""
         self._tones: list[Tones] = []
         self._noise: list[FloatArray] = []
         self._model: ResponseModel | None = None
@@ -113,7 +115,10 @@ class RobotKnowledge:
             variance = response.variance[known] * degrees / (degrees - DEGREES_OF_A_VARIANCE)
         variance = np.maximum(variance, VARIANCE_MIN)
         if flight is None:
+            # The doubt is the same in every test, so that their number must not average it away.
             variance = variance + self._test_doubt
+            if self._bent is not None:
+                variance = variance + len(self.responses) * np.interp(omega, *self._bent)
         for finding in response.quality.warnings:
             if finding.code == "nonlinear":
                 self._find(finding.text)
@@ -162,6 +167,7 @@ class RobotKnowledge:
             f"{miss.worst_rad_s:.4g} rad/s{nonlinearity_in_words(larger, smaller)}"
         )
         excess = np.maximum(miss.squared - miss.usual, float(np.mean(miss.squared)) / 4)
+        self._bent = new.omega_rad_s, excess
         top = self.amplitude or now
         tones = []
         for known, response in zip(self._tones, self.responses, strict=True):
@@ -230,10 +236,10 @@ class RobotKnowledge:
 
     @property
     def silent(self) -> bool:
-        """Whether the robot was tested, and no test of it found a response."""
-        return bool(self.responses) and all(
-            any(finding.code == "no-response" for finding in response.quality.warnings)
-            for response in self.responses
+        """Whether the robot was tested, and every test is certain that it does not respond."""
+        codes = [{finding.code for finding in one.quality.warnings} for one in self.responses]
+        return bool(codes) and all(
+            "no-response" in c and "uncertain-at-some" not in c for c in codes
         )
 
     def forget(self) -> None:

@@ -12,6 +12,7 @@ from nufleet.orchestrator.cli.options import (
     seed_option,
     storage_options,
     wait_option,
+    yes_option,
 )
 from nufleet.orchestrator.cli.types import Names, PositiveNumber
 
@@ -59,6 +60,7 @@ from nufleet.orchestrator.cli.types import Names, PositiveNumber
     metavar="FACTOR",
     help="With --fleet: run simulated robots at this multiple of real time.",
 )
+@yes_option
 @seed_option("Seed of the random choices.")
 @storage_options
 def match(**options: Any) -> None:

@@ -176,6 +176,10 @@ unguarded_option = click.option(
     help="Never fall back to the baseline; the robot's fleet file must allow this.",
 )
 
+yes_option = click.option(
+    "--yes", is_flag=True, help="Move real robots without asking; scripts need this."
+)
+
 fleet_option = click.option(
     "--fleet",
     "fleet_file",

@@ -17,6 +17,7 @@ from nufleet.orchestrator.cli.options import (
     storage_options,
     typed_options,
     wait_option,
+    yes_option,
 )
 from nufleet.orchestrator.cli.types import Names, Number, PositiveNumber
 
@@ -106,6 +107,13 @@ from nufleet.orchestrator.cli.types import Names, Number, PositiveNumber
     metavar="FACTOR",
     help="With --fleet: run at this multiple of real time.  [default: as fast as possible]",
 )
+@click.option(
+    "--plan",
+    "plans",
+    is_flag=True,
+    help="Print what each robot would do first (how long, how far, how fast), and move none.",
+)
+@yes_option
 @rehearsal_option
 @live_option
 @recording_option

@@ -23,6 +23,22 @@ AWAY = "away"
 """Boot id in the description of a robot that is not there: its last known spec stands for it."""
 
 
+def study_record(
+    study_id: str,
+    fleet: str,
+    algorithm: str,
+    plan: StudyPlan,
+    seed: int,
+    descriptions: Mapping[str, Description],
+    stored: Mapping[str, tuple[str, ...]] | None = None,
+) -> StudyRecord:
+    """Return the record of a study that has not begun; see `Archive.begin`."""
+    specs = {robot: description.spec for robot, description in descriptions.items()}
+    absent = tuple(robot for robot, one in descriptions.items() if one.boot_id == AWAY)
+    recipe = Recipe(specs=specs, stored=dict(stored or {}), absent=absent)
+    return StudyRecord(study_id, fleet, algorithm, plan, seed, recipe.parameters())
+
+
 @dataclass(frozen=True)
 class Archive:
     """Storage for the studies of one fleet."""
@@ -65,15 +81,12 @@ class Archive:
             RecordConflictError: A study of that id exists already.
             RepositoryError: The study cannot be stored.
         """
-        specs = {robot: description.spec for robot, description in descriptions.items()}
-        absent = tuple(robot for robot, one in descriptions.items() if one.boot_id == AWAY)
-        recipe = Recipe(specs=specs, stored=dict(stored or {}), absent=absent)
-        record = StudyRecord(study_id, self.fleet, algorithm, plan, seed, recipe.parameters())
+        record = study_record(study_id, self.fleet, algorithm, plan, seed, descriptions, stored)
         self.repository.robots.describe(
             *(
                 RobotRecord.of(self.fleet, description)
-                for robot, description in descriptions.items()
-                if robot not in absent
+                for description in descriptions.values()
+                if description.boot_id != AWAY
             )
         )
         self.repository.studies.begin(record)

@@ -13,6 +13,7 @@ from typing import Literal, TypeVar
 from nufleet.orchestrator.fleet.robot_watch import RobotWatch
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import MalformedMessageError, NoReplyError, RefusedError, RobotLostError
+from nufleet.shared.robots.health import Health
 from nufleet.shared.wire.codec import Message, decode, encode
 from nufleet.shared.wire.keys import READS, RELEASE, STOP, FleetKeys, principal_of
 from nufleet.shared.wire.messages import (
@@ -99,6 +100,12 @@ class Fleet:
         """Return the watch on a robot, which always holds its latest known state."""
         with self._lock:
             return self._watches.setdefault(robot, RobotWatch(robot))
+
+    def health(self, robot: str) -> Health | None:
+        """Return a robot's latest health; None for a robot that reports none, or no state yet."""
+        watch = self.watch(robot)
+        watch.wait_until(lambda known: known.state is not None, timeout_s=QUERY_TIMEOUT_S)
+        return None if watch.state is None else watch.state.health
 
     def robots(self) -> tuple[str, ...]:
         """Return the names of the robots whose agents are alive now."""

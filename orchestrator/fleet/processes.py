@@ -9,13 +9,14 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import IO
 
 from nufleet.shared.errors import EndpointInUseError, NufleetError
 from nufleet.shared.interrupts import Interrupts, postponed
-from nufleet.shared.robots.drivers import load_driver
-from nufleet.shared.robots.fleet_file import FleetFile
+from nufleet.shared.robots.drivers import load_driver, shared_thing
+from nufleet.shared.robots.fleet_file import FleetFile, validated_settings
 from nufleet.shared.wire.identity import IDENTITY_VARIABLE
 from nufleet.shared.wire.openness import OPEN_VARIABLE
 from nufleet.shared.wire.transport import open_client
@@ -202,13 +203,16 @@ def grouped(fleet: FleetFile, *, processes: int) -> list[tuple[str, ...]]:
         raise ValueError(f"a fleet needs at least one process, got {processes}")
     together: dict[str, list[str]] = {}
     alone: list[str] = []
-    drivers = {entry.driver for entry in fleet.robots.values()}
-    shares = {driver: load_driver(driver).shares_process for driver in drivers}
+    drivers = {name: load_driver(name) for name in {e.driver for e in fleet.robots.values()}}
     for robot, entry in fleet.robots.items():
-        if shares[entry.driver]:
-            together.setdefault(entry.driver, []).append(robot)
-        else:
+        driver = drivers[entry.driver]
+        place = Path(fleet.name)
+        settings = partial(validated_settings, driver.settings, place, robot, entry.settings)
+        shared = shared_thing(driver, settings)
+        if shared is None:
             alone.append(robot)
+        else:
+            together.setdefault(f"{entry.driver} {shared}", []).append(robot)
     dealt = [tuple(alone[start::processes]) for start in range(min(processes, len(alone)))]
     return [tuple(members) for members in together.values()] + dealt
 

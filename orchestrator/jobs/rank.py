@@ -9,8 +9,9 @@ from datetime import UTC, datetime
 import click
 from rich.console import Console
 
-from nufleet.orchestrator.conduct.archive import AWAY
+from nufleet.orchestrator.conduct.archive import AWAY, study_record
 from nufleet.orchestrator.conduct.desired_motion import TimedPath, read_motion
+from nufleet.orchestrator.conduct.first_round import StudyOutlook, check_healths, outlook
 from nufleet.orchestrator.conduct.preflight import check_band, check_names
 from nufleet.orchestrator.conduct.rank_run import (
     Algorithm,
@@ -19,10 +20,12 @@ from nufleet.orchestrator.conduct.rank_run import (
     configuration,
     prepare,
 )
+from nufleet.orchestrator.conduct.recipe import make_study
 from nufleet.orchestrator.conduct.reuse import check_absent, find_stored, oldest_reused
 from nufleet.orchestrator.fleet.reach import REACH, FleetChoice
 from nufleet.orchestrator.jobs.commands import AnyFleetCommand
 from nufleet.orchestrator.jobs.opening import Opening
+from nufleet.orchestrator.jobs.outlook import ask_consent, outlook_table
 from nufleet.orchestrator.jobs.study import show_study
 from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.runs.rank_result import RunRecord
@@ -70,6 +73,10 @@ class RankCommand(AnyFleetCommand):
     """Largest speed on that drawing; None for the default."""
     reuse_days: float | None = None
     """Largest age of stored responses that replace tests, in days; None to test all sources."""
+    plans: bool = False
+    """Whether to print what the robots would do, and move none."""
+    yes: bool = False
+    """Whether real robots may move without asking the person at the terminal."""
 
     def fleet(self) -> FleetChoice:
         """Return the chosen fleet, with the content of its file; raises FleetFileError."""
@@ -83,6 +90,12 @@ class RankCommand(AnyFleetCommand):
 def rank_and_print(command: RankCommand) -> None:
     """Rank, with progress on stderr and, if wanted, the document on stdout."""
     console = stderr_console()
+    if command.plans:
+        planned = plan(command, console)
+        console.print(outlook_table(planned))
+        if command.as_json:
+            click.echo(planned.document())
+        return
     record = rank(command, console)
     if command.as_json:
         click.echo(record.result.document())
@@ -101,11 +114,10 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
     """
     choice = command.fleet()
     request = _request(command, choice)
-    # A source whose stored responses are reused need not be there.
-    sources = (command.sources or ()) if command.reuse_days is None else ()
     with Opening(command, console) as run:
-        run.reach(choice, (request.target, *sources), wait_s=command.wait_s)
-        ready, stored = _ready(command, request, run)
+        ready, stored, planned = _prepared(command, request, choice, run)
+        if not command.yes:
+            ask_consent(planned, console)
         folder = run.keep()
         archive = run.take(
             {robot: one for robot, one in ready.descriptions.items() if one.boot_id != AWAY}
@@ -129,6 +141,40 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
             stored,
         )
         return show_study(run, ready, study, request.drawing, rehearses=command.rehearses)
+
+
+def plan(command: RankCommand, console: Console) -> StudyOutlook:
+    """Return what the robots would do in the first round of a ranking; none of them moves.
+
+    Raises:
+        InvalidInputError, FleetFileError: As for `rank`, and if a robot is not ready.
+    """
+    choice = command.fleet()
+    request = _request(command, choice)
+    with Opening(command, console) as run:
+        return _prepared(command, request, choice, run)[2]
+
+
+def _prepared(
+    command: RankCommand, request: RankRequest, choice: FleetChoice, run: Opening
+) -> tuple[ReadyStudy, Mapping[str, tuple[str, ...]], StudyOutlook]:
+    """Reach the fleet; return the checked study, its stored goals, and its first round."""
+    # A source whose stored responses are reused need not be there.
+    sources = (command.sources or ()) if command.reuse_days is None else ()
+    run.reach(choice, (request.target, *sources), wait_s=command.wait_s)
+    ready, stored = _ready(command, request, run)
+    fleet, name, _ = run.connection
+    record = study_record(
+        "planned", name, command.algorithm, ready.plan, command.seed, ready.descriptions, stored
+    )
+    question = make_study(record, run.repository.studies).ask()
+    if question is None:
+        raise InvalidInputError("the stored responses answer the question: no robot has to move")
+    healths = {robot: fleet.health(robot) for robot in question.tests}
+    specs = {robot: one.spec for robot, one in ready.descriptions.items()}
+    planned = outlook(ready.plan, question, specs, healths)
+    check_healths(planned, healths)
+    return ready, stored, planned
 
 
 def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:

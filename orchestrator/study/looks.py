@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+import numpy as np
+
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.interface import StudyPlan
@@ -21,6 +23,9 @@ from nufleet.orchestrator.study.tone_choice import (
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.excitation import Excitation
 from nufleet.shared.frequency_test.multitone import largest_amplitude
+
+NOISY = 0.05
+"""Standard deviation of estimates from which noise leaves no room for a smaller amplitude."""
 
 REACHED = 1.25
 """Ratio of the lowest tone that a robot played to that of its lowest look from which that is due.
@@ -105,6 +110,10 @@ class Looks:
         wanted, played = self._plan.amplitude, self._robots[name].amplitude
         if self._is_lowest(name, choice):
             wanted = None if played is None else self._settings.other_amplitude * played
+            times_as_long = choice.measure_s / self.first[name].measure_s
+            known = self._robots[name].expected_variance(choice.omega_rad_s, times_as_long)
+            if np.median(known) > (self._settings.other_amplitude * NOISY) ** 2:
+                wanted = None
         if wanted is None:
             return None
         tones = choice.excitation(self._plan.axis).tones

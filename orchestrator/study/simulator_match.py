@@ -164,9 +164,8 @@ def _pooled(tests: Sequence[FrequencyResponse]) -> _Tones:
     omega, which = np.unique(omegas[known], return_inverse=True)
     weights = 1 / np.maximum(variance[known], np.finfo(np.float64).tiny)
     total = np.bincount(which, weights)
-    mean = np.zeros(len(omega), dtype=np.complex128)
-    mean.real = np.bincount(which, weights * z[known].real) / total
-    mean.imag = np.bincount(which, weights * z[known].imag) / total
+    parts = (np.bincount(which, weights * part) for part in (z[known].real, z[known].imag))
+    mean = np.asarray(next(parts) + 1j * next(parts), dtype=np.complex128) / total
     return _Tones(omega, mean, 1 / total)
 
 
@@ -196,8 +195,8 @@ def _fit(
     best = least_squares(residual, np.zeros(3), x_scale=scale, loss="soft_l1")
     # What three numbers cannot explain makes them less certain than the noise does.
     excess = max(1.0, 2 * float(best.cost) / max(1, 2 * len(omega) - 3))
-    jacobian = np.asarray(best.jac, dtype=np.float64)
-    stds = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian)) * excess)
+    slope = np.asarray(best.jac, dtype=np.float64)
+    stds = np.sqrt(np.diag(np.linalg.pinv(slope.T @ slope)) * excess)
     log_g, delay_s, log_k = best.x.tolist()
     left = float(chordal_distance(z, loop(best.x)).max())
     return (

@@ -11,7 +11,7 @@ from nufleet.shared.robots.spec import AxisSpec
 CLIPPING_ROUNDS = 60
 """Number of clipping iterations in the search for phases."""
 
-RAMPED = 0.5
+RAMPED = 0.6
 """Share of the limits that tones may take, so that ramps, which add to them, find room."""
 
 SAMPLES_PER_PERIOD = 8
@@ -38,21 +38,26 @@ def multitone(
 def largest_amplitude(tones: tuple[Tone, ...], axis: AxisSpec) -> float:
     """Return an amplitude at which a robot accepts these tones with any ramp.
 
-    It is a bound, from the sums of the tones' own velocities and accelerations.
-
     Args:
         tones: Tones of a test.
         axis: Axis with its limits.
     """
     omega = np.array([tone.omega_rad_s for tone in tones])
-    weights = np.array([tone.weight for tone in tones])
     phases = np.array([tone.phase_rad for tone in tones])
-    period_s = 2 * np.pi / float(omega.min())
-    times_s = np.linspace(0.0, period_s, SAMPLES_PER_PERIOD * int(omega.max() / omega.min() + 1))
-    peak = float(np.max(np.abs(weights @ np.sin(np.outer(omega, times_s) + phases[:, None]))))
-    velocity, acceleration = (float(weights @ omega**power) / peak for power in (1, 2))
+    phasors = np.array([tone.weight for tone in tones]) * np.exp(1j * phases)
+    # The sum of harmonics repeats after a period of their base, at most half of their spacing.
+    base = min([float(omega.min()), *(np.diff(np.sort(omega)) / 2).tolist()])
+    samples = 2 * SAMPLES_PER_PERIOD * (int(omega.max() / base) + 1)
+    times_s = np.linspace(0.0, 2 * np.pi / base, samples)
+    waves = np.exp(1j * np.outer(times_s, omega))
+    peak, velocity, acceleration = (
+        float(np.max(np.abs((waves @ (phasors * (1j * omega) ** order)).imag)))
+        for order in range(3)
+    )
     return RAMPED * min(
-        axis.amplitude_max, axis.velocity_max / velocity, axis.acceleration_max / acceleration
+        axis.amplitude_max,
+        axis.velocity_max * peak / velocity,
+        axis.acceleration_max * peak / acceleration,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -20,7 +20,9 @@ class RobotDriver(Protocol):
     """Builds robots of one kind (`nufleet.robot_agent.robot.Robot`) from their settings.
 
     Robots that share a simulator are built together: `build` receives all robots of its kind in one
-    process, and `shares_process` requires that process to have all of the fleet's.
+    process, and `shares_process` requires that process to have all of the fleet's. A driver whose
+    robots share something smaller, such as a radio, also has a method `shares(settings)` that
+    returns its name for one robot, or None: robots of equal names run in one process.
     """
 
     @property
@@ -45,6 +47,19 @@ class RobotDriver(Protocol):
         Returns:
             The robots, by name.
         """
+
+
+def shared_thing(driver: RobotDriver, settings: Callable[[], Any]) -> str | None:
+    """Return the name of what a robot shares with others of its driver; None if it shares nothing.
+
+    Args:
+        driver: Driver of the robot.
+        settings: Function that returns the validated settings of the robot, if they matter.
+    """
+    shares: Callable[[Any], str | None] | None = getattr(driver, "shares", None)
+    if shares is not None:
+        return shares(settings())
+    return "simulator" if driver.shares_process else None
 
 
 def load_driver(name: str) -> RobotDriver:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from pydantic import model_validator
 
-from pydantic import Field, model_validator
-
-from nufleet.shared.strict import NonNegative, Reason, Strict
+from nufleet.shared.strict import Fraction, NonNegative, Reason, Strict
 
 
 class Health(Strict):
@@ -21,12 +19,12 @@ class Health(Strict):
     """Whether it can move now: it has a position estimate, is not locked, and so on."""
     reason: Reason = ""
     """Why it cannot, for people; empty for a robot that is ready."""
-    battery: Annotated[float, Field(ge=0, le=1)] | None = None
+    battery: Fraction | None = None
     """Charge that is left; None if unknown."""
     endurance_s: NonNegative | None = None
     """Time for which it can still move and keep what it needs to come back and land; None if
     unknown."""
-    link: Annotated[float, Field(ge=0, le=1)] | None = None
+    link: Fraction | None = None
     """Share of the packets between driver and robot that arrive; None if unknown."""
 
     @model_validator(mode="after")

@@ -14,7 +14,7 @@ from nufleet.shared.frequency_test.excitation import ExcitationPlan
 from nufleet.shared.frequency_test.timing import Timing
 from nufleet.shared.robots.health import Health
 from nufleet.shared.robots.spec import RobotSpec
-from nufleet.shared.strict import Digest, Identifier, Name, NonNegative, Reason, Strict
+from nufleet.shared.strict import Digest, Fraction, Identifier, Name, NonNegative, Reason, Strict
 from nufleet.shared.wire.codec import Bytes, Float64Array, Message
 from nufleet.shared.wire.motions import (
     MIXTURE_MAX,
@@ -27,7 +27,6 @@ from nufleet.shared.wire.motions import (
 )
 
 Count = Annotated[int, Field(ge=0)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
 Epoch = Annotated[int, Field(ge=0, lt=2**63)]
 """Epoch of the lease under which an orchestrator commands a robot; 0 without a lease.
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from puppet_robot import PuppetRobot
 
+from nufleet.orchestrator.fleet import processes
 from nufleet.robot_agent import serve as fleet_robots
 from nufleet.robot_agent.robot import Robot
 from nufleet.robot_agent.serve import build_robots
@@ -99,6 +100,12 @@ class Nothing(Strict):
     """No settings."""
 
 
+class OnRadio(Strict):
+    """A robot on a radio, or on a cable of its own."""
+
+    radio: str | None = None
+
+
 class SharedSimulator:
     """A driver whose robots live in one simulator; notes what it is asked to build."""
 
@@ -123,3 +130,30 @@ def test_robots_that_share_a_simulator_are_built_together_in_the_files_order(
     robots = build_robots(fleet, path, ("c", "a", "c"))
     assert driver.built == [("a", "c")]
     assert set(robots) == {"a", "c"}
+
+
+class Radios(SharedSimulator):
+    """A driver whose robots share what their settings name."""
+
+    settings = OnRadio
+    shares_process = False
+
+    def shares(self, settings: OnRadio) -> str | None:
+        return settings.radio
+
+
+def test_robots_that_share_a_radio_are_built_together_and_the_others_apart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = Radios()
+    monkeypatch.setattr(fleet_robots, "load_driver", lambda name: driver)
+    monkeypatch.setattr(processes, "load_driver", lambda name: driver)
+
+    def on(radio: str) -> str:
+        return f'driver = "radios"\nsettings = {{ radio = "{radio}" }}'
+
+    robots = {"a": on("0"), "b": on("1"), "c": on("0"), "d": 'driver = "radios"'}
+    fleet, path = fleet_of(tmp_path, robots)
+    build_robots(fleet, path, ("a", "b", "c", "d"))
+    assert driver.built == [("a", "c"), ("b",), ("d",)]
+    assert processes.grouped(fleet, processes=4) == [("a", "c"), ("b",), ("d",)]
