@@ -20,6 +20,7 @@ from nufleet.sims.arms.driver import DRIVER
 from nufleet.sims.arms.mechanism import STEPS_PER_SAMPLE, nominal_inertia_kg_m2, servo_gains
 from nufleet.sims.arms.robot import Arm
 from nufleet.sims.arms.settings import ArmSettings, EncoderNoise
+from nufleet.testing import assert_keeps_contract
 
 Respond = Callable[[Robot, float, int], complex]
 Chordal = Callable[[complex, complex], float]
@@ -276,3 +277,8 @@ def test_a_minute_is_one_call_of_a_compiled_program(
     monkeypatch.setattr(robot._mechanism, "_rollout", Counted())
     robot.run(wandering(3000))
     assert rollouts == [3000 * STEPS_PER_SAMPLE]
+
+
+def test_an_arm_keeps_the_contract_of_a_robot(settings: dict[str, ArmSettings]) -> None:
+    robots = DRIVER.build({"target": settings["target"]}, np.random.default_rng(0))
+    assert_keeps_contract(robots["target"])
