@@ -22,8 +22,8 @@ from nufleet.orchestrator.jobs.transfer import TransferCommand
 from nufleet.shared.errors import InvalidInputError
 
 RENAMED = {"fleet": "fleet_file"}
-ONLY_OF_A_COMMAND = {"as_json", "processes"}
-"""A function returns what `--json` prints; how a fleet's processes are spread is a detail."""
+ONLY_OF_A_COMMAND = {"as_json", "plans", "processes", "yes"}
+"""A function returns what `--json` prints, and asks no one; a fleet's processes are a detail."""
 
 
 @pytest.mark.parametrize(
