@@ -48,7 +48,7 @@ class ConsoleObserver:
         axes = [spec.axis(test.axis) for test, spec in tested]
         furthest = max(axes, key=lambda axis: axis.amplitude_max)
         within = f"±{furthest.amplitude_max:g} {furthest.unit}"
-        return f", {longest_s:.0f} s long and within {within},"
+        return f", {longest_s:.0f} s long and within {within}"
 
     def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
         """Print that a test has to be repeated or given up."""

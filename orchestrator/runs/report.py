@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nufleet.orchestrator.runs.figures import COLOURS, new_figure, plain, save
+from nufleet.orchestrator.runs.figures import new_figure, plain, prior_colours, save
 from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord
 from nufleet.orchestrator.runs.verdict_table import verdict_markdown
 from nufleet.orchestrator.runs.way_table import way_markdown
@@ -38,8 +38,7 @@ def write_plots(
     """
     plots = folder / "plots"
     plots.mkdir(exist_ok=True)
-    drawn = [estimate.robot for estimate in record.result.ranking[:CURVES_DRAWN]]
-    colours = dict(zip(drawn, COLOURS, strict=False))
+    colours = drawn_colours(record.result)
     drawings: dict[str, Callable[[Axes], None]] = {
         "psi_over_frequency.png": lambda axes: _draw_curves(axes, curves, true_psi, colours),
         "psi_over_iterations.png": lambda axes: _draw_history(axes, record, colours),
@@ -51,6 +50,16 @@ def write_plots(
         plain(axes)
         axes.legend(frameon=False, fontsize=9)
         save(figure, plots / name)
+
+
+def drawn_colours(result: RankResult) -> dict[str, str]:
+    """Return the colours of the sources that are drawn, the closest ones, by source.
+
+    A source has its colour by its name, not by its place, so that it is the same in every figure.
+    """
+    colours = prior_colours(estimate.robot for estimate in result.ranking)
+    drawn = [estimate.robot for estimate in result.ranking[:CURVES_DRAWN]]
+    return {source: colours[source] for source in drawn}
 
 
 def _draw_curves(

@@ -113,7 +113,8 @@ def test_a_killed_ranking_goes_on_with_the_robots_that_it_left(
     assert Path(document["run"]).name == run.name
     lab.check(document)
     assert {path.name for path in run.iterdir()} == {
-        *("config.json", "results.json", "telemetry.parquet", "run.rrd", "plots", "report.md")
+        *("config.json", "results.json", "telemetry.parquet", "run.rrd", "plots", "report.md"),
+        *("report.html", "ranking.csv"),
     }
     with open_repository(str(database)) as repository:
         study = repository.studies.study(run.name.lower())
