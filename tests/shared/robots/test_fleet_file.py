@@ -80,7 +80,7 @@ def test_robots_keep_the_order_of_the_file(tmp_path: Path) -> None:
         ("[robots.b]", "[robots.B]", ("robots.B", "must consist of lower-case letters")),
         ("[robots.b]", '[robots."b/c"]', ("robots.b/c", "must consist of lower-case letters")),
         ('driver = "quadrotor"', 'drvier = "quadrotor"', ("robots.b.drvier", "unknown")),
-        ('driver = "quadrotor"', 'driver = "os.system"', ("robots.b.driver", "must consist of lower-case letters")),
+        ('driver = "quadrotor"', 'driver = "os.system"', ("robots.b.driver", "match pattern")),
         ('driver = "quadrotor"', "driver = 3", ("robots.b.driver", "valid string")),
         ("settings = {", "setings = {", ("robots.a.setings", "unknown")),
         ("band_rad_s = [0.5, 8.0]", "band_rad_s = [0.5]", ("study.band_rad_s", "missing")),
