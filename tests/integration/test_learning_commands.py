@@ -212,7 +212,7 @@ def test_a_track_says_and_stores_what_was_flown(
     said = lab.json("track", *at_once, *both)
     run = lab.folder / str(said["run"])
     assert {path.name for path in run.iterdir()} == {
-        *("config.json", "track.json", "flights.parquet", "run.rrd")
+        *("config.json", "track.json", "flights.parquet", "run.rrd", "report.html")
     }
     assert json.loads((run / "track.json").read_text()) == said
     flights: list[dict[str, object]] = said["flights"]  # type: ignore[assignment]
