@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from pathlib import Path
 
@@ -14,12 +15,13 @@ from nufleet.orchestrator.fleet.orchestrator_id import new_orchestrator_id
 from nufleet.orchestrator.fleet.processes import FleetProcesses, grouped
 from nufleet.orchestrator.fleet.table import fleet_table
 from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.shared.command_line import invocation
 from nufleet.shared.errors import NufleetError
 from nufleet.shared.redaction import without_secrets
 from nufleet.shared.robots.drivers import check_settings
-from nufleet.shared.robots.fleet_file import read_fleet_file
+from nufleet.shared.robots.fleet_file import FleetFile, read_fleet_file
 from nufleet.shared.wire.keys import FleetKeys
-from nufleet.shared.wire.openness import check_closed
+from nufleet.shared.wire.openness import LOCAL_ENDPOINT, check_closed
 from nufleet.shared.wire.transport import open_client
 
 AGENT_PROCESSES = 2
@@ -45,7 +47,7 @@ def fleet_up(
 
     Raises:
         FleetFileError: The file is not valid.
-        InvalidInputError: The fleet has more robots than fit this machine.
+        InvalidInputError: The machine has no room for all robots of the file.
         EndpointInUseError: The router cannot listen on that endpoint.
         NufleetError: A process of the fleet ended by itself.
     """
@@ -66,8 +68,8 @@ def fleet_up(
             wait_for_robots(fleet, started, file)
             shown = without_secrets(listen)
             console.print(
-                f"{len(robots)} robots of fleet {file.name} are up at {shown}; "
-                f"rank them with: nufleet rank --connect {shown}   (Ctrl-C ends them)"
+                f"{len(robots)} robots of fleet {file.name} are up at {shown} (Ctrl-C ends them)\n"
+                f"rank them with:  {_ranking(file, listen)}"
             )
             watches = [fleet.watch(robot) for robot in robots]
             with Live(console=console, auto_refresh=False, transient=True) as live:
@@ -76,3 +78,14 @@ def fleet_up(
                         live.update(fleet_table(file.name, watches), refresh=True)
                     time.sleep(0.25)
         raise NufleetError("; ".join(dead))
+
+
+def _ranking(file: FleetFile, endpoint: str) -> str:
+    """Return a command that ranks a fleet in another terminal, for its own target and band."""
+    target = file.study.target if file.study is not None else next(iter(file.robots))
+    words = ["rank", "--target", target]
+    if file.study is not None and file.study.band_rad_s is not None:
+        words += ["--band", *(f"{omega:g}" for omega in file.study.band_rad_s)]
+    if endpoint != LOCAL_ENDPOINT:
+        words += ["--connect", without_secrets(endpoint)]
+    return f"{invocation()} {shlex.join(words)}"
