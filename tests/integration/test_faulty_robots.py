@@ -61,13 +61,13 @@ SENSOR_FAULTS: dict[str, tuple[dict[str, Any], str]] = {
     "frozen": ({"kind": "frozen", "from_sample": 500}, "stays at exactly"),
     "frozen, noisily": (
         {"kind": "frozen", "from_sample": 500, "noise": 0.001},
-        "no response|disturbed|did something else|changed",
+        "no response|disturbed|did something else|changed|stopped following",
     ),
     "frozen throughout": ({"kind": "frozen"}, "stays at exactly"),
-    "saturated": ({"kind": "saturated", "low": -0.2, "high": 0.2}, "cut off at -0.2 and 0.2"),
+    "saturated": ({"kind": "saturated", "low": -0.02, "high": 0.02}, "cut off at -0.02 and 0.02"),
     "saturated on one side": (
-        {"kind": "saturated", "low": -9.0, "high": 0.2},
-        "cut off at 0.2",
+        {"kind": "saturated", "low": -9.0, "high": 0.02},
+        "cut off at 0.02",
     ),
     "very noisy": ({"kind": "noisy", "std": 30.0}, "noise|did not follow the test"),
     "full of spikes": ({"kind": "spikes", "probability": 0.3, "height": 0.8}, "spikes"),
@@ -94,6 +94,18 @@ def test_a_faulty_sensor_gives_no_response_but_a_reason(
     assert inside(robot)._at_rest()
     # Nothing of it stays: with the sensor repaired the robot is as good as ever.
     assert isinstance(outcome_of(orchestrator, tmp_path, "repaired"), Measured)
+
+
+def test_a_sensor_that_saturates_is_measured_at_a_smaller_amplitude(
+    lab: Lab, tmp_path: Path
+) -> None:
+    limits = {"kind": "saturated", "low": -0.2, "high": 0.2}
+    lab.agent("a", faulty(*({**limits, "motion": motion} for motion in range(1, ATTEMPTS + 1))))
+    outcome = outcome_of(lab.orchestrator(), tmp_path, "round")
+    assert isinstance(outcome, Measured)
+    assert outcome.attempts > 1
+    assert outcome.response.amplitude is not None
+    assert outcome.response.amplitude < 0.3
 
 
 def test_a_sensor_that_fails_once_costs_one_attempt(lab: Lab, tmp_path: Path) -> None:

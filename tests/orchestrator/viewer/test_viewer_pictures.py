@@ -221,9 +221,9 @@ def test_the_ranking_is_a_table_best_first() -> None:
     lines = ranking_table(iteration_event()).splitlines()
     assert lines[0] == "**Iteration 1**, tested at ω = 2 rad/s, target **target**"
     assert lines[-3:] == [
-        "| 1 | **s1** | **0.0200** | 0.0040 | 4 | 1 |",
-        "| 2 | s2 | 0.0400 | 0.0080 | 4 | 1 |",
-        "| 3 | s3 | 0.0600 | 0.0120 | 4 | 1 |",
+        "| 1 | **s1** | **0.0200** | 0.0160 to 0.0260 | 4 |  | 1 |",
+        "| 2 | s2 | 0.0400 | 0.0320 to 0.0520 | 4 |  | 1 |",
+        "| 3 | s3 | 0.0600 | 0.0480 to 0.0780 | 4 |  | 1 |",
     ]
 
 
