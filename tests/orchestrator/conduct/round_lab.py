@@ -50,7 +50,8 @@ class Lab:
 
     @property
     def specs(self) -> dict[str, RobotSpec]:
-        return {name: robot.spec for name, robot in self.robots.items()}
+        known = {name: robot.spec for name, robot in self.robots.items()}
+        return {**known, "r9": PuppetRobot().spec}
 
     def log(self) -> TrialLog:
         return TrialLog(self.studies, STUDY, self.epochs)

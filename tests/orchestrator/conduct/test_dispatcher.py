@@ -190,7 +190,14 @@ def test_an_intent_is_stored_before_a_robot_moves_and_what_comes_of_it_after(lab
 def test_every_attempt_is_stored_with_what_follows_on_it(lab: Lab) -> None:
     robot = lab.robots["r1"]
     noise = np.random.default_rng(0)
-    robot.measure = lambda r: noise.normal(0.0, 1e-3, r.shape) if robot.motions < 3 else r.copy()
+
+    def measured(reference: FloatArray) -> FloatArray:
+        """Follow, or twice nothing but noise."""
+        if robot.motions >= 3:
+            return reference.copy()
+        return np.where(reference == 0, 0.0, noise.normal(0.0, 0.3, reference.shape))
+
+    robot.measure = measured
     lab.run(r1=TEST)
     first, second, third = lab.studies.trials(STUDY)
     assert [t.status for t in (first, second)] == [TrialStatus.FAILED] * 2

@@ -41,7 +41,7 @@ def test_a_robot_of_a_fleet_file_is_checked_as_json() -> None:
     ("words", "said"),
     [
         (["nothing_like_it"], "installed drivers: arm, double_integrator"),
-        (["double_integrator"], "alpha: Field required"),
+        (["double_integrator"], "alpha: missing"),
         (["double_integrator", "--settings", "alpha"], "is not TOML"),
         (["paper_linear", "--robot", "nobody"], "no robot 'nobody'"),
         (["paper_linear", "--settings", "alpha = 1.0"], "a fleet file has its own settings"),
