@@ -43,7 +43,8 @@ def test_verdicts_are_counted_by_what_the_transfers_did() -> None:
 
 def test_with_stored_sources_only_the_target_flies() -> None:
     outcome = outcome_of("second-order", 6, 0.003, 1, 0)
-    # One first look is 12.8 s of measuring, with two ramps and the settling time.
-    assert 12.8 * outcome.tests < outcome.flight_s < 60
+    # A first look is 12.8 s of measuring, with two ramps and the settling time; a look at the lower
+    # end of the band measures for longer.
+    assert 12.8 * outcome.tests < outcome.flight_s < 40 * outcome.tests
     row = stored_row_of("second-order", [outcome])
     assert row.flight_mean_s == row.flight_worst_s == outcome.flight_s

@@ -41,7 +41,7 @@ def test_without_a_display_a_window_is_refused_with_what_to_do(
 ) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(NufleetError, match="browser or take a picture"):
+    with pytest.raises(NufleetError, match="browser with --web, or take a picture"):
         open_native(recording)
 
 
