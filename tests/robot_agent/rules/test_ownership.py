@@ -126,7 +126,7 @@ def waits_after(
     alive: tuple[str, ...] = OWNERS,
     passed_s: float = 0.0,
 ) -> Commander | None:
-    """Who waits once a sender was answered, `passed_s` after whoever waited before had asked."""
+    """Who waits once a sender was answered, `passed_s` after the one that waited had asked."""
     before = None if waiting is None else Waiting(waiting, 100.0)
     refusal = None if code == "yes" else Refusal(code=code, reason="because")
     now_s = 100.0 + passed_s
