@@ -201,7 +201,7 @@ def _surrogates() -> rrb.View:
     return rrb.Spatial2DView(
         origin=f"/{CAMERA}",
         contents=[f"/{part}/**" for part in (CAMERA, "psi/median", *FULL_PARTS)],
-        name="Chordal distance ψ(ω) to the target: belief ± 1σ, 2σ and tests",
+        name="Chordal distance ψ(ω) to the target: median, 95 % interval and tests",
         background=GROUND,
         visual_bounds=rrb.VisualBounds2D(
             x_range=[-16.0, WIDTH + 40.0], y_range=[-12.0, HEIGHT + 20.0]
@@ -212,7 +212,7 @@ def _surrogates() -> rrb.View:
 def _estimates() -> rrb.View:
     return rrb.TimeSeriesView(
         origin="/psi/worst",
-        name="Worst ψ over the band, as estimated after each round (± 1σ)",
+        name="Worst ψ over the band, as estimated after each round (95 % interval)",
         axis_x=rrb.TimeAxis(view_range=EVERYTHING),
         plot_legend=rrb.PlotLegend(visible=False),
         background=rrb.archetypes.PlotBackground(color=GROUND),
