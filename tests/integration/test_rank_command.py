@@ -210,9 +210,9 @@ def has_begun(pid: int) -> bool:
 
 
 MOMENTS: dict[str, Callable[[int, Path], bool]] = {
-    "as it begins": lambda pid, runs: has_begun(pid),
-    "as it starts its robots": lambda pid, runs: len(children_of(pid)) > 1,
-    "while they move": lambda pid, runs: "accepted" in trial_statuses(runs / "nufleet.sqlite"),
+    "as it begins": lambda pid, database: has_begun(pid),
+    "as it starts its robots": lambda pid, database: len(children_of(pid)) > 1,
+    "while they move": lambda pid, database: "accepted" in trial_statuses(database),
 }
 
 
@@ -227,14 +227,15 @@ def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, moment: s
         text=True,
         start_new_session=True,
     )
-    wait_until(lambda: MOMENTS[moment](ranking.pid, tmp_path / "runs"))
+    database = tmp_path / "runs" / "nufleet.sqlite"
+    wait_until(lambda: MOMENTS[moment](ranking.pid, database))
     ranking.send_signal(signal.SIGINT)
     _, said = ranking.communicate(timeout=PATIENCE_S)
     # A shell shows 130 for both: CPython ends by the signal itself, after an orderly exit, when the
     # interrupt came while a module was being imported.
     assert ranking.returncode in (130, -signal.SIGINT), said
     assert "Traceback" not in said
-    assert ("all 4 robots are at rest" in said) == (moment == "while they move")
+    assert ("all 4 robots are at rest" in said) == bool(trial_statuses(database))
     assert not started_with("NUFLEET_STATE", state)
 
 
