@@ -221,5 +221,5 @@ PATH = travel(np.array([[-0.9, 0.7], [0.8, -0.8], [0.9, 0.9], [-0.9, 0.6]]), 0.8
 PROPERTY = settings(
     max_examples=20,
     deadline=None,
-    suppress_health_check=[HealthCheck.filter_too_much],
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
 )
