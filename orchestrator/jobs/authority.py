@@ -131,14 +131,14 @@ def replace_and_print(folder: Path | None) -> None:
         expires = authority.finish_replacing()
         said = f"""\
 the former authority is trusted no longer, and the router's certificate is valid until {expires:%F}.
-An agent that was not restarted with its new identity will not find the router again once that is
-restarted: restart it when all agents have theirs."""
+Restart the router when the renewed identities are on all machines: agents take them when they
+connect to it again, without a restart of their own."""
     else:
         authority.replace()
         said = f"""\
 a new authority signs from now on; {authority.folder} trusts the former one as well.
 1. restart the router
-2. `nufleet fleet renew`; copy each identity to its machine, and restart its agent while it rests
+2. `nufleet fleet renew`, and copy each identity to its machine
 3. `nufleet fleet renew --replace-authority` once more, and restart the router"""
     click.echo(said, err=True)
 

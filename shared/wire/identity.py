@@ -8,7 +8,7 @@ is checked without pydantic, because a stop must not wait for heavy imports.
 
 from __future__ import annotations
 
-import base64
+import logging
 import os
 import re
 from dataclasses import dataclass
@@ -23,6 +23,7 @@ SCHEME = "identity/"
 IDENTITY_VARIABLE = "NUFLEET_IDENTITY"
 SUFFIX, KEY_SUFFIX = ".nufleet", ".key"
 ROLES = ("robot", "orchestrator", "operator", "watcher")
+_log = logging.getLogger(__name__)
 _ROUTER = re.compile(r"tls/(\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z.-]+):[0-9]{1,5}")
 _FIELDS = ("fleet", "principal", "role", "router", "certificate", "authority")
 
@@ -55,14 +56,26 @@ class Identity:
         """File with the private key, beside the identity file."""
         return self.path.with_suffix(KEY_SUFFIX)
 
+    def now(self) -> Identity:
+        """Return the identity as its file is now, which may have been renewed since it was read.
+
+        If the file cannot be used, this identity is returned and a warning says why.
+        """
+        try:
+            return read_identity(self.path)
+        except IdentityError as error:
+            _log.warning("%s", error)
+            return self
+
     def zenoh_settings(self) -> dict[str, object]:
         """Return Zenoh's settings of `transport/link/tls`.
 
-        Certificate and key are given as files, so that renewed ones are read at the next
-        connection.
+        All are given as files, which Zenoh reads at each connection: what is renewed takes effect
+        at the next one. The identity's own certificate thus counts as an authority to itself,
+        which lets no one in who does not hold its key already.
         """
         return {
-            "root_ca_certificate_base64": base64.b64encode(self.authority.encode()).decode(),
+            "root_ca_certificate": str(self.path),
             "connect_certificate": str(self.path),
             "connect_private_key": str(self.key),
             "enable_mtls": True,

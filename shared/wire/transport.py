@@ -555,7 +555,7 @@ def _no_router(connect: str, identity: Identity | None) -> str:
             f"no router answers at {without_secrets(connect)}: start one with `nufleet router` or "
             "`nufleet fleet up FLEET.toml`, or give another address with --connect"
         )
-    why = why_refused(identity) or "its handshake succeeds, so the router may be overloaded"
+    why = why_refused(identity.now()) or "its handshake succeeds, so the router may be overloaded"
     return f"{identity.principal} cannot reach the router at {identity.router}: {why}"
 
 
