@@ -71,9 +71,12 @@ class CertificateWatch:
     def due(self) -> str:
         """What has to be done about the certificate, and until when, for a person."""
         name, path = self._identity.principal, self._identity.path
-        said = f"the certificate of {name} ends at {self._ends:%Y-%m-%d %H:%M} UTC, and its link with it"
+        ends = f"{self._ends:%Y-%m-%d %H:%M} UTC"
+        said = f"the certificate of {name} ends at {ends}, and its link with it"
         if validity(self._identity.now())[1] > self._ends:
-            return f"{said}; the renewed one in {path} takes effect then, or when the agent is restarted"
+            return (
+                f"{said}; the renewed one in {path} takes effect then, or when its agent restarts"
+            )
         return (
             f"{said}: `nufleet fleet renew {name}` and copy the identity to {path}; the robot then "
             "connects with it by itself"

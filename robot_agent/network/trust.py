@@ -63,7 +63,7 @@ class Trust:
             payload: Contents of the file.
 
         Raises:
-            InvalidInputError: The key of the robot cannot sign, or its certificate is not valid now.
+            InvalidInputError: The robot's key cannot sign, or its certificate is not valid now.
         """
         identity = self.identity()
         if identity is None or self._is_its_own(payload, identity):
