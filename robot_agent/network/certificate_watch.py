@@ -74,9 +74,7 @@ class CertificateWatch:
         ends = f"{self._ends:%Y-%m-%d %H:%M} UTC"
         said = f"the certificate of {name} ends at {ends}, and its link with it"
         if validity(self._identity.now())[1] > self._ends:
-            return (
-                f"{said}; the renewed one in {path} takes effect then, or when its agent restarts"
-            )
+            return f"{said}; {path} is renewed and takes effect then, or when the agent restarts"
         return (
             f"{said}: `nufleet fleet renew {name}` and copy the identity to {path}; the robot then "
             "connects with it by itself"

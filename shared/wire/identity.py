@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.private_files import check_private
 from nufleet.shared.text import is_name, read_toml
 
 SCHEME = "identity/"
@@ -130,16 +131,14 @@ def _check(identity: Identity) -> None:
     if not all("-----BEGIN CERTIFICATE" in pem for pem in certificates):
         raise IdentityError(f"{path} is not an identity file: a certificate is not in PEM")
     try:
-        mode, readable = key.stat().st_mode, os.access(key, os.R_OK)
+        check_private(key)
     except OSError as error:
         raise IdentityError(
             f"the key of {path} is missing: {key} ({error.strerror}); it was made where `nufleet "
             "fleet request` or `enroll` ran, and has to lie beside the identity"
         ) from error
-    if not readable:
-        raise IdentityError(f"the key {key} belongs to another user")
-    if mode & 0o077:
-        raise IdentityError(f"other users can read or replace the key {key}: chmod 600 {key}")
+    except InvalidInputError as error:
+        raise IdentityError(str(error)) from error
 
 
 def identity_folder() -> Path:

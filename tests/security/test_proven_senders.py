@@ -272,7 +272,7 @@ def test_an_agent_that_runs_warns_once_a_day_when_a_third_of_the_life_is_left(
     watch.look()
     assert len(caplog.records) == 2
     short_lived(fleet.lab, tmp_path, timedelta(days=90))
-    assert f"the renewed one in {identity.path} takes effect then" in watch.due
+    assert f"{identity.path} is renewed and takes effect then" in watch.due
     now[0] += timedelta(days=1)
     watch.look()
     assert len(caplog.records) == 2
