@@ -73,7 +73,7 @@ class Scene:
 
     def _draw_iteration(self, event: events.IterationEvent) -> None:
         leaders = leading_sources(event)
-        self._palette.assign(event.target, sorted(leaders))
+        self._palette.assign(event.target, [row.robot for row in event.ranking])
         self._samples.show(event.target, leaders)
         with drawn_at(self._stream, event.t_s):
             self._stream.set_time("iteration", sequence=event.iteration)
