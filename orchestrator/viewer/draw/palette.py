@@ -34,6 +34,7 @@ GROUND: Colour = (16, 18, 22)
 ALARM: Colour = (235, 90, 90)
 """Colour of marks where the guard acted."""
 
+
 def subdued(colour: Colour, share: float) -> Colour:
     """Return a colour blended with the background, as if it had `share` of its opacity.
 
