@@ -100,7 +100,7 @@ class RunningTest:
         waves: FloatArray = np.ones((len(phase), len(self._gram)))
         waves[:, 1::2], waves[:, 2::2] = np.cos(phase), np.sin(phase)
         signals = np.column_stack([event.reference[new], event.response[new]])
-        # After its tones a reference falls to rest, which is no sum of tones and would spoil the fit.
+        # After its tones a reference falls to rest: no sum of tones, which would spoil the fit.
         played = waves @ self._shape
         if (size := float(played @ played)) > 0.0:
             self._amplitude = max(self._amplitude, float(signals[:, 0] @ played) / size)
