@@ -340,10 +340,24 @@ class Decisions:
         """Why the robot has to be reconnected; None when it has no fault."""
         return self._supervision.fault
 
-    def reconnected(self, fault: str | None) -> None:
-        """Record an attempt to reconnect the robot; `fault` says why it failed, if it did."""
+    def reconnecting(self) -> None:
+        """Record that the robot is being reconnected because of its fault."""
+        with self._lock:
+            self._supervise(supervisor.Reconnecting())
+
+    def reconnected(self, fault: str | None) -> str | None:
+        """Record the end of an attempt to reconnect the robot.
+
+        Args:
+            fault: Why it failed; None when the robot is connected.
+
+        Returns:
+            Why the robot still cannot be trusted: `fault`, or what happened to it meanwhile; None
+            when it can be.
+        """
         with self._lock:
             self._supervise(supervisor.Reconnected(fault))
+            return self._supervision.fault
 
     def state(self) -> RobotState:
         """Return the state to publish now, with the next sequence number."""

@@ -76,7 +76,7 @@ class StopService:
         killing = self._cut_motors(sender, request.reason) if request.kill else None
         self._commands.stopped(principal, request)
         stored = self._stored()
-        return stored if killing is None else killing
+        return stored if killing is None else _both(killing, stored)
 
     def close(self) -> None:
         """Store the stops that have been handled, and end."""
@@ -105,9 +105,12 @@ class StopService:
                 self._decisions.broke(f"its motors were cut by {sender}: {reason}")
                 answer.set_result(Done())
 
-        # It is not joined: a driver that hangs must not keep the agent from ending.
-        threading.Thread(target=cut, name=f"{self._robot}-kill", daemon=True).start()
+        self._start(cut)
         return answer
+
+    def _start(self, work: Callable[[], None]) -> None:
+        """Begin work of the driver on a thread that nobody waits for, since it may hang."""
+        threading.Thread(target=work, name=f"{self._robot}-kill", daemon=True).start()
 
     def _stored(self) -> Future[Message]:
         """Return the reply to come; stops that wait for the disk at the same time share it."""
@@ -130,3 +133,18 @@ class StopService:
             forgotten = "it was halted, but the stop will not outlast its agent"
             return Refusal(code="journal", reason=f"{forgotten}: {error}")
         return Done()
+
+
+def _both(killing: Future[Message], stored: Future[Message]) -> Future[Message]:
+    """Return the reply to come when the motors are cut and the stop is stored: what went wrong."""
+    answer: Future[Message] = Future()
+
+    def cut(_: object) -> None:
+        stored.add_done_callback(ended)
+
+    def ended(_: object) -> None:
+        cut_or_not = killing.result()
+        answer.set_result(stored.result() if isinstance(cut_or_not, Done) else cut_or_not)
+
+    killing.add_done_callback(cut)
+    return answer

@@ -10,6 +10,9 @@ from dataclasses import dataclass, replace
 
 from nufleet.shared.wire.messages import Outcome, Refusal
 
+RECONNECTING = "it is being reconnected"
+"""Fault of a robot while it is being reconnected; another one found meanwhile takes its place."""
+
 
 @dataclass(frozen=True)
 class StopOrder:
@@ -76,6 +79,11 @@ class MotionEnded:
 
 
 @dataclass(frozen=True)
+class Reconnecting:
+    """The robot is being reconnected because of its fault."""
+
+
+@dataclass(frozen=True)
 class Reconnected:
     """An attempt to reconnect the robot has ended; `fault` says why it failed, if it did."""
 
@@ -102,6 +110,7 @@ Event = (
     | OwnerLost
     | MotionBegan
     | MotionEnded
+    | Reconnecting
     | Reconnected
     | FaultFound
     | HealthReported
@@ -136,11 +145,15 @@ def supervise(state: Supervision, event: Event) -> tuple[Supervision, Halt | Non
         case MotionBegan(owner):
             return replace(state, motion_owner=owner), None
         case MotionEnded(fault):
-            return replace(state, motion_owner=None, fault=state.fault or fault), None
+            return replace(state, motion_owner=None, fault=_first(state.fault, fault)), None
+        case Reconnecting():
+            return replace(state, fault=RECONNECTING), None
         case Reconnected(fault):
-            return replace(state, fault=fault), None
+            # What was found meanwhile, such as that its motors were cut, is not cured by it.
+            return (replace(state, fault=fault) if state.fault == RECONNECTING else state), None
         case FaultFound(fault):
-            return replace(state, fault=state.fault or fault), _halt_if_moving(state, fault)
+            halt = _halt_if_moving(state, fault)
+            return replace(state, fault=_first(state.fault, fault)), halt
         case HealthReported(unfit):
             halt = None if unfit is None else _halt_if_moving(state, unfit)
             return replace(state, unfit=unfit), halt
@@ -175,6 +188,10 @@ def refusal_to_start(state: Supervision, *, owner: str, owner_alive: bool) -> Re
             reason=f"{owner} has no liveliness token, so its death would not be noticed",
         )
     return None
+
+
+def _first(known: str | None, found: str | None) -> str | None:
+    return found if known in (None, RECONNECTING) else known
 
 
 def _halt_if_moving(state: Supervision, reason: str) -> Halt | None:
