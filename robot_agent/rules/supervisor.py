@@ -144,19 +144,16 @@ def supervise(state: Supervision, event: Event) -> tuple[Supervision, Halt | Non
             return state, _halt_if_moving(state, f"its owner {owner} is gone")
         case MotionBegan(owner):
             return replace(state, motion_owner=owner), None
-        case MotionEnded(fault):
+        case MotionEnded(fault) | Reconnected(fault):
+            # A reconnection does not cure what was found meanwhile, such as that motors were cut.
             return replace(state, motion_owner=None, fault=_first(state.fault, fault)), None
         case Reconnecting():
             return replace(state, fault=RECONNECTING), None
-        case Reconnected(fault):
-            # What was found meanwhile, such as that its motors were cut, is not cured by it.
-            return (replace(state, fault=fault) if state.fault == RECONNECTING else state), None
         case FaultFound(fault):
             halt = _halt_if_moving(state, fault)
             return replace(state, fault=_first(state.fault, fault)), halt
         case HealthReported(unfit):
-            halt = None if unfit is None else _halt_if_moving(state, unfit)
-            return replace(state, unfit=unfit), halt
+            return replace(state, unfit=unfit), _halt_if_moving(state, unfit)
 
 
 def refusal_to_start(state: Supervision, *, owner: str, owner_alive: bool) -> Refusal | None:
@@ -194,5 +191,7 @@ def _first(known: str | None, found: str | None) -> str | None:
     return found if known in (None, RECONNECTING) else known
 
 
-def _halt_if_moving(state: Supervision, reason: str) -> Halt | None:
-    return None if state.motion_owner is None else Halt(Outcome.ABORTED, reason)
+def _halt_if_moving(state: Supervision, reason: str | None) -> Halt | None:
+    if state.motion_owner is None or reason is None:
+        return None
+    return Halt(Outcome.ABORTED, reason)
