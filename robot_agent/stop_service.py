@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 
 from nufleet.robot_agent.commands import Commands
 from nufleet.robot_agent.decisions import Decisions
@@ -30,14 +30,26 @@ class StopService:
         keys: FleetKeys,
         commands: Commands,
         kill: Callable[[], None],
+        *,
+        writer: Executor | None = None,
     ) -> None:
+        """Handle no stop yet.
+
+        Args:
+            robot: Name of the robot.
+            decisions: Decisions of its agent.
+            keys: Keys of its fleet.
+            commands: Record of what its agent was told.
+            kill: The driver's `kill`.
+            writer: What stores stops; a thread of its own unless given.
+        """
         self._robot = robot
         self._decisions = decisions
         self._keys = keys
         self._commands = commands
         self._kill = kill
         self._killing: Future[Message] | None = None
-        self._writer = ThreadPoolExecutor(1, thread_name_prefix=f"{robot}-stops")
+        self._writer = writer or ThreadPoolExecutor(1, thread_name_prefix=f"{robot}-stops")
         self._lock = threading.Lock()
         self._storing: Future[Message] | None = None
         self._closed = False
