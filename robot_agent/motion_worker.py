@@ -26,7 +26,6 @@ from nufleet.robot_agent.motion.steps import Steps, make
 from nufleet.robot_agent.motion.watched_robot import WatchedRobot
 from nufleet.robot_agent.network.telemetry import TelemetryBatcher
 from nufleet.robot_agent.robot import Robot
-from nufleet.robot_agent.rules.supervisor import RECONNECTING
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
@@ -63,9 +62,10 @@ class MotionWorker:
         *,
         realtime: float | None,
         foretold: Callable[[Tracking], PredictedError | None] = lambda motion: None,
+        hindrance: Callable[[], str | None] = lambda: None,
     ) -> None:
         self._boot_id = boot_id
-        self._foretold = foretold
+        self._foretold, self._hindrance = foretold, hindrance
         self._robot = robot
         self._sortie = Sortie(robot)
         self._memory = memory
@@ -169,7 +169,7 @@ class MotionWorker:
                 return  # the driver hung before this goal's turn came, which has been reported
         nothing = _nothing(assignment, self._robot)
         steps = partial(self._performed, assignment)
-        played = make(self._sortie.move(assignment.switch, nothing, steps))
+        played = make(self._sortie.move(assignment.switch, self._hindrance, nothing, steps))
         with self._lock:
             given_up, self._performing = self._performing is None, None
         if given_up:
@@ -312,10 +312,9 @@ def reconnected(sortie: Sortie, decisions: Decisions) -> Steps[Message]:
     """Disconnect and connect a robot with a fault; return the answer to whoever released it."""
     if decisions.fault is None:
         return Done()  # another release came first
-    decisions.reconnecting()
     fault = None
     try:
-        yield from sortie.reconnect(lambda: decisions.fault == RECONNECTING)
+        yield from sortie.reconnect(lambda: not decisions.stopped)
     except Exception as error:  # noqa: BLE001 - a driver's mistake must not end the thread
         _log.exception("a robot could not be reconnected")
         fault = f"could not be reconnected: {error}"

@@ -112,11 +112,13 @@ class StopService:
             except Exception as error:  # noqa: BLE001 - the sender is told, of a driver's mistake too
                 _log.error("%s: its motors could not be cut: %r", self._robot, error)
                 text = f"it was stopped, but its motors were not cut: {error}"
+                self._decisions.cut(None)
                 answer.set_result(Refusal(code="not-killed", reason=text))
             else:
-                self._decisions.broke(f"its motors were cut by {sender}: {reason}")
+                self._decisions.cut(f"its motors were cut by {sender}: {reason}")
                 answer.set_result(Done())
 
+        self._decisions.cutting()
         self._start(cut)
         return answer
 

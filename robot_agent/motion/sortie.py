@@ -24,12 +24,18 @@ class Sortie:
         self.begun = False
 
     def move(
-        self, switch: HaltSwitch, nothing: Samples, performed: Callable[[], Steps[Played]]
+        self,
+        switch: HaltSwitch,
+        hindrance: Callable[[], str | None],
+        nothing: Samples,
+        performed: Callable[[], Steps[Played]],
     ) -> Steps[Played]:
         """Begin the robot unless it is, perform a motion, and end the robot if it has a fault.
 
         Args:
             switch: Switch of the motion; a robot that was halted before it began does not begin.
+            hindrance: Function that returns why a motion may not begin now although its goal was
+                accepted, as after a freeze of the whole process; None when it may.
             nothing: Samples of the motion if it does not begin.
             performed: Function that returns the steps of the motion itself, from rest to rest.
         """
@@ -40,6 +46,9 @@ class Sortie:
         except RobotError as error:
             fault = str(error) if isinstance(error, RobotDownError) else None
             return Played(Outcome.FAILED, str(error), nothing, fault)
+        hindered = hindrance()
+        if hindered is not None:
+            return Played(Outcome.ABORTED, hindered, nothing)
         try:
             played = yield from performed()
         except Exception as error:  # noqa: BLE001 - a motion always ends, whatever fails
@@ -79,21 +88,22 @@ class Sortie:
             return f"could not be ended: {_words(error)}"
         return None
 
-    def reconnect(self, wanted: Callable[[], bool]) -> Steps[None]:
+    def reconnect(self, released: Callable[[], bool]) -> Steps[None]:
         """Disconnect the robot and connect it again, so that it has not begun.
 
         Args:
-            wanted: Function that returns whether it is still to be connected, once it has been
-                disconnected; a robot whose motors were cut meanwhile is not.
+            released: Function that returns whether the robot may still be connected; one that was
+                stopped again, and whose motors may have been cut, is left as it is.
 
         Raises:
             RobotError: It cannot be connected.
         """
-        try:
-            yield self._robot.disconnect
-        except RobotError as error:
-            _log.warning("a robot with a fault could not be disconnected: %s", error)
-        if wanted():
+        if released():
+            try:
+                yield self._robot.disconnect
+            except RobotError as error:
+                _log.warning("a robot with a fault could not be disconnected: %s", error)
+        if released():
             yield self._robot.connect
             self.begun = False
 

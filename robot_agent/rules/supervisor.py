@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 from nufleet.shared.wire.messages import Outcome, Refusal
 
-RECONNECTING = "it is being reconnected"
-"""Fault of a robot while it is being reconnected; another one found meanwhile takes its place."""
+STOPPED_MEANWHILE = "it was stopped while it was being reconnected"
+"""Fault of a robot that nobody has released since, and whose motors may have been cut."""
 
 
 @dataclass(frozen=True)
@@ -79,11 +79,6 @@ class MotionEnded:
 
 
 @dataclass(frozen=True)
-class Reconnecting:
-    """The robot is being reconnected because of its fault."""
-
-
-@dataclass(frozen=True)
 class Reconnected:
     """An attempt to reconnect the robot has ended; `fault` says why it failed, if it did."""
 
@@ -110,7 +105,6 @@ Event = (
     | OwnerLost
     | MotionBegan
     | MotionEnded
-    | Reconnecting
     | Reconnected
     | FaultFound
     | HealthReported
@@ -144,14 +138,13 @@ def supervise(state: Supervision, event: Event) -> tuple[Supervision, Halt | Non
             return state, _halt_if_moving(state, f"its owner {owner} is gone")
         case MotionBegan(owner):
             return replace(state, motion_owner=owner), None
-        case MotionEnded(fault) | Reconnected(fault):
-            # A reconnection does not cure what was found meanwhile, such as that motors were cut.
-            return replace(state, motion_owner=None, fault=_first(state.fault, fault)), None
-        case Reconnecting():
-            return replace(state, fault=RECONNECTING), None
+        case MotionEnded(fault):
+            return replace(state, motion_owner=None, fault=state.fault or fault), None
+        case Reconnected(fault):
+            also = None if state.stop is None else STOPPED_MEANWHILE
+            return replace(state, fault=fault or also), None
         case FaultFound(fault):
-            halt = _halt_if_moving(state, fault)
-            return replace(state, fault=_first(state.fault, fault)), halt
+            return replace(state, fault=state.fault or fault), _halt_if_moving(state, fault)
         case HealthReported(unfit):
             return replace(state, unfit=unfit), _halt_if_moving(state, unfit)
 
@@ -185,10 +178,6 @@ def refusal_to_start(state: Supervision, *, owner: str, owner_alive: bool) -> Re
             reason=f"{owner} has no liveliness token, so its death would not be noticed",
         )
     return None
-
-
-def _first(known: str | None, found: str | None) -> str | None:
-    return found if known in (None, RECONNECTING) else known
 
 
 def _halt_if_moving(state: Supervision, reason: str | None) -> Halt | None:

@@ -174,7 +174,8 @@ class MotionThread:
             resting = self._agent.decisions.resting
             return performed(self._robot, playing, assignment.switch, on_resting=resting)
 
-        steps = self._sortie.move(assignment.switch, _NO_SAMPLES, performed_now)
+        switch, hindrance = assignment.switch, self._agent.frozen
+        steps = self._sortie.move(switch, hindrance, _NO_SAMPLES, performed_now)
         self._put(_Job(steps, lambda played: self._ended(assignment, played), assignment.goal))
 
     def reconnect(self, answer: Callable[[Any], None]) -> None:

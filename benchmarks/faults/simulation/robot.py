@@ -266,6 +266,11 @@ class SimulatedAgent:
             self.motions.begin(motion)
         return accepted
 
+    def frozen(self) -> str | None:
+        """Return that the process was frozen; None if that is long ago."""
+        refusal = self._freezes.refusal(self.world.now_s)
+        return None if refusal is None else refusal.reason
+
     def _release(self, sender: str) -> Any:
         refusal = self.decisions.release(sender)
         if refusal is not None:

@@ -175,7 +175,7 @@ def _ask_the_killed() -> Patches:
 
 def _trust_the_killed() -> Patches:
     """That motors were cut is no fault, and a release does not reconnect the robot."""
-    yield patch.object(Decisions, "broke", lambda self, fault: None)
+    yield patch.object(Decisions, "cut", lambda self, fault: None)
 
 
 def _store_no_kill() -> Patches:
@@ -184,7 +184,7 @@ def _store_no_kill() -> Patches:
 
 
 def _cure_everything() -> Patches:
-    """A reconnection cures every fault, also of motors that were cut during it."""
+    """A reconnection cures every fault, although motors were cut during it."""
 
     def supervised(state: Supervision, event: supervisor.Event) -> tuple[Supervision, Any]:
         if isinstance(event, supervisor.Reconnected):
@@ -225,9 +225,9 @@ def _believe_old_health() -> Patches:
 def _take_off_halted() -> Patches:
     """A robot takes off for a goal that was halted before its turn came."""
 
-    def move(self: Sortie, switch: Any, nothing: Any, performed: Any) -> Any:
+    def move(self: Sortie, switch: HaltSwitch, *circumstances: Any) -> Any:
         del switch
-        return (yield from moved(self, HaltSwitch(), nothing, performed))
+        return (yield from moved(self, HaltSwitch(), *circumstances))
 
     moved = Sortie.move
     yield patch.object(Sortie, "move", move)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from puppet_robot import PuppetRobot
 
+from nufleet.robot_agent.motion.pace import HaltSwitch
+from nufleet.robot_agent.motion.perform import Played, Samples
 from nufleet.robot_agent.motion.sortie import Sortie
-from nufleet.robot_agent.motion.steps import make
+from nufleet.robot_agent.motion.steps import Steps, make
 from nufleet.shared.errors import RobotDownError, RobotError
+from nufleet.shared.wire.messages import Outcome
 
 
 @pytest.fixture
@@ -64,3 +68,29 @@ def test_a_robot_that_cannot_be_ended_says_why_and_is_not_asked_again(robot: Pup
     assert make(sortie.end()) == "could not be ended: OSError('broken')"
     assert make(sortie.end()) is None
     assert robot.ended == 1
+
+
+def test_a_process_that_was_frozen_while_its_robot_took_off_begins_no_motion(
+    robot: PuppetRobot,
+) -> None:
+    sortie, nothing = Sortie(robot), Samples(np.empty(0), np.empty(0))
+
+    def performed() -> Steps[Played]:
+        yield lambda: pytest.fail("it moves")
+        return Played(Outcome.COMPLETED, "", nothing)
+
+    played = make(sortie.move(HaltSwitch(), lambda: "it was frozen", nothing, performed))
+    assert (played.outcome, played.reason) == (Outcome.ABORTED, "it was frozen")
+    assert (sortie.begun, robot.begun, robot.ended) == (True, 1, 0)
+
+
+@pytest.mark.parametrize("stopped_at", [0, 1, 2])
+def test_a_robot_that_is_stopped_again_is_not_connected(
+    robot: PuppetRobot, stopped_at: int
+) -> None:
+    calls: list[str] = []
+    robot.on_disconnect = lambda: calls.append("disconnect")
+    robot.on_connect = lambda: calls.append("connect")
+    released = iter([True] * stopped_at + [False] * 2)
+    make(Sortie(robot).reconnect(lambda: next(released)))
+    assert calls == [[], ["disconnect"], ["disconnect", "connect"]][stopped_at]

@@ -7,7 +7,7 @@ from collections import deque
 import pytest
 
 from nufleet.robot_agent.rules.supervisor import (
-    RECONNECTING,
+    STOPPED_MEANWHILE,
     Event,
     FaultFound,
     Halt,
@@ -16,7 +16,6 @@ from nufleet.robot_agent.rules.supervisor import (
     MotionEnded,
     OwnerLost,
     Reconnected,
-    Reconnecting,
     ReleaseOrdered,
     StopOrder,
     StopOrdered,
@@ -38,7 +37,6 @@ EVENTS: tuple[Event, ...] = (
     MotionBegan(OTHER),
     MotionEnded(),
     MotionEnded("would not rest"),
-    Reconnecting(),
     Reconnected(),
     Reconnected("no such port"),
     FaultFound("its motors were cut"),
@@ -58,7 +56,7 @@ def can_happen(state: Supervision, event: Event) -> bool:
             return state.motion_owner is None and may_begin(state)
         case MotionEnded():
             return state.motion_owner is not None
-        case Reconnecting() | Reconnected():
+        case Reconnected():
             return state.motion_owner is None and state.fault is not None
         case _:
             return True
@@ -83,9 +81,8 @@ STEPS = [(state, event) for state in STATES for event in EVENTS if can_happen(st
 
 
 def test_all_states_are_looked_at() -> None:
-    # Not stopped, or by alice or bob; fit or not; at rest with no fault or one of three or being
-    # reconnected, or moving for one of two owners, and then with no fault but one that was found
-    # meanwhile.
+    # Not stopped, or by alice or bob; fit or not; at rest with no fault or one of four, or moving
+    # for one of two owners, and then with no fault but one that was found meanwhile.
     assert len(STATES) == 3 * 2 * (5 + 2 * 2)
 
 
@@ -129,16 +126,14 @@ def test_a_fault_and_a_stop_are_each_undone_by_their_own_act_alone() -> None:
         after, _ = supervise(state, event)
         if state.stop is not None and not isinstance(event, ReleaseOrdered):
             assert after.stop == state.stop  # the first order stays the one that is shown
-        if state.fault is not None and not isinstance(event, Reconnecting):
-            ends = state.fault == RECONNECTING and isinstance(event, Reconnected | FaultFound)
-            assert after.fault == (event.fault if ends else state.fault)
+        if state.fault is not None and not isinstance(event, Reconnected):
+            assert after.fault == state.fault
 
 
-def test_motors_cut_while_a_robot_is_reconnected_stay_a_fault() -> None:
-    state = Supervision(fault="its driver failed")
-    for event in (Reconnecting(), FaultFound("its motors were cut"), Reconnected()):
-        state, _ = supervise(state, event)
-    assert state.fault == "its motors were cut"
+def test_a_robot_that_is_stopped_while_it_is_reconnected_keeps_a_fault() -> None:
+    for state in STATES:
+        after, _ = supervise(state, Reconnected())
+        assert after.fault == (None if state.stop is None else STOPPED_MEANWHILE)
 
 
 def test_a_stop_is_accepted_in_every_state() -> None:
@@ -185,7 +180,7 @@ def test_a_refusal_says_what_to_do() -> None:
     assert refusal.reason == (
         "release it first with `nufleet release`: it was stopped by alice: smoke"
     )
-    broken, _ = supervise(Supervision(fault=RECONNECTING), Reconnected("no such port"))
+    broken, _ = supervise(Supervision(), Reconnected("no such port"))
     refusal = refusal_to_start(broken, owner=ME, owner_alive=True)
     assert refusal is not None
     assert refusal.code == "fault"
