@@ -309,7 +309,7 @@ class MotionWorker:
 
 
 def reconnected(sortie: Sortie, decisions: Decisions) -> Steps[Message]:
-    """Disconnect and connect a robot with a fault; return the answer to whoever released it."""
+    """Disconnect and connect a robot with a fault; return the answer to its release."""
     if decisions.fault is None:
         return Done()  # another release came first
     fault = None

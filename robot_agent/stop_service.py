@@ -123,7 +123,7 @@ class StopService:
         return answer
 
     def _start(self, work: Callable[[], None]) -> None:
-        """Begin work of the driver on a thread that nobody waits for, since it may hang."""
+        """Begin work of the driver on a thread that is never waited for, since it may hang."""
         threading.Thread(target=work, name=f"{self._robot}-kill", daemon=True).start()
 
     def _stored(self) -> Future[Message]:

@@ -51,7 +51,7 @@ class Sortie:
             return Played(Outcome.ABORTED, hindered, nothing)
         try:
             played = yield from performed()
-        except Exception as error:  # noqa: BLE001 - a motion always ends, whatever fails
+        except Exception as error:  # noqa: BLE001 - a motion always ends
             _log.exception("a motion ended unexpectedly")
             reason = f"an unexpected error: {error!r}"
             played = Played(Outcome.FAILED, reason, nothing, fault=reason)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from nufleet.shared.wire.messages import Outcome, Refusal
 
 STOPPED_MEANWHILE = "it was stopped while it was being reconnected"
-"""Fault of a robot that nobody has released since, and whose motors may have been cut."""
+"""Fault of a robot that has not been released since, and whose motors may have been cut."""
 
 
 @dataclass(frozen=True)

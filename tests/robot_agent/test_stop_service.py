@@ -213,3 +213,15 @@ def test_a_kill_whose_stop_cannot_be_stored_is_not_confirmed(
     assert isinstance(answer, Refusal)
     assert answer.code == "journal"
     assert decisions.fault == "its motors were cut by alice: smoke"
+
+
+def test_nobody_releases_a_robot_whose_motors_are_being_cut(
+    stops: StopService, decisions: Decisions, robot: PuppetRobot
+) -> None:
+    refused: list[Refusal | None] = []
+    robot.on_kill = lambda: refused.append(decisions.release("bob"))
+    assert stops.asked("alice", KILL).result(PATIENCE_S) == Done()
+    assert refused == [
+        Refusal(code="busy", reason="its motors are being cut; release it in a moment")
+    ]
+    assert decisions.release("bob") is None

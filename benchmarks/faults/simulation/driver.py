@@ -148,7 +148,7 @@ class Playing:
         return Samples(zeros, zeros)
 
 
-_ON = (Outcome.COMPLETED, "it goes on")
+_ON = (Outcome.COMPLETED, "it continues")
 
 
 class MotionThread:
@@ -179,7 +179,7 @@ class MotionThread:
         self._put(_Job(steps, lambda played: self._ended(assignment, played), assignment.goal))
 
     def reconnect(self, answer: Callable[[Any], None]) -> None:
-        """Reconnect a robot with a fault, and answer whoever released it."""
+        """Reconnect a robot with a fault, and answer its release."""
         self._put(_Job(reconnected(self._sortie, self._agent.decisions), answer))
 
     def look(self) -> None:
@@ -193,7 +193,7 @@ class MotionThread:
             self._after(self._world.between(0.0, self._driver.spec.sample_time_s), playing.end)
 
     def die(self) -> None:
-        """End in the middle of whatever the robot does; it comes to rest by itself."""
+        """End at once; the robot comes to rest by itself."""
         if self.playing is not None and self.playing.record is not None:
             self.playing.record.ended_s = self._world.now_s
 

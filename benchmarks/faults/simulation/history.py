@@ -157,7 +157,6 @@ class History:
         """Record that the motors of a robot have been cut."""
         self.tell(now_s, f"the motors of {robot} are cut")
         self.killed[robot] = now_s
-        self.excuses.add((robot, "fault"))
 
     def release_taken(self, now_s: float, robot: str) -> None:
         """Record that a robot accepted a release, after which it may move at any time."""
@@ -177,13 +176,13 @@ class History:
         """Record that a robot is connected.
 
         Raises:
-            Violation: Its motors were cut, and nobody has released it since.
+            Violation: Its motors were cut, and it has not been released since.
         """
         killed_s = self.killed.pop(robot, None)
         if killed_s is not None and self.released.get(robot, -1.0) < killed_s:
             raise Violation(
                 f"{now_s:.3f}: {robot} is connected, its motors were cut at {killed_s:.3f}, and "
-                "nobody has released it"
+                "it has not been released since"
             )
 
     def report(self, now_s: float, robot: str, *, ready: bool) -> None:

@@ -298,6 +298,7 @@ class SimulatedAgent:
     def cut_motors(self, work: Callable[[], None]) -> None:
         """Have the driver cut the motors on a thread of its own, which takes a moment."""
         after, between, do = self.world.after, self.world.between, self.node.do
+        self.history.excuses.add((self.name, "fault"))
         cut_s = between(0.0, 0.2)
         after(cut_s, lambda: do(self._driver.kill))
         after(cut_s + between(0.0, 0.05), lambda: do(work))
@@ -350,7 +351,7 @@ class SimulatedAgent:
         self.history.report(now_s, self.name, ready=ready)
         playing = self.motions.playing
         if not ready and playing is not None and playing.assignment.switch.order is None:
-            raise Violation(f"{now_s:.3f}: {self.name} is not ready, and its motion goes on")
+            raise Violation(f"{now_s:.3f}: {self.name} is not ready, and its motion continues")
         self.motions.look()
 
     def change(self) -> None:

@@ -175,7 +175,24 @@ def _ask_the_killed() -> Patches:
 
 def _trust_the_killed() -> Patches:
     """That motors were cut is no fault, and a release does not reconnect the robot."""
-    yield patch.object(Decisions, "cut", lambda self, fault: None)
+    cut = Decisions.cut
+    yield patch.object(Decisions, "cut", lambda self, fault: cut(self, None))
+
+
+def _release_the_killed() -> Patches:
+    """A robot is released while its motors are being cut, and reconnected under the cut."""
+    yield patch.object(Decisions, "cutting", lambda self: None)
+
+
+def _fly_after_a_freeze() -> Patches:
+    """A process that was frozen while its robot took off begins the motion all the same."""
+
+    def move(self: Sortie, switch: HaltSwitch, hindrance: Any, *others: Any) -> Any:
+        del hindrance
+        return (yield from moved(self, switch, lambda: None, *others))
+
+    moved = Sortie.move
+    yield patch.object(Sortie, "move", move)
 
 
 def _store_no_kill() -> Patches:
@@ -196,7 +213,7 @@ def _cure_everything() -> Patches:
 
 
 def _accept_unready() -> Patches:
-    """A robot takes goals whatever its health is."""
+    """A robot takes goals in good health and in bad."""
 
     def refusal(state: Supervision, **circumstances: Any) -> Any:
         return refused(replace(state, unfit=None), **circumstances)
@@ -206,7 +223,7 @@ def _accept_unready() -> Patches:
 
 
 def _move_unready() -> Patches:
-    """A robot whose health becomes bad goes on with its motion."""
+    """A robot whose health becomes bad continues its motion."""
 
     def supervised(state: Supervision, event: supervisor.Event) -> tuple[Supervision, Any]:
         after, halt = supervise(state, event)
@@ -259,6 +276,8 @@ WITHOUT: Mapping[str, Callable[[], Patches]] = {
     "kill-fault": _trust_the_killed,
     "kill-stored": _store_no_kill,
     "kill-cured": _cure_everything,
+    "kill-released": _release_the_killed,
+    "frozen-beginning": _fly_after_a_freeze,
     "unready": _accept_unready,
     "unready-moving": _move_unready,
     "old-health": _believe_old_health,
