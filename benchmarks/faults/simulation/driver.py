@@ -164,6 +164,11 @@ class MotionThread:
         self._job: _Job | None = None
         self._jobs_done = 0
 
+    @property
+    def in_the_air(self) -> bool:
+        """Whether the robot has taken off, has not landed, and has not fallen."""
+        return self._driver.in_the_air and not self._driver.cut
+
     # Jobs, one after another.
 
     def begin(self, assignment: Assignment) -> None:
