@@ -146,9 +146,9 @@ class Simulation:
     def _check_end(self, finished: SimulatedOrchestrator) -> None:
         trials = self.repository.trials
         complete = finished.over == "complete"
-        for robot in self.robots.values():
-            if robot.in_the_air:
-                raise Violation(f"{robot.name} never landed")
+        in_the_air = [robot.name for robot in self.robots.values() if robot.in_the_air]
+        if in_the_air:
+            raise Violation(f"{', '.join(in_the_air)} never landed")
         for trial in trials.values():
             if complete and not trial.status.ended:
                 raise Violation(f"trial {trial.intent.goal_id} never ended: {trial.status}")
