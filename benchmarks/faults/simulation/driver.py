@@ -18,6 +18,7 @@ from nufleet.robot_agent.motion.steps import Steps
 from nufleet.robot_agent.motion.watched_robot import WatchedRobot
 from nufleet.robot_agent.motion_worker import reconnected
 from nufleet.robot_agent.robot import Robot
+from nufleet.robot_agent.rules.freezes import HEARING_S
 from nufleet.robot_agent.rules.goal_machine import Goal
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotDownError
@@ -119,6 +120,8 @@ class Playing:
         self._robot.step(_ZERO)
         goal = self.assignment.goal
         now_s, name = self._agent.world.now_s, self._agent.name
+        if now_s < self._agent.node.thawed_s + HEARING_S:
+            raise Violation(f"{now_s:.3f}: {name} begins {goal.goal_id} right after a freeze")
         self.record = self._agent.history.began(now_s, name, goal.goal_id, goal.owner)
         return _ON
 
@@ -163,6 +166,11 @@ class MotionThread:
         self._jobs: deque[_Job] = deque()
         self._job: _Job | None = None
         self._jobs_done = 0
+
+    @property
+    def in_the_air(self) -> bool:
+        """Whether the robot has taken off, has not landed, and has not fallen."""
+        return self._driver.in_the_air and not self._driver.cut
 
     # Jobs, one after another.
 
@@ -240,7 +248,7 @@ class MotionThread:
             name = call.__name__
             if name == "begin" and job.goal is not None:
                 history, now_s = self._agent.history, self._world.now_s
-                history.may_move(now_s, self._agent.name, job.goal.goal_id, job.goal.owner)
+                history.takes_off(now_s, self._agent.name, job.goal.goal_id, job.goal.owner)
             try:
                 answer, error = call(), None
             except Violation:

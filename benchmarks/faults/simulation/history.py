@@ -67,6 +67,9 @@ class History:
     unready: dict[str, float] = field(default_factory=dict)
     """Time by robot since which its agent knows that it is not ready; absent if it is ready."""
 
+    took_off: set[tuple[str, str]] = field(default_factory=set)
+    """Robot and goal id of each goal for which a robot took off."""
+
     excuses: set[tuple[str, str]] = field(default_factory=set)
     """Robot and code of each refusal for which there has been a cause."""
 
@@ -114,7 +117,8 @@ class History:
                 f"{self.unready[robot]:.3f}"
             )
         interrupted_s = self.interrupted.get(owner)
-        if interrupted_s is not None and now_s > interrupted_s:
+        on_its_way = (robot, goal_id) in self.took_off  # its cancellation may have been lost
+        if interrupted_s is not None and now_s > interrupted_s and not on_its_way:
             raise Violation(
                 f"{now_s:.3f}: {robot} begins {goal_id} for {owner}, which was interrupted, and "
                 f"nothing can have been in transit since {interrupted_s:.3f}"
@@ -125,6 +129,11 @@ class History:
                 f"{now_s:.3f}: {robot} begins {goal_id} for {owner}, whose interrupt had returned "
                 f"at {silent_s:.3f}"
             )
+
+    def takes_off(self, now_s: float, robot: str, goal_id: str, owner: str) -> None:
+        """Record that a robot takes off for a goal; raises Violation if it may not."""
+        self.may_move(now_s, robot, goal_id, owner)
+        self.took_off.add((robot, goal_id))
 
     def asked(self, now_s: float, robot: str, what: str) -> None:
         """Check that a robot's driver may be asked for something.

@@ -146,6 +146,11 @@ class SimulatedRobot:
         self.listeners: list[Any] = []
         self.start()
 
+    @property
+    def in_the_air(self) -> bool:
+        """Whether the robot has taken off and its agent has not landed it yet."""
+        return self.agent is not None and self.agent.motions.in_the_air
+
     def start(self) -> None:
         """Start an agent unless one is running."""
         if self.agent is None:

@@ -21,9 +21,9 @@ STUDY = "study"
 ENDS_WITHIN_S = 900.0
 """Time after the last fault within which a study has to end; it is resumed until it does."""
 
-RESTS_WITHIN_S = 30.0
-"""Time within which the last motion has to end after its orchestrator has; a frozen agent has to
-thaw first."""
+RESTS_WITHIN_S = 60.0
+"""Time within which the last motion has to end after its orchestrator has, and idle robots have to
+land; a frozen agent has to thaw first."""
 
 WALL_S = 1e6
 """Time on the wall clock when a simulation begins."""
@@ -91,8 +91,10 @@ class Simulation:
         self._check_end(self.finished)
 
     def _at_rest_after(self, time_s: float) -> bool:
-        return self.world.now_s > time_s and all(
-            motion.ended_s is not None for motion in self.history.motions
+        return (
+            self.world.now_s > time_s
+            and all(motion.ended_s is not None for motion in self.history.motions)
+            and not any(robot.in_the_air for robot in self.robots.values())
         )
 
     # People.
@@ -144,6 +146,9 @@ class Simulation:
     def _check_end(self, finished: SimulatedOrchestrator) -> None:
         trials = self.repository.trials
         complete = finished.over == "complete"
+        in_the_air = [robot.name for robot in self.robots.values() if robot.in_the_air]
+        if in_the_air:
+            raise Violation(f"{', '.join(in_the_air)} never landed")
         for trial in trials.values():
             if complete and not trial.status.ended:
                 raise Violation(f"trial {trial.intent.goal_id} never ended: {trial.status}")
