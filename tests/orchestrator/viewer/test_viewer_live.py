@@ -187,7 +187,7 @@ def test_what_is_stuck_costs_neither_the_study_nor_its_recording(
         monkeypatch.setattr("nufleet.orchestrator.viewer.writer.LIVE_CLOSE_S", live_close_s)
         assert writer.close(PATIENCE_S) == (stuck == "viewers")
     assert len(scalars(path, "/tests/response/s1/x")[1]) == 2000 * tests
-    assert len(column(path, "/psi/worst/s1", "Measurements:values")) == tests // 100
+    assert len(column(path, "/psi/worst/s1/median", "Scalars:scalars")) == tests // 100
     assert servers_of(os.getpid()) == []
     assert not [t for t in threading.enumerate() if t.name.startswith("viewer-")]
 
@@ -212,7 +212,7 @@ def test_a_server_that_dies_is_reported_and_the_recording_goes_on(
         # How long the recording takes for what was sent meanwhile is a matter of the machine.
         writer.close(PATIENCE_S)
     assert "the server of the viewer has ended" in caplog.text
-    assert len(column(path, "/psi/worst/s1", "Measurements:values")) == sent
+    assert len(column(path, "/psi/worst/s1/median", "Scalars:scalars")) == sent
 
 
 STUDY = """
@@ -248,7 +248,7 @@ def test_a_study_that_is_terminated_leaves_a_whole_recording(tmp_path: Path) -> 
         study.send_signal(signal.SIGTERM)
         assert study.wait(PATIENCE_S) == 3
     # A recording without its footer would be read with a warning, which is an error here.
-    assert len(column(tmp_path / "run.rrd", "/psi/worst/s1", "Measurements:values")) == 1
+    assert len(column(tmp_path / "run.rrd", "/psi/worst/s1/median", "Scalars:scalars")) == 1
 
 
 def test_a_study_that_is_killed_leaves_no_server(tmp_path: Path) -> None:
