@@ -263,7 +263,7 @@ def test_no_goal_begins_that_may_outlast_the_certificate(
         assert isinstance(decode(encode(refusal), Refusal), Refusal)
 
 
-def test_an_agent_that_runs_warns_once_when_a_third_of_the_life_is_left(
+def test_an_agent_that_runs_warns_once_a_day_when_a_third_of_the_life_is_left(
     fleet: Fleetlet, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     now = [utc_now()]
@@ -274,6 +274,14 @@ def test_an_agent_that_runs_warns_once_when_a_third_of_the_life_is_left(
         watch.look()
         assert [record.message for record in caplog.records] == warnings * [watch.due]
     assert "`nufleet fleet renew b`" in watch.due
+    now[0] += timedelta(days=1)
+    watch.look()
+    assert len(caplog.records) == 2
+    short_lived(fleet.lab, tmp_path, timedelta(days=90))
+    assert f"{identity.path} is renewed and takes effect then" in watch.due
+    now[0] += timedelta(days=1)
+    watch.look()
+    assert len(caplog.records) == 2
 
 
 def test_a_robot_takes_the_goals_that_end_before_its_certificate_and_no_others(

@@ -168,6 +168,10 @@ def seeing_a_token(stage: Stage, actor: Session, name: str) -> Observed:
     return lambda: bool(actor.alive(KEYS.robot("a", "alive"), timeout_s=PATIENCE_S))
 
 
+def seeing_the_connected(stage: Stage, actor: Session, name: str) -> Observed:
+    return lambda: "a.1" in actor.connected()
+
+
 def eavesdropping(stage: Stage, actor: Session, name: str) -> Observed:
     """Subscribe to the stops and commands that others give a robot."""
     mark, got = f"mark-{next(COUNT)}", []
@@ -241,6 +245,7 @@ ACTIONS = [
         frozenset({"b"}),
         serving(KEYS.robot("b", "describe")),
     ),
+    Action("see who is connected", COMMANDERS, seeing_the_connected),
     Action("ask the router about others", NO_ONE, asking(lambda _: "@/*/router/**")),
     Action("ask every fleet", NO_ONE, asking(lambda _: "nufleet/*/robot/*/describe")),
     Action("ask everything", NO_ONE, asking(lambda _: "**")),
