@@ -107,7 +107,14 @@ def publishing(key: str) -> Callable[[Stage, Session, str], Observed]:
     def attempt(stage: Stage, actor: Session, name: str) -> Observed:
         mark = f"mark-{next(COUNT)}"
         actor.put_urgent(key, mark.encode())
-        return lambda: any(line.endswith(mark) for line in stage.seen)
+
+        def seen() -> bool:
+            if any(line.endswith(mark) for line in stage.seen):
+                return True
+            actor.put_urgent(key, mark.encode())  # as robots repeat it; see `watching_a_state`
+            return False
+
+        return seen
 
     return attempt
 
