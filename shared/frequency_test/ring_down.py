@@ -166,7 +166,7 @@ def ring_down(
     size = float(np.std(y))
     if size == 0.0:
         return nothing
-    turning = exponentials(1j * times_s[1] * omega_rad_s, count)
+    turning = exponentials(times_s[1] * omega_rad_s, count)
     steady = [turning.real, turning.imag, np.ones((count, 1)), times_s[:, None] / times_s[-1]]
     basis = np.linalg.qr(np.concatenate(steady, axis=1))[0]
     # White noise, from what neighbouring samples differ by.
@@ -214,7 +214,8 @@ def _uneven(left: FloatArray, slight: float) -> bool:
 
 
 def _decaying(times_s: FloatArray, decay_1_s: FloatArray, omega_rad_s: FloatArray) -> FloatArray:
-    ringing = exponentials(times_s[1] * (1j * omega_rad_s - decay_1_s), len(times_s))
+    step_s = times_s[1]
+    ringing = exponentials(step_s * omega_rad_s, len(times_s), decay=step_s * decay_1_s)
     return np.concatenate([ringing.real, ringing.imag], axis=1)
 
 
@@ -225,7 +226,7 @@ def _loudest(left: FloatArray, times_s: FloatArray, top_rad_s: float) -> tuple[f
     heard = bins <= top_rad_s
     white = float(np.var(left[len(left) // 2 :]))
     decays = np.geomspace(1 / times_s[-1], max(top_rad_s, 2 / times_s[-1]), DECAYS)
-    envelopes = exponentials(-times_s[1] * decays, len(left)).T
+    envelopes = np.exp(-np.outer(decays, times_s))
     power = np.sum(envelopes**2, axis=1)
     both = np.stack([left, left[::-1]])[:, None] * envelopes / np.sqrt(power)[:, None]
     forwards, backwards = np.abs(np.fft.rfft(both, 2 * len(left))) ** 2
@@ -272,8 +273,9 @@ def _refined(
         decay = float(np.clip(np.exp(place[0]), 0.3 / times_s[-1], 1 / times_s[1]))
         part = _decaying(times_s, np.array([decay]), np.array([abs(place[1])]))
         along = basis.T @ part
-        (a, c), (_, b) = (part.T @ part - along.T @ along).tolist()
-        u, v = (left @ part).tolist()
+        gram = part.T @ part - along.T @ along
+        a, c, b = float(gram[0, 0]), float(gram[0, 1]), float(gram[1, 1])
+        u, v = float(left @ part[:, 0]), float(left @ part[:, 1])
         # As in `_most`; the sine of a part that does not oscillate is zero.
         determinant = a * b - c**2
         if determinant <= DEGENERATE * a * b or b <= DEGENERATE * a:
