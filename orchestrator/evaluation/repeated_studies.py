@@ -47,7 +47,7 @@ def repeat_study(
     """Rank the sources once for every seed.
 
     Each study is stored under the id `{run_id}.{target}.s{seed}`. One that is stored already is
-    replayed as far as it came, and goes on from there.
+    replayed as far as it came, and continues from there.
 
     Args:
         fleet: Client of the fleet, already connected.
