@@ -14,13 +14,24 @@ from nufleet.orchestrator.cli.options import (
     storage_options,
     unguarded_option,
 )
-from nufleet.orchestrator.cli.types import Durations, Names, PositiveNumber, PositiveNumbers
+from nufleet.orchestrator.cli.types import (
+    Durations,
+    Names,
+    PositiveNumber,
+    PositiveNumbers,
+    RobotName,
+)
 
 
 @click.command()
 @fleet_option
 @connect_options
-@click.option("--target", help="Robot that flies.  [default: the target named in the fleet file]")
+@click.option(
+    "--target",
+    type=RobotName(),
+    metavar="NAME",
+    help="Robot that flies.  [default: the target named in the fleet file]",
+)
 @click.option(
     "--sources",
     type=Names(),

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
+from child_processes import children_of
 from command_processes import NUFLEET, PATIENCE_S, Typed, nufleet, trial_statuses
 from lifeline import started_with
 from polling import wait_until
@@ -23,13 +23,6 @@ from nufleet.shared.wire.transport import open_client, open_router
 ROOT = Path(__file__).parents[2]
 FLEET = ROOT / "sims" / "fleets" / "paper_linear.toml"
 PLAIN = ("--no-rehearsal", "--no-recording")
-
-
-def children_of(pid: int) -> list[psutil.Process]:
-    try:
-        return psutil.Process(pid).children(recursive=True)
-    except psutil.NoSuchProcess:
-        return []
 
 
 def test_rank_prints_the_documented_json_alone_on_stdout(tmp_path: Path) -> None:
@@ -357,9 +350,11 @@ def test_doctor_finds_everything_that_the_demo_needs(tmp_path: Path) -> None:
 def test_a_running_fleet_is_shown_ranked_stopped_and_released(
     tmp_path: Path, endpoint: str
 ) -> None:
+    state = str(tmp_path / "its own")  # by which the processes that it starts are found
     up = subprocess.Popen(
         [*NUFLEET, "fleet", "up", str(FLEET), "--listen", endpoint, "--processes"],
         cwd=tmp_path,
+        env={**os.environ, "NUFLEET_STATE": state},
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
@@ -394,4 +389,4 @@ def test_a_running_fleet_is_shown_ranked_stopped_and_released(
         up.send_signal(signal.SIGINT)
         up.communicate(timeout=PATIENCE_S)
     assert up.returncode == 130
-    assert not [p for p in psutil.process_iter() if p.ppid() == up.pid]
+    assert not started_with("NUFLEET_STATE", state)

@@ -27,7 +27,7 @@ from nufleet.orchestrator.experience.transfer import transfer
 from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.orchestrator.jobs.transfer import TransferCommand, TransferResult
 from nufleet.orchestrator.jobs.transfer import transfer as run_transfer
-from nufleet.orchestrator.repository.database import default_url, parse_url
+from nufleet.orchestrator.repository.address import default_url, parse_url
 from nufleet.orchestrator.repository.errors import DamagedRecordError
 from nufleet.orchestrator.repository.records import ExperienceRecord, RobotRecord
 from nufleet.orchestrator.repository.repository import Repository, open_repository
