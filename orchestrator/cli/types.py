@@ -11,7 +11,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from nufleet.orchestrator.jobs.environment import RUNS_VARIABLE
-from nufleet.shared.errors import InvalidInputError, NufleetError
+from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.text import split_names
 
 
@@ -122,7 +122,7 @@ class FleetPath(click.ParamType[Path]):
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
         """Return the installed fleets and, for the shell to complete, files."""
-        from nufleet.shared.robots.fleet_file import installed_fleets
+        from nufleet.orchestrator.jobs.known_names import installed_fleets
 
         return [*_beginning(incomplete, installed_fleets()), CompletionItem(incomplete, "file")]
 
@@ -136,7 +136,7 @@ class DrawingName(click.ParamType[str]):
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
         """Return the installed drawings and, for the shell to complete, files."""
-        from nufleet.shared.paths.installed import drawing_names
+        from nufleet.orchestrator.jobs.known_names import drawing_names
 
         return [*_beginning(incomplete, drawing_names()), CompletionItem(incomplete, "file")]
 
@@ -150,11 +150,10 @@ class RunName(click.ParamType[str]):
         self, ctx: click.Context, param: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
         """Return the runs in the folder of all runs, the newest first."""
-        from nufleet.orchestrator.runs.folder import list_runs
+        from nufleet.orchestrator.jobs.known_names import run_names
 
         root = ctx.params.get("runs_root") or Path(os.environ.get(RUNS_VARIABLE, "runs"))
-        names = ["latest", *(folder.name for folder in reversed(list_runs(root)))]
-        return _beginning(incomplete, names)
+        return _beginning(incomplete, run_names(root))
 
 
 class RobotName(click.ParamType[str]):
@@ -170,15 +169,10 @@ class RobotName(click.ParamType[str]):
 
 
 def _robots_of(ctx: click.Context) -> list[str]:
-    from nufleet.shared.robots.fleet_file import find_fleet_file, read_fleet_file
+    from nufleet.orchestrator.jobs.known_names import robot_names
 
     typed = ctx.params.get("fleet_file")
-    if typed is None:
-        return []
-    try:
-        return list(read_fleet_file(find_fleet_file(str(typed))).robots)
-    except NufleetError:
-        return []  # the command itself will say what is wrong with the file
+    return [] if typed is None else robot_names(str(typed))
 
 
 def _beginning(incomplete: str, names: Iterable[str]) -> list[CompletionItem]:

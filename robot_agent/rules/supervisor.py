@@ -10,6 +10,9 @@ from dataclasses import dataclass, replace
 
 from nufleet.shared.wire.messages import Outcome, Refusal
 
+STOPPED_MEANWHILE = "it was stopped while it was being reconnected"
+"""Fault of a robot that has not been released since, and whose motors may have been cut."""
+
 
 @dataclass(frozen=True)
 class StopOrder:
@@ -138,12 +141,12 @@ def supervise(state: Supervision, event: Event) -> tuple[Supervision, Halt | Non
         case MotionEnded(fault):
             return replace(state, motion_owner=None, fault=state.fault or fault), None
         case Reconnected(fault):
-            return replace(state, fault=fault), None
+            also = None if state.stop is None else STOPPED_MEANWHILE
+            return replace(state, fault=fault or also), None
         case FaultFound(fault):
             return replace(state, fault=state.fault or fault), _halt_if_moving(state, fault)
         case HealthReported(unfit):
-            halt = None if unfit is None else _halt_if_moving(state, unfit)
-            return replace(state, unfit=unfit), halt
+            return replace(state, unfit=unfit), _halt_if_moving(state, unfit)
 
 
 def refusal_to_start(state: Supervision, *, owner: str, owner_alive: bool) -> Refusal | None:
@@ -177,5 +180,7 @@ def refusal_to_start(state: Supervision, *, owner: str, owner_alive: bool) -> Re
     return None
 
 
-def _halt_if_moving(state: Supervision, reason: str) -> Halt | None:
-    return None if state.motion_owner is None else Halt(Outcome.ABORTED, reason)
+def _halt_if_moving(state: Supervision, reason: str | None) -> Halt | None:
+    if state.motion_owner is None or reason is None:
+        return None
+    return Halt(Outcome.ABORTED, reason)
