@@ -312,14 +312,16 @@ def reconnected(sortie: Sortie, decisions: Decisions) -> Steps[Message]:
     """Disconnect and connect a robot with a fault; return the answer to its release."""
     if decisions.fault is None:
         return Done()  # another release came first
-    fault = None
+    if decisions.stopped:
+        return Refusal(code="stopped", reason="it has just been stopped again")
+    fault, stops = None, decisions.stops
     try:
-        yield from sortie.reconnect(lambda: not decisions.stopped)
+        yield from sortie.reconnect(lambda: decisions.stops == stops)
     except Exception as error:  # noqa: BLE001 - a driver's mistake must not end the thread
         _log.exception("a robot could not be reconnected")
         fault = f"could not be reconnected: {error}"
-    remaining = decisions.reconnected(fault)
-    return Done() if remaining is None else Refusal(code="fault", reason=remaining)
+    fault = decisions.reconnected(fault, stops=stops)
+    return Done() if fault is None else Refusal(code="fault", reason=fault)
 
 
 def _nothing(assignment: Assignment, robot: Robot) -> Samples:

@@ -138,6 +138,8 @@ def rank(resume: str | None, **options: Any) -> None:
         return
     if options["fleet_file"] is None:
         refuse_in_vain("without --fleet", "realtime")
+    if options["plans"]:
+        refuse_in_vain("with --plan, which moves no robot", "live", "draws", "rehearses", "yes")
     from nufleet.orchestrator.jobs.rank import RankCommand, rank_and_print
 
     rank_and_print(RankCommand(**options))

@@ -31,7 +31,7 @@ FOUND_AT = {
     "kill-fault": 13,
     "kill-stored": 90,
     "kill-cured": 1,
-    "kill-released": 342,
+    "kill-released": 603,
     "frozen-beginning": 504,
     "unready": 2,
     "unready-moving": 2,

@@ -219,7 +219,8 @@ def test_an_experience_that_an_evaluation_trains_is_stored(
         RunFolder(tmp_path, "lab-evaluate") as folder,
     ):
         library = ExperienceLibrary(fleet, repository.robots, "lab")
-        prepare_robots(fleet, Pilot(fleet, "run"), library, plan, folder, say=lambda text: None)
+        pilot, quiet = Pilot(fleet, "run"), lambda text: None
+        prepare_robots(fleet, pilot, library, plan, ("source",), folder, say=quiet)
         (stored,) = repository.robots.experiences("lab", "source")
         payload = repository.robots.experience("lab", stored.sha256)
     (offer,) = fleet.describe("source").experiences

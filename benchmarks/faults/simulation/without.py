@@ -203,13 +203,12 @@ def _store_no_kill() -> Patches:
 def _cure_everything() -> Patches:
     """A reconnection cures every fault, although motors were cut during it."""
 
-    def supervised(state: Supervision, event: supervisor.Event) -> tuple[Supervision, Any]:
-        if isinstance(event, supervisor.Reconnected):
-            return replace(state, fault=event.fault), None
-        return supervise(state, event)
+    def cured(self: Decisions, fault: str | None, *, stops: int) -> str | None:
+        del stops
+        return reconnected(self, fault, stops=self.stops)
 
-    supervise = supervisor.supervise
-    yield patch.object(supervisor, "supervise", supervised)
+    reconnected = Decisions.reconnected
+    yield patch.object(Decisions, "reconnected", cured)
 
 
 def _accept_unready() -> Patches:

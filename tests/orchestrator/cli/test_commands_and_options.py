@@ -177,6 +177,11 @@ FLIGHT = ("--target", "a", "--trajectory", "clover")
         ("rank", ("--realtime", "1"), "--realtime has no effect without --fleet"),
         ("match", ("--realtime", "1"), "--realtime has no effect without --fleet"),
         ("match", ("--band", "1Hz", "10"), "'1Hz' is not a number; give it in rad/s, without the"),
+        (
+            "rank",
+            ("--fleet", "paper_linear", "--plan", "--live"),
+            "--live has no effect with --plan",
+        ),
         ("track", (*FLIGHT, "--horizon", "1"), "--horizon has no effect without --inverse zero"),
         ("track", (*FLIGHT, "--inverse", "own", "--no-learning"), "no effect with --inverse own"),
         ("track", (*FLIGHT, "--inverse", "baseline", "--no-guard"), "--no-guard has no effect"),
