@@ -228,7 +228,8 @@ def test_a_folder_has_few_rooms_on_few_floors_and_no_circle(folder: str) -> None
 
 
 def test_zenoh_is_imported_by_the_transport_alone() -> None:
-    assert importers("zenoh") == {"shared.wire.transport"}
+    wire = {"shared.wire.requests", "shared.wire.session", "shared.wire.transport"}
+    assert importers("zenoh") == wire
 
 
 def test_nothing_unpickles() -> None:

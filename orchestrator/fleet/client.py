@@ -42,7 +42,7 @@ from nufleet.shared.wire.messages import (
     Telemetry,
     TrackingTelemetry,
 )
-from nufleet.shared.wire.transport import Session
+from nufleet.shared.wire.session import Session
 
 QUERY_TIMEOUT_S = 3.0
 FORECAST_TIMEOUT_S = 20.0

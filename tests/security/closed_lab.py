@@ -14,7 +14,9 @@ from ports import free_port
 from nufleet.orchestrator.authority.authority import Authority
 from nufleet.shared.wire.identity import address_of
 from nufleet.shared.wire.keys import FleetKeys
-from nufleet.shared.wire.transport import Request, Session, open_client, open_configured_router
+from nufleet.shared.wire.requests import Request
+from nufleet.shared.wire.session import Session
+from nufleet.shared.wire.transport import open_client, open_configured_router
 
 KEYS = FleetKeys("lab")
 ROBOT = '[robots.{}]\ndriver = "double_integrator"\nsettings = {{ alpha = 1.0, beta = 0.003 }}\n'

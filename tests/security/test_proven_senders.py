@@ -37,8 +37,9 @@ from nufleet.shared.frequency_test.excitation import Tone
 from nufleet.shared.private_files import write_privately
 from nufleet.shared.wire.codec import decode, encode
 from nufleet.shared.wire.identity import Identity, address_of, identity_text, read_identity
+from nufleet.shared.wire.limits import MAX_STATE_BYTES
 from nufleet.shared.wire.messages import Outcome, Refusal, RobotStatus, StopRequest
-from nufleet.shared.wire.transport import MAX_STATE_BYTES, _base_config, open_client
+from nufleet.shared.wire.transport import _base_config, open_client
 
 
 @dataclass

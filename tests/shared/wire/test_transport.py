@@ -23,8 +23,10 @@ from nufleet.shared.errors import (
     NufleetError,
     TransportError,
 )
-from nufleet.shared.wire import transport
-from nufleet.shared.wire.transport import Request, Session, open_client, open_router
+from nufleet.shared.wire import session
+from nufleet.shared.wire.requests import Request
+from nufleet.shared.wire.session import Session
+from nufleet.shared.wire.transport import open_client, open_router
 
 
 @pytest.fixture(autouse=True)
@@ -278,7 +280,7 @@ def test_an_answer_that_is_too_long_is_not_copied(
     server, asker = clients(), clients()
     server.serve("long", lambda request: request.answer(bytes(4 * 2**20)))
     served(asker, "long")
-    monkeypatch.setattr(transport, "MAX_MESSAGE_BYTES", 2**20)
+    monkeypatch.setattr(session, "MAX_MESSAGE_BYTES", 2**20)
     assert asker.ask_all("long", b"", timeout_s=PATIENCE_S) == [b""]
 
 
