@@ -12,6 +12,7 @@ from polling import PATIENCE_S
 from ports import free_port
 
 from nufleet.orchestrator.authority.authority import Authority
+from nufleet.orchestrator.authority.certificates import Issuer, read_issuers, read_key
 from nufleet.shared.wire.identity import address_of
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.requests import Request
@@ -56,6 +57,13 @@ class ClosedLab:
         if not path.exists():
             self.authority.enroll(name, path.parent)
         return path
+
+    @property
+    def issuer(self) -> Issuer:
+        """What signs for this fleet, with which tests make certificates of their own."""
+        folder = self.authority.folder
+        key = read_key((folder / "authority.key").read_bytes(), "its key")
+        return read_issuers((folder / "authority.pem").read_bytes(), key)[0]
 
     def start_router(self) -> None:
         """Open the router with the configuration as it is now."""

@@ -20,8 +20,6 @@ from nufleet.orchestrator.authority.certificates import (
     certificate_pem,
     key_pem,
     new_key,
-    read_certificate,
-    read_key,
     utc_now,
 )
 from nufleet.shared.errors import InvalidInputError, NoRouterError
@@ -44,12 +42,6 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ClosedLab]:
 @pytest.fixture(scope="module")
 def desk(lab: ClosedLab) -> Identity:
     return read_identity(lab.identity("desk"))
-
-
-def issuer_of(lab: ClosedLab) -> Issuer:
-    folder = lab.authority.folder
-    certificate = read_certificate((folder / "authority.pem").read_bytes())
-    return Issuer(certificate, read_key((folder / "authority.key").read_bytes(), "its key"))
 
 
 def refused(identity: Identity, folder: Path, words: str, key: bytes | None = None) -> None:
@@ -81,7 +73,7 @@ def test_a_certificate_that_is_over_or_of_tomorrow(
     begins: timedelta, words: str, lab: ClosedLab, desk: Identity, tmp_path: Path
 ) -> None:
     key = new_key()
-    made = issuer_of(lab).issue("desk.1", key.public_key(), utc_now() + begins, 5 * DAY)
+    made = lab.issuer.issue("desk.1", key.public_key(), utc_now() + begins, 5 * DAY)
     refused(replace(desk, certificate=certificate_pem(made)), tmp_path, words, key_pem(key))
 
 
@@ -127,7 +119,7 @@ def test_a_router_whose_certificate_is_over_or_of_tomorrow(
     begins: timedelta, words: str, lab: ClosedLab, desk: Identity, tmp_path: Path
 ) -> None:
     key, now = new_key(), utc_now() + begins
-    made = issuer_of(lab).issue("router", key.public_key(), now, 5 * DAY, serves_at=("127.0.0.1",))
+    made = lab.issuer.issue("router", key.public_key(), now, 5 * DAY, serves_at=("127.0.0.1",))
     with false_router(lab, tmp_path, certificate_pem(made), key_pem(key)) as endpoint:
         refused(replace(desk, router=endpoint), tmp_path, words)
 
