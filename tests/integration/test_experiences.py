@@ -274,8 +274,8 @@ def test_a_guarded_flight_needs_a_baseline_that_is_known(fleet: Fleet) -> None:
 def test_a_path_that_the_robot_may_not_fly_is_refused_before_it_moves(
     orchestrator: Orchestrator, desired: FloatArray, reason: str
 ) -> None:
+    pilot = Pilot(orchestrator.fleet, "run")
     with pytest.raises(Exception, match=reason):
-        pilot = Pilot(orchestrator.fleet, "run")
         pilot.along("target", Way(inverse="baseline"), desired, "baseline")
     assert_never_moved(orchestrator, "target")
 
