@@ -191,4 +191,4 @@ def _send(request: Request, answer: Message) -> None:
     try:
         request.answer(payload)
     except TransportError as error:
-        _log.warning("the reply on %s was lost: %s", request.key, error)
+        _log.warning("the reply on %r was lost: %s", request.key, error)

@@ -162,7 +162,7 @@ class Session:
             try:
                 handler(Request(query))
             except Exception:  # noqa: BLE001 - the sender must not wait for a handler's mistake
-                _log.exception("a query on %s could not be answered", query.key_expr)
+                _log.exception("a query on %r could not be answered", str(query.key_expr))
                 query.drop()  # type: ignore[no-untyped-call]
 
         with declaring(key_expr):
