@@ -82,9 +82,10 @@ def open_configured_router(path: Path, *, allow_open: bool) -> Iterator[Session]
     _resolve_certificates(config, path.absolute().parent)
     listen = json.loads(config.get_json("listen/endpoints"))
     connect = json.loads(config.get_json("connect/endpoints"))
-    for endpoints in (listen, connect):
+    anonymous = json.loads(config.get_json("transport/link/tls/enable_mtls")) is not True
+    for endpoints, of_others in ((listen, anonymous), (connect, False)):
         for endpoint in endpoints if isinstance(endpoints, list) else endpoints.get("router", []):
-            check_closed(endpoint, allow_open=allow_open)
+            check_closed(endpoint, allow_open=allow_open, anonymous=of_others)
     fleet = (json.loads(config.get_json("metadata")) or {}).get("fleet")
     with _opened_router(config, f"the endpoints of {path}") as opened:
         if fleet is not None:

@@ -182,7 +182,7 @@ def false_router(lab: ClosedLab, folder: Path, certificate: str, key: bytes) -> 
         yield endpoint
 
 
-def test_a_router_whose_key_others_can_read_or_that_trusts_plain_links_does_not_start(
+def test_a_router_that_others_could_enter_or_whose_key_they_can_read_does_not_start(
     lab: ClosedLab, tmp_path: Path
 ) -> None:
     folder = tmp_path / "router"
@@ -190,9 +190,13 @@ def test_a_router_whose_key_others_can_read_or_that_trusts_plain_links_does_not_
     configuration = folder / "router.json5"
     text = configuration.read_text()
     linked = text.replace('"listen": {', '"connect": {"endpoints": ["tcp/base:7447"]}, "listen": {')
+    everyones = text.replace("tls/127.0.0.1", "tls/0.0.0.0").replace(
+        '"enable_mtls": true', '"enable_mtls": false'
+    )
     for changed, mode, words in (
         (text, 0o640, r"can read or replace the key .*router\.key: chmod 600"),
         (linked, 0o600, "tcp/base:7447 is open"),
+        (everyones, 0o600, "tls/0.0.0.0:.* is open: every machine"),
         (text.replace("router.key", "gone.key"), 0o600, r"gone\.key: cannot be read"),
     ):
         configuration.write_text(changed)
