@@ -22,7 +22,7 @@ PLAIN_PROTOCOLS = ("tcp", "udp", "ws")
 """Protocols that prove neither side to the other."""
 
 PROVING_PROTOCOLS = ("tls", "quic")
-"""Protocols that prove a router to those who connect, and these to the router if it asks them to."""
+"""Protocols that prove a router to those who connect, and also those to the router if it asks."""
 
 HOW_TO_CLOSE = (
     "close the fleet with `nufleet fleet init INVENTORY` and give each machine an identity "

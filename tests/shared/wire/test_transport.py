@@ -23,7 +23,7 @@ from nufleet.shared.errors import (
     NufleetError,
     TransportError,
 )
-from nufleet.shared.wire import session
+from nufleet.shared.wire import session, transport
 from nufleet.shared.wire.requests import Request
 from nufleet.shared.wire.session import Session
 from nufleet.shared.wire.transport import open_client, open_router
@@ -133,7 +133,7 @@ def test_a_handler_that_fails_ends_its_query_and_serves_on(
     with caplog.at_level(logging.ERROR):
         assert asker.ask_all("fragile", b"bad", timeout_s=PATIENCE_S) == []
     assert time.monotonic() - began_s < PATIENCE_S / 2
-    assert "a query on fragile could not be answered" in caplog.text
+    assert "a query on 'fragile' could not be answered" in caplog.text
     assert asker.ask_all("fragile", b"good", timeout_s=PATIENCE_S) == [b"fragile:good"]
 
 
