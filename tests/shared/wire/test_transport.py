@@ -58,8 +58,11 @@ def echo(request: Request) -> None:
 
 
 def served(asker: Session, key: str) -> None:
-    """Wait until a key is served: its declaration has to pass through the router."""
-    wait_until(lambda: bool(asker.ask_all(key, b"", timeout_s=PATIENCE_S)))
+    """Wait until a key is served: its declaration has to pass through the router.
+
+    A question that was on its way when routers linked may never be answered, so it is repeated.
+    """
+    wait_until(lambda: bool(asker.ask_all(key, b"", timeout_s=1.0)))
 
 
 # Asking.
