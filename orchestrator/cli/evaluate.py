@@ -115,7 +115,8 @@ def evaluate(**options: Any) -> None:
     source's experience as its prior mean (the paper's Section VI, Table I, Figs. 4 and 7), with
     their mixture, and with its model of itself: after the tests alone, and again after more flying
     of its own. Plots, tables and all samples go into the run's folder, where flights.jsonl holds
-    the result of every flight as soon as it ends.
+    the result of every flight as soon as it ends. `nufleet runs resume` continues an evaluation
+    that was interrupted.
 
     \b
     nufleet evaluate --fleet paper_quadrotors --quick

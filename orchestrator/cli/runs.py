@@ -43,11 +43,11 @@ def list_runs(runs_root: Path, as_json: bool) -> None:
 @recording_option
 @storage_options
 def resume(**options: Any) -> None:
-    """Resume the interrupted run RUN: a folder, its name, or `latest`.
+    """Resume the interrupted ranking or evaluation RUN: a folder, its name, or `latest`.
 
-    Tests that were completed are not repeated. If a motion was in progress, the robot is asked how
-    it ended: it counts if it was completed, and is repeated otherwise. For robots that respond
-    reproducibly, the result is the same as without the interruption.
+    Tests and flights that were completed are not repeated. If a test was in progress, the robot is
+    asked how it ended: it counts if it was completed, and is repeated otherwise. For robots that
+    respond reproducibly, the result is the same as without the interruption.
     """
     from nufleet.orchestrator.jobs.resume import ResumeCommand, resume_and_print
 

@@ -102,15 +102,18 @@ class Opening:
         self.choice = choice
         return self.connection
 
-    def keep(self, kind: str | None = None) -> RunFolder:
+    def keep(self, kind: str | None = None, fleet: str | None = None) -> RunFolder:
         """Create the folder of a new run.
 
         It is deleted again if an error ends the command before `configure` was called.
 
         Args:
             kind: Last part of the folder's name, after that of the fleet; None for no such part.
+            fleet: Name of the fleet, for a run that needs its folder before it reaches the fleet;
+                None for that of the connected one.
         """
-        name = self.connection.name if kind is None else f"{self.connection.name}-{kind}"
+        fleet = fleet or self.connection.name
+        name = fleet if kind is None else f"{fleet}-{kind}"
         self.folder = self._stack.enter_context(RunFolder(self.storage.runs_root, name))
         self._run_id = self.folder.study_id
         return self.folder

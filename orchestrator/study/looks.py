@@ -55,17 +55,16 @@ class Looks:
 
     def excitation(self, name: str, choice: ToneChoice) -> Excitation:
         """Return the excitation of a test that is to be played now, and count its time."""
-        robot = self._robots[name]
         cost_s = self.duration_s(name, choice)
         self.asked_s += cost_s
         self.lowest_asked_s += cost_s * self._is_lowest(name, choice)
         return choice.excitation(
-            self._plan.axis, settle_s=robot.settle_s, amplitude=self._amplitude(name, choice)
+            self._plan.axis, settle_s=self._settle_s(name), amplitude=self._amplitude(name, choice)
         )
 
     def duration_s(self, name: str, choice: ToneChoice) -> float:
         """Return the duration of a test in s."""
-        return choice.duration_s(self._robots[name].spec, self._robots[name].settle_s)
+        return choice.duration_s(self._robots[name].spec, self._settle_s(name))
 
     def candidates(self, name: str, centres_rad_s: Sequence[float]) -> Iterator[ToneChoice]:
         """Yield the tests that the robot could play next, as far as it allows them.
@@ -101,6 +100,9 @@ class Looks:
     def due(self, names: Iterable[str]) -> dict[str, ToneChoice]:
         """Return the lowest looks that are missing before anything is claimed."""
         return {name: self.lowest[name] for name in names if not self.reached(name)}
+
+    def _settle_s(self, name: str) -> float:
+        return self._settings.settle_share * self._robots[name].settling_time_s
 
     def _is_lowest(self, name: str, choice: ToneChoice) -> bool:
         return choice == self.lowest[name] != self.first[name]

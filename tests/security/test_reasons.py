@@ -34,6 +34,12 @@ TRIED_S = 0.4
 DAY = timedelta(days=1)
 
 
+@pytest.fixture(autouse=True)
+def _routers_take_their_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(handshake, "TIMEOUT_S", PATIENCE_S)
+    monkeypatch.setattr(handshake, "ALERT_S", PATIENCE_S)
+
+
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ClosedLab]:
     with closed_lab(tmp_path_factory.mktemp("closed")) as lab:

@@ -413,8 +413,9 @@ def test_no_router_is_an_error_that_says_what_to_do(endpoint: str) -> None:
 
 
 def test_a_client_without_a_time_limit_waits_for_its_router(
-    endpoint: str, caplog: pytest.LogCaptureFixture
+    endpoint: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(transport, "LONGEST_TRY_S", 0.2)  # it says so after some tries
     opened: queue.Queue[list[str]] = queue.Queue()
 
     def join() -> None:
