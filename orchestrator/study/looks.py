@@ -60,7 +60,7 @@ class Looks:
         self.asked_s += cost_s
         self.lowest_asked_s += cost_s * self._is_lowest(name, choice)
         return choice.excitation(
-            self._plan.axis, settle_s=robot.settle_s, amplitude=self._amplitude(name, choice)
+            *self._plan.axes, settle_s=robot.settle_s, amplitudes=self._amplitudes(name, choice)
         )
 
     def duration_s(self, name: str, choice: ToneChoice) -> float:

@@ -22,6 +22,11 @@ combs = st.builds(
 )
 
 
+def phases_of(harmonics: tuple[int, ...], weights: FloatArray) -> FloatArray:
+    (phases,) = low_crest_phases([harmonics], [weights])
+    return phases
+
+
 def played(harmonics: tuple[int, ...], weights: FloatArray, phases: FloatArray) -> FloatArray:
     times = np.linspace(0.0, 2 * np.pi, 64 * harmonics[-1], endpoint=False)
     signal: FloatArray = weights @ np.sin(np.outer(harmonics, times) + phases[:, None])
@@ -38,7 +43,7 @@ def test_phases_never_crest_much_higher_than_schroeders(
     harmonics: tuple[int, ...], exponent: float
 ) -> None:
     weights = np.array(harmonics, dtype=np.float64) ** exponent
-    found = crest_factor(played(harmonics, weights, low_crest_phases(harmonics, weights)))
+    found = crest_factor(played(harmonics, weights, phases_of(harmonics, weights)))
     schroeder = crest_factor(played(harmonics, weights, schroeder_phases(weights)))
     # The search looks at eight samples per period, between which a peak can rise a little.
     assert found <= 1.1 * schroeder
@@ -48,17 +53,17 @@ def test_phases_never_crest_much_higher_than_schroeders(
 def test_equal_odd_tones_stay_below_a_crest_factor_of_1_75(count: int) -> None:
     harmonics = tuple(range(3, 3 + 2 * count, 2))
     weights = np.ones(count)
-    phases = low_crest_phases(harmonics, weights)
+    phases = phases_of(harmonics, weights)
     assert crest_factor(played(harmonics, weights, phases)) < 1.75
 
 
 def test_a_single_tone_crests_at_the_square_root_of_two() -> None:
-    phases = low_crest_phases((5,), np.ones(1))
+    phases = phases_of((5,), np.ones(1))
     crest = crest_factor(played((5,), np.ones(1), phases))
     assert crest == pytest.approx(np.sqrt(2), rel=1e-6)
 
 
 def test_tones_carry_the_multiples_and_weights_asked_for() -> None:
-    tones = multitone(0.25, (3, 5, 9), np.array([1.0, 0.5, 0.25]))
+    (tones,) = multitone(0.25, [(3, 5, 9)], [np.array([1.0, 0.5, 0.25])])
     assert [tone.omega_rad_s for tone in tones] == [0.75, 1.25, 2.25]
     assert [tone.weight for tone in tones] == [1.0, 0.5, 0.25]
