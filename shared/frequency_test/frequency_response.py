@@ -29,7 +29,6 @@ from nufleet.shared.frequency_test.ring_down import (
     RingDown,
     ring_down,
     still_ringing,
-    transient_columns,
 )
 from nufleet.shared.frequency_test.sinusoid_fit import (
     SinusoidFit,
@@ -209,8 +208,7 @@ class _Tested:
             )
             for one in plan.played
         ]
-        alone = np.eye(len(rows), dtype=np.complex128)
-        return self.matrix(rows, np.tile(alone, (len(omegas), 1, 1)))
+        return self.matrix(rows, np.eye(len(rows), dtype=np.complex128))
 
 
 def _estimate(between: Sequence[Samples], settle_samples: int, asked: _Tested) -> MatrixResponse:
@@ -225,40 +223,30 @@ def _estimate(between: Sequence[Samples], settle_samples: int, asked: _Tested) -
     tones, step_s = len(omegas), plan.sample_time_s
     extra = resolvable_harmonics(omegas, step_s, plan.segments * plan.segment_samples * step_s)
     every_omega = np.concatenate([omegas, extra])
-    ringing = [
-        ring_down(one.y, every_omega, float(omegas.max()), step_s, settle_samples)
-        for one in between
-    ]
-    start, transient = settle_samples, None
-    if any(one.lasting.any() for one in ringing):
-        # A transient is known best where it is largest, so that all of it is fitted.
-        start = len(between[0].y) % plan.segments
-        transient = transient_columns(ringing, len(between[0].y), step_s)[start:]
-    samples = [one[start:] for one in between]
-    try:
-        input_fit, *output_fits = fit_sinusoids(
-            [samples[0].u, *(one.y for one in samples)],
-            every_omega,
-            step_s,
-            plan.segments,
-            transient,
-        )
-    except UnresolvableError as error:
-        return asked.failed("unresolvable", str(error))
-    input_tones = input_fit.phasors[:tones]
-    if np.min(np.abs(input_tones)) < REFERENCE_TONE_MIN:
-        return asked.failed("no-reference", "a tone is missing from the reference")
-    rows, segments = [], []
-    for axis, (one, rings, output_fit) in enumerate(
-        zip(samples, ringing, output_fits, strict=True)
-    ):
+    rows, left = [], []
+    for axis, one in enumerate(between):
+        ringing = ring_down(one.y, every_omega, float(omegas.max()), step_s, settle_samples)
+        start, transient = settle_samples, None
+        if ringing.lasting.any():
+            # A transient is known best where it is largest, so that all of it is fitted.
+            start = len(one.y) % plan.segments
+            transient = ringing.columns(len(one.y), step_s)[start:]
+        samples = one[start:]
+        try:
+            input_fit, output_fit = fit_sinusoids(
+                [samples.u, samples.y], every_omega, step_s, plan.segments, transient
+            )
+        except UnresolvableError as error:
+            return asked.failed("unresolvable", str(error))
+        if np.min(np.abs(input_fit.phasors[:tones])) < REFERENCE_TONE_MIN:
+            return asked.failed("no-reference", "a tone is missing from the reference")
         own = asked.played_by == axis
-        row, segment_z = _row(one, rings, input_fit, output_fit, own, settle_samples, asked)
+        row = _row(samples, ringing, input_fit, output_fit, own, settle_samples, asked)
         # z was relative to a reference that counts in the unit of this output.
         unit = asked.scale[axis] / asked.scale[asked.played_by]
         rows.append(replace(row, z=row.z * unit, variance=row.variance * unit**2))
-        segments.append(segment_z)
-    return asked.matrix(rows, error_correlation(np.array(segments)))
+        left.append((samples.y - output_fit.fitted)[settle_samples - start :])
+    return asked.matrix(rows, error_correlation(np.array(left), float(omegas.max()), step_s))
 
 
 def _row(
@@ -269,8 +257,8 @@ def _row(
     own: BoolArray,
     settle_samples: int,
     asked: _Tested,
-) -> tuple[FrequencyResponse, ComplexArray]:
-    """Return the responses of one output to all tones, and those of each segment."""
+) -> FrequencyResponse:
+    """Return the responses of one output to all tones."""
     plan, omegas, step_s = asked.plan, asked.omega_rad_s, asked.plan.sample_time_s
     tones = len(omegas)
     input_tones = input_fit.phasors[:tones]
@@ -298,7 +286,7 @@ def _row(
     estimates = Estimates(gain * segment_z, variance, degrees)
     findings = findings_of(tested, samples, ringing, input_fit, output_fit, estimates, own, plan)
     findings.append(still_ringing(ringing, settle_samples * step_s))
-    row = FrequencyResponse(
+    return FrequencyResponse(
         omega_rad_s=omegas,
         z=gain * scaled_z,
         variance=variance,
@@ -307,4 +295,3 @@ def _row(
         degrees=degrees,
         amplitude=plan.played[int(asked.played_by[own][0])].amplitude,
     )
-    return row, estimates.segment_z

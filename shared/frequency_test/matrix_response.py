@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from nufleet.shared.arrays import ComplexArray
+from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.frequency_test.quality import Finding, Quality
 
 if TYPE_CHECKING:
@@ -27,8 +28,8 @@ class MatrixResponse:
     """Response of each output i to the tones of all axes, in the unit of axis i over that of the
     axis that played the tone; with the verdict on this output."""
     correlation: ComplexArray
-    """Correlation of the errors of the rows at each tone, shape (tones, axes, axes), as the
-    segments scatter together: what disturbs one axis often disturbs the others."""
+    """Correlation of the errors of the rows at a tone, shape (axes, axes), about the same at all of
+    them: what disturbs one axis often disturbs the others."""
 
     def entry(self, output: int, reference: int) -> FrequencyResponse:
         """Return z_ij at the tones of axis j, by the places of both axes."""
@@ -62,23 +63,27 @@ class MatrixResponse:
         return Quality(reasons=named("reasons"), warnings=named("warnings"))
 
 
-def error_correlation(segment_z: ComplexArray) -> ComplexArray:
-    """Return the correlation of the errors of all outputs at each tone.
+def error_correlation(
+    left: FloatArray, omega_max_rad_s: float, sample_time_s: float
+) -> ComplexArray:
+    """Return the correlation of the outputs' errors, pooled over the whole band.
+
+    It is that of the Fourier lines of what the tones do not explain, up to one and a half times
+    the highest tone. A tone by itself has too few segments to tell a correlation from chance.
 
     Args:
-        segment_z: Estimates from each segment, shape (axes, segments, tones).
+        left: What the fit leaves of each output in the measuring part, shape (axes, samples).
+        omega_max_rad_s: Frequency of the highest tone.
+        sample_time_s: Time between samples.
 
     Returns:
-        Correlations, shape (tones, axes, axes), Hermitian, with ones on the diagonal.
+        Correlations, shape (axes, axes), Hermitian, with ones on the diagonal.
     """
-    spread = segment_z - segment_z.mean(axis=1, keepdims=True)
-    # Divided by the largest deviation first, whose square might overflow.
-    largest = np.max(np.abs(spread), axis=1, keepdims=True)
-    spread = np.divide(spread, largest, out=np.zeros_like(spread), where=largest > 0)
-    product = np.einsum("ipt,lpt->til", spread, spread.conj())
-    size = np.sqrt(np.einsum("tii->ti", product).real)
-    scale = size[:, :, None] * size[:, None, :]
-    correlation = np.divide(product, scale, out=np.zeros_like(product), where=scale > 0)
-    places = np.arange(len(segment_z))
-    correlation[:, places, places] = 1.0
+    samples = left.shape[1]
+    highest = math.ceil(1.5 * omega_max_rad_s * samples * sample_time_s / (2 * math.pi))
+    lines = np.fft.rfft(left, axis=1)[:, 1 : 1 + highest]
+    size = np.linalg.norm(lines, axis=1)
+    lines = lines / np.where(size > 0, size, 1.0)[:, None]
+    correlation = np.asarray(lines @ lines.conj().T)
+    np.fill_diagonal(correlation, 1.0)
     return correlation

@@ -9,7 +9,7 @@ tones. Noise does not decay: a transient has to stand out of the same record rea
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -99,27 +99,8 @@ class RingDown:
         late = times_s[:, None] * columns[:, np.tile(self.lasting, 2)]
         both = np.concatenate([columns, late / times_s[-1]], axis=1)
         # Two parts may be nearly the same, as the poles of a critically damped loop are.
-        return _independent(both)
-
-
-def transient_columns(found: Sequence[RingDown], samples: int, sample_time_s: float) -> FloatArray:
-    """Return what the transients of several outputs may consist of, shape (samples, columns).
-
-    Axes that are coupled ring together, and each then repeats what the other has.
-
-    Args:
-        found: Transient of each output, at least one of which lasts.
-        samples: Number of samples from the ramp on.
-        sample_time_s: Time between samples.
-    """
-    parts = [one.columns(samples, sample_time_s) for one in found if one.lasting.any()]
-    return parts[0] if len(parts) == 1 else _independent(np.concatenate(parts, axis=1))
-
-
-def _independent(columns: FloatArray) -> FloatArray:
-    """Return orthogonal columns that span the same, without directions that nearly vanish."""
-    different, sizes, _ = np.linalg.svd(columns, full_matrices=False)
-    return np.asarray(different[:, sizes > DEPENDENT * sizes[0]] * math.sqrt(len(columns)))
+        different, sizes, _ = np.linalg.svd(both, full_matrices=False)
+        return different[:, sizes > DEPENDENT * sizes[0]] * math.sqrt(samples)
 
 
 def still_ringing(found: RingDown, settle_s: float) -> Finding | None:
