@@ -22,7 +22,7 @@ from nufleet.orchestrator.study.tone_choice import (
 )
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.excitation import Excitation
-from nufleet.shared.frequency_test.multitone import largest_amplitude
+from nufleet.shared.frequency_test.multitone import largest_amplitudes
 
 NOISY = 0.05
 """Standard deviation of estimates from which noise leaves no room for a smaller amplitude."""
@@ -59,9 +59,9 @@ class Looks:
         cost_s = self.duration_s(name, choice)
         self.asked_s += cost_s
         self.lowest_asked_s += cost_s * self._is_lowest(name, choice)
-        return choice.excitation(
-            *self._plan.axes, settle_s=robot.settle_s, amplitudes=self._amplitudes(name, choice)
-        )
+        amplitude = self._amplitude(name, choice)
+        amplitudes = None if amplitude is None else (amplitude,)
+        return choice.excitation(self._plan.axis, settle_s=robot.settle_s, amplitudes=amplitudes)
 
     def duration_s(self, name: str, choice: ToneChoice) -> float:
         """Return the duration of a test in s."""
@@ -118,4 +118,4 @@ class Looks:
             return None
         tones = choice.excitation(self._plan.axis).tones
         axis = self._robots[name].spec.axis(self._plan.axis)
-        return min(wanted, largest_amplitude(tones, axis))
+        return min(wanted, *largest_amplitudes([tones], [axis]))

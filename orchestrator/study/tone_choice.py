@@ -54,6 +54,10 @@ class ToneChoice:
         hand = dict(zip(self.axes, self._hands, strict=True)).get(axis, ())
         return np.asarray(np.array(hand) * (2 * math.pi / self.measure_s))
 
+    def named(self, axes: Sequence[str]) -> str:
+        """Return the axes that play in words, from the names of the study's axes."""
+        return " and ".join(axes[place] for place in self.axes)
+
     @property
     def _hands(self) -> tuple[tuple[int, ...], ...]:
         return interleaved(self.harmonics, len(self.axes))
@@ -77,7 +81,7 @@ class ToneChoice:
         base_rad_s = 2 * math.pi / self.measure_s
         weights = [(np.array(hand) * base_rad_s) ** WEIGHT_EXPONENT for hand in self._hands]
         tones = multitone(base_rad_s, self._hands, weights)
-        peaks = amplitudes or [None] * len(tones)
+        peaks: Sequence[float | None] = amplitudes or [None] * len(tones)
         first, *also = (
             AxisTones(axis=axes[place], tones=own, amplitude=peak)
             for place, own, peak in zip(self.axes, tones, peaks, strict=True)
