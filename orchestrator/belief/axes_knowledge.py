@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from nufleet.orchestrator.belief.noise_pooling import pooled_variance
 from nufleet.orchestrator.belief.response_belief import ResponseModel
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
-from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.excitation import Excitation
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
-from nufleet.shared.frequency_test.quality import f_quantile
 from nufleet.shared.robots.spec import RobotSpec
 
 COUPLED_SIGNIFICANCE = 1e-3
@@ -33,7 +33,8 @@ class Coupling:
     reference: str
     """Axis that was asked."""
     share: float
-    """Magnitude |z_ij|, as each axis's motion is to the amplitude that it was tested with."""
+    """Magnitude |z_ij|; between axes in different units, the motion of each counts as a share of
+    its largest amplitude."""
     omega_rad_s: float
     """Frequency in rad/s of the largest share."""
 
@@ -118,36 +119,42 @@ class AxesKnowledge:
         """The strongest significant answer of each axis to each other one, in any test."""
         strongest: dict[tuple[str, str], Coupling] = {}
         for response in self.responses:
-            for found in _couplings(self.robot, response):
+            for found in _couplings(self.robot, self.spec, response):
                 pair = found.output, found.reference
                 if pair not in strongest or strongest[pair].share < found.share:
                     strongest[pair] = found
         return tuple(strongest.values())
 
 
-def _couplings(robot: str, response: FrequencyResponse) -> list[Coupling]:
+def _couplings(robot: str, spec: RobotSpec, response: FrequencyResponse) -> list[Coupling]:
     matrix = response.matrix
     if matrix is None:
         return []
     found = []
-    axes = range(len(matrix.axes))
-    count = max(1, sum(len(matrix.played_by) - int(np.sum(matrix.played_by == i)) for i in axes))
-    for i in axes:
-        for j in axes:
-            entry = matrix.entry(i, j)
-            if i == j or not np.isfinite(entry.z).all():
-                continue
-            # Bonferroni: the significance is shared out among all entries and tones.
-            limit = f_quantile(COUPLED_SIGNIFICANCE / count, entry.degrees_of_freedom / 2)
-            # In units of the amplitudes that both axes are tested with, so that metres and
-            # radians can be compared.
-            unit = (matrix.rows[j].amplitude or 1.0) / (matrix.rows[i].amplitude or 1.0)
-            share: FloatArray = np.abs(entry.z) * unit
-            share = np.where(np.abs(entry.z) ** 2 > limit * entry.variance, share, 0.0)
-            if share.max() >= COUPLED_MIN:
-                at = int(np.argmax(share))
-                omega = float(entry.omega_rad_s[at])
-                found.append(
-                    Coupling(robot, matrix.axes[i], matrix.axes[j], float(share[at]), omega)
-                )
+    for i, row in enumerate(matrix.rows):
+        # In units of the amplitudes that were played, all tones have the noise of one output.
+        peaks = np.array([one.amplitude or 1.0 for one in matrix.rows])
+        unit = peaks[matrix.played_by] / peaks[i]
+        if not (np.isfinite(row.z).all() and np.isfinite(row.variance).all()):
+            continue
+        omega = row.omega_rad_s
+        variance = pooled_variance(omega, row.variance * unit**2, row.degrees_of_freedom)
+        relative = np.abs(row.z) * unit
+        # |ẑ|² of noise alone is exponentially distributed about its variance. Bonferroni: the
+        # significance is shared out among all tones.
+        limit = variance * math.log(len(omega) / COUPLED_SIGNIFICANCE)
+        own = spec.axis(matrix.axes[i])
+        others = [spec.axis(axis) for axis in matrix.axes]
+        units = [
+            1.0 if other.unit == own.unit else other.amplitude_max / own.amplitude_max
+            for other in others
+        ]
+        share = np.abs(row.z) * np.array(units)[matrix.played_by]
+        share = np.where(relative**2 > limit, share, 0.0)
+        for j, reference in enumerate(matrix.axes):
+            across = np.where(matrix.played_by == j, share, 0.0)
+            at = int(np.argmax(across))
+            if i != j and across[at] >= COUPLED_MIN:
+                largest, where = float(across[at]), float(omega[at])
+                found.append(Coupling(robot, matrix.axes[i], reference, largest, where))
     return found

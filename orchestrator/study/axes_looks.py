@@ -1,8 +1,8 @@
 """The tests that a robot may play on several axes at once, and those that it must play one by one.
 
-Axes that may move together share the tones of a test, dealt to them in turn. The axis that plays the
-lowest tone changes from test to test, until each has reached down to the lower end of the band. An
-axis that may not move with others on some robot is tested by itself on all of them, as their
+Axes that may move together share the tones of a test, dealt to them in turn. The axis that plays
+the lowest tone changes from test to test, until each has reached down to the lower end of the band.
+An axis that may not move with others on some robot is tested by itself on all of them, as their
 responses to the same test are compared.
 """
 

@@ -41,6 +41,7 @@ class LiveView:
         self._lock = threading.Lock()
         self._asked_s = 0.0
         self._omega_rad_s: tuple[float, ...] = ()
+        self._played: Mapping[str, list[str]] = {}
         self._drawn: dict[str, int] = {}
         self._watching = False
 
@@ -59,6 +60,9 @@ class LiveView:
         with self._lock:
             self._asked_s = self._clock.now_s()
             self._omega_rad_s = question.omega_rad_s
+            self._played = {
+                robot: [one.axis for one in test.played] for robot, test in question.tests.items()
+            }
             self._drawn.clear()
 
     def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
@@ -122,6 +126,13 @@ class LiveView:
         reference: FloatArray,
         response: FloatArray,
     ) -> None:
+        """Draw the samples of the study's first axis, where a test plays several."""
+        played = self._played.get(robot, [self._plan.axis])
+        if self._plan.axis not in played:
+            return
+        column = played.index(self._plan.axis)
+        if reference.ndim == 2:
+            reference, response = reference[:, column], response[:, column]
         self._emit(
             TestSamplesEvent(
                 t_s=self._asked_s + first_sample * sample_time_s,
