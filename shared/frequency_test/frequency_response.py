@@ -1,8 +1,8 @@
 """The response z(ω) of a robot from one frequency test, with its uncertainty and a verdict.
 
 z(ω) = A(ω) e^{jθ(ω)} is the paper's eq. (5): amplitude gain A and phase shift θ from reference to
-output. Where a test plays on several axes, z_ij(ω) is that of the output of axis i to the reference
-of axis j, and is estimated at the tones of axis j (Pintelon and Schoukens, System Identification,
+output. Where a test plays on several axes, z_ij(ω) leads from the reference of axis j to the output
+of axis i, and is estimated at the tones of axis j (Pintelon and Schoukens, System Identification,
 2nd ed., Wiley 2012, chapter 2).
 """
 

@@ -68,7 +68,7 @@ def error_correlation(
 ) -> ComplexArray:
     """Return the correlation of the outputs' errors, pooled over the whole band.
 
-    It is that of the Fourier lines of what the tones do not explain, up to one and a half times
+    It is taken from the Fourier lines of what the tones do not explain, up to one and a half times
     the highest tone. A tone by itself has too few segments to tell a correlation from chance.
 
     Args:

@@ -1,8 +1,8 @@
 """What limits axes that move together, beyond the limits that each of them has by itself.
 
 The limits of the axes are the half-axes of an ellipsoid, Σ (v_i / v_i,max)² ≤ 1 for velocities, and
-likewise for accelerations. Axes with equal limits together are thus no faster, and accelerate no
-harder, than one of them alone may, whatever their direction; axes in different units can be added.
+likewise for accelerations. In every direction, axes with equal limits together are thus no faster,
+and accelerate no harder, than one of them alone may; axes in different units can be added.
 Positions are limited on each axis alone: a workspace is as wide in its corners as on its axes.
 """
 
