@@ -229,6 +229,7 @@ class Agent:
             path_samples,
             realtime=self._realtime,
             foretold=self._forecasts.foretold,
+            hindrance=self._frozen,
         )
         opened.callback(self._motions.close)
         self._looks += [self._motions.look_after_robot, self._forecasts.look]
@@ -313,6 +314,10 @@ class Agent:
             self._forecasts.end()
             self._motions.begin(motion)
         return answer
+
+    def _frozen(self) -> str | None:
+        refusal = self._freezes.refusal(time.monotonic())
+        return None if refusal is None else refusal.reason
 
     def _await_owner(self, owner: str) -> None:
         """Wait for the token of an owner whose goal arrived first, if the network knows the token.

@@ -47,20 +47,7 @@ class Orchestrator:
         )
 
     def submit(self, robot: str, goal_id: str, **excitation: object) -> GoalAccepted:
-        """Send a goal; a robot may see this orchestrator later than this one sees the robot."""
-        request = self.request(goal_id, **excitation)
-        accepted: list[GoalAccepted] = []
-
-        def answered() -> bool:
-            try:
-                accepted.append(self.fleet.submit(robot, request))
-            except RefusedError as error:
-                if error.code != "owner-not-alive":
-                    raise
-            return bool(accepted)
-
-        wait_until(answered)
-        return accepted[0]
+        return submitted(self.fleet, robot, self.request(goal_id, **excitation))
 
     def state(self, robot: str, condition: Callable[[RobotState], bool]) -> RobotState:
         """Wait for a state of a robot that fulfils a condition, and return it."""
@@ -133,6 +120,22 @@ class Lab:
         fleet = Fleet(session, KEYS, name)
         fleet.wait_for(robots or tuple(self.robots), timeout_s=PATIENCE_S)
         return Orchestrator(session, fleet)
+
+
+def submitted(fleet: Fleet, robot: str, request: GoalRequest) -> GoalAccepted:
+    """Send a goal; a robot may see an orchestrator later than that one sees the robot."""
+    accepted: list[GoalAccepted] = []
+
+    def answered() -> bool:
+        try:
+            accepted.append(fleet.submit(robot, request))
+        except RefusedError as error:
+            if error.code != "owner-not-alive":
+                raise
+        return bool(accepted)
+
+    wait_until(answered)
+    return accepted[0]
 
 
 def assert_never_moved(orchestrator: Orchestrator, robot: str) -> None:

@@ -18,19 +18,21 @@ from pathlib import Path
 import psutil
 
 RUN = "NUFLEET_TEST_RUN"
-_GRACE_S = 10.0
 
 
 class Lifeline:
-    """Begins a run, which lasts as long as this process; `folder` is where it may leave things."""
+    """Begins a run, which lasts as long as this process; `folder` is where it may leave things.
 
-    def __init__(self) -> None:
+    What is left of it afterwards has `grace_s` to end by itself before it is killed.
+    """
+
+    def __init__(self, grace_s: float = 10.0) -> None:
         self.folder = Path(tempfile.mkdtemp(prefix="nufleet-tests-"))
         self.folder.chmod(0o711)  # a server of the tests' runs as another user
         # It belongs to no run: a worker of pytest-xdist is itself what another run started.
         environment = {name: value for name, value in os.environ.items() if name != RUN}
         self._process = subprocess.Popen(
-            [sys.executable, __file__, self.folder],
+            [sys.executable, __file__, self.folder, str(grace_s)],
             env=environment,
             stdin=subprocess.PIPE,
             start_new_session=True,
@@ -50,17 +52,17 @@ def started_with(variable: str, value: str) -> list[psutil.Process]:
 
 def main() -> None:
     """Wait for the end of a run, and clear up."""
-    folder = sys.argv[1]
+    folder, grace_s = sys.argv[1], float(sys.argv[2])
     sys.stdin.read()
     for process in (left := started_with(RUN, folder)):
         with suppress(psutil.NoSuchProcess):
             process.terminate()
-    psutil.wait_procs(left, timeout=_GRACE_S)
+    psutil.wait_procs(left, timeout=grace_s)
     while left := started_with(RUN, folder):
         for process in left:
             with suppress(psutil.NoSuchProcess):
                 process.kill()
-        psutil.wait_procs(left, timeout=_GRACE_S)
+        psutil.wait_procs(left, timeout=grace_s)
     shutil.rmtree(folder, ignore_errors=True)
 
 

@@ -16,7 +16,7 @@ from lifeline import Lifeline
 
 obedient = "import time; print(1, flush=True); time.sleep(600)"
 stubborn = f"import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN); {obedient}"
-run = Lifeline()
+run = Lifeline(grace_s=0.5)
 (run.folder / "file").write_text("left behind")
 left = []
 for program in (obedient, stubborn):

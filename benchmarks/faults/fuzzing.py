@@ -136,7 +136,7 @@ def fuzz(target: Target, count: int, rng: np.random.Generator) -> Tally:
         target.take(seed)  # else everything would be refused for a reason of its own
     for _ in range(count):
         payload = mutator.payload()
-        began_s = time.perf_counter()
+        began_s = time.thread_time()  # a busy machine is not the target's fault
         try:
             target.take(payload)
         except target.refusals as error:
@@ -150,7 +150,7 @@ def fuzz(target: Target, count: int, rng: np.random.Generator) -> Tally:
         else:
             tally.accepted += 1
         tally.payloads += 1
-        tally.slowest_s = max(tally.slowest_s, time.perf_counter() - began_s)
+        tally.slowest_s = max(tally.slowest_s, time.thread_time() - began_s)
     return tally
 
 

@@ -103,10 +103,19 @@ class AxesKnowledge:
         return tuple(known.model for known in self.axes.values() if known.tests)
 
     @property
-    def settle_s(self) -> float | None:
-        """Time in s for which a test has to wait; None for what the robot itself waits."""
-        waits = [known.settle_s for known in self.axes.values()]
-        return max((one for one in waits if one is not None), default=None)
+    def settling_time_s(self) -> float:
+        """Settling time in s of the axis that settles most slowly."""
+        return max(known.settling_time_s for known in self.axes.values())
+
+    @property
+    def lowest_rad_s(self) -> float:
+        """Frequency in rad/s from which on every axis was tested."""
+        return max(known.lowest_rad_s for known in self.axes.values())
+
+    @property
+    def doubted(self) -> bool:
+        """Whether something makes its tests uncertain that further tests do not tell."""
+        return any(known.doubted for known in self.axes.values())
 
     @property
     def findings(self) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 import click
 from click.core import ParameterSource
 
-from nufleet.orchestrator.cli.types import Number, fleet_file
+from nufleet.orchestrator.cli.types import FleetPath, Number
 from nufleet.orchestrator.jobs.environment import (
     REPOSITORY_VARIABLE,
     ROUTER_VARIABLE,
@@ -183,7 +183,7 @@ yes_option = click.option(
 fleet_option = click.option(
     "--fleet",
     "fleet_file",
-    type=fleet_file,
+    type=FleetPath(),
     metavar="FILE",
     help="Start the simulated fleet of this file (or installed name) for this command only.",
 )

@@ -19,7 +19,7 @@ from nufleet.orchestrator.cli.options import (
     wait_option,
     yes_option,
 )
-from nufleet.orchestrator.cli.types import Names, Number, PositiveNumber
+from nufleet.orchestrator.cli.types import DrawingName, Names, Number, PositiveNumber, RobotName
 
 
 @click.command()
@@ -27,7 +27,10 @@ from nufleet.orchestrator.cli.types import Names, Number, PositiveNumber
 @connect_options
 @wait_option("With --connect: how long to wait for the router and the robots named.")
 @click.option(
-    "--target", help="Robot that needs experience.  [default: the target named in the fleet file]"
+    "--target",
+    type=RobotName(),
+    metavar="NAME",
+    help="Robot that needs experience.  [default: the target named in the fleet file]",
 )
 @click.option(
     "--sources",
@@ -97,6 +100,7 @@ from nufleet.orchestrator.cli.types import Names, Number, PositiveNumber
 )
 @click.option(
     "--trajectory",
+    type=DrawingName(),
     metavar="FILE|NAME",
     help="Rank for this drawing (CSV or SVG, or an installed one such as `pear`).",
 )
@@ -150,6 +154,8 @@ def rank(resume: str | None, **options: Any) -> None:
         return
     if options["fleet_file"] is None:
         refuse_in_vain("without --fleet", "realtime")
+    if options["plans"]:
+        refuse_in_vain("with --plan, which moves no robot", "live", "draws", "rehearses", "yes")
     from nufleet.orchestrator.jobs.rank import RankCommand, rank_and_print
 
     rank_and_print(RankCommand(**options))

@@ -6,6 +6,7 @@ no network, thread or clock, so that the same code runs in simulations of the wh
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -115,6 +116,23 @@ def widened(
     return replace(turned(response), matrix=matrix)
 
 
+def without_the_expected(response: FrequencyResponse, spec: RobotSpec) -> FrequencyResponse:
+    """Return a response without the warning that its robot rang for as long as its spec says.
+
+    Tests may wait for less than that, since what still rings is estimated along with the tones.
+
+    Args:
+        response: Estimated response.
+        spec: Spec of the robot.
+    """
+    warnings = tuple(
+        one
+        for one in response.quality.warnings
+        if one.code != "ringing" or (one.value or math.inf) > spec.settling_time_s
+    )
+    return replace(response, quality=response.quality.model_copy(update={"warnings": warnings}))
+
+
 class Attempts:
     """The attempts of one round of tests; threads may use it at once for different robots."""
 
@@ -179,6 +197,7 @@ class Attempts:
             retry = _retry(test, test.excitation, excuse)
         else:
             response = widened(self._estimate(result), test.robot, self._specs)
+            response = without_the_expected(response, self._specs[test.robot])
             if response.quality.usable:
                 end = TrialEnd(TrialStatus.MEASURED, result=result, response=response)
                 self._log.ended(test, end)

@@ -8,19 +8,15 @@ from typing import TYPE_CHECKING
 
 from nufleet.orchestrator.evaluation.results import EvaluationResult, WayResult
 from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
-from nufleet.orchestrator.runs.figures import new_figure, plain, save
+from nufleet.orchestrator.runs.figures import new_figure, plain, prior_colours, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_COLOURS = {
-    BASELINE: "0.35",
-    NO_PRIOR: "tab:orange",
-    "best source": "tab:green",
-    "worst source": "tab:red",
-    MIXTURE: "tab:purple",
-    OWN: "tab:blue",
-}
+_COLOURS = prior_colours(()) | {"best source": "#0072b2", "worst source": "#d55e00"}
+"""Colours of the lines. Which sources are the best and the worst differs between fleets that are
+drawn side by side, so these two have colours of their own."""
+
 _NOISE_SHARE = 0.05  # least noise that is drawn, as a share of the least error
 _LINEAR_S = 5.0  # the first seconds are drawn to a linear scale, the later ones to a logarithmic
 

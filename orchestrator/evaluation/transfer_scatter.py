@@ -11,7 +11,7 @@ import numpy as np
 
 from nufleet.orchestrator.evaluation.summaries import mean_kendall_tau, pooled_kendall_tau
 from nufleet.orchestrator.evaluation.values import TransferPair
-from nufleet.orchestrator.runs.figures import COLOURS, label_places, new_figure, plain, save
+from nufleet.orchestrator.runs.figures import label_places, new_figure, plain, prior_colours, save
 from nufleet.shared.errors import InvalidInputError
 
 if TYPE_CHECKING:
@@ -39,7 +39,8 @@ def scatter(png: Path, pairs: Sequence[TransferPair]) -> None:
     axes = figure.add_subplot()
     finite = [p.ratio for p in pairs if math.isfinite(p.ratio)]
     top = max(1.1, 1.06 * max(finite, default=1.0))
-    for k, target in enumerate(targets):
+    colours = prior_colours(targets)
+    for target in targets:
         some = [p for p in pairs if p.target == target]
         for mark, unfinished in (("o", False), ("^", True)):
             kept = [p for p in some if math.isinf(p.ratio) == unfinished]
@@ -47,7 +48,7 @@ def scatter(png: Path, pairs: Sequence[TransferPair]) -> None:
                 [p.psi for p in kept],
                 [min(p.ratio, top) for p in kept],
                 mark,
-                color=COLOURS[k % len(COLOURS)],
+                color=colours[target],
                 ms=5,
             )
     plain(axes)
@@ -62,9 +63,7 @@ def scatter(png: Path, pairs: Sequence[TransferPair]) -> None:
     if len(targets) > 1:
         title += f"; mean over targets {_rounded(mean_kendall_tau(pairs))}"
     axes.set_title(title, loc="left", fontsize=10)
-    _label(
-        figure, axes, pairs, [COLOURS[targets.index(p.target) % len(COLOURS)] for p in pairs], top
-    )
+    _label(figure, axes, pairs, [colours[pair.target] for pair in pairs], top)
     save(figure, png)
 
 

@@ -8,18 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
+from nufleet.orchestrator.flights.colours import WITHOUT_SOURCE, robot_colours
 from nufleet.shared.arrays import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8C564B", "#7F7F7F")
-"""The colour-blind-safe palette of Okabe and Ito, and two more."""
-
-WITHOUT_SOURCE = {BASELINE: "#3C3C3C", NO_PRIOR: "#9C8FBF", OWN: "#8A6D3B", MIXTURE: "#2F8F6F"}
 
 DPI = 130
 
@@ -50,12 +45,10 @@ def save(figure: Figure, png: Path) -> None:
 
 
 def prior_colours(priors: Iterable[str]) -> dict[str, str]:
-    """Return a colour for each who gave a prior; sources get theirs in the order of their names.
-
-    So a source has the same colour in every figure about the same fleet.
-    """
-    sources = sorted({prior for prior in priors if prior not in WITHOUT_SOURCE})
-    return WITHOUT_SOURCE | {s: COLOURS[k % len(COLOURS)] for k, s in enumerate(sources)}
+    """Return the colour for figures of each who gives a prior; see `flights.colours`."""
+    sources = [prior for prior in priors if prior not in WITHOUT_SOURCE]
+    colours = WITHOUT_SOURCE | robot_colours(sources)
+    return {name: "#{:02x}{:02x}{:02x}".format(*c.on_light) for name, c in colours.items()}
 
 
 def label_places(points: FloatArray, sizes: FloatArray, area: tuple[float, float]) -> FloatArray:

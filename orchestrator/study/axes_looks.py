@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
+from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.orchestrator.study.looks import NOISY, REACHED
@@ -69,13 +70,13 @@ class AxesLooks:
         """Return the excitation of a test that is to be played now."""
         return choice.excitation(
             *self._plan.axes,
-            settle_s=self._robots[name].settle_s,
+            settle_s=self._settle_s(name),
             amplitudes=self._amplitudes(name, choice),
         )
 
     def duration_s(self, name: str, choice: ToneChoice) -> float:
         """Return the duration of a test in s."""
-        return choice.duration_s(self._robots[name].spec, self._robots[name].settle_s)
+        return choice.duration_s(self._robots[name].spec, self._settle_s(name))
 
     def unseen(self, names: Iterable[str]) -> dict[str, ToneChoice]:
         """Return the first tests of axes that no test of a robot has played yet."""
@@ -93,7 +94,7 @@ class AxesLooks:
         for name in names:
             for lowest in self._lowest[name]:
                 least_rad_s = REACHED * float(lowest.omega_rad_s[0])
-                reached = {axis: self._lowest_rad_s(name, axis) for axis in lowest.axes}
+                reached = {axis: self._known(name, axis).lowest_rad_s for axis in lowest.axes}
                 axis = max(reached, key=lambda place: reached[place])
                 if name not in found and reached[axis] > least_rad_s:
                     found[name] = _led_by(lowest, axis)
@@ -120,36 +121,43 @@ class AxesLooks:
                     yield choice
 
     def expected(
-        self,
-        name: str,
-        choice: ToneChoice,
-        grid_rad_s: FloatArray,
-        draws: Mapping[str, ComplexArray],
+        self, name: str, choice: ToneChoice, grid_rad_s: FloatArray, z: ComplexArray
     ) -> tuple[ComplexArray, FloatArray]:
-        """Return samples of what a test would measure, and the variances expected of it.
+        """Return what a test would measure, and the variances with which it would tell that.
 
         Args:
             name: Name of the robot.
             choice: Test.
             grid_rad_s: Frequencies of the samples in rad/s, shape (grid,).
-            draws: Samples of each axis's response, shape (samples, grid), by axis.
+            z: Samples of the responses of all axes there, axis by axis, shape
+                (samples, axes × grid).
 
         Returns:
             Samples at all tones, shape (samples, tones), and variances, shape (tones,).
         """
-        z, variances = [], []
+        places, variances = [], []
         for place in choice.axes:
             omega = choice.omegas_of(place)
-            axis = self._plan.axes[place]
             # Samples exist on the grid only, so each tone takes them from the next grid point.
             at = np.searchsorted(grid_rad_s, omega).clip(0, len(grid_rad_s) - 1)
-            z.append(draws[axis][:, at])
-            variances.append(self._expected_variance(name, choice, place))
-        return np.concatenate(z, axis=1), np.concatenate(variances)
+            places.append(place * len(grid_rad_s) + at)
+            doubt = self._known(name, place).lasting_doubt(omega)
+            variances.append(self._expected_variance(name, choice, place) + doubt)
+        return z[:, np.concatenate(places)], np.concatenate(variances)
+
+    def reached(self, name: str) -> bool:
+        """Whether tests of the robot reached down to the lower end of the band on every axis."""
+        return not self.due([name])
+
+    def _settle_s(self, name: str) -> float:
+        return self._settings.settle_share * self._robots[name].settling_time_s
+
+    def _known(self, name: str, place: int) -> RobotKnowledge:
+        return self._robots[name].axes[self._plan.axes[place]]
 
     def _expected_variance(self, name: str, choice: ToneChoice, place: int) -> FloatArray:
         first = next(one for one in self._firsts[name] if place in one.axes)
-        known = self._robots[name].axes[self._plan.axes[place]]
+        known = self._known(name, place)
         return known.expected_variance(choice.omegas_of(place), choice.measure_s / first.measure_s)
 
     def _first(self, name: str, group: tuple[int, ...]) -> ToneChoice:
@@ -166,9 +174,6 @@ class AxesLooks:
         spec = self._robots[name].spec
         return lowest_look(self._plan.band_rad_s, spec, lowest_rad_s, first, first.axes)
 
-    def _lowest_rad_s(self, name: str, place: int) -> float:
-        return self._robots[name].axes[self._plan.axes[place]].lowest_rad_s
-
     def _amplitudes(self, name: str, choice: ToneChoice) -> tuple[float, ...] | None:
         """Return the amplitudes of a test; None where the robot chooses them itself.
 
@@ -183,7 +188,7 @@ class AxesLooks:
         if np.median(np.concatenate(variances)) > (share * NOISY) ** 2:
             return None
         axes = [self._plan.axes[place] for place in choice.axes]
-        played = [self._robots[name].axes[axis].amplitude for axis in axes]
+        played = [self._known(name, place).amplitude for place in choice.axes]
         tones = [one.tones for one in choice.excitation(*self._plan.axes).played]
         spec = self._robots[name].spec
         most = largest_amplitudes(tones, [spec.axis(axis) for axis in axes])

@@ -27,17 +27,14 @@ from nufleet.orchestrator.study.interface import (
     StudyPlan,
 )
 from nufleet.orchestrator.study.measured_distance import own_entries
+from nufleet.orchestrator.study.next_tests import NextTests, settling
 from nufleet.orchestrator.study.ranking import Known, curves_of, ranking_of, sampled_psi
 from nufleet.orchestrator.study.selection_belief import SelectionBelief
 from nufleet.orchestrator.study.tone_choice import ToneChoice
-from nufleet.orchestrator.study.value_of_tests import expected_gain
 from nufleet.shared.arrays import ComplexArray
 from nufleet.shared.errors import StudyError
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.robots.spec import RobotSpec
-
-_GAIN_MIN = 1e-6
-"""Gain below which tests cannot be told apart by sampling; the cheapest one is then the best."""
 
 
 class AxesStudy:
@@ -72,7 +69,10 @@ class AxesStudy:
         self._looks = AxesLooks(plan, self._settings, self._robots)
         self._dropped: dict[str, str] = {}
         self._grounded: dict[str, str] = {}
-        self._draws: dict[str, tuple[tuple[ResponseModel, ...], dict[str, ComplexArray]]] = {}
+        self._next_tests = NextTests(
+            plan.target, self._grid, self._settings, self._robots, self._looks
+        )
+        self._draws: dict[str, tuple[tuple[ResponseModel, ...], ComplexArray]] = {}
         self._next: Mapping[str, ToneChoice] = self._looks.first
         self._purpose = "a first look at the whole band"
         self._asked = 0
@@ -108,14 +108,7 @@ class AxesStudy:
                 self._lose(name, failed.get(name, "it returned no response"))
         sources = self._remaining()
         draws = {name: self._draw(name) for name in (self._plan.target, *sources)}
-        seen = [axis for axis in self._plan.axes if all(axis in one for one in draws.values())]
-        target = draws[self._plan.target]
-        by_axis = {
-            axis: SelectionBelief.of(
-                self._grid, target[axis], {name: draws[name][axis] for name in sources}
-            )
-            for axis in seen
-        }
+        by_axis = self._by_axis(draws, sources)
         belief = _worst(by_axis)
         leader, confidence = belief.leader(self._settings.epsilon, self._settings.delta)
         hopeless = belief.hopeless(leader, self._settings.delta)
@@ -136,36 +129,50 @@ class AxesStudy:
             stopped_because=None if self._next else self._purpose,
         )
 
-    def _draw(self, name: str) -> dict[str, ComplexArray]:
-        """Return samples of a robot's responses by axis, the same until something new is known."""
-        robot = self._robots[name]
-        models = robot.model
+    def _by_axis(
+        self, draws: Mapping[str, ComplexArray], sources: Sequence[str]
+    ) -> dict[str, SelectionBelief]:
+        """Return the belief about each axis that was tested on all robots, by axis."""
+        beliefs: dict[str, SelectionBelief] = {}
+        for axis in self._plan.axes:
+            at: dict[str, ComplexArray] = {}
+            for name, drawn in draws.items():
+                tested = [a for a, known in self._robots[name].axes.items() if known.tests]
+                if axis in tested:
+                    start = tested.index(axis) * len(self._grid)
+                    at[name] = drawn[:, start : start + len(self._grid)]
+            if len(at) == len(draws):
+                others = {name: at[name] for name in sources}
+                beliefs[axis] = SelectionBelief.of(self._grid, at[self._plan.target], others)
+        return beliefs
+
+    def _draw(self, name: str) -> ComplexArray:
+        """Return samples of a robot's responses, the same until something new is known of it.
+
+        Returns:
+            Samples on the grid, axis by axis as far as axes were tested, shape
+            (samples, axes × grid).
+        """
+        models = self._robots[name].model
         before = self._draws.get(name)
         if before is None or len(before[0]) != len(models) or any(map(_differ, before[0], models)):
-            axes = [axis for axis, known in robot.axes.items() if known.tests]
-            samples = {
-                axis: model.draw(self._grid, self._settings.samples, self._rng)
-                for axis, model in zip(axes, models, strict=True)
-            }
-            before = self._draws[name] = models, samples
+            count = self._settings.samples
+            drawn = [model.draw(self._grid, count, self._rng) for model in models]
+            before = self._draws[name] = models, np.concatenate(drawn, axis=1)
         return before[1]
 
     def _decide(
         self,
         belief: SelectionBelief,
-        draws: Mapping[str, Mapping[str, ComplexArray]],
+        draws: Mapping[str, ComplexArray],
         leader: str,
         confidence: float,
         hopeless: Mapping[str, str],
     ) -> float:
         """Choose the next tests, or none and why not; return what is claimed."""
         sure, doubtful = 1 - self._settings.delta, 1 - 2 * self._settings.delta
-        there = [
-            name
-            for name in (self._plan.target, *belief.sources)
-            if name not in hopeless and name not in self._grounded
-        ]
         rounds_left = self._asked < self._plan.iterations
+        used = f"all {self._asked} rounds have been used"
         self._next = {}
         alone = self._looks.unseen(name for name in self._robots if name not in self._dropped)
         if alone:
@@ -177,55 +184,56 @@ class AxesStudy:
             return min(confidence, doubtful)
         if confidence < sure:
             chance = f"P(correct selection) = {confidence:.3f}"
+            self._purpose = f"{used}; {chance}"
             if rounds_left:
-                self._next = self._choose(belief, draws, leader, there)
-            self._purpose = "what is contested" if self._next else f"no test is left; {chance}"
+                value = settling(belief, leader, self._settings.epsilon)
+                following = self._next_tests.choose(
+                    belief, draws, leader, value, hopeless=hopeless, absent=self._grounded
+                )
+                self._next = following.tests
+                stop = f"no further test would help; {chance}"
+                self._purpose = "what is contested" if self._next else stop
             return confidence
-        lowest = self._looks.due(there)
-        if lowest:
-            self._next = lowest if rounds_left else {}
-            self._purpose = (
-                "the lower end of the band, on one axis after the other"
-                if rounds_left
-                else f"all {self._asked} rounds have been used, and the lower end of the band was "
-                f"not tested on all axes of {', '.join(lowest)}"
-            )
+        return self._looked(belief, leader, confidence)
+
+    def _looked(self, belief: SelectionBelief, leader: str, confidence: float) -> float:
+        """Ask for the lowest looks that a claim needs; return what is claimed.
+
+        Target and leader need them on every axis, a rival only if what was seen of it leaves open
+        that it is the best.
+        """
+        sure, doubtful = 1 - self._settings.delta, 1 - 2 * self._settings.delta
+        low_rad_s = {name: robot.lowest_rad_s for name, robot in self._robots.items()}
+        unseen = {s: low_rad_s[s] for s in belief.sources if not self._looks.reached(s)}
+        surely, ahead = belief.beaten(leader, self._settings.epsilon, unseen)
+        there = [n for n in (self._plan.target, leader) if n not in self._grounded]
+        looks = self._looks.due(there)
+        if not looks and surely < sure:
+            share = self._settings.delta / len(belief.sources)
+            open_still = [source for source, chance in ahead.items() if chance > share]
+            looks = self._looks.due(name for name in open_still if name not in self._grounded)
+        if looks:
+            self._purpose = "the lower end of the band, on one axis after the other"
+            if self._asked < self._plan.iterations:
+                self._next = looks
+            else:
+                self._purpose = (
+                    f"all {self._asked} rounds have been used, and the lower end of the band was "
+                    f"not tested on all axes of {', '.join(looks)}"
+                )
             return doubtful
+        confidence = min(confidence, surely)
+        if confidence < sure:
+            self._purpose = (
+                "the lower end of the band was not tested on all axes; P(correct selection) = "
+                f"{confidence:.3f}"
+            )
+            return confidence
         self._purpose = (
             f"{leader} is the closest on its worst axis, or within {self._settings.epsilon:g} of "
             f"it, with probability {confidence:.3f}"
         )
         return confidence
-
-    def _choose(
-        self,
-        belief: SelectionBelief,
-        draws: Mapping[str, Mapping[str, ComplexArray]],
-        leader: str,
-        there: Sequence[str],
-    ) -> dict[str, ToneChoice]:
-        """Return the next round: each robot's best test, if its value per second is competitive."""
-        chances = dict(zip(belief.sources, belief.probability_best().tolist(), strict=True))
-        rivals = sorted(
-            (name for name in there if name in chances and name != leader),
-            key=lambda name: -chances[name],
-        )[: self._settings.contenders]
-        centres = dict.fromkeys(belief.decisive_omega_rad_s(s) for s in (leader, *rivals[:2]))
-        rates: dict[str, float] = {}
-        choices: dict[str, ToneChoice] = {}
-        place = belief.sources.index(leader)
-        for name in (self._plan.target, leader, *rivals):
-            if name not in there:
-                continue
-            price = self._settings.simulated_cost if self._robots[name].spec.simulated else 1.0
-            for choice in self._looks.candidates(name, tuple(centres)):
-                z, variance = self._looks.expected(name, choice, self._grid, draws[name])
-                gain = expected_gain(belief.loss, place, z, variance, self._settings.epsilon)
-                rate = max(gain, _GAIN_MIN) / (price * self._looks.duration_s(name, choice))
-                if rate > rates.get(name, 0.0):
-                    rates[name], choices[name] = rate, choice
-        enough = self._settings.together * max(rates.values(), default=0.0)
-        return {name: choice for name, choice in choices.items() if rates[name] >= enough}
 
     def _ranking(
         self, belief: SelectionBelief, by_axis: Mapping[str, SelectionBelief], leader: str

@@ -8,9 +8,13 @@ from typing import Literal
 
 from nufleet.orchestrator.study.interface import Curve, SourceEstimate
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.frequency_test.excitation import Tone
 
 RobotStatus = Literal["idle", "running", "resting", "stopped", "fault", "lost"]
 MessageLevel = Literal["debug", "info", "warning", "error"]
+
+LEADERS = 6
+"""Number of sources that are drawn in full, so that the rest do not hide them."""
 
 # Times `t_s` are seconds since the study began. Events are compared by identity: they hold arrays.
 
@@ -23,6 +27,8 @@ class RobotStateEvent:
     """Time of the event."""
     robot: str
     """Name of the robot."""
+    is_target: bool
+    """Whether it is the target of the study."""
     status: RobotStatus
     """Status of the robot."""
     goal_id: str | None
@@ -47,14 +53,34 @@ class TestSamplesEvent:
     """Name of the axis under test."""
     unit: str
     """Unit of the axis."""
-    omega_rad_s: tuple[float, ...]
-    """Frequencies of the round that the test belongs to."""
+    target: str
+    """Name of the study's target."""
+    robots: tuple[str, ...]
+    """Names of the robots that play in this round."""
+    tones: tuple[Tone, ...]
+    """Tones that the robot plays in this test."""
     sample_time_s: float
     """Time between two samples."""
     reference: FloatArray
     """Reference in `unit`, shape (n,)."""
     response: FloatArray
     """Measured response in `unit`, shape (n,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """The responses of robots to the same tones, as they are drawn together."""
+
+    t_s: float
+    """Time at which they were known."""
+    omega_rad_s: tuple[float, ...]
+    """Frequencies of the tones."""
+    responses: Mapping[str, tuple[complex, ...]]
+    """Response z(ω) at each frequency of `omega_rad_s`, by robot that responded."""
+    target: str
+    """Name of the target."""
+    leaders: tuple[str, ...]
+    """Names of the sources that are drawn in full, the best ones, best first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +103,16 @@ class IterationEvent:
     """Estimates ψ̂*_n of the sources, best first."""
     messages: tuple[str, ...] = ()
     """Sentences for the log."""
+
+    @property
+    def leaders(self) -> tuple[str, ...]:
+        """Names of the best sources of the ranking, best first."""
+        return tuple(row.robot for row in self.ranking[:LEADERS])
+
+    @property
+    def answers(self) -> Answers:
+        """Responses of the round."""
+        return Answers(self.t_s, self.omega_rad_s, self.responses, self.target, self.leaders)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from nufleet.orchestrator.viewer.draw.differences import RADIUS
 from nufleet.orchestrator.viewer.draw.palette import GROUND
 from nufleet.orchestrator.viewer.draw.path_axes import PLOT
 from nufleet.orchestrator.viewer.draw.sphere import EYE
-from nufleet.orchestrator.viewer.draw.surrogates import CAMERA, FULL_PARTS
+from nufleet.orchestrator.viewer.draw.surrogates import CAMERA, FULL_PARTS, RUNNING
 from nufleet.orchestrator.viewer.shown import COMPARED_S, Kind, Shown
 
 MODEL_WINDOW_S = 30.0
@@ -200,7 +200,7 @@ def _differences() -> rrb.View:
 def _surrogates() -> rrb.View:
     return rrb.Spatial2DView(
         origin=f"/{CAMERA}",
-        contents=[f"/{part}/**" for part in (CAMERA, "psi/median", *FULL_PARTS)],
+        contents=[f"/{part}/**" for part in (CAMERA, "psi/median", *FULL_PARTS, RUNNING)],
         name="Chordal distance ψ(ω) to the target: median, 95 % interval and tests",
         background=GROUND,
         visual_bounds=rrb.VisualBounds2D(
@@ -212,7 +212,7 @@ def _surrogates() -> rrb.View:
 def _estimates() -> rrb.View:
     return rrb.TimeSeriesView(
         origin="/psi/worst",
-        name="Worst ψ over the band, as estimated after each round (95 % interval)",
+        name="Worst ψ: largest in running tests (thin), estimated after each round (95 % interval)",
         axis_x=rrb.TimeAxis(view_range=EVERYTHING),
         plot_legend=rrb.PlotLegend(visible=False),
         background=rrb.archetypes.PlotBackground(color=GROUND),

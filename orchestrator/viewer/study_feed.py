@@ -17,7 +17,10 @@ from nufleet.orchestrator.viewer.events import (
     ViewerEvent,
 )
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.wire.messages import RobotState, Telemetry
+from nufleet.shared.frequency_test.excitation import Excitation
+from nufleet.shared.wire.messages import RobotState, RobotStatus, Telemetry
+
+_CALM = (RobotStatus.IDLE, RobotStatus.RESTING)
 
 
 class LiveView:
@@ -40,9 +43,13 @@ class LiveView:
         self._emit = emit
         self._lock = threading.Lock()
         self._asked_s = 0.0
-        self._omega_rad_s: tuple[float, ...] = ()
-        self._played: Mapping[str, list[str]] = {}
+        self._tests: Mapping[str, Excitation] = {}
         self._drawn: dict[str, int] = {}
+        self._over: set[str] = set()
+        self._played_s: dict[str, float] = {}
+        self._states: dict[str, RobotState] = {}
+        self._lanes: dict[str, str] = {}
+        self._unheard: set[str] = set()
         self._watching = False
 
     def watch(self, fleet: Fleet) -> None:
@@ -59,11 +66,10 @@ class LiveView:
         """Handle the beginning of a round: its samples are drawn starting at the current time."""
         with self._lock:
             self._asked_s = self._clock.now_s()
-            self._omega_rad_s = question.omega_rad_s
-            self._played = {
-                robot: [one.axis for one in test.played] for robot, test in question.tests.items()
-            }
+            self._tests = question.tests
+            self._unheard = set(question.tests)
             self._drawn.clear()
+            self._over.clear()
 
     def attempt_failed(self, robot: str, attempt: int, reason: str) -> None:
         """Log the failed attempt as a warning."""
@@ -77,9 +83,13 @@ class LiveView:
             result = outcome.result
             with self._lock:
                 missing = self._drawn.get(result.goal_id, 0) < len(result.reference)
-            if missing:
-                step_s = result.plan.sample_time_s
-                self._draw(outcome.robot, 0, step_s, result.reference, result.response)
+                self._over.add(result.goal_id)
+                if missing:
+                    step_s = result.plan.sample_time_s
+                    self._draw(outcome.robot, 0, step_s, result.reference, result.response)
+            if (state := self._states.get(outcome.robot)) is not None:
+                self._emit_state(state)
+        self._unheard.clear()
         omega_rad_s, responses = together(report.responses, self._plan.target)
         longest_s = max((o.result.plan.duration_s for o in measured), default=0.0)
         self._clock.advance_to(self._asked_s + longest_s)
@@ -98,25 +108,36 @@ class LiveView:
 
     def _on_state(self, state: RobotState) -> None:
         if self._watching and state.robot in (self._plan.target, *self._plan.sources):
-            self._emit(
-                RobotStateEvent(
-                    t_s=self._clock.now_s(),
-                    robot=state.robot,
-                    status=state.status.value,
-                    goal_id=state.goal_id,
-                    progress=state.progress,
-                    reason=state.reason,
-                )
+            self._states[state.robot] = state
+            # A simulated robot may be at rest again before the first samples of its test arrive.
+            if state.status not in _CALM or state.robot not in self._unheard:
+                self._emit_state(state)
+
+    def _emit_state(self, state: RobotState) -> None:
+        """Show a state, after the samples that are drawn: a simulated robot outruns the clock."""
+        self._lanes[state.robot] = state.status.value
+        self._emit(
+            RobotStateEvent(
+                t_s=max(self._clock.now_s(), self._played_s.get(state.robot, 0.0)),
+                robot=state.robot,
+                is_target=state.robot == self._plan.target,
+                status=state.status.value,
+                goal_id=state.goal_id,
+                progress=state.progress,
+                reason=state.reason,
             )
+        )
 
     def _on_telemetry(self, robot: str, telemetry: Telemetry) -> None:
         if not self._watching or robot not in (self._plan.target, *self._plan.sources):
             return
+        first, step_s = telemetry.first_sample, telemetry.sample_time_s
         with self._lock:
+            if telemetry.goal_id in self._over:
+                return  # samples that come after the whole test was drawn
             drawn = self._drawn.get(telemetry.goal_id, 0) + len(telemetry.reference)
             self._drawn[telemetry.goal_id] = drawn
-        first, step_s = telemetry.first_sample, telemetry.sample_time_s
-        self._draw(robot, first, step_s, telemetry.reference, telemetry.response)
+            self._draw(robot, first, step_s, telemetry.reference, telemetry.response)
 
     def _draw(
         self,
@@ -127,19 +148,30 @@ class LiveView:
         response: FloatArray,
     ) -> None:
         """Draw the samples of the study's first axis, where a test plays several."""
-        played = self._played.get(robot, [self._plan.axis])
-        if self._plan.axis not in played:
+        played = self._tests[robot].played if robot in self._tests else ()
+        tones = {one.axis: one.tones for one in played}
+        if tones and self._plan.axis not in tones:
             return
-        column = played.index(self._plan.axis)
         if reference.ndim == 2:
+            column = list(tones).index(self._plan.axis)
             reference, response = reference[:, column], response[:, column]
+        begin_s = self._asked_s + first_sample * sample_time_s
+        self._unheard.discard(robot)
+        self._played_s[robot] = begin_s + len(reference) * sample_time_s
+        if self._lanes.get(robot) != "running":
+            # The state that says so may be dropped on the way, or come before or after the samples.
+            self._lanes[robot] = "running"
+            is_target = robot == self._plan.target
+            self._emit(RobotStateEvent(begin_s, robot, is_target, "running", None, 0.0, ""))
         self._emit(
             TestSamplesEvent(
-                t_s=self._asked_s + first_sample * sample_time_s,
+                t_s=begin_s,
                 robot=robot,
                 axis=self._plan.axis,
                 unit=self._unit,
-                omega_rad_s=self._omega_rad_s,
+                target=self._plan.target,
+                robots=tuple(self._tests),
+                tones=tones.get(self._plan.axis, ()),
                 sample_time_s=sample_time_s,
                 reference=reference,
                 response=response,

@@ -182,6 +182,11 @@ class FleetKeys:
         orchestrator = self._below(key, "orchestrator")
         return orchestrator if is_identifier(orchestrator) else None
 
+    @property
+    def connected(self) -> str:
+        """Key on which the router of a closed fleet tells orchestrators who is connected."""
+        return f"{self.root}/connected"
+
     def stop(self, principal: str) -> str:
         """Return the key on which a principal's put stops every robot of the fleet."""
         return f"{self.root}/by/{checked_name(principal, 'principal')}/{STOP}"

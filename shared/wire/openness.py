@@ -32,13 +32,18 @@ def is_open(endpoint: str) -> bool:
     protocol, _, address = endpoint.partition("/")
     if protocol not in PLAIN_PROTOCOLS:
         return False
-    host = address.partition("#")[0].partition("?")[0].rpartition(":")[0].strip("[]")
+    host = address.partition("#")[0].partition("?")[0].rpartition(":")[0]
+    return not is_this_machine(host.strip("[]"))
+
+
+def is_this_machine(host: str) -> bool:
+    """Return whether a host name or IP address reaches this machine alone."""
     if host == "localhost":
-        return False
-    try:
-        return not ipaddress.ip_address(host).is_loopback
-    except ValueError:
         return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
 
 
 def check_closed(endpoint: str, *, allow_open: bool) -> str:

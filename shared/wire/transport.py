@@ -30,11 +30,13 @@ from nufleet.shared.errors import (
     InvalidInputError,
     NoRouterError,
     TransportError,
+    system_errors_as,
 )
+from nufleet.shared.private_files import check_private
 from nufleet.shared.redaction import without_secrets
 from nufleet.shared.wire.handshake import why_refused
 from nufleet.shared.wire.identity import Identity, identity_at
-from nufleet.shared.wire.keys import DEFAULT_PRINCIPAL
+from nufleet.shared.wire.keys import DEFAULT_PRINCIPAL, FleetKeys
 from nufleet.shared.wire.openness import LOCAL_ENDPOINT, check_closed
 from nufleet.shared.wire.presence import OnPresence, Presence
 
@@ -67,6 +69,12 @@ MAX_STATE_BYTES = 64 * 1024
 
 PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream")
 """Protocols with which an endpoint may begin."""
+
+ADMITTED = "@/*/router"
+"""Key expression of what a router says about itself; it answers each principal in its list."""
+
+_LINKS = "@/*/session/transport/unicast/*/link/*"
+"""Key expression of what a router tells itself about its links, and who is behind each."""
 
 ADMITTED_TIMEOUT_S = 3.0
 """Longest wait for a router's answer to the question whether it lists an identity."""
@@ -199,10 +207,35 @@ class Session:
                 "its configuration again with `nufleet fleet renew --router`, and restart it"
             ) from error
 
+    def connected(self) -> frozenset[str]:
+        """Return the common names of the certificates with which programs are connected now.
+
+        The router of a closed fleet tells them to orchestrators only; for others, this is empty.
+
+        Raises:
+            TransportError: Zenoh cannot send the query.
+        """
+        if self.identity is None:
+            return frozenset()
+        key = FleetKeys(self.identity.fleet).connected
+        replies = self.ask_all(key, b"", timeout_s=ADMITTED_TIMEOUT_S)
+        return frozenset(name for reply in replies for name in json.loads(reply))
+
+    def tell_connected(self, key: str) -> None:
+        """Answer on a key, as a router, with the common names of `connected`."""
+
+        def answer(request: Request) -> None:
+            links = self._session.get(_LINKS, timeout=ADMITTED_TIMEOUT_S)
+            said = [json.loads(link.ok.payload.to_bytes()) for link in links if link.ok is not None]
+            names = {name for link in said if (name := link.get("auth_identifier"))}
+            request.answer(json.dumps(sorted(names)).encode())
+
+        self.serve(key, answer)
+
     def _ask_router(self, identity: Identity) -> bytes:
         """Return what the router of a closed fleet says about itself, as JSON."""
         with _transport_errors("asking the router"):
-            for reply in self._session.get("@/*/router", timeout=ADMITTED_TIMEOUT_S):
+            for reply in self._session.get(ADMITTED, timeout=ADMITTED_TIMEOUT_S):
                 if reply.ok is not None:
                     return reply.ok.payload.to_bytes()
         raise NoRouterError(
@@ -441,7 +474,8 @@ def open_configured_router(path: Path, *, allow_open: bool) -> Iterator[Session]
         allow_open: Whether it may listen where every machine could command the robots.
 
     Raises:
-        InvalidInputError: the file is not a Zenoh configuration, or is open.
+        InvalidInputError: the file is not a Zenoh configuration, or is open, or other users can
+            read the key of the router.
         EndpointInUseError: one of its endpoints is taken or may not be used.
     """
     try:
@@ -450,9 +484,14 @@ def open_configured_router(path: Path, *, allow_open: bool) -> Iterator[Session]
         raise InvalidInputError(f"{path}: not a Zenoh configuration: {_cause(error)}") from error
     _resolve_certificates(config, path.absolute().parent)
     listen = json.loads(config.get_json("listen/endpoints"))
-    for endpoint in listen if isinstance(listen, list) else listen.get("router", []):
-        check_closed(endpoint, allow_open=allow_open)
+    connect = json.loads(config.get_json("connect/endpoints"))
+    for endpoints in (listen, connect):
+        for endpoint in endpoints if isinstance(endpoints, list) else endpoints.get("router", []):
+            check_closed(endpoint, allow_open=allow_open)
+    fleet = (json.loads(config.get_json("metadata")) or {}).get("fleet")
     with _opened_router(config, f"the endpoints of {path}") as opened:
+        if fleet is not None:
+            opened.tell_connected(FleetKeys(fleet).connected)
         yield opened
 
 
@@ -462,6 +501,9 @@ def _resolve_certificates(config: zenoh.Config, folder: Path) -> None:
         key = f"transport/link/tls/{name}"
         value = json.loads(config.get_json(key))
         if isinstance(value, str):
+            if name == "listen_private_key":
+                with system_errors_as(InvalidInputError, f"{folder / value}: cannot be read"):
+                    check_private(folder / value)
             config.insert_json5(key, json.dumps(str(folder / value)))
 
 
@@ -555,7 +597,7 @@ def _no_router(connect: str, identity: Identity | None) -> str:
             f"no router answers at {without_secrets(connect)}: start one with `nufleet router` or "
             "`nufleet fleet up FLEET.toml`, or give another address with --connect"
         )
-    why = why_refused(identity) or "its handshake succeeds, so the router may be overloaded"
+    why = why_refused(identity.now()) or "its handshake succeeds, so the router may be overloaded"
     return f"{identity.principal} cannot reach the router at {identity.router}: {why}"
 
 

@@ -6,8 +6,8 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
-import psutil
 import pytest
+from child_processes import children_of
 
 from benchmarks.faults.lab import Lab, opened_lab
 from benchmarks.faults.program import wait_until
@@ -16,10 +16,10 @@ from benchmarks.faults.program import wait_until
 @pytest.fixture(autouse=True)
 def _nothing_is_left_running() -> Iterator[None]:
     threads = set(threading.enumerate())
-    children = set(psutil.Process().children(recursive=True))
+    children = set(children_of())
     yield
     wait_until(lambda: set(threading.enumerate()) <= threads)
-    wait_until(lambda: set(psutil.Process().children(recursive=True)) <= children)
+    wait_until(lambda: set(children_of()) <= children)
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from fleet_lab import submitted
 
 from benchmarks.faults.lab import KEYS, Lab
 from benchmarks.faults.program import PATIENCE_S, Program, wait_until
@@ -58,7 +59,7 @@ def test_a_killed_agent_is_noticed_at_once_with_robot_and_goal(
 def test_a_goal_that_an_agent_died_of_is_never_played_again(lab: Lab, agent: Program) -> None:
     fleet = lab.orchestrator("a")
     request = goal(fleet, "g", LONG)
-    accepted = fleet.submit("a", request)
+    accepted = submitted(fleet, "a", request)
     boot_id = accepted.boot_id
     for life in range(1, 3):
         wait_for_motion(lab, "a", 1)
@@ -83,7 +84,7 @@ def test_a_goal_that_an_agent_died_of_is_never_played_again(lab: Lab, agent: Pro
 
 def test_a_frozen_agent_is_given_up_and_rests_when_it_wakes(lab: Lab, agent: Program) -> None:
     fleet = lab.orchestrator("a")
-    accepted = fleet.submit("a", goal(fleet, "g", LONG))
+    accepted = submitted(fleet, "a", goal(fleet, "g", LONG))
     wait_for_motion(lab, "a", 1)
     agent.freeze()
     frozen_s = time.monotonic()
@@ -111,7 +112,7 @@ def test_an_agent_that_was_frozen_while_its_owner_died_rests_when_it_wakes(
 ) -> None:
     watcher = lab.orchestrator("a", name="watcher")
     with lab.joined("a", name="owner") as fleet:
-        fleet.submit("a", goal(fleet, "g", LONG))
+        submitted(fleet, "a", goal(fleet, "g", LONG))
         wait_for_motion(lab, "a", 1)
         agent.freeze()
     agent.thaw()

@@ -9,8 +9,8 @@ import logging
 from pathlib import Path
 
 import numpy as np
-import psutil
 import pytest
+from child_processes import children_of
 from polling import PATIENCE_S
 
 from benchmarks.faults.fuzz_agent import LEAVES, assert_serves, fuzz_agent
@@ -105,16 +105,14 @@ def test_a_live_agent_answers_every_request_and_serves_afterwards(tmp_path: Path
             boot_id = fleet.describe("a").boot_id
             rng = np.random.default_rng(3)
             fuzz_agent(session, keys, "a", 300, rng)
-            (agent,) = (
-                child.pid for child in psutil.Process().children() if "agent" in child.cmdline()
-            )
-            before = resident_bytes(agent)
+            (agent,) = children_of(named="agent")
+            before = resident_bytes(agent.pid)
             tallies = fuzz_agent(session, keys, "a", 1500, rng)
             # Every key answered, and some requests were valid by chance.
             assert len(tallies) == len(LEAVES) + 1
             assert all(tally.payloads for tally in tallies)
             assert sum(tally.accepted for tally in tallies) > 50
             assert_serves(fleet, "a")
-            assert resident_bytes(agent) - before < GROWTH_MAX_BYTES
+            assert resident_bytes(agent.pid) - before < GROWTH_MAX_BYTES
             assert fleet.describe("a").boot_id == boot_id
             assert started.dead() == []

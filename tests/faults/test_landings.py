@@ -9,6 +9,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from fleet_lab import submitted
 
 from benchmarks.faults.lab import Lab, double_integrator
 from benchmarks.faults.logbook import RESTS, TOLD_TO_REST
@@ -39,7 +40,7 @@ def all_move(lab: Lab, robots: tuple[str, ...]) -> Fleet:
     fleet = lab.orchestrator(*robots)
     for robot in robots:
         request = GoalRequest(goal_id=f"g-{robot}", owner=fleet.orchestrator_id, motion=LONG)
-        fleet.submit(robot, request)
+        submitted(fleet, robot, request)
     for robot in robots:
         lab.wait_for_state(fleet, robot, lambda state: state.progress > 0)
     return fleet

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from fleet_lab import submitted
 
 from benchmarks.faults.lab import Lab
 from benchmarks.faults.namespaces import Network, star
@@ -75,7 +76,7 @@ def test_an_owner_that_was_cut_off_and_replaced_is_refused_when_it_returns(
     network.cables["a"].pull()
     fleet = lab.orchestrator("a", name="successor")
     lab.wait_for_state(fleet, "a", lambda state: state.last_goal_id == "first.1")
-    fleet.submit("a", goal(fleet, "g2", LONG, epoch=6))
+    submitted(fleet, "a", goal(fleet, "g2", LONG, epoch=6))
     wait_until(lambda: len(lab.motions("a")) == 2)
     network.cables["a"].plug_in()
     owner.wait_for("refused")

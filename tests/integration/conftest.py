@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
-import psutil
 import pytest
+from child_processes import children_of
 from command_processes import Typed
 from fleet_lab import Lab, Orchestrator, double_integrator
 from polling import wait_until
@@ -19,10 +19,10 @@ from nufleet.shared.wire.transport import Session, open_router
 @pytest.fixture(autouse=True)
 def _nothing_is_left_running() -> Iterator[None]:
     threads = set(threading.enumerate())
-    children = set(psutil.Process().children(recursive=True))
+    children = set(children_of())
     yield
     wait_until(lambda: set(threading.enumerate()) <= threads)
-    wait_until(lambda: set(psutil.Process().children(recursive=True)) <= children)
+    wait_until(lambda: set(children_of()) <= children)
 
 
 @pytest.fixture(autouse=True)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from fleet_lab import KEYS, SLOW, Gate, Lab, Orchestrator, double_integrator, refusal
+from fleet_lab import KEYS, SLOW, Gate, Lab, Orchestrator, double_integrator, refusal, submitted
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot, puppet_spec
 
@@ -20,6 +20,7 @@ from nufleet.shared.wire.messages import (
     DescribeRequest,
     GoalAccepted,
     Outcome,
+    RobotState,
     RobotStatus,
     Telemetry,
 )
@@ -58,12 +59,14 @@ def test_progress_and_samples_arrive_while_a_motion_runs(lab: Lab) -> None:
     orchestrator = lab.orchestrator()
     batches: list[Telemetry] = []
     orchestrator.fleet.observe_telemetry(lambda _robot, batch: batches.append(batch))
-    accepted = orchestrator.submit("a", "g", settle_s=5.0)
+    states: list[RobotState] = []
+    orchestrator.fleet.observe_states(states.append)
+    accepted = orchestrator.submit("a", "g", settle_s=15.0)
     assert accepted.wall_duration_s == pytest.approx(accepted.plan.duration_s / 10.0)
-    running = orchestrator.state("a", lambda s: s.status is RobotStatus.RUNNING)
-    assert (running.goal_id, running.last_goal_id) == ("g", None)
-    orchestrator.state("a", lambda s: s.status is RobotStatus.RUNNING and 0 < s.progress < 1)
     result = orchestrator.result("a", "g")
+    running = [state for state in states if state.status is RobotStatus.RUNNING]
+    assert {(state.goal_id, state.last_goal_id) for state in running} == {("g", None)}
+    assert any(0 < state.progress < 1 for state in running)
     wait_until(lambda: sum(len(b.reference) for b in batches) == len(result.reference))
     np.testing.assert_array_equal(np.concatenate([b.reference for b in batches]), result.reference)
     np.testing.assert_array_equal(np.concatenate([b.response for b in batches]), result.response)
@@ -146,7 +149,7 @@ def test_acknowledgements_come_with_the_next_goal(lab: Lab) -> None:
     orchestrator = lab.orchestrator()
     orchestrator.run("a", "g1")
     request = orchestrator.request("g2").model_copy(update={"acknowledges": ("g1",)})
-    orchestrator.fleet.submit("a", request)
+    submitted(orchestrator.fleet, "a", request)
     assert refusal(lambda: orchestrator.fleet.result("a", "g1")) == "result-gone"
     assert orchestrator.result("a", "g2").outcome is Outcome.COMPLETED
 
@@ -326,7 +329,7 @@ def test_a_goal_of_an_owner_nobody_could_miss_is_refused(lab: Lab) -> None:
     assert refusal(lambda: orchestrator.fleet.submit("a", request)) == "owner-not-alive"
     assert robot.motions == 0
     orchestrator.session.declare_alive(KEYS.orchestrator_alive("orchestrator-1.ghost"))
-    assert orchestrator.fleet.submit("a", request).goal_id == "g"
+    assert submitted(orchestrator.fleet, "a", request).goal_id == "g"
     orchestrator.result("a", "g")
 
 

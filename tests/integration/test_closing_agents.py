@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from contextlib import ExitStack
+from typing import Any
 
 import pytest
 from fleet_lab import KEYS, SLOW, Lab
@@ -11,7 +12,7 @@ from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
 from nufleet.robot_agent.agent import Agent
-from nufleet.robot_agent.motion import watched_robot
+from nufleet.robot_agent.motion.watched_robot import WatchedRobot
 from nufleet.robot_agent.serve import closed_together
 from nufleet.shared.errors import RobotError
 
@@ -55,9 +56,14 @@ def test_robots_halt_together_and_are_let_go_of_while_one_still_lands(lab: Lab) 
 def test_a_driver_that_does_not_let_go_is_named_and_keeps_no_other_robot(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(watched_robot, "SLOW_CALL_MAX_S", 0.3)
-    returns = threading.Event()
+    returns, calling = threading.Event(), WatchedRobot._calling
     robots = {name: PuppetRobot() for name in ("a", "b")}
+
+    def impatiently(watched: WatchedRobot, what: str, allowed_s: float, **more: bool) -> Any:
+        lets_go = watched._robot is robots["a"] and what == "disconnect"
+        return calling(watched, what, 0.3 if lets_go else allowed_s, **more)
+
+    monkeypatch.setattr(WatchedRobot, "_calling", impatiently)
     robots["a"].on_disconnect = lambda: returns.wait(PATIENCE_S) and None
     with ExitStack() as stack:
         stack.callback(wait_until, lambda: not robots["a"].connected)

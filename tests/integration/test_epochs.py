@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from command_processes import Typed
-from fleet_lab import SLOW, Lab, Orchestrator, refusal
+from fleet_lab import SLOW, Lab, Orchestrator, refusal, submitted
 from polling import wait_until
 from puppet_robot import PuppetRobot
 
@@ -33,7 +33,7 @@ def submit(
     orchestrator: Orchestrator, goal_id: str, epoch: int, **excitation: object
 ) -> GoalAccepted:
     request = orchestrator.request(goal_id, **excitation)
-    return orchestrator.fleet.submit("a", request.model_copy(update={"epoch": epoch}))
+    return submitted(orchestrator.fleet, "a", request.model_copy(update={"epoch": epoch}))
 
 
 def test_everyone_can_see_who_commands_a_robot_and_under_which_epoch(lab: Lab) -> None:

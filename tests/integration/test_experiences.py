@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fleet_lab import Lab, Orchestrator, assert_never_moved, double_integrator, refusal
+from fleet_lab import Lab, Orchestrator, assert_never_moved, double_integrator, refusal, submitted
 from puppet_robot import PuppetRobot
 from robots_that_learn import LaggedRobot
 
@@ -295,7 +295,7 @@ def test_the_same_path_sent_again_is_the_same_flight(fleet: Fleet, lab: Lab) -> 
         owner="orchestrator-2",
         motion=Tracking(desired=PATH, inverse="baseline"),
     )
-    first = orchestrator.fleet.submit("target", request)
+    first = submitted(orchestrator.fleet, "target", request)
     assert orchestrator.fleet.submit("target", request) == first
     other = request.model_copy(update={"motion": Tracking(desired=0.5 * PATH, inverse="baseline")})
     assert refusal(lambda: orchestrator.fleet.submit("target", other)) == "goal-id-reused"
@@ -311,7 +311,7 @@ def test_a_prior_is_not_changed_while_the_robot_flies(lab: Lab) -> None:
         owner="orchestrator-1",
         motion=Tracking(desired=PATH, inverse="baseline"),
     )
-    orchestrator.fleet.submit("slow", request)
+    submitted(orchestrator.fleet, "slow", request)
     assert refusal(lambda: install(orchestrator.fleet, "slow", "prior", experience())) == "busy"
     orchestrator.fleet.stop("slow", "enough")
     result = orchestrator.result("slow", "long")

@@ -6,10 +6,10 @@ import threading
 
 import numpy as np
 import pytest
+from child_processes import rehearsals
 from fleet_lab import Lab, Orchestrator, refusal
 from learned_things import experience
 from polling import PATIENCE_S, wait_until
-from rehearsals import rehearsals
 from robots_that_learn import LaggedRobot
 
 from nufleet.orchestrator.experience.prior_custody import install
@@ -119,7 +119,7 @@ def test_a_motion_ends_a_forecast(lab: Lab) -> None:
     flying = threading.Thread(target=lambda: _flown(pilot))
     flying.start()
     assert ended.wait(PATIENCE_S)
-    assert rehearsals() == []
+    wait_until(lambda: rehearsals() == [])  # it was killed, and dies when its turn comes
     pilot.interrupt()
     flying.join()
     asking.join()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from fleet_lab import Lab, double_integrator, refusal
 from learned_things import experience, layout
+from polling import PATIENCE_S
 from rich.console import Console
 
 from nufleet.orchestrator.evaluation.flight_documents import TrackResult
@@ -89,7 +90,7 @@ def test_the_weights_of_a_mixture_are_streamed_and_kept(fleet: Fleet) -> None:
     assert flight.details.weights.shape == (len(PATH), 4)
     np.testing.assert_allclose(flight.details.weights[0], 0.25)
     np.testing.assert_allclose(flight.details.weights.sum(axis=1), 1.0)
-    assert ended.wait(20)
+    assert ended.wait(PATIENCE_S)
     for batch in batches:
         assert batch.experts == flight.details.experts
         assert batch.weights is not None

@@ -7,7 +7,7 @@ import threading
 
 import numpy as np
 import pytest
-from fleet_lab import Lab, Orchestrator, assert_never_moved, double_integrator
+from fleet_lab import Lab, Orchestrator, assert_never_moved, double_integrator, submitted
 from learned_things import experience
 from robots_that_learn import LaggedRobot
 
@@ -72,14 +72,15 @@ def test_ctrl_c_in_flight_brings_the_robot_to_rest_before_its_prior_is_put_back(
     lab.agent("slow", double_integrator(0.85, 1), realtime=1.0, policy=unguarded)
     orchestrator = lab.orchestrator()
     fleet = orchestrator.fleet
+    path = np.tile(PATH, (3, 1))
     install(fleet, "slow", "prior", OWN)
     pilot = Pilot(fleet, "run")
     main = threading.main_thread().ident
     assert main is not None
 
     def press_ctrl_c() -> None:
-        # The way to the start takes the first third.
-        orchestrator.state("slow", lambda s: s.goal_id is not None and s.progress > 0.4)
+        # The way to the start takes the first seventh.
+        orchestrator.state("slow", lambda s: s.goal_id is not None and s.progress > 0.2)
         signal.pthread_kill(main, signal.SIGINT)
 
     ctrl_c = threading.Thread(target=press_ctrl_c)
@@ -88,7 +89,7 @@ def test_ctrl_c_in_flight_brings_the_robot_to_rest_before_its_prior_is_put_back(
         with prior_put_back(fleet, pilot, fleet.describe("slow")):
             install(fleet, "slow", "prior", OTHER)
             ctrl_c.start()
-            pilot.with_prior("slow", PATH, "prior", digest(OTHER), guarded=False)
+            pilot.with_prior("slow", path, "prior", digest(OTHER), guarded=False)
 
     with pytest.raises(KeyboardInterrupt):
         fly()
@@ -98,7 +99,7 @@ def test_ctrl_c_in_flight_brings_the_robot_to_rest_before_its_prior_is_put_back(
     assert state.last_goal_id is not None
     result = fleet.result("slow", state.last_goal_id)
     assert result.outcome == "cancelled"
-    assert 0 < len(result.response) < len(PATH)
+    assert 0 < len(result.response) < len(path)
 
 
 def test_a_robot_that_is_gone_does_not_hide_why_the_flights_ended(
@@ -175,5 +176,5 @@ def test_a_goal_that_another_sent_is_not_cancelled_by_putting_back(
         motion=Tracking(desired=PATH, inverse="baseline"),
     )
     with prior_put_back(fleet, Pilot(fleet, "run"), fleet.describe("target")):
-        fleet.submit("target", request)
+        submitted(fleet, "target", request)
         assert orchestrator.result("target", "theirs").outcome == "completed"

@@ -12,7 +12,7 @@ from typing import Any
 
 import psutil
 import pytest
-from fleet_lab import Orchestrator
+from fleet_lab import SLOW, Orchestrator
 from hypothesis import given
 from hypothesis import strategies as st
 from polling import PATIENCE_S, wait_until
@@ -21,7 +21,6 @@ from nufleet.orchestrator.fleet import processes as fleet_processes
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.fleet.processes import FleetProcesses, grouped, private_folder
 from nufleet.shared.errors import EndpointInUseError
-from nufleet.shared.frequency_test.excitation import Tone
 from nufleet.shared.robots.fleet_file import FleetFile, read_fleet_file
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.messages import Outcome, RobotStatus
@@ -101,16 +100,16 @@ def test_a_fleet_starts_works_and_ends_agents_first(fleet_file: Path, endpoint: 
         with open_client(endpoint, timeout_s=PATIENCE_S) as session:
             lab = Orchestrator(session, Fleet(session, FleetKeys("lab"), "orchestrator-1"))
             lab.fleet.wait_for(("a", "b"), timeout_s=PATIENCE_S)
-            lab.submit("a", "g1")
+            lab.submit("a", "g1", **SLOW)
             lab.state("a", lambda s: s.status is RobotStatus.RUNNING)
             lab.fleet.cancel("a", "g1")
             assert lab.result("a", "g1").outcome is Outcome.CANCELLED
             assert started.dead() == []
-            lab.submit("b", "g2", tones=(Tone(omega_rad_s=1.0),))
+            lab.submit("b", "g2", **SLOW)
             started.stop()
             # Heard over the router, which therefore was still there while the robots came to rest.
-            last = lab.state("b", lambda s: s.status is RobotStatus.IDLE)
-            assert last.reason == "the agent is shutting down"
+            last = lab.state("b", lambda s: s.reason == "the agent is shutting down")
+            assert last.status is RobotStatus.IDLE
         assert all(is_gone(pid) for pid in pids)
     started.stop()
 

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from fleet_lab import SLOW, Lab, Orchestrator, refusal
+from fleet_lab import SLOW, Lab, Orchestrator, refusal, submitted
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
@@ -196,7 +196,7 @@ def test_a_robot_whose_owner_falls_silent_rests_and_is_taken_over_within_the_lea
         lease(repository, silent)  # never entered, hence never renewed
         request = silent.request("g", **SLOW)
         epoch = silent.fleet.epoch("a")
-        silent.fleet.submit("a", request.model_copy(update={"epoch": epoch}))
+        submitted(silent.fleet, "a", request.model_copy(update={"epoch": epoch}))
         wait_until(lambda: not robot.at_rest)
         silent.session.close()
         with lease(repository, heir, patient=True) as leases:

@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import threading
 
+import click
 import pytest
 from fleet_lab import SLOW, Lab, Orchestrator
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
+from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.jobs.stop import stop_and_print
 from nufleet.robot_agent.agent import Agent
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.messages import RobotStatus
@@ -134,6 +138,29 @@ def test_one_robot_that_is_not_released_keeps_no_other_from_it(lab: Lab) -> None
     for robot in ("a", "b"):
         assert f"{robot} may move again\n" in done.stderr
         orchestrator.state(robot, lambda s: s.status is RobotStatus.IDLE)
+
+
+def test_a_robot_that_answers_late_delays_the_answer_of_no_other(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for robot in ("a", "b"):
+        lab.agent(robot, PuppetRobot())
+    lab.orchestrator()
+    said, stop, echo = threading.Event(), Fleet.stop, click.echo
+
+    def stop_late(fleet: Fleet, robot: str, reason: str, **kill: bool) -> None:
+        if robot == "a":
+            assert said.wait(PATIENCE_S)
+        stop(fleet, robot, reason, **kill)
+
+    def note(words: str, **where: bool) -> None:
+        echo(words, **where)
+        said.set()
+
+    monkeypatch.setattr(Fleet, "stop", stop_late)
+    monkeypatch.setattr(click, "echo", note)
+    assert stop_and_print(lab.endpoint, "lab", None, "smoke")
+    assert capfd.readouterr().err == "b is stopped\na is stopped\n"
 
 
 def test_nothing_heavy_is_imported_before_robots_are_told_to_stop() -> None:

@@ -11,9 +11,9 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from child_processes import rehearsals
 from learned_things import flown_before
 from polling import PATIENCE_S, wait_until
-from rehearsals import rehearsals
 from robots_that_learn import LaggedRobot
 
 from nufleet.robot_agent.flight.memory import Memory
@@ -130,7 +130,7 @@ def test_a_heartbeat_does_not_wait_for_the_plan_of_a_forecast() -> None:
     assert SlowPlanner.begun.wait(PATIENCE_S)
     beating = threading.Thread(target=lab.service.look, daemon=True)
     beating.start()
-    beating.join(timeout=5.0)
+    beating.join(PATIENCE_S / 2)
     waited = beating.is_alive()
     SlowPlanner.allowed.set()
     asking.join()

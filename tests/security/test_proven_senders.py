@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 
 import pytest
 import zenoh
-from closed_lab import KEYS, ClosedLab, closed_lab, settle
-from fleet_lab import Orchestrator
+from closed_lab import KEYS, ClosedLab, closed_lab
+from fleet_lab import SLOW, Orchestrator
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
@@ -32,7 +32,7 @@ from nufleet.orchestrator.fleet.orchestrator_id import new_orchestrator_id
 from nufleet.robot_agent.agent import Agent
 from nufleet.robot_agent.journal.audit_log import AUDIT_LOG, AuditEntry, read_audit_log, verified
 from nufleet.robot_agent.network.certificate_watch import CertificateWatch
-from nufleet.shared.errors import InvalidInputError, RefusedError
+from nufleet.shared.errors import InvalidInputError, NoRouterError, RefusedError
 from nufleet.shared.frequency_test.excitation import Tone
 from nufleet.shared.private_files import write_privately
 from nufleet.shared.wire.codec import decode, encode
@@ -187,9 +187,9 @@ def test_a_robot_that_floods_its_state_is_heard_no_more_often_than_the_router_al
     began_s = time.monotonic()
     for _ in range(2000):
         states.put(b"x" * 100)
-    settle(thief, watcher)
+    wait_until(lambda: states.put(b"last") or b"last" in heard)
     lasted_s = time.monotonic() - began_s
-    assert 1 < len(heard) < 2000
+    assert heard.count(b"x" * 100) < 2000
     assert heard.count(b"x" * 100) <= 2 + STATES_HZ * lasted_s
 
 
@@ -222,10 +222,16 @@ def test_a_renewed_certificate_takes_effect_without_a_restart(
     token = KEYS.robot("b", "alive")
     presence: list[bool] = []
     watcher.watch_alive(token, lambda key, alive: presence.append(alive))
-    ending = short_lived(fleet.lab, tmp_path, timedelta(seconds=4))
-    with open_client(address_of(ending.path), timeout_s=PATIENCE_S) as session:
-        session.declare_alive(token)
-        wait_until(lambda: presence == [True])
+    with ExitStack() as stack:
+        for life in (timedelta(seconds=4 * 5**n) for n in range(4)):
+            ends, ending = utc_now() + life, short_lived(fleet.lab, tmp_path, life)
+            with suppress(NoRouterError):
+                session = open_client(address_of(ending.path), timeout_s=life.total_seconds())
+                stack.enter_context(session).declare_alive(token)
+                wait_until(lambda: bool(presence) or utc_now() > ends)  # noqa: B023
+            if presence:
+                break
+            stack.close()  # a busy machine took longer than the certificate lasts
         short_lived(fleet.lab, tmp_path, timedelta(days=1))
         # The router ends the old link and takes the new certificate perhaps 2 ms later, too soon to
         # be sure of seeing each presence by itself: the whole history is what is waited for.
@@ -257,7 +263,7 @@ def test_no_goal_begins_that_may_outlast_the_certificate(
         assert isinstance(decode(encode(refusal), Refusal), Refusal)
 
 
-def test_an_agent_that_runs_warns_once_when_a_third_of_the_life_is_left(
+def test_an_agent_that_runs_warns_once_a_day_when_a_third_of_the_life_is_left(
     fleet: Fleetlet, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     now = [utc_now()]
@@ -268,6 +274,14 @@ def test_an_agent_that_runs_warns_once_when_a_third_of_the_life_is_left(
         watch.look()
         assert [record.message for record in caplog.records] == warnings * [watch.due]
     assert "`nufleet fleet renew b`" in watch.due
+    now[0] += timedelta(days=1)
+    watch.look()
+    assert len(caplog.records) == 2
+    short_lived(fleet.lab, tmp_path, timedelta(days=90))
+    assert f"{identity.path} is renewed and takes effect then" in watch.due
+    now[0] += timedelta(days=1)
+    watch.look()
+    assert len(caplog.records) == 2
 
 
 def test_a_robot_takes_the_goals_that_end_before_its_certificate_and_no_others(
@@ -284,6 +298,6 @@ def test_a_robot_takes_the_goals_that_end_before_its_certificate_and_no_others(
             desk.submit("b", "long", tones=(Tone(omega_rad_s=0.02),))
         assert raised.value.code == "certificate"
         assert robot.motions == 0
-        assert desk.submit("b", "short").wall_duration_s < 60.0
+        assert desk.submit("b", "short", **SLOW).wall_duration_s < 60.0
         desk.fleet.cancel("b", "short")
         desk.result("b", "short")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -23,7 +24,7 @@ from nufleet.orchestrator.authority.certificates import (
     read_key,
     utc_now,
 )
-from nufleet.shared.errors import NoRouterError
+from nufleet.shared.errors import InvalidInputError, NoRouterError
 from nufleet.shared.private_files import write_privately
 from nufleet.shared.wire import handshake
 from nufleet.shared.wire.identity import Identity, address_of, identity_text, read_identity
@@ -31,6 +32,12 @@ from nufleet.shared.wire.transport import open_client, open_configured_router, o
 
 TRIED_S = 0.4
 DAY = timedelta(days=1)
+
+
+@pytest.fixture(autouse=True)
+def _routers_take_their_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(handshake, "TIMEOUT_S", PATIENCE_S)
+    monkeypatch.setattr(handshake, "ALERT_S", PATIENCE_S)
 
 
 @pytest.fixture(scope="module")
@@ -182,8 +189,28 @@ def false_router(lab: ClosedLab, folder: Path, certificate: str, key: bytes) -> 
     endpoint = f"tls/127.0.0.1:{port}"
     (folder / "router.json5").write_text(text.replace(own, endpoint))
     (folder / "router.pem").write_text(certificate)
-    (folder / "router.key").write_bytes(key)
+    write_privately(folder / "router.key", key)
     authority = (lab.authority.folder / "authority.pem").read_text()
     (folder / "authority.pem").write_text(authority)
     with open_configured_router(folder / "router.json5", allow_open=False):
         yield endpoint
+
+
+def test_a_router_whose_key_others_can_read_or_that_trusts_plain_links_does_not_start(
+    lab: ClosedLab, tmp_path: Path
+) -> None:
+    folder = tmp_path / "router"
+    shutil.copytree(lab.authority.folder / "router", folder)
+    configuration = folder / "router.json5"
+    text = configuration.read_text()
+    linked = text.replace('"listen": {', '"connect": {"endpoints": ["tcp/base:7447"]}, "listen": {')
+    for changed, mode, words in (
+        (text, 0o640, r"can read or replace the key .*router\.key: chmod 600"),
+        (linked, 0o600, "tcp/base:7447 is open"),
+        (text.replace("router.key", "gone.key"), 0o600, r"gone\.key: cannot be read"),
+    ):
+        configuration.write_text(changed)
+        (folder / "router.key").chmod(mode)
+        opening = open_configured_router(configuration, allow_open=False)
+        with pytest.raises(InvalidInputError, match=words), opening:
+            pass

@@ -107,7 +107,14 @@ def publishing(key: str) -> Callable[[Stage, Session, str], Observed]:
     def attempt(stage: Stage, actor: Session, name: str) -> Observed:
         mark = f"mark-{next(COUNT)}"
         actor.put_urgent(key, mark.encode())
-        return lambda: any(line.endswith(mark) for line in stage.seen)
+
+        def seen() -> bool:
+            if any(line.endswith(mark) for line in stage.seen):
+                return True
+            actor.put_urgent(key, mark.encode())  # as robots repeat it; see `watching_a_state`
+            return False
+
+        return seen
 
     return attempt
 
@@ -159,6 +166,10 @@ def watching_a_state(stage: Stage, actor: Session, name: str) -> Observed:
 
 def seeing_a_token(stage: Stage, actor: Session, name: str) -> Observed:
     return lambda: bool(actor.alive(KEYS.robot("a", "alive"), timeout_s=PATIENCE_S))
+
+
+def seeing_the_connected(stage: Stage, actor: Session, name: str) -> Observed:
+    return lambda: "a.1" in actor.connected()
 
 
 def eavesdropping(stage: Stage, actor: Session, name: str) -> Observed:
@@ -234,6 +245,7 @@ ACTIONS = [
         frozenset({"b"}),
         serving(KEYS.robot("b", "describe")),
     ),
+    Action("see who is connected", COMMANDERS, seeing_the_connected),
     Action("ask the router about others", NO_ONE, asking(lambda _: "@/*/router/**")),
     Action("ask every fleet", NO_ONE, asking(lambda _: "nufleet/*/robot/*/describe")),
     Action("ask everything", NO_ONE, asking(lambda _: "**")),

@@ -46,10 +46,6 @@ from nufleet.shared.wire.messages import (
 if TYPE_CHECKING:
     from benchmarks.faults.simulation.orchestrator import SimulatedOrchestrator
 
-INNOCENT = frozenset({"stopped", "stale-epoch", "fault", "journal"})
-"""Codes of refusals after which a robot may be dropped: a person or another orchestrator decided
-so, or the robot's own state requires it."""
-
 
 @dataclass(eq=False)
 class Run:
@@ -298,7 +294,9 @@ class Conduct:
     def _check_failed(self, run: Run, outcome: Failed, ended: Ended) -> None:
         test = run.test
         if isinstance(ended.error, RefusedError):
-            if ended.error.code not in INNOCENT:
+            code = ended.error.code
+            excuses = self._process.history.excuses
+            if code != "stale-epoch" and (test.robot, code) not in excuses:
                 raise Violation(
                     f"{self._process.world.now_s:.3f}: {test.robot} is left out, refused as "
                     f"{ended.error.code}: {ended.error}"

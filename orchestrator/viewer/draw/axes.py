@@ -60,13 +60,18 @@ def fitting_axes(curves: Sequence[Curve]) -> Axes:
     """Return axes that show all medians and samples, and the bands unless these are very wide."""
     highest = max(max(float(c.median.max()), float(c.sampled_psi.max(initial=0.0))) for c in curves)
     band = max(float(c.high.max()) for c in curves)
-    shown = min(max(1.1 * highest, min(band, 3.0 * highest), 1e-6), 1.0)
-    step = round_up(shown / 5)
-    return Axes(
-        omega_min_rad_s=min(float(c.omega_rad_s.min()) for c in curves),
-        omega_max_rad_s=max(float(c.omega_rad_s.max()) for c in curves),
-        psi_max=step * math.ceil(shown / step - 1e-9),
+    return axes_over(
+        min(float(c.omega_rad_s.min()) for c in curves),
+        max(float(c.omega_rad_s.max()) for c in curves),
+        max(1.1 * highest, min(band, 3.0 * highest)),
     )
+
+
+def axes_over(omega_min_rad_s: float, omega_max_rad_s: float, psi: float) -> Axes:
+    """Return axes for frequencies between two and for distances up to a round one above `psi`."""
+    shown = min(max(psi, 1e-6), 1.0)
+    step = round_up(shown / 5)
+    return Axes(omega_min_rad_s, omega_max_rad_s, step * math.ceil(shown / step - 1e-9))
 
 
 def round_up(value: float) -> float:

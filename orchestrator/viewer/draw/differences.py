@@ -6,10 +6,10 @@ import numpy as np
 import rerun as rr
 
 from nufleet.orchestrator.viewer.draw.axes import round_up, spread
-from nufleet.orchestrator.viewer.draw.leaders import leading_sources, responses_at, telling_tone
 from nufleet.orchestrator.viewer.draw.marks import labels_2d, lines_2d, screen_points
 from nufleet.orchestrator.viewer.draw.palette import GRID, QUIET, TARGET, TEXT, Palette
-from nufleet.orchestrator.viewer.events import IterationEvent
+from nufleet.orchestrator.viewer.draw.telling import responses_at, telling_tone
+from nufleet.orchestrator.viewer.events import Answers
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import chordal_distance, riemann_sphere
 
@@ -28,27 +28,27 @@ class Differences:
         self._palette = palette
         self._drawn: set[str] = set()
 
-    def draw(self, event: IterationEvent) -> None:
-        """Draw a round, at the tone where the sources are farthest and the time set on the stream.
+    def draw(self, answers: Answers) -> None:
+        """Draw responses at the tone where the sources are farthest, at the time set on the stream.
 
         See `telling_tone` for the choice of the tone.
         """
-        tone = telling_tone(event)
-        now = responses_at(event, tone)
-        sources = [s for s in now if s != event.target] if event.target in now else []
+        tone = telling_tone(answers)
+        now = responses_at(answers, tone)
+        sources = [s for s in now if s != answers.target] if answers.target in now else []
         for gone in self._drawn - set(sources):
             self._stream.log(f"difference/sources/{gone}", rr.Clear(recursive=False))
         self._drawn = set(sources)
         if not sources:
             return
-        target = np.array(now[event.target])
+        target = np.array(now[answers.target])
         z = np.array([now[source] for source in sources])
         psi = chordal_distance(z, target)
-        leaders = leading_sources(event)
+        leaders = answers.leaders
         shown = [p for s, p in zip(sources, psi, strict=True) if s in leaders] or list(psi)
         step = round_up(max(float(max(shown)), 1e-6) / 4)
         scale = RADIUS / (step * int(np.ceil(max(float(max(shown)) / step, 1.0))))
-        self._draw_rings(event.omega_rad_s[tone], step, scale)
+        self._draw_rings(answers.omega_rad_s[tone], step, scale)
         places = _within(around(complex(target), z) * scale)
         for source, place in zip(sources, places, strict=True):
             self._draw_source(source, place, in_full=source in leaders)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import rerun as rr
 
 from nufleet.orchestrator.study.interface import SourceEstimate
 from nufleet.orchestrator.viewer.draw.palette import Palette
-from nufleet.orchestrator.viewer.events import IterationEvent
+from nufleet.orchestrator.viewer.events import Answers, IterationEvent
+from nufleet.orchestrator.viewer.running_tests import largest_psi
 
 TONES_NAMED = 6
 """Limit on the number of frequencies that the table and the log list."""
@@ -18,22 +21,38 @@ class Estimates:
     def __init__(self, stream: rr.RecordingStream, palette: Palette) -> None:
         self._stream = stream
         self._palette = palette
+        self._styled: set[str] = set()
+        self._ranked = False
+
+    def draw_running(self, answers: Answers) -> None:
+        """Draw what the tests in progress have shown; before the first round, as the ranking."""
+        if answers.target not in answers.responses:
+            return
+        farthest = largest_psi(answers.responses, answers.target)
+        for source in answers.leaders:
+            self._draw_series(source, "running", farthest[source], 0.7)
+        if not self._ranked:
+            text = running_table(answers, farthest)
+            self._stream.log("ranking", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
+
+    def _draw_series(self, source: str, part: str, psi: float, width: float) -> None:
+        """Draw a value on one of a source's lines, with a mark that is seen by itself too."""
+        path = f"psi/worst/{source}/{part}"
+        if path not in self._styled:
+            self._styled.add(path)
+            colour, name = self._palette.of(source), f"{source} {part}"
+            line = rr.SeriesLines(colors=[colour], widths=[width], names=[name])
+            mark = rr.SeriesPoints(colors=[colour], marker_sizes=[1.5 * width], names=[name])
+            self._stream.log(path, line, mark, static=True)
+        self._stream.log(path, rr.Scalars([psi]))
 
     def draw(self, event: IterationEvent) -> None:
         """Draw one round at the time that is set on the stream."""
+        self._ranked = True
         for row in event.ranking:
-            # Rerun draws a value with a symmetric band, so that a skewed interval takes two series.
-            for part, value in (("", row.psi), ("/low", row.psi_low), ("/high", row.psi_high)):
-                self._stream.log(
-                    f"psi/worst/{row.robot}{part}",
-                    rr.Measurements(
-                        values=[value],
-                        variances=[0.0],
-                        colors=[self._palette.of(row.robot)],
-                        widths=[0.7 if part else 2.0],
-                        names=[f"{row.robot}{part}"],
-                    ),
-                )
+            self._draw_series(row.robot, "median", row.psi, 2.0)
+            self._draw_series(row.robot, "low", row.psi_low, 1.0)
+            self._draw_series(row.robot, "high", row.psi_high, 1.0)
         self._stream.log(
             "ranking", rr.TextDocument(ranking_table(event), media_type=rr.MediaType.MARKDOWN)
         )
@@ -51,6 +70,24 @@ def ranking_table(event: IterationEvent) -> str:
     return "\n".join(lines)
 
 
+def running_table(answers: Answers, farthest: Mapping[str, float]) -> str:
+    """Return what tests in progress have shown as Markdown, the closest source first.
+
+    Args:
+        answers: Responses up to now.
+        farthest: Largest chordal distance up to now, by source.
+    """
+    rows = sorted(farthest, key=lambda source: farthest[source])
+    lines = [
+        f"**Tests in progress**, heard: {_tones(answers)}, target **{answers.target}**",
+        "",
+        "| | source | largest ψ up to now |",
+        "|---:|:---|---:|",
+        *(f"| {k} | {source} | {farthest[source]:.4f} |" for k, source in enumerate(rows, 1)),
+    ]
+    return "\n".join(lines)
+
+
 def summary(event: IterationEvent) -> str:
     """Return the result of a round in one line for the log."""
     said = f"round {event.iteration} at {_tones(event)}"
@@ -60,7 +97,7 @@ def summary(event: IterationEvent) -> str:
     return f"{said}: {best.robot} is closest, worst ψ = {best.stated}"
 
 
-def _tones(event: IterationEvent) -> str:
+def _tones(event: Answers | IterationEvent) -> str:
     some = ", ".join(f"{omega:.3g}" for omega in event.omega_rad_s[:TONES_NAMED])
     if len(event.omega_rad_s) > TONES_NAMED:
         some += f", … ({len(event.omega_rad_s)} tones)"

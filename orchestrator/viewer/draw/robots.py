@@ -51,7 +51,8 @@ class RobotStates:
         )
 
     def _draw_changes(self, robot: str, events: list[RobotStateEvent]) -> None:
-        path = f"state/{robot}"
+        # Lanes are sorted by their paths: the target comes first, however many robots follow.
+        path = f"state/{'1-target' if events[0].is_target else '2-source'}/{robot}"
         if robot not in self._status:
             self._stream.log(
                 path,

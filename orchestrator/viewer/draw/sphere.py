@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 
-from nufleet.orchestrator.viewer.draw.leaders import leading_sources, responses_at, telling_tone
 from nufleet.orchestrator.viewer.draw.marks import labels_3d, lines_3d, screen_points
 from nufleet.orchestrator.viewer.draw.palette import GRID, QUIET, TEXT, Colour, Palette
-from nufleet.orchestrator.viewer.events import IterationEvent
+from nufleet.orchestrator.viewer.draw.telling import responses_at, telling_tone
+from nufleet.orchestrator.viewer.events import Answers
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import chordal_distance, riemann_sphere
 
@@ -32,9 +32,9 @@ class Sphere:
     """A view of the Riemann sphere with the responses of the robots and the chords between them.
 
     The sphere has radius ½ and touches the complex plane at its south pole, z = 0 (paper, Section
-    IV-A and Fig. 1). A round is drawn at the tone where the sources are farthest from the target;
-    behind it the responses of all rounds, joined in the order of frequency, show each robot's
-    frequency response as far as it is known.
+    IV-A and Fig. 1). Responses are drawn at the tone where the sources are farthest from the
+    target; behind them the responses of all rounds, joined in the order of frequency, show each
+    robot's frequency response as far as it is known.
     """
 
     def __init__(self, stream: rr.RecordingStream, palette: Palette) -> None:
@@ -69,20 +69,20 @@ class Sphere:
             static=True,
         )
 
-    def draw(self, event: IterationEvent) -> None:
-        """Draw one round at the time that is set on the stream."""
-        for robot, tones in event.responses.items():
-            self._known.setdefault(robot, {}).update(zip(event.omega_rad_s, tones, strict=False))
-        leaders = leading_sources(event)
-        now = {r: np.array(z) for r, z in responses_at(event, telling_tone(event)).items()}
+    def draw(self, answers: Answers) -> None:
+        """Draw responses at the time that is set on the stream."""
+        for robot, tones in answers.responses.items():
+            self._known.setdefault(robot, {}).update(zip(answers.omega_rad_s, tones, strict=False))
+        leaders = answers.leaders
+        now = {r: np.array(z) for r, z in responses_at(answers, telling_tone(answers)).items()}
         for robot, z in now.items():
-            in_full = robot == event.target or robot in leaders
+            in_full = robot == answers.target or robot in leaders
             self._draw_robot(robot, z, self._palette.of(robot) if in_full else QUIET)
         self._clear("points", self._points - now.keys())
         self._points = set(now)
-        chords = [s for s in leaders if s in now] if event.target in now else []
+        chords = [s for s in leaders if s in now] if answers.target in now else []
         if chords:
-            self._draw_chords(chords, np.array([now[s] for s in chords]), now[event.target])
+            self._draw_chords(chords, np.array([now[s] for s in chords]), now[answers.target])
         self._clear("chords", self._chords - set(chords))
         self._chords = set(chords)
 

@@ -7,16 +7,25 @@ may hold translucent areas.
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 import rerun as rr
 
 from nufleet.orchestrator.study.interface import Curve
-from nufleet.orchestrator.viewer.draw.axes import HEIGHT, WIDTH, Axes, fitting_axes, spread
-from nufleet.orchestrator.viewer.draw.leaders import leading_sources
+from nufleet.orchestrator.viewer.draw.axes import (
+    HEIGHT,
+    WIDTH,
+    Axes,
+    axes_over,
+    fitting_axes,
+    spread,
+)
 from nufleet.orchestrator.viewer.draw.marks import labels_2d, lines_2d, lines_3d, screen_points
 from nufleet.orchestrator.viewer.draw.palette import GRID, QUIET, TEXT, Colour, Palette
-from nufleet.orchestrator.viewer.events import IterationEvent
+from nufleet.orchestrator.viewer.events import Answers, IterationEvent
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.distance.chordal import chordal_distance
 
 CAMERA = "psi/plot"
 DISTANCE = 400.0
@@ -31,6 +40,9 @@ _OPACITY = 45
 FULL_PARTS = ("psi/samples", "psi/interval")
 """Paths of the parts that are drawn only for the leading sources."""
 
+RUNNING = "psi/running"
+"""Path of the distances that tests in progress have shown."""
+
 
 class Surrogates:
     """A view of the median, the band that holds 95 %, and the samples."""
@@ -39,6 +51,8 @@ class Surrogates:
         self._stream = stream
         self._palette = palette
         self._in_full: set[str] = set()
+        self._running: set[str] = set()
+        self._axes: Axes | None = None
 
     def begin(self) -> None:
         """Place the camera."""
@@ -52,13 +66,44 @@ class Surrogates:
             static=True,
         )
 
+    def draw_running(self, answers: Answers) -> None:
+        """Draw the distances that tests in progress have shown, as small points on a thin line."""
+        target = np.array(answers.responses.get(answers.target, ()))
+        sources = [source for source in answers.leaders if len(target)]
+        self._clear_running(keep=sources)
+        if not sources:
+            return
+        omega_rad_s = np.array(answers.omega_rad_s)
+        psi = {s: chordal_distance(np.array(answers.responses[s]), target) for s in sources}
+        if self._axes is None:
+            highest = max(float(distances.max()) for distances in psi.values())
+            axes = axes_over(omega_rad_s[0], omega_rad_s[-1], highest)
+            self._draw_axes(axes, answers.omega_rad_s)
+        else:
+            axes = self._axes
+        for source, distances in psi.items():
+            colour = self._palette.of(source)
+            places = _place(axes, omega_rad_s, distances, _SAMPLES)
+            self._stream.log(
+                f"{RUNNING}/{source}",
+                lines_3d([places], [colour], 0.5),
+                rr.Points3D(places, colors=[colour], radii=screen_points(2.5)),
+            )
+
+    def _clear_running(self, keep: Collection[str] = ()) -> None:
+        for source in self._running - set(keep):
+            self._stream.log(f"{RUNNING}/{source}", rr.Clear(recursive=False))
+        self._running = set(keep)
+
     def draw(self, event: IterationEvent) -> None:
         """Draw one round at the time that is set on the stream."""
+        self._clear_running()
         curves = {curve.source: curve for curve in event.curves if len(curve.omega_rad_s)}
         if not curves:
             return
-        leaders = [source for source in leading_sources(event) if source in curves]
+        leaders = [source for source in event.leaders if source in curves]
         axes = fitting_axes([curves[source] for source in leaders] or list(curves.values()))
+        self._axes = axes
         self._draw_axes(axes, event.omega_rad_s)
         for source in self._in_full - set(leaders):
             for part in FULL_PARTS:
@@ -107,7 +152,7 @@ class Surrogates:
         self._stream.log(
             f"{CAMERA}/tested",
             lines_2d(
-                [[[x, -2.0], [x, HEIGHT]] for x in axes.x(np.array(tested_rad_s))], [TEXT], 0.6
+                [[[x, -2.0], [x, HEIGHT]] for x in axes.x(np.array(tested_rad_s))], [QUIET], 0.5
             ),
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -129,7 +130,8 @@ class ViewerServer:
                 self._process.wait(timeout_s)
             except subprocess.TimeoutExpired:
                 log.warning("the server of the viewer did not end; killing it")
-                self._process.kill()
+                # With it the server itself, which would outlive it while it hangs.
+                os.killpg(self._process.pid, signal.SIGKILL)
                 self._process.wait()
         self._process = None
         if self._output is not None:

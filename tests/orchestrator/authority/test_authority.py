@@ -278,7 +278,7 @@ def test_an_altered_request_is_refused(authority: Authority, tmp_path: Path) -> 
 
 def test_a_key_of_the_authority_that_others_can_read_is_not_used(authority: Authority) -> None:
     (authority.folder / "authority.key").chmod(0o644)
-    with pytest.raises(InvalidInputError, match=r"other users can read the key .*chmod 600"):
+    with pytest.raises(InvalidInputError, match=r"can read or replace the key .*chmod 600"):
         Authority(authority.folder)
 
 

@@ -168,6 +168,11 @@ FLIGHT = ("--target", "a", "--trajectory", "clover")
         ("rank", ("--fleet", "paper_linear", "--wait", "3"), "effect with --fleet, which starts"),
         ("evaluate", ("--fleet", "paper_linear", "--fleet-name", "lab"), "--fleet-name has no"),
         ("rank", ("--realtime", "1"), "--realtime has no effect without --fleet"),
+        (
+            "rank",
+            ("--fleet", "paper_linear", "--plan", "--live"),
+            "--live has no effect with --plan",
+        ),
         ("track", (*FLIGHT, "--horizon", "1"), "--horizon has no effect without --inverse zero"),
         ("track", (*FLIGHT, "--inverse", "own", "--no-learning"), "no effect with --inverse own"),
         ("track", (*FLIGHT, "--inverse", "baseline", "--no-guard"), "--no-guard has no effect"),

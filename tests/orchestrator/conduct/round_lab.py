@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from kept_study import kept_study
+from polling import PATIENCE_S
 from puppet_robot import PuppetRobot
 
 from nufleet.orchestrator.conduct.dispatcher import Dispatcher
@@ -79,9 +80,9 @@ class Lab:
         """Let another orchestrator take over; the one before is gone, and its token with it."""
         self.client.close()
         self.epoch += 1
-        self.client = self.stack.enter_context(open_client(self.endpoint, timeout_s=5.0))
+        self.client = self.stack.enter_context(open_client(self.endpoint, timeout_s=PATIENCE_S))
         self.fleet = Fleet(self.client, KEYS, name)
-        self.fleet.wait_for(ROBOTS, timeout_s=10.0)
+        self.fleet.wait_for(ROBOTS, timeout_s=PATIENCE_S)
         self.fleet.hold(self.epochs)
 
 
@@ -96,7 +97,7 @@ def agent_of(
 ) -> Iterator[Agent]:
     """Serve a robot for a while."""
     with (
-        open_client(endpoint, timeout_s=5.0) as session,
+        open_client(endpoint, timeout_s=PATIENCE_S) as session,
         Agent(session, KEYS, name, robot, realtime=realtime, state_folder=state_folder) as agent,
     ):
         yield agent
@@ -110,9 +111,9 @@ def start_lab(stack: ExitStack, tmp_path: Path, realtime: float | None) -> Lab:
         name: stack.enter_context(agent_of(endpoint, name, robot, realtime=realtime))
         for name, robot in robots.items()
     }
-    client = stack.enter_context(open_client(endpoint, timeout_s=5.0))
+    client = stack.enter_context(open_client(endpoint, timeout_s=PATIENCE_S))
     fleet = Fleet(client, KEYS, "orchestrator-test")
-    fleet.wait_for(ROBOTS, timeout_s=10.0)
+    fleet.wait_for(ROBOTS, timeout_s=PATIENCE_S)
     repository = stack.enter_context(kept_study(tmp_path, STUDY, (*ROBOTS, "r9")))
     lab = Lab(endpoint, robots, client, fleet, stack, repository.studies, agents=agents)
     fleet.hold(lab.epochs)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fleet_lab import submitted
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 from round_lab import ROBOTS, STUDY, TEST, Lab, agent_of, start_lab
@@ -268,7 +269,7 @@ def test_a_motion_that_ended_with_its_orchestrator_is_repeated_and_no_failure(
         request = GoalRequest(
             goal_id=test.goal_id, owner=lab.fleet.orchestrator_id, motion=test.excitation
         )
-        lab.log().accepted(test, lab.fleet.submit("r1", request))
+        lab.log().accepted(test, submitted(lab.fleet, "r1", request))
         assert moving.wait(PATIENCE_S)
         lab.next_orchestrator(f"orchestrator-{life}")
     outcome = lab.run(r1=TEST)["r1"]
@@ -283,7 +284,7 @@ def test_a_goal_whose_agent_was_replaced_is_lost_and_sent_again_under_a_new_id(l
     (test,) = lab.open_tests(r1=TEST)
     lab.log().intend([test])
     request = GoalRequest(goal_id=test.goal_id, owner="orchestrator-test", motion=TEST)
-    accepted = lab.fleet.submit("r1", request)
+    accepted = submitted(lab.fleet, "r1", request)
     lab.log().accepted(test, accepted.model_copy(update={"boot_id": "another"}))
     lab.fleet.watch("r1").wait_until(
         lambda w: w.state is not None and w.state.last_goal_id == test.goal_id,

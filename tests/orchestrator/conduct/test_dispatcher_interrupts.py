@@ -94,7 +94,7 @@ def test_a_goal_that_its_agent_died_of_moves_nothing_after_an_interrupt(
     dispatcher = lab.dispatcher()
     (test,) = lab.open_tests(r9=TEST)
     with ThreadPoolExecutor(1) as pool:
-        with open_client(lab.endpoint, timeout_s=5.0) as dying:
+        with open_client(lab.endpoint, timeout_s=PATIENCE_S) as dying:
             dying.serve(
                 KEYS.command("r9", "orchestrator-test", "goal"), lambda request: asked.set()
             )

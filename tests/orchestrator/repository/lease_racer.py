@@ -8,7 +8,7 @@ from multiprocessing.synchronize import Barrier
 from nufleet.orchestrator.repository.errors import LeaseHeldError
 from nufleet.orchestrator.repository.repository import open_repository
 
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 
 
 def race(address: str, number: int, rounds: int, start: Barrier, answers: Connection) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from nufleet.orchestrator.study.interface import Curve, SourceEstimate
 from nufleet.orchestrator.viewer.events import IterationEvent, RobotStateEvent, TestSamplesEvent
+from nufleet.shared.frequency_test.excitation import Tone
 
 SAMPLE_TIME_S = 0.015
 
@@ -17,7 +18,9 @@ def samples_event(robot: str, *, t_s: float = 0.0, samples: int = 400) -> TestSa
         robot=robot,
         axis="x",
         unit="m",
-        omega_rad_s=(2.0,),
+        target="target",
+        robots=("target", robot),
+        tones=(Tone(omega_rad_s=2.0),),
         sample_time_s=SAMPLE_TIME_S,
         reference=np.sin(2.0 * time_s),
         response=0.8 * np.sin(2.0 * time_s - 0.3),
@@ -25,7 +28,7 @@ def samples_event(robot: str, *, t_s: float = 0.0, samples: int = 400) -> TestSa
 
 
 def state_event(robot: str, t_s: float, status: str = "running") -> RobotStateEvent:
-    return RobotStateEvent(t_s, robot, status, "g1", 0.5, "")  # type: ignore[arg-type]
+    return RobotStateEvent(t_s, robot, False, status, "g1", 0.5, "")  # type: ignore[arg-type]
 
 
 def iteration_event(

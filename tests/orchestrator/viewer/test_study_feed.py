@@ -109,10 +109,52 @@ def test_running_samples_are_drawn_at_their_place_in_the_test(
         goal_id="g", first_sample=100, sample_time_s=0.02, reference=samples, response=samples
     )
     fleet.on_telemetry("source-1", telemetry)
-    (event,) = seen
+    running, event = seen
+    assert isinstance(running, RobotStateEvent)
+    assert (running.robot, running.status) == ("source-1", "running")
     assert isinstance(event, TestSamplesEvent)
-    assert event.t_s == pytest.approx(2.0)
-    assert event.omega_rad_s == (2.0,)
+    assert running.t_s == event.t_s == pytest.approx(2.0)
+    assert (event.tones, event.target) == ((Tone(omega_rad_s=2.0),), "target")
+
+
+def test_a_robot_that_outruns_the_clock_is_running_while_its_samples_are_drawn(
+    view: LiveView, fleet: ObservedFleet, seen: list[ViewerEvent]
+) -> None:
+    view.asked(question())
+    samples = np.zeros(500)
+    for first in (0, 500):
+        fleet.on_telemetry(
+            "target",
+            Telemetry(
+                goal_id="g",
+                first_sample=first,
+                sample_time_s=0.02,
+                reference=samples,
+                response=samples,
+            ),
+        )
+        fleet.on_state(state("target").model_copy(update={"status": RobotStatus.RESTING}))
+    lanes = [(e.t_s, e.status) for e in seen if isinstance(e, RobotStateEvent)]
+    assert lanes == [(0.0, "running"), (10.0, "resting"), (10.0, "running"), (20.0, "resting")]
+
+
+def test_a_robot_at_rest_again_before_its_samples_arrive_is_still_shown_running(
+    view: LiveView, fleet: ObservedFleet, seen: list[ViewerEvent]
+) -> None:
+    view.asked(question())
+    resting = state("target").model_copy(update={"status": RobotStatus.RESTING})
+    stopped = state("source-1").model_copy(update={"status": RobotStatus.STOPPED})
+    fleet.on_state(resting)
+    assert not seen
+    fleet.on_state(stopped)  # what concerns a person is shown at once
+    samples = np.zeros(5)
+    telemetry = Telemetry(
+        goal_id="g", first_sample=0, sample_time_s=0.02, reference=samples, response=samples
+    )
+    fleet.on_telemetry("target", telemetry)
+    fleet.on_state(resting)
+    lanes = [(e.robot, e.status) for e in seen if isinstance(e, RobotStateEvent)]
+    assert lanes == [("source-1", "stopped"), ("target", "running"), ("target", "resting")]
 
 
 def test_a_failed_attempt_is_logged(view: LiveView, seen: list[ViewerEvent]) -> None:

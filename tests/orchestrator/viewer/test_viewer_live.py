@@ -18,6 +18,7 @@ from urllib.parse import urlsplit
 import psutil  # type: ignore[import-untyped]
 import pytest
 from bare_viewer import READ_MESSAGES, BareViewer
+from child_processes import children_of
 from polling import PATIENCE_S, wait_until
 from recording_reader import column, scalars
 from study_events import iteration_event, samples_event
@@ -48,7 +49,7 @@ def port_of(url: str | None) -> int:
 
 
 def servers_of(pid: int) -> list[psutil.Process]:
-    return [p for p in psutil.Process(pid).children(recursive=True) if p.name() == "rerun"]
+    return children_of(pid, named="rerun")
 
 
 def test_a_viewer_that_connects_late_gets_the_study_from_its_beginning() -> None:
@@ -62,7 +63,7 @@ def test_a_viewer_that_connects_late_gets_the_study_from_its_beginning() -> None
 
 
 def test_the_page_is_served_on_this_machine_alone_and_may_connect_to_its_data_alone() -> None:
-    others = set(psutil.Process().children(recursive=True))  # such as a database of other tests
+    others = set(children_of())  # such as a database of other tests
     with RerunWriter("run-1", recording=None, serve=ServeOptions(0, 0)) as writer:
         assert writer.web_url is not None
         with urllib.request.urlopen(writer.web_url) as page:  # noqa: S310 - our own
@@ -75,14 +76,14 @@ def test_the_page_is_served_on_this_machine_alone_and_may_connect_to_its_data_al
             assert b"wasm_bindgen" in script.read()
         listening = [
             connection.laddr
-            for process in set(psutil.Process().children(recursive=True)) - others
+            for process in set(children_of()) - others
             for connection in process.net_connections("tcp")
             if connection.status == "LISTEN"
         ]
         assert {address.ip for address in listening} == {"127.0.0.1"}
         ports = {port_of(writer.live_url), port_of(writer.web_url)}
         assert ports <= {address.port for address in listening}
-    assert set(psutil.Process().children(recursive=True)) <= others
+    assert set(children_of()) <= others
 
 
 def may_read(live_url: str | None, origin: str) -> bool:
@@ -182,10 +183,11 @@ def test_what_is_stuck_costs_neither_the_study_nor_its_recording(
         # How long it may take is a matter of the machine; what follows is one of what is stuck.
         wait_until(lambda: not recording._kept and not recording._droppable)
         # Left to itself Rerun waits 25 s for a viewer that is stopped, and for ever for a server.
-        monkeypatch.setattr("nufleet.orchestrator.viewer.writer.LIVE_CLOSE_S", 20.0)
-        assert writer.close(40.0 if stuck == "viewers" else 8.0) == (stuck == "viewers")
+        live_close_s = 20.0 if stuck == "viewers" else 0.1
+        monkeypatch.setattr("nufleet.orchestrator.viewer.writer.LIVE_CLOSE_S", live_close_s)
+        assert writer.close(PATIENCE_S) == (stuck == "viewers")
     assert len(scalars(path, "/tests/response/s1/x")[1]) == 2000 * tests
-    assert len(column(path, "/psi/worst/s1", "Measurements:values")) == tests // 100
+    assert len(column(path, "/psi/worst/s1/median", "Scalars:scalars")) == tests // 100
     assert servers_of(os.getpid()) == []
     assert not [t for t in threading.enumerate() if t.name.startswith("viewer-")]
 
@@ -210,7 +212,7 @@ def test_a_server_that_dies_is_reported_and_the_recording_goes_on(
         # How long the recording takes for what was sent meanwhile is a matter of the machine.
         writer.close(PATIENCE_S)
     assert "the server of the viewer has ended" in caplog.text
-    assert len(column(path, "/psi/worst/s1", "Measurements:values")) == sent
+    assert len(column(path, "/psi/worst/s1/median", "Scalars:scalars")) == sent
 
 
 STUDY = """
@@ -246,7 +248,7 @@ def test_a_study_that_is_terminated_leaves_a_whole_recording(tmp_path: Path) -> 
         study.send_signal(signal.SIGTERM)
         assert study.wait(PATIENCE_S) == 3
     # A recording without its footer would be read with a warning, which is an error here.
-    assert len(column(tmp_path / "run.rrd", "/psi/worst/s1", "Measurements:values")) == 1
+    assert len(column(tmp_path / "run.rrd", "/psi/worst/s1/median", "Scalars:scalars")) == 1
 
 
 def test_a_study_that_is_killed_leaves_no_server(tmp_path: Path) -> None:

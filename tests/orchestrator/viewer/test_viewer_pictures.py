@@ -24,11 +24,11 @@ from nufleet.orchestrator.viewer.draw.axes import (
 )
 from nufleet.orchestrator.viewer.draw.differences import around
 from nufleet.orchestrator.viewer.draw.estimates import ranking_table
-from nufleet.orchestrator.viewer.draw.leaders import LEADERS, leading_sources, telling_tone
 from nufleet.orchestrator.viewer.draw.marks import drawable
 from nufleet.orchestrator.viewer.draw.outline import outline
 from nufleet.orchestrator.viewer.draw.palette import TARGET, Palette
-from nufleet.orchestrator.viewer.events import MessageEvent, TakenBackEvent
+from nufleet.orchestrator.viewer.draw.telling import telling_tone
+from nufleet.orchestrator.viewer.events import LEADERS, MessageEvent, TakenBackEvent
 from nufleet.orchestrator.viewer.server.open import open_native
 from nufleet.orchestrator.viewer.server.picture import screenshot
 from nufleet.orchestrator.viewer.server.rerun_program import rerun_environment, rerun_program
@@ -207,14 +207,14 @@ def test_every_leading_source_has_a_colour_of_its_own_and_keeps_it() -> None:
 
 def test_of_a_large_fleet_the_best_are_drawn_in_full() -> None:
     event = iteration_event(sources=tuple(f"r{k:02d}" for k in range(32)))
-    assert leading_sources(event) == tuple(f"r{k:02d}" for k in range(LEADERS))
+    assert event.leaders == tuple(f"r{k:02d}" for k in range(LEADERS))
 
 
 def test_the_most_telling_tone_is_where_the_sources_differ_most() -> None:
     event = iteration_event()
     tones = {robot: ((0.9 + 0j), z[0], (0.5 + 0j)) for robot, z in event.responses.items()}
     several = type(event)(**{**vars(event), "omega_rad_s": (1.0, 2.0, 3.0), "responses": tones})
-    assert telling_tone(several) == 1
+    assert telling_tone(several.answers) == 1
 
 
 def test_the_ranking_is_a_table_best_first() -> None:

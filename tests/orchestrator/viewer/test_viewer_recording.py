@@ -47,7 +47,7 @@ def test_a_round_draws_every_robot_and_every_source(tmp_path: Path) -> None:
     for source in ("s1", "s2", "s3"):
         assert f"/sphere/points/{source}" in paths
         assert f"/sphere/chords/{source}" in paths
-        assert f"/psi/worst/{source}" in paths
+        assert f"/psi/worst/{source}/median" in paths
     assert "/sphere/points/target" in paths
     assert "/sphere/chords/target" not in paths
 
@@ -55,8 +55,8 @@ def test_a_round_draws_every_robot_and_every_source(tmp_path: Path) -> None:
 def test_estimates_carry_their_intervals_on_both_timelines(tmp_path: Path) -> None:
     path = record(tmp_path / "run.rrd", *(iteration_event(k, t_s=5.0 * k) for k in (1, 2)))
     for timeline in ("t", "iteration"):
-        for part, value in (("", 0.04), ("/low", 0.032), ("/high", 0.052)):
-            drawn = column(path, f"/psi/worst/s2{part}", "Measurements:values", timeline)
+        for part, value in (("median", 0.04), ("low", 0.032), ("high", 0.052)):
+            drawn = column(path, f"/psi/worst/s2/{part}", "Scalars:scalars", timeline)
             np.testing.assert_allclose(np.array(drawn), [[value], [value]])
 
 
@@ -64,11 +64,33 @@ def test_a_lane_changes_only_when_the_status_does(tmp_path: Path) -> None:
     statuses = ["idle", "running", "running", "running", "fault"]
     events = [state_event("s1", 0.1 * k, status) for k, status in enumerate(statuses)]
     path = record(tmp_path / "run.rrd", *events)
-    assert column(path, "/state/s1", "StateChange:state") == [
+    assert column(path, "/state/2-source/s1", "StateChange:state") == [
         ["idle"],
         ["running"],
         ["fault"],
     ]
+
+
+def test_tests_that_still_run_are_drawn_before_their_round_is_over(tmp_path: Path) -> None:
+    robots = ("target", "s1", "s2")
+    events = [replace(samples_event(r, samples=800), robots=robots) for r in robots]
+    path = record(tmp_path / "run.rrd", *events)
+    looks = column(path, "/psi/worst/s1/running", "Scalars:scalars")
+    assert len(looks) > 5
+    assert {f"/{what}/s1" for what in ("sphere/points", "sphere/chords", "psi/running")} <= set(
+        entities(path)
+    )
+    assert "/difference/sources/s2" in entities(path)
+    (text,) = column(path, "/ranking", "TextDocument:text")[-1]
+    assert "Tests in progress" in text
+
+
+def test_the_rounds_end_takes_the_place_of_what_was_drawn_before_it(tmp_path: Path) -> None:
+    events = [samples_event(robot, samples=800) for robot in ("target", "s1")]
+    path = record(tmp_path / "run.rrd", *events, iteration_event(t_s=12.5))
+    assert column(path, "/psi/running/s1", "Clear:is_recursive") == [[False]]
+    (text,) = column(path, "/ranking", "TextDocument:text")[-1]
+    assert "Iteration 1" in text
 
 
 def test_messages_are_recorded_with_their_levels(tmp_path: Path) -> None:
@@ -121,7 +143,7 @@ def test_an_event_that_cannot_be_drawn_costs_nothing_but_itself(
     curve = replace(good.curves[0], median=np.zeros(3))
     path = record(tmp_path / "run.rrd", replace(good, iteration=1, curves=(curve,)), good)
     assert "could not draw" in caplog.text
-    assert column(path, "/psi/worst/s2", "Measurements:values") == [[0.04]]
+    assert column(path, "/psi/worst/s2/median", "Scalars:scalars") == [[0.04]]
 
 
 def test_a_robot_that_did_not_answer_is_taken_off_the_sphere(tmp_path: Path) -> None:
@@ -136,6 +158,6 @@ def test_a_study_that_lost_its_target_is_still_drawn(tmp_path: Path) -> None:
     event = iteration_event()
     answers = {robot: z for robot, z in event.responses.items() if robot != "target"}
     path = record(tmp_path / "run.rrd", replace(event, responses=answers))
-    assert column(path, "/psi/worst/s2", "Measurements:values") == [[0.04]]
+    assert column(path, "/psi/worst/s2/median", "Scalars:scalars") == [[0.04]]
     assert "/sphere/points/s1" in entities(path)
     assert "/sphere/chords/s1" not in entities(path)

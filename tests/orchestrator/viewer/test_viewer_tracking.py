@@ -273,6 +273,6 @@ def test_the_table_tells_by_how_much_each_prior_is_better(tmp_path: Path) -> Non
 
 def test_a_study_and_its_flights_share_a_recording_and_its_colours(tmp_path: Path) -> None:
     path = record(tmp_path / "run.rrd", iteration_event(), flight("s2", t_s=20.0))
-    estimate = column(path, "/psi/worst/s2", "Measurements:colors")[0]
+    estimate = column(path, "/sphere/points/s2", "Points3D:colors")[0]
     trail = column(path, "/tracking/plot/path/trail", "LineStrips2D:colors")[0]
     assert trail == estimate

@@ -207,9 +207,11 @@ def test_a_key_that_is_none_says_so(clients: Callable[[], Session]) -> None:
 def test_a_late_joiner_gets_the_last_state_and_then_every_new_one(
     clients: Callable[[], Session],
 ) -> None:
-    publisher = clients().state_publisher("lab/robot/a/state")
+    robot = clients()
+    publisher = robot.state_publisher("lab/robot/a/state")
     for k in range(5):
         publisher.put(b"old %d" % k)
+    robot.alive("lab/**", timeout_s=PATIENCE_S)  # the router answers what came before first
     late = clients()
     heard: queue.Queue[tuple[str, bytes]] = queue.Queue()
     late.subscribe_state("lab/robot/*/state", lambda key, payload: heard.put((key, payload)))
@@ -302,6 +304,8 @@ def test_who_is_there_is_reported_before_watching_returns(clients: Callable[[], 
     keys = {f"lab/robot/{name}/alive" for name in ("a", "b", "c")}
     for key in keys:
         present.declare_alive(key)
+    # Their link keeps the order: the router knows them when it has answered.
+    assert set(present.alive("lab/robot/*/alive", timeout_s=PATIENCE_S)) == keys
     for _ in range(20):
         seen: list[str] = []
         clients().watch_alive("lab/robot/*/alive", lambda key, _alive, seen=seen: seen.append(key))
@@ -409,8 +413,9 @@ def test_no_router_is_an_error_that_says_what_to_do(endpoint: str) -> None:
 
 
 def test_a_client_without_a_time_limit_waits_for_its_router(
-    endpoint: str, caplog: pytest.LogCaptureFixture
+    endpoint: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(transport, "LONGEST_TRY_S", 0.2)  # it says so after some tries
     opened: queue.Queue[list[str]] = queue.Queue()
 
     def join() -> None:
