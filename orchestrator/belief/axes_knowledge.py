@@ -8,11 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nufleet.orchestrator.belief.cross_response import CrossModel
+from nufleet.orchestrator.belief.loop_fit import Tones
 from nufleet.orchestrator.belief.noise_pooling import pooled_variance
 from nufleet.orchestrator.belief.response_belief import ResponseModel
-from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
+from nufleet.orchestrator.belief.robot_knowledge import VARIANCE_MIN, RobotKnowledge
+from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.excitation import Excitation
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.matrix_response import MatrixResponse
 from nufleet.shared.robots.spec import RobotSpec
 
 COUPLED_SIGNIFICANCE = 1e-3
@@ -60,6 +64,7 @@ class AxesKnowledge:
             axes: Names of the axes that are compared.
         """
         self.robot, self.spec = robot, spec
+        self._omega_max_rad_s = omega_max_rad_s
         self.axes = {
             axis: RobotKnowledge(
                 f"{robot}, axis {axis}",
@@ -123,6 +128,29 @@ class AxesKnowledge:
         found = [finding for known in self.axes.values() for finding in known.findings]
         return (*found, *map(str, self.couplings))
 
+    def cross(self, output: str, reference: str) -> CrossModel | None:
+        """Return the belief about how one axis answers to another; None if no test played both.
+
+        Args:
+            output: Axis that answers.
+            reference: Axis that is asked.
+        """
+        omegas, z, variances = [], [], []
+        for response in self.responses:
+            matrix = response.matrix
+            if matrix is None or output not in matrix.axes or reference not in matrix.axes:
+                continue
+            i, tones = matrix.axes.index(output), matrix.played_by == matrix.axes.index(reference)
+            variance = _pooled(matrix, i)[tones]
+            known = np.isfinite(matrix.rows[i].z[tones]) & np.isfinite(variance)
+            omegas.append(matrix.rows[i].omega_rad_s[tones][known])
+            z.append(matrix.rows[i].z[tones][known])
+            variances.append(np.maximum(variance[known], VARIANCE_MIN))
+        if not omegas or not sum(map(len, omegas)):
+            return None
+        measured = Tones(np.concatenate(omegas), np.concatenate(z), np.concatenate(variances))
+        return CrossModel(measured, self._omega_max_rad_s)
+
     @property
     def couplings(self) -> tuple[Coupling, ...]:
         """The strongest significant answer of each axis to each other one, in any test."""
@@ -141,25 +169,15 @@ def _couplings(robot: str, spec: RobotSpec, response: FrequencyResponse) -> list
         return []
     found = []
     for i, row in enumerate(matrix.rows):
-        # In units of the amplitudes that were played, all tones have the noise of one output.
-        peaks = np.array([one.amplitude or 1.0 for one in matrix.rows])
-        unit = peaks[matrix.played_by] / peaks[i]
-        if not (np.isfinite(row.z).all() and np.isfinite(row.variance).all()):
+        omega, variance = row.omega_rad_s, _pooled(matrix, i)
+        if not (np.isfinite(row.z).all() and np.isfinite(variance).all()):
             continue
-        omega = row.omega_rad_s
-        variance = pooled_variance(omega, row.variance * unit**2, row.degrees_of_freedom)
-        relative = np.abs(row.z) * unit
         # |ẑ|² of noise alone is exponentially distributed about its variance. Bonferroni: the
         # significance is shared out among all tones.
         limit = variance * math.log(len(omega) / COUPLED_SIGNIFICANCE)
-        own = spec.axis(matrix.axes[i])
-        others = [spec.axis(axis) for axis in matrix.axes]
-        units = [
-            1.0 if other.unit == own.unit else other.amplitude_max / own.amplitude_max
-            for other in others
-        ]
-        share = np.abs(row.z) * np.array(units)[matrix.played_by]
-        share = np.where(relative**2 > limit, share, 0.0)
+        units = unit_ratios(spec, matrix.axes[i], matrix.axes)
+        share = np.abs(row.z) * units[matrix.played_by]
+        share = np.where(np.abs(row.z) ** 2 > limit, share, 0.0)
         for j, reference in enumerate(matrix.axes):
             across = np.where(matrix.played_by == j, share, 0.0)
             at = int(np.argmax(across))
@@ -167,3 +185,41 @@ def _couplings(robot: str, spec: RobotSpec, response: FrequencyResponse) -> list
                 largest, where = float(across[at]), float(omega[at])
                 found.append(Coupling(robot, matrix.axes[i], reference, largest, where))
     return found
+
+
+def unit_ratios(spec: RobotSpec, output: str, references: Sequence[str]) -> FloatArray:
+    """Return factors that turn responses of an axis to others into numbers without a unit.
+
+    Args:
+        spec: Spec of the robot.
+        output: Axis that answers.
+        references: Axes that are asked.
+
+    Returns:
+        1 for an axis in the same unit, else the ratio of both largest amplitudes, shape
+        (references,).
+    """
+    own = spec.axis(output)
+    others = [spec.axis(axis) for axis in references]
+    return np.array(
+        [1.0 if o.unit == own.unit else o.amplitude_max / own.amplitude_max for o in others]
+    )
+
+
+def _pooled(matrix: MatrixResponse, output: int) -> FloatArray:
+    """Return the variances of one output's responses, pooled over the tones of all axes."""
+    row = matrix.rows[output]
+    # In units of the amplitudes that were played, all tones have the noise of one output.
+    peaks = np.array([one.amplitude or 1.0 for one in matrix.rows])
+    unit = peaks[matrix.played_by] / peaks[output]
+    known = np.isfinite(row.variance)
+    variance = np.full(len(unit), np.inf)
+    variance[known] = (
+        pooled_variance(
+            row.omega_rad_s[known],
+            row.variance[known] * unit[known] ** 2,
+            row.degrees_of_freedom[known],
+        )
+        / unit[known] ** 2
+    )
+    return variance

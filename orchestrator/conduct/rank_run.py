@@ -275,33 +275,30 @@ def _common_band(descriptions: Any) -> tuple[float, float]:
 
 def _closed_form(plan: StudyPlan, descriptions: Mapping[str, Description]) -> dict[str, ClosedForm]:
     """Return max ψ_n(ω) over the band for the sources whose model, like the target's, is known."""
+    at_target = descriptions[plan.target].spec.axis(plan.axis).model
     known: dict[str, ClosedForm] = {}
+    if plan.also:
+        return known  # robots state no model of what their axes do to each other
     for source in plan.sources:
-        found = []
-        for axis in plan.axes:
-            at_target = descriptions[plan.target].spec.axis(axis).model
-            model = descriptions[source].spec.axis(axis).model
-            if at_target is not None and model is not None:
-                found.append(worst_case_chordal_distance(at_target, model, plan.band_rad_s))
-        if len(found) == len(plan.axes):
-            psi, omega = max(found)
+        model = descriptions[source].spec.axis(plan.axis).model
+        if at_target is not None and model is not None:
+            psi, omega = worst_case_chordal_distance(at_target, model, plan.band_rad_s)
             known[source] = ClosedForm(psi=psi, omega_rad_s=omega)
     return known
 
 
 def _true_psi(ready: ReadyStudy, curves: tuple[Curve, ...]) -> dict[str, FloatArray]:
     """Return the true ψ_n(ω) by source, for known models; each has its curve's shape (grid,)."""
+    axis = ready.plan.axis
+    at_target = ready.descriptions[ready.plan.target].spec.axis(axis).model
     true_psi: dict[str, FloatArray] = {}
     for curve in curves:
-        found, omega = [], curve.omega_rad_s
-        for axis in ready.plan.axes:
-            at_target = ready.descriptions[ready.plan.target].spec.axis(axis).model
-            model = ready.descriptions[curve.source].spec.axis(axis).model
-            if at_target is not None and model is not None:
-                z = at_target.frequency_response(omega), model.frequency_response(omega)
-                found.append(chordal_distance(*z))
-        if len(found) == len(ready.plan.axes):
-            true_psi[curve.source] = np.max(found, axis=0)
+        model = ready.descriptions[curve.source].spec.axis(axis).model
+        if at_target is not None and model is not None and not ready.plan.also:
+            omega = curve.omega_rad_s
+            true_psi[curve.source] = chordal_distance(
+                at_target.frequency_response(omega), model.frequency_response(omega)
+            )
     return true_psi
 
 

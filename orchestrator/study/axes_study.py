@@ -18,6 +18,7 @@ from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
 from nufleet.orchestrator.belief.response_belief import ResponseModel
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.axes_looks import AxesLooks
+from nufleet.orchestrator.study.coupled_distance import coupled_belief, matrix_draws, matters
 from nufleet.orchestrator.study.interface import (
     AxisEstimate,
     Question,
@@ -67,6 +68,8 @@ class AxesStudy:
             for name in (plan.target, *plan.sources)
         }
         self._looks = AxesLooks(plan, self._settings, self._robots)
+        self._matrices: dict[str, tuple[ComplexArray, ComplexArray | None]] = {}
+        self._distance = ""
         self._dropped: dict[str, str] = {}
         self._grounded: dict[str, str] = {}
         self._next_tests = NextTests(
@@ -109,7 +112,9 @@ class AxesStudy:
         sources = self._remaining()
         draws = {name: self._draw(name) for name in (self._plan.target, *sources)}
         by_axis = self._by_axis(draws, sources)
-        belief = _worst(by_axis)
+        belief = self._coupled(draws, sources) or _worst(by_axis)
+        if len(belief.psi_star.T) < self._settings.samples:
+            draws = {name: z[: len(belief.psi_star.T)] for name, z in draws.items()}
         leader, confidence = belief.leader(self._settings.epsilon, self._settings.delta)
         hopeless = belief.hopeless(leader, self._settings.delta)
         confidence = self._decide(belief, draws, leader, confidence, hopeless)
@@ -145,6 +150,38 @@ class AxesStudy:
                 others = {name: at[name] for name in sources}
                 beliefs[axis] = SelectionBelief.of(self._grid, at[self._plan.target], others)
         return beliefs
+
+    def _coupled(
+        self, draws: Mapping[str, ComplexArray], sources: Sequence[str]
+    ) -> SelectionBelief | None:
+        """Return the belief about the distances of the matrices, where that of axes is too little.
+
+        It is None where no axis answers to another one, and where a robot has axes that never
+        played together.
+        """
+        robots = {name: self._robots[name] for name in draws}
+        self._distance = "no axis answers to another, so that each is compared by itself"
+        if not matters(robots):
+            return None
+        matrices = {}
+        for name, robot in robots.items():
+            known = self._matrices.get(name)
+            if known is None or known[0] is not draws[name]:
+                z = matrix_draws(robot, draws[name], self._grid, self._rng)
+                known = self._matrices[name] = draws[name], z
+            if known[1] is None:
+                self._distance = (
+                    "axes answer to each other, and not all of them were tested together: what "
+                    "one does to another is not compared"
+                )
+                return None
+            matrices[name] = known[1]
+        self._distance = (
+            "axes answer to each other, so that distances are those of the whole response "
+            "matrices (their largest singular values)"
+        )
+        others = {name: matrices[name] for name in sources}
+        return coupled_belief(self._grid, matrices[self._plan.target], others)
 
     def _draw(self, name: str) -> ComplexArray:
         """Return samples of a robot's responses, the same until something new is known of it.
@@ -266,7 +303,7 @@ class AxesStudy:
 
     def _findings(self) -> tuple[str, ...]:
         found = [finding for robot in self._robots.values() for finding in robot.findings]
-        return (*found, *self._looks.findings)
+        return (*found, self._distance, *self._looks.findings)
 
     def _remaining(self) -> tuple[str, ...]:
         return tuple(source for source in self._plan.sources if source not in self._dropped)

@@ -10,7 +10,8 @@ from random_loops import BAND, SPEC, Loop
 
 from nufleet.orchestrator.study.axes_study import AxesStudy
 from nufleet.orchestrator.study.interface import Question, Report, StudyPlan
-from nufleet.shared.distance.chordal import chordal_distance
+from nufleet.shared.arrays import ComplexArray
+from nufleet.shared.distance.chordal import chordal_distance, matrix_chordal_distance
 from nufleet.shared.errors import StudyError
 from nufleet.shared.frequency_test.excitation import Excitation
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
@@ -153,13 +154,28 @@ def test_an_axis_that_may_not_move_with_others_is_tested_after_them_and_that_is_
     assert "tested one after the other: y may not move with another axis" in last.findings
 
 
-def test_axes_that_answer_to_each_other_are_reported_with_how_much() -> None:
+def test_axes_that_answer_to_each_other_are_reported_and_compared_as_matrices() -> None:
     _, apart = to_the_end(begin(spec_of()))
-    assert not any("answers to" in finding for finding in apart[-1].findings)
+    assert not any(finding.startswith("target: ") for finding in apart[-1].findings)
+    said = "no axis answers to another, so that each is compared by itself"
+    assert said in apart[-1].findings
     _, coupled = to_the_end(begin(spec_of()), across=0.2)
-    found = [finding for finding in coupled[-1].findings if finding.startswith("target: ")]
+    last = coupled[-1]
+    found = [finding for finding in last.findings if finding.startswith("target: ")]
     assert len(found) == 2
     assert found[0].startswith("target: x answers to y with 2")
+    assert any("whole response matrices" in finding for finding in last.findings)
+    grid = np.linspace(*BAND, 500)
+
+    def matrices(loops: Loops) -> ComplexArray:
+        own = np.stack([loops[axis].z(grid) for axis in AXES], axis=1)
+        shares = np.where(np.eye(2) > 0, 1.0, 0.2)
+        return np.asarray(shares * own[:, :, None])
+
+    for estimate in last.ranking:
+        at_source = matrices(FLEET[estimate.robot])
+        truth = matrix_chordal_distance(matrices(FLEET["target"]), at_source).max()
+        assert estimate.psi_low - 0.01 < truth < estimate.psi_high + 0.01
 
 
 def test_a_source_whose_tests_fail_is_left_out_and_a_target_ends_the_study() -> None:
