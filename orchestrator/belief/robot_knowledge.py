@@ -86,7 +86,7 @@ class RobotKnowledge:
         """Frequencies, and the variance at each by what the amplitude does to the response."""
         self._tones: list[Tones] = []
         self._doubts: list[FloatArray] = []
-        """Variance of each test's estimates that is the same in all tests, whatever their number.
+        """Variance of each test's estimates that is the same in all tests, however many there are.
         """
         self._noise: list[FloatArray] = []
         self._model: ResponseModel | None = None
