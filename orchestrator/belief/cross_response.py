@@ -41,10 +41,10 @@ class CrossModel:
             std = tap_std(size, memory / omega_max_rad_s, omega_max_rad_s)
             weighted = columns * std
             factor = np.linalg.cholesky(np.eye(TAPS) + weighted.T @ weighted)
-            half = solve_triangular(factor, weighted.T @ measured, lower=True)
+            half: FloatArray = solve_triangular(factor, weighted.T @ measured, lower=True)
             # ln p(r) = ½ ‖L⁻¹Φᵀr‖² − Σ ln L_ii + const, with I + ΦᵀΦ = LLᵀ.
             evidence.append(0.5 * half @ half - np.sum(np.log(np.diag(factor))))
-            self._parts.append((std, factor, half))
+            self._parts.append((std, np.asarray(factor, dtype=np.float64), half))
         weights = np.exp(np.array(evidence) - max(evidence))
         self._weights = weights / weights.sum()
 

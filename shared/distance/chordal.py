@@ -69,10 +69,9 @@ def matrix_chordal_distance(z_1: ComplexArray, z_2: ComplexArray) -> FloatArray:
         return np.asarray(np.swapaxes(z, -1, -2).conj())
 
     # Any factors L with LL* = I + ZZ* differ from the roots by rotations, which keep σ_max.
-    left = np.linalg.cholesky(np.eye(z_2.shape[-2]) + z_2 @ adjoint(z_2))
-    right = np.linalg.cholesky(np.eye(z_1.shape[-1]) + adjoint(z_1) @ z_1)
-    between = np.linalg.solve(left, z_2 - z_1)
-    between = adjoint(np.linalg.solve(right, adjoint(between)))
+    left = np.linalg.inv(np.linalg.cholesky(np.eye(z_2.shape[-2]) + z_2 @ adjoint(z_2)))
+    right = np.linalg.inv(np.linalg.cholesky(np.eye(z_1.shape[-1]) + adjoint(z_1) @ z_1))
+    between = left @ (z_2 - z_1) @ adjoint(np.asarray(right, dtype=np.complex128))
     largest = np.linalg.svd(between, compute_uv=False)[..., 0]
     return np.asarray(np.minimum(largest, 1.0))
 

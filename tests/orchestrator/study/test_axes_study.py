@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from random_loops import BAND, SPEC, Loop
 
+from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.axes_study import AxesStudy
 from nufleet.orchestrator.study.interface import Question, Report, StudyPlan
 from nufleet.shared.arrays import ComplexArray
@@ -70,7 +71,9 @@ def answer(
 def begin(spec: RobotSpec, rounds: int = 8, fleet: Mapping[str, Loops] = FLEET) -> AxesStudy:
     sources = tuple(name for name in fleet if name != "target")
     plan = StudyPlan("target", sources, BAND, rounds, "x", also=("y",))
-    return AxesStudy(plan, dict.fromkeys(fleet, spec), np.random.default_rng(0))
+    settings = AdaptiveSettings(samples=200, grid_points=96)
+    specs, rng = dict.fromkeys(fleet, spec), np.random.default_rng(0)
+    return AxesStudy(plan, specs, rng, settings=settings)
 
 
 def to_the_end(
@@ -88,13 +91,22 @@ def to_the_end(
     return questions, reports
 
 
+Ended = tuple[list[Question], list[Report]]
+
+
+@pytest.fixture(scope="module")
+def ended() -> Ended:
+    """The study of robots whose axes do not answer to each other."""
+    return to_the_end(begin(spec_of()))
+
+
 def true_psi_star(source: str, axis: str) -> float:
     grid = np.linspace(*BAND, 2001)
     return float(chordal_distance(FLEET["target"][axis].z(grid), FLEET[source][axis].z(grid)).max())
 
 
-def test_the_worst_axis_decides_and_every_estimate_says_which() -> None:
-    questions, reports = to_the_end(begin(spec_of()))
+def test_the_worst_axis_decides_and_every_estimate_says_which(ended: Ended) -> None:
+    questions, reports = ended
     last = reports[-1]
     assert last.selected == "balanced"
     assert last.confidence is not None
@@ -114,8 +126,10 @@ def test_the_worst_axis_decides_and_every_estimate_says_which() -> None:
     )
 
 
-def test_every_axis_of_the_contenders_reaches_the_lower_end_before_anything_is_claimed() -> None:
-    questions, reports = to_the_end(begin(spec_of()))
+def test_every_axis_of_the_contenders_reaches_the_lower_end_before_anything_is_claimed(
+    ended: Ended,
+) -> None:
+    questions, reports = ended
     assert reports[0].confidence is not None
     assert reports[0].confidence < 0.95
     lowest = {
@@ -132,8 +146,8 @@ def test_every_axis_of_the_contenders_reaches_the_lower_end_before_anything_is_c
     assert set(leads) == set(AXES)
 
 
-def test_a_second_look_from_the_lower_end_is_played_at_half_the_amplitude() -> None:
-    questions, _ = to_the_end(begin(spec_of()))
+def test_a_second_look_from_the_lower_end_is_played_at_half_the_amplitude(ended: Ended) -> None:
+    questions, _ = ended
     first, second = (question.tests["balanced"] for question in questions[:2])
     assert [one.amplitude for one in first.played] == [None, None]
     assert [one.amplitude for one in second.played] == [0.05, 0.05]
@@ -154,8 +168,8 @@ def test_an_axis_that_may_not_move_with_others_is_tested_after_them_and_that_is_
     assert "tested one after the other: y may not move with another axis" in last.findings
 
 
-def test_axes_that_answer_to_each_other_are_reported_and_compared_as_matrices() -> None:
-    _, apart = to_the_end(begin(spec_of()))
+def test_axes_that_answer_to_each_other_are_reported_and_compared_as_matrices(ended: Ended) -> None:
+    _, apart = ended
     assert not any(finding.startswith("target: ") for finding in apart[-1].findings)
     said = "no axis answers to another, so that each is compared by itself"
     assert said in apart[-1].findings
@@ -195,7 +209,7 @@ def test_a_source_whose_tests_fail_is_left_out_and_a_target_ends_the_study() -> 
         study.tell({}, {"target": "it fell"})
 
 
-def test_the_same_answers_lead_to_the_same_study() -> None:
-    one, other = (to_the_end(begin(spec_of())) for _ in range(2))
-    assert [question.tests for question in one[0]] == [question.tests for question in other[0]]
-    assert one[1][-1].ranking == other[1][-1].ranking
+def test_the_same_answers_lead_to_the_same_study(ended: Ended) -> None:
+    questions, reports = to_the_end(begin(spec_of()))
+    assert [question.tests for question in questions] == [one.tests for one in ended[0]]
+    assert reports[-1].ranking == ended[1][-1].ranking
