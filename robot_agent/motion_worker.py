@@ -39,7 +39,7 @@ from nufleet.shared.wire.messages import (
     TrackingTelemetry,
 )
 from nufleet.shared.wire.motions import PredictedError, Tracking
-from nufleet.shared.wire.transport import Publisher
+from nufleet.shared.wire.requests import Publisher
 
 CLOSING_LOOK_S = 0.1
 """Interval between checks on the robot while the worker is closing."""

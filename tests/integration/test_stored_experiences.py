@@ -34,7 +34,7 @@ from nufleet.orchestrator.repository.tables import EXPERIENCES
 from nufleet.orchestrator.runs.folder import RunFolder
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.file import decode_experience, digest
-from nufleet.shared.wire.transport import Session
+from nufleet.shared.wire.session import Session
 
 FLEET = """
 schema = 1
