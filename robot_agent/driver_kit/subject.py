@@ -13,6 +13,9 @@ from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
 
+HOLD_S = 1.0
+"""Time for which a robot holds reference 0."""
+
 AMPLITUDE_SHARE = 0.2
 """Share of an axis's amplitude limit by which the robot is moved."""
 
@@ -48,6 +51,11 @@ class Subject:
         self.lasted_s = time.monotonic() - began_s
         self.played += len(references)
         return outputs
+
+    def hold(self) -> FloatArray:
+        """Play reference 0 for `HOLD_S`; return the outputs, shape (samples, axes)."""
+        spec = self.robot.spec
+        return self.play(np.zeros((math.ceil(HOLD_S / spec.sample_time_s), len(spec.axes))))
 
     @property
     def known_noise(self) -> FloatArray:
