@@ -6,7 +6,6 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from nufleet.orchestrator.fleet.goal_pursuit import REFUSAL_PATIENCE_S
-from nufleet.robot_agent.network.heartbeat import HEARTBEAT_S
 
 
 class Violation(AssertionError):  # noqa: N818 - it names what it is
@@ -201,5 +200,6 @@ class History:
         """Record whether a robot is ready, as its agent knows."""
         if ready:
             self.unready.pop(robot, None)
-        elif now_s > self.unready.setdefault(robot, now_s) + REFUSAL_PATIENCE_S - 2 * HEARTBEAT_S:
+        elif now_s > self.unready.setdefault(robot, now_s) + REFUSAL_PATIENCE_S / 2:
+            # Other refusals, before it became unready, count towards the patience as well.
             self.excuses.add((robot, "not-ready"))
