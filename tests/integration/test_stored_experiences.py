@@ -34,7 +34,7 @@ from nufleet.orchestrator.repository.tables import EXPERIENCES
 from nufleet.orchestrator.runs.folder import RunFolder
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.file import decode_experience, digest
-from nufleet.shared.wire.transport import Session
+from nufleet.shared.wire.session import Session
 
 FLEET = """
 schema = 1
@@ -205,7 +205,7 @@ def test_an_experience_that_an_evaluation_trains_is_stored(
     orchestrator: Orchestrator, tmp_path: Path
 ) -> None:
     fleet = orchestrator.fleet
-    request = RankRequest("target", ("source",), (0.5, 10.0), iterations=1, seed=0, axis=None)
+    request = RankRequest("target", ("source",), (0.5, 10.0), iterations=1, seed=0, axes=None)
     plan = EvaluationPlan(
         ready=prepare(fleet, request, fleet.robots()),
         legs=(),

@@ -26,7 +26,8 @@ from nufleet.orchestrator.viewer.writer import RerunWriter
 from nufleet.robot_agent.agent import Agent
 from nufleet.shared.errors import InvalidInputError, NoRouterError
 from nufleet.shared.wire.keys import FleetKeys
-from nufleet.shared.wire.transport import Session, open_client, open_router
+from nufleet.shared.wire.session import Session
+from nufleet.shared.wire.transport import open_client, open_router
 
 ENDS = {
     "recording": (RerunWriter, "close"),
