@@ -132,6 +132,17 @@ class AxesKnowledge:
         return max(known.lowest_rad_s for known in self.axes.values())
 
     @property
+    def silent(self) -> tuple[str, ...]:
+        """Axes that were tested, and every test is certain that they do not respond."""
+        return tuple(axis for axis, known in self.axes.items() if known.silent)
+
+    def forget(self) -> None:
+        """Forget all tests."""
+        for known in self.axes.values():
+            known.forget()
+        self.responses = []
+
+    @property
     def doubted(self) -> bool:
         """Whether something makes its tests uncertain that further tests do not tell."""
         return any(known.doubted for known in self.axes.values())
