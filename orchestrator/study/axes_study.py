@@ -155,7 +155,7 @@ class AxesStudy:
     def _coupled(
         self, draws: Mapping[str, ComplexArray], sources: Sequence[str]
     ) -> SelectionBelief | None:
-        """Return the belief about the distances of the matrices, where that of axes is too little.
+        """Return the belief about the distances of the matrices, where axes alone do not suffice.
 
         It is None where no axis answers to another one, and where a robot has axes that never
         played together.
@@ -178,8 +178,8 @@ class AxesStudy:
                 return None
             matrices[name] = known[1]
         self._distance = (
-            "axes answer to each other, so that distances are those of the whole response "
-            "matrices (their largest singular values)"
+            "axes answer to each other, so that whole response matrices are compared, by the "
+            "largest singular value of their distance"
         )
         others = {name: matrices[name] for name in sources}
         return coupled_belief(self._grid, matrices[self._plan.target], others)
