@@ -141,6 +141,7 @@ class AxesKnowledge:
         for known in self.axes.values():
             known.forget()
         self.responses = []
+        self._crosses = dict.fromkeys(self._crosses, _Cross(None, None))
 
     @property
     def doubted(self) -> bool:

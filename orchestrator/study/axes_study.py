@@ -178,8 +178,8 @@ class AxesStudy:
                 return None
             matrices[name] = known[1]
         self._distance = (
-            "axes answer to each other, so that whole response matrices are compared, by the "
-            "largest singular value of their distance"
+            "axes answer to each other, so that distances are computed from the whole response "
+            "matrices (their largest singular values)"
         )
         others = {name: matrices[name] for name in sources}
         return coupled_belief(self._grid, matrices[self._plan.target], others)
