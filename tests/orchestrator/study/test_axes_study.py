@@ -154,6 +154,19 @@ def test_every_axis_of_the_contenders_reaches_the_lower_end_before_anything_is_c
     assert set(leads) == set(AXES)
 
 
+def test_many_robots_are_looked_at_before_the_lower_end_of_the_band_and_few_from_it_on() -> None:
+    def lowest_rad_s(sources: int) -> float:
+        names = tuple(f"source-{n}" for n in range(sources))
+        plan = StudyPlan("target", names, BAND, 8, "x", also=("y",))
+        specs = dict.fromkeys(("target", *names), spec_of())
+        question = AxesStudy(plan, specs, np.random.default_rng(0)).ask()
+        assert question is not None
+        return question.omega_rad_s[0]
+
+    assert lowest_rad_s(3) == pytest.approx(2 * BAND[0])
+    assert lowest_rad_s(30) > 3 * BAND[0]
+
+
 def test_a_second_look_from_the_lower_end_is_played_at_half_the_amplitude(ended: Ended) -> None:
     questions, _ = ended
     first, second = (question.tests["balanced"] for question in questions[:2])
