@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 
 import numpy as np
 
@@ -37,8 +38,8 @@ class Coupling:
     reference: str
     """Axis that was asked."""
     share: float
-    """Magnitude |z_ij|; between axes in different units, the motion of each counts as a share of
-    its largest amplitude."""
+    """Largest magnitude |z_ij| at a tone; between axes in different units, the motion of each
+    counts as a share of its largest amplitude."""
     omega_rad_s: float
     """Frequency in rad/s of the largest share."""
 
@@ -47,6 +48,16 @@ class Coupling:
             f"{self.robot}: {self.output} answers to {self.reference} with "
             f"{100 * self.share:.2g} % at {self.omega_rad_s:.3g} rad/s"
         )
+
+
+@dataclass(frozen=True)
+class _Cross:
+    """What tests say of the answer of one axis to another."""
+
+    model: CrossModel | None
+    """Belief about it; None if no test played both axes."""
+    coupling: Coupling | None
+    """Its largest value; None if it does not exceed the noise, or does not matter."""
 
 
 class AxesKnowledge:
@@ -75,6 +86,7 @@ class AxesKnowledge:
         }
         """Knowledge of each axis's response to its own reference, by axis."""
         self.responses: list[FrequencyResponse] = []
+        self._crosses = {pair: _Cross(None, None) for pair in permutations(axes, 2)}
 
     def learn(
         self, test: Excitation, response: FrequencyResponse, rng: np.random.Generator
@@ -91,6 +103,8 @@ class AxesKnowledge:
             matrix = response.matrix
             own = response if matrix is None else matrix.entry(place, place)
             self.axes[played.axis].learn(own, rng)
+        if response.matrix is not None:
+            self._crosses = {pair: self._crossed(*pair) for pair in self._crosses}
 
     @property
     def tests(self) -> int:
@@ -118,6 +132,18 @@ class AxesKnowledge:
         return max(known.lowest_rad_s for known in self.axes.values())
 
     @property
+    def silent(self) -> tuple[str, ...]:
+        """Axes that were tested, and every test is certain that they do not respond."""
+        return tuple(axis for axis, known in self.axes.items() if known.silent)
+
+    def forget(self) -> None:
+        """Forget all tests."""
+        for known in self.axes.values():
+            known.forget()
+        self.responses = []
+        self._crosses = dict.fromkeys(self._crosses, _Cross(None, None))
+
+    @property
     def doubted(self) -> bool:
         """Whether something makes its tests uncertain that further tests do not tell."""
         return any(known.doubted for known in self.axes.values())
@@ -135,56 +161,44 @@ class AxesKnowledge:
             output: Axis that answers.
             reference: Axis that is asked.
         """
-        omegas, z, variances = [], [], []
+        return self._crosses[output, reference].model
+
+    @property
+    def couplings(self) -> tuple[Coupling, ...]:
+        """The strongest answer of each axis to each other one, where it exceeds the noise."""
+        return tuple(one.coupling for one in self._crosses.values() if one.coupling is not None)
+
+    def _crossed(self, output: str, reference: str) -> _Cross:
+        tones, significant = [], False
         for response in self.responses:
             matrix = response.matrix
             if matrix is None or output not in matrix.axes or reference not in matrix.axes:
                 continue
-            i, tones = matrix.axes.index(output), matrix.played_by == matrix.axes.index(reference)
-            variance = _pooled(matrix, i)[tones]
-            known = np.isfinite(matrix.rows[i].z[tones]) & np.isfinite(variance)
-            omegas.append(matrix.rows[i].omega_rad_s[tones][known])
-            z.append(matrix.rows[i].z[tones][known])
-            variances.append(np.maximum(variance[known], VARIANCE_MIN))
-        if not omegas or not sum(map(len, omegas)):
-            return None
-        measured = Tones(np.concatenate(omegas), np.concatenate(z), np.concatenate(variances))
-        return CrossModel(measured, self._omega_max_rad_s)
-
-    @property
-    def couplings(self) -> tuple[Coupling, ...]:
-        """The strongest significant answer of each axis to each other one, in any test."""
-        strongest: dict[tuple[str, str], Coupling] = {}
-        for response in self.responses:
-            for found in _couplings(self.robot, self.spec, response):
-                pair = found.output, found.reference
-                if pair not in strongest or strongest[pair].share < found.share:
-                    strongest[pair] = found
-        return tuple(strongest.values())
-
-
-def _couplings(robot: str, spec: RobotSpec, response: FrequencyResponse) -> list[Coupling]:
-    matrix = response.matrix
-    if matrix is None:
-        return []
-    found = []
-    for i, row in enumerate(matrix.rows):
-        omega, variance = row.omega_rad_s, _pooled(matrix, i)
-        if not (np.isfinite(row.z).all() and np.isfinite(variance).all()):
-            continue
-        # |ẑ|² of noise alone is exponentially distributed about its variance. Bonferroni: the
-        # significance is shared out among all tones.
-        limit = variance * math.log(len(omega) / COUPLED_SIGNIFICANCE)
-        units = unit_ratios(spec, matrix.axes[i], matrix.axes)
-        share = np.abs(row.z) * units[matrix.played_by]
-        share = np.where(np.abs(row.z) ** 2 > limit, share, 0.0)
-        for j, reference in enumerate(matrix.axes):
-            across = np.where(matrix.played_by == j, share, 0.0)
-            at = int(np.argmax(across))
-            if i != j and across[at] >= COUPLED_MIN:
-                largest, where = float(across[at]), float(omega[at])
-                found.append(Coupling(robot, matrix.axes[i], reference, largest, where))
-    return found
+            i, at = matrix.axes.index(output), matrix.played_by == matrix.axes.index(reference)
+            row, variance = matrix.rows[i], _pooled(matrix, i)
+            at &= np.isfinite(row.z) & np.isfinite(variance)
+            variance = np.maximum(variance, VARIANCE_MIN)
+            # |ẑ|² of noise alone is exponentially distributed about its variance. Bonferroni: the
+            # significance is shared out among all tones.
+            limit = variance * math.log(len(variance) / COUPLED_SIGNIFICANCE)
+            significant |= bool(np.any(np.abs(row.z[at]) ** 2 > limit[at]))
+            tones.append(Tones(row.omega_rad_s[at], row.z[at], variance[at]))
+        if not sum(len(one.z) for one in tones):
+            return _Cross(None, None)
+        measured = Tones(
+            np.concatenate([one.omega_rad_s for one in tones]),
+            np.concatenate([one.z for one in tones]),
+            np.concatenate([one.variance for one in tones]),
+        )
+        model = CrossModel(measured, self._omega_max_rad_s)
+        (unit,) = unit_ratios(self.spec, output, [reference])
+        omega = np.unique(measured.omega_rad_s)
+        share = unit * np.abs(model.mean(omega))
+        most = int(np.argmax(share))
+        if not significant or share[most] < COUPLED_MIN:
+            return _Cross(model, None)
+        found = Coupling(self.robot, output, reference, float(share[most]), float(omega[most]))
+        return _Cross(model, found)
 
 
 def unit_ratios(spec: RobotSpec, output: str, references: Sequence[str]) -> FloatArray:

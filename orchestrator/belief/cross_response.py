@@ -48,6 +48,13 @@ class CrossModel:
         weights = np.exp(np.array(evidence) - max(evidence))
         self._weights = weights / weights.sum()
 
+    def mean(self, omega_rad_s: FloatArray) -> ComplexArray:
+        """Return the mean of the response at frequencies in rad/s, shape (frequencies,)."""
+        taps = np.zeros(TAPS)
+        for share, (std, factor, half) in zip(self._weights, self._parts, strict=True):
+            taps += share * std * solve_triangular(factor, half, lower=True, trans="T")
+        return np.asarray(tap_columns(self._omega_max_rad_s, omega_rad_s) @ taps)
+
     def draw(self, omega_rad_s: FloatArray, count: int, rng: np.random.Generator) -> ComplexArray:
         """Draw samples of the response.
 

@@ -47,7 +47,7 @@ def _ranking(record: RunRecord) -> Iterator[RenderableType]:
     result = record.result
     low, high = result.band_rad_s
     yield (
-        f"target: {result.target}, axis {record.axis}, band {low:g} to {high:g} rad/s, "
+        f"target: {result.target}, {record.axes_in_words}, band {low:g} to {high:g} rad/s, "
         f"seed {record.seed}"
     )
     yield record_table(record)

@@ -157,3 +157,9 @@ class RunRecord(Strict):
     """Wall time of the run in s; of a resumed run, since it was resumed."""
     responses: Annotated[dict[str, tuple[ResponseRecord, ...]], Field(default_factory=dict)]
     """All responses known of each robot, by robot."""
+
+    @property
+    def axes_in_words(self) -> str:
+        """The axes that were tested, in words."""
+        axes = self.axis.split()
+        return f"axis {axes[0]}" if len(axes) == 1 else f"axes {', '.join(axes)}"

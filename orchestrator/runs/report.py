@@ -151,7 +151,7 @@ def write_report(folder: Path, record: RunRecord, *, draws: bool = True) -> None
         f"# {folder.name}",
         "",
         (
-            f"Target **{result.target}**, axis {record.axis}, band {low:g} to {high:g} rad/s, "
+            f"Target **{result.target}**, {record.axes_in_words}, band {low:g} to {high:g} rad/s, "
             f"{result.iterations} iterations, seed {record.seed}."
         ),
         "",
@@ -168,7 +168,8 @@ def write_report(folder: Path, record: RunRecord, *, draws: bool = True) -> None
         exact = record.closed_form.get(estimate.robot)
         lines.append(
             f"| {estimate.robot} | {estimate.psi:.4f} "
-            f"| {estimate.psi_low:.4f} to {estimate.psi_high:.4f} | {estimate.omega_rad_s:.3f} "
+            f"| {estimate.psi_low:.4f} to {estimate.psi_high:.4f} | {estimate.omega_rad_s:.3f}"
+            f"{estimate.decided} "
             f"| {estimate.measured} | {estimate.tests} "
             f"| {'' if exact is None else f'{exact.psi:.4f}'} |"
         )

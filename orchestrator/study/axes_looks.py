@@ -29,9 +29,9 @@ from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.frequency_test.excitation import Excitation
 from nufleet.shared.frequency_test.multitone import largest_amplitudes
 
-AT_ONCE = 1.5
-"""Ratio of the durations of the lowest look and the first one up to which the lowest look comes
-first: all axes together then need no more tests than the axes have turns."""
+CLAIMED = 2
+"""Number of robots that a claim rests on, the target and the selected source. They play the lowest
+look once for each axis; where it comes first, it is one of these, and all other robots play it."""
 
 
 class AxesLooks:
@@ -166,8 +166,9 @@ class AxesLooks:
             band_rad_s, spec, settings.first_periods, settings.share_of_settling, group
         )
         lowest = self._lowest_of(name, first)
-        short = lowest.duration_s(spec) <= AT_ONCE * first.duration_s(spec)
-        return lowest if len(group) > 1 and short else first
+        lowest_s, first_s = lowest.duration_s(spec), first.duration_s(spec)
+        cheaper = len(self._robots) * (lowest_s - first_s) <= CLAIMED * lowest_s
+        return lowest if len(group) > 1 and cheaper else first
 
     def _lowest_of(self, name: str, first: ToneChoice) -> ToneChoice:
         lowest_rad_s = self._settings.lowest * self._plan.band_rad_s[0]

@@ -109,6 +109,7 @@ class AxesStudy:
                 self._robots[name].learn(test, responses[name], self._rng)
             else:
                 self._lose(name, failed.get(name, "it returned no response"))
+        self._lose_the_silent()
         sources = self._remaining()
         draws = {name: self._draw(name) for name in (self._plan.target, *sources)}
         by_axis = self._by_axis(draws, sources)
@@ -154,7 +155,7 @@ class AxesStudy:
     def _coupled(
         self, draws: Mapping[str, ComplexArray], sources: Sequence[str]
     ) -> SelectionBelief | None:
-        """Return the belief about the distances of the matrices, where that of axes is too little.
+        """Return the belief about the distances of the matrices, where axes alone do not suffice.
 
         It is None where no axis answers to another one, and where a robot has axes that never
         played together.
@@ -307,6 +308,18 @@ class AxesStudy:
 
     def _remaining(self) -> tuple[str, ...]:
         return tuple(source for source in self._plan.sources if source not in self._dropped)
+
+    def _lose_the_silent(self) -> None:
+        """Drop robots with an axis that responds to no tone, down to the lowest of the band."""
+        for name, robot in self._robots.items():
+            if robot.silent and self._looks.reached(name):
+                silent, lowest_rad_s = " and ".join(robot.silent), robot.lowest_rad_s
+                robot.forget()
+                self._lose(
+                    name,
+                    f"axis {silent} responds to no tone from {lowest_rad_s:.3g} rad/s on: it is "
+                    "not armed, or its dead zone is larger than the amplitudes that it allows",
+                )
 
     def _lose(self, name: str, reason: str) -> None:
         """Drop a robot whose test failed; one with tests of all axes stays, untested."""

@@ -132,6 +132,14 @@ class SourceEstimate:
         return max(axes, key=lambda axis: axes[axis].psi)
 
     @property
+    def decided(self) -> str:
+        """Which axis decides, and the distance on each, in words; empty where one is tested."""
+        if self.axes is None:
+            return ""
+        each = ", ".join(f"{axis} {one.psi:.4f}" for axis, one in self.axes.items())
+        return f" on {self.axis} ({each})"
+
+    @property
     def stated(self) -> str:
         """Median and interval in words."""
         return f"{self.psi:.4f} ({self.psi_low:.4f} to {self.psi_high:.4f})"

@@ -17,7 +17,7 @@ from nufleet.shared.errors import StudyError
 from nufleet.shared.frequency_test.excitation import Excitation
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.frequency_test.matrix_response import MatrixResponse
-from nufleet.shared.frequency_test.quality import Quality
+from nufleet.shared.frequency_test.quality import Finding, Quality
 from nufleet.shared.robots.spec import RobotSpec
 
 AXES = ("x", "y")
@@ -40,9 +40,15 @@ def spec_of(*alone: str) -> RobotSpec:
 
 
 def answer(
-    loops: Loops, test: Excitation, deviation: float, rng: np.random.Generator, across: float = 0.0
+    loops: Loops,
+    test: Excitation,
+    deviation: float,
+    rng: np.random.Generator,
+    across: float = 0.0,
+    silent: str | None = None,
 ) -> FrequencyResponse:
     """Return what a test gives of loops, each of which adds a share of itself to the others."""
+    nothing = Quality(warnings=(Finding(code="no-response", text="no response"),))
     if not test.also:
         return loops[test.axis].answer(test, deviation, rng)
     names = tuple(one.axis for one in test.played)
@@ -59,7 +65,7 @@ def answer(
                 z=share * loops[name].z(omega) + error[0] + 1j * error[1],
                 variance=deviation**2 * rng.chisquare(degrees, len(omega)) / degrees,
                 segments=test.segments,
-                quality=Quality(),
+                quality=nothing if name == silent else Quality(),
                 amplitude=0.1,
             )
         )
@@ -77,14 +83,16 @@ def begin(spec: RobotSpec, rounds: int = 8, fleet: Mapping[str, Loops] = FLEET) 
 
 
 def to_the_end(
-    study: AxesStudy, deviation: float = 0.01, across: float = 0.0
+    study: AxesStudy, deviation: float = 0.01, across: float = 0.0, silent: str | None = None
 ) -> tuple[list[Question], list[Report]]:
     rng = np.random.default_rng(1)
     questions, reports = [], []
     while (question := study.ask()) is not None:
         questions.append(question)
         answers = {
-            name: answer(FLEET[name], test, deviation, rng, across)
+            name: answer(
+                *(FLEET[name], test, deviation, rng, across), silent if name == "target" else None
+            )
             for name, test in question.tests.items()
         }
         reports.append(study.tell(answers, {}))
@@ -144,6 +152,19 @@ def test_every_axis_of_the_contenders_reaches_the_lower_end_before_anything_is_c
     assert max(lowest.values()) <= 1.25 * 2 * BAND[0] * 1.001
     leads = [question.tests["balanced"].axis for question in questions]
     assert set(leads) == set(AXES)
+
+
+def test_many_robots_are_looked_at_before_the_lower_end_of_the_band_and_few_from_it_on() -> None:
+    def lowest_rad_s(sources: int) -> float:
+        names = tuple(f"source-{n}" for n in range(sources))
+        plan = StudyPlan("target", names, BAND, 8, "x", also=("y",))
+        specs = dict.fromkeys(("target", *names), spec_of())
+        question = AxesStudy(plan, specs, np.random.default_rng(0)).ask()
+        assert question is not None
+        return question.omega_rad_s[0]
+
+    assert lowest_rad_s(3) == pytest.approx(2 * BAND[0])
+    assert lowest_rad_s(30) > 3 * BAND[0]
 
 
 def test_a_second_look_from_the_lower_end_is_played_at_half_the_amplitude(ended: Ended) -> None:
@@ -207,6 +228,12 @@ def test_a_source_whose_tests_fail_is_left_out_and_a_target_ends_the_study() -> 
     assert study.ask() is not None
     with pytest.raises(StudyError, match="the target target cannot be tested: it fell"):
         study.tell({}, {"target": "it fell"})
+
+
+def test_a_target_with_an_axis_that_never_responds_ends_the_study_by_its_name() -> None:
+    words = "the target target cannot be tested: axis y responds to no tone from"
+    with pytest.raises(StudyError, match=words):
+        to_the_end(begin(spec_of()), silent="y")
 
 
 def test_the_same_answers_lead_to_the_same_study(ended: Ended) -> None:
