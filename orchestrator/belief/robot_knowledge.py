@@ -25,6 +25,11 @@ MISSTATED = 1.2
 NONLINEAR_DEVIATION = 0.02
 """Assumed relative change of a nonlinear robot's response at another amplitude."""
 
+NONLINEAR_ELSEWHERE = 4.0
+"""Change of the response in another motion of the same size, as a multiple of the distortion that a
+test shows: about that of backlash and friction in a loop, which hides what is above its bandwidth.
+"""
+
 FLIGHT_TEST_STD = 0.02
 """Standard deviation that is expected of a test's estimates while the robot was never tested."""
 
@@ -129,7 +134,7 @@ class RobotKnowledge:
         for finding in response.quality.warnings:
             if finding.code == "nonlinear":
                 self._find(finding.text)
-                share = max(NONLINEAR_DEVIATION, finding.value or 0.0)
+                share = max(NONLINEAR_DEVIATION, NONLINEAR_ELSEWHERE * (finding.value or 0.0))
                 doubt += (share * np.abs(z)) ** 2
             if finding.code == "ringing" and (finding.value or 0.0) > self.settling_time_s:
                 self.settling_time_s, self._model = finding.value or 0.0, None

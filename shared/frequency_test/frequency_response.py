@@ -16,6 +16,7 @@ from nufleet.shared.distance.chordal import geodesic_radius
 from nufleet.shared.frequency_test.excitation import ExcitationPlan
 from nufleet.shared.frequency_test.nonlinearity import (
     harmonic_distortion,
+    intermodulation,
     nonlinear,
     power_distortion,
 )
@@ -296,7 +297,8 @@ def _findings(
     # For a single tone the powers contain nothing but harmonics, which were tested above.
     if tones > 1:
         powers = power_distortion(residual, (moved, played), omegas, step_s, segments)
-        distortion = max(distortion, powers)
+        odd = intermodulation(output_fit, tones, residual, step_s)
+        distortion = max(distortion, powers, odd)
     gain = samples.y_scale / samples.u_scale
     # A change dY of the output's phasor moves z by dY/U, and its point on the Riemann sphere by
     # |dz| / (1 + |z|²), the metric that the chordal distance has for close points.
