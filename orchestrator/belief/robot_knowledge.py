@@ -25,6 +25,10 @@ MISSTATED = 1.2
 NONLINEAR_DEVIATION = 0.02
 """Assumed relative change of a nonlinear robot's response at another amplitude."""
 
+FORM_HALVINGS = 0.5
+"""What the form of a motion does to a nonlinear robot, in halvings of the amplitude: peaks of the
+same height stand out of the rest of a motion by factors that differ by about √2."""
+
 NONLINEAR_ELSEWHERE = 4.0
 """Change of the response in another motion of the same size, as a multiple of the distortion that a
 test shows: about that of backlash and friction in a loop, which hides what is above its bandwidth.
@@ -169,8 +173,8 @@ class RobotKnowledge:
     def _doubt_amplitudes(self, new: Tones, miss: _Miss, before: float, now: float) -> None:
         """Make the tests less certain by what amplitude does to the response, at each frequency.
 
-        What halving the amplitude does, doubling it may do again, so that a test is the less
-        certain the further its amplitude is from the largest.
+        The response is that at the largest amplitude, so that a test is the less certain the
+        further its own is from that; motions of another form are as those of another amplitude.
         """
         larger, smaller = (miss.expected, new.z) if before > now else (new.z, miss.expected)
         unit = self.spec.axes[0].unit
@@ -195,7 +199,7 @@ class RobotKnowledge:
         if self._bent is None:
             return np.zeros(len(omega_rad_s))
         halvings = math.log2(top / (amplitude or top))
-        return np.asarray(np.interp(omega_rad_s, *self._bent) * (1 + halvings) ** 2)
+        return np.asarray(np.interp(omega_rad_s, *self._bent) * (FORM_HALVINGS + halvings) ** 2)
 
     def _doubt(self, variance: float) -> None:
         """Add a variance to all flights or, where there are none, to all tests.
@@ -365,7 +369,7 @@ class RobotKnowledge:
     def _changed(self, new: Tones, miss: _Miss, flight: Flight | None) -> float:
         """Return the variance to add to all tests if a new one contradicts the earlier ones."""
         tests_only = all(one.flight is None for one in self.responses)
-        depends = "on time" if tests_only else "on the amplitude or on time"
+        depends = "on time or on the tones" if tests_only else "on the amplitude or on time"
         self._find(
             f"its response changed between {self._motions(flight)}, by {miss.worst:.3g} at "
             f"{miss.worst_rad_s:.4g} rad/s: it depends {depends}"

@@ -198,7 +198,9 @@ class AdaptiveStudy:
         if confidence < sure:
             chance = f"P(correct selection) = {confidence:.3f}"
             if not rounds_left:
-                return _Verdict(confidence, why=f"{used}; {chance}")
+                return _Verdict(
+                    confidence, why=f"{used}; {chance}{self._time_left(belief, leader)}"
+                )
             value = settling(belief, leader, self._settings.epsilon)
             following = self._next_tests.choose(
                 belief, draws, leader, value, hopeless=hopeless, absent=self._grounded
@@ -266,6 +268,15 @@ class AdaptiveStudy:
                 belief, draws, leader, value, hopeless=hopeless, absent=self._grounded
             ).tests
         return _Verdict(confidence, tests, wide if tests else f"{claim}; {wide}")
+
+    def _time_left(self, belief: SelectionBelief, leader: str) -> str:
+        """Return in words what more tests like those that were played would have to cost."""
+        if any(robot.doubted for robot in self._robots.values()):
+            return ""
+        settings = self._settings
+        times = belief.variance_to_settle(leader, settings.epsilon, settings.delta)
+        more_s = (times - 1.0) * self._looks.asked_s
+        return f"; with as much noise, about {more_s:.2g} robot-seconds more would settle it"
 
     def _unseen(self, name: str) -> bool:
         return not self._looks.reached(name)
