@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from nufleet.orchestrator.belief.amplitude_dependence import AmplitudeDependence
 from nufleet.orchestrator.belief.response_belief import ResponseModel
 from nufleet.orchestrator.belief.resting_gain import draw_resting
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
@@ -337,14 +338,20 @@ class AdaptiveStudy:
         return tuple(name for name in known if name not in self._grounded)
 
     def _share_doubt(self) -> None:
-        """Make all flights as doubtful as those that missed a test, or flights at other speeds.
+        """Make all robots as doubtful as those that were seen to be.
 
         Robots of one fleet are alike: where the flights of one are no tests, those of the others
-        are not, either.
+        are not, either; and what the amplitude does to some of a kind, it may do to all of it.
         """
         doubt = max(robot.flight_doubt for robot in self._robots.values())
         for robot in self._robots.values():
             robot.doubt_flights(doubt)
+            alike = [
+                one.by_amplitude
+                for one in self._robots.values()
+                if one.compared and one.spec.kind == robot.spec.kind
+            ]
+            robot.assume(AmplitudeDependence.of_fleet(alike))
 
     def _remaining(self) -> tuple[str, ...]:
         return tuple(source for source in self._plan.sources if source not in self._dropped)
