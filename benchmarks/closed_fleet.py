@@ -31,11 +31,15 @@ from nufleet.shared.wire.frame import stop_frame
 from nufleet.shared.wire.identity import SCHEME, address_of
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.messages import Outcome
-from nufleet.shared.wire.transport import Session, open_client, open_configured_router, open_router
+from nufleet.shared.wire.session import Session
+from nufleet.shared.wire.transport import open_client, open_configured_router, open_router
 from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 KEYS = FleetKeys("lab")
 PATIENCE_S = 60.0
+STOPS_PER_ROUND = 10
+"""The slowest hundredth of stops is what the load of the machine does to them: it takes many to
+tell two fleets apart."""
 DESCRIPTION = b"d" * 3000
 TEST = Excitation(axis="x", tones=(Tone(omega_rad_s=20.0),), settle_s=0.5)
 """A test of two seconds of robot time, which a simulation plays in a few milliseconds."""
@@ -77,7 +81,7 @@ class Side:
             raise AssertionError(f"tests failed at {self.address}: {', '.join(failed)}")
 
     def measure(self) -> None:
-        """Open a session, ask a robot, and stop it, once each."""
+        """Open a session and ask a robot, once each."""
         began_s = time.perf_counter()
         with open_client(self.address, timeout_s=PATIENCE_S):
             self._took("open a session", began_s)
@@ -87,6 +91,9 @@ class Side:
         self._took("ask a robot for 3 kB", began_s)
         if replies != [DESCRIPTION]:
             raise AssertionError(f"a request at {self.address} had {len(replies)} answers")
+
+    def stop(self) -> None:
+        """Stop a robot once."""
         self.heard.clear()
         began_s = time.perf_counter()
         self.orchestrator.put_urgent(KEYS.command("r0", "desk", "stop"), stop_frame("desk.x", "-"))
@@ -171,6 +178,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             for _ in range(options.rounds):
                 opened.measure()
                 closed.measure()
+                for _ in range(STOPS_PER_ROUND):
+                    opened.stop()
+                    closed.stop()
             # The first iteration also loads the compiled numerics.
             for number in range(1 + options.iterations):
                 for fleet in (opened, closed):

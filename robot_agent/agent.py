@@ -49,8 +49,9 @@ from nufleet.shared.robots.fleet_file import RobotPolicy
 from nufleet.shared.wire import messages
 from nufleet.shared.wire.codec import M, decode
 from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.limits import MAX_STATE_BYTES
 from nufleet.shared.wire.motions import MotionPlan
-from nufleet.shared.wire.transport import MAX_STATE_BYTES, Session
+from nufleet.shared.wire.session import Session
 
 OWNER_PATIENCE_S = 1.0
 """Time that a goal waits for its owner's liveliness token, which may arrive after the goal."""
@@ -229,6 +230,7 @@ class Agent:
             path_samples,
             realtime=self._realtime,
             foretold=self._forecasts.foretold,
+            hindrance=self._frozen,
         )
         opened.callback(self._motions.close)
         self._looks += [self._motions.look_after_robot, self._forecasts.look]
@@ -313,6 +315,10 @@ class Agent:
             self._forecasts.end()
             self._motions.begin(motion)
         return answer
+
+    def _frozen(self) -> str | None:
+        refusal = self._freezes.refusal(time.monotonic())
+        return None if refusal is None else refusal.reason
 
     def _await_owner(self, owner: str) -> None:
         """Wait for the token of an owner whose goal arrived first, if the network knows the token.

@@ -106,6 +106,7 @@ class Decisions:
         self._owners_alive: set[str] = set()
         self._health: Health | None = None
         self._stops = 0
+        self._cutting = False
         self._shutting_down = False
         self._motion: Assignment | None = None
         self._resting = False
@@ -148,6 +149,18 @@ class Decisions:
                 order = self._supervision.stop
             if order is not None:
                 self._journal.stopped(order)
+
+    def cutting(self) -> None:
+        """Record that the motors are being cut, until `cut`; no release is taken meanwhile."""
+        with self._lock:
+            self._cutting = True
+
+    def cut(self, fault: str | None) -> None:
+        """Record that the motors have been cut, which is a fault; None when that failed."""
+        with self._lock:
+            self._cutting = False
+            if fault is not None:
+                self._supervise(supervisor.FaultFound(fault))
 
     def broke(self, fault: str) -> None:
         """Record that the robot cannot be trusted with another motion; the present one ends."""
@@ -276,10 +289,9 @@ class Decisions:
         with self._stopping:
             with self._lock:
                 stops = self._stops
-                if self._goals.running is not None:
-                    return Refusal(
-                        code="busy", reason="it is still coming to rest; release it in a moment"
-                    )
+                if self._cutting or self._goals.running is not None:
+                    now = "its motors are being cut" if self._cutting else "it is coming to rest"
+                    return Refusal(code="busy", reason=f"{now}; release it in a moment")
             self._journal.released(sender)
             with self._lock:
                 if self._stops != stops:
@@ -340,10 +352,32 @@ class Decisions:
         """Why the robot has to be reconnected; None when it has no fault."""
         return self._supervision.fault
 
-    def reconnected(self, fault: str | None) -> None:
-        """Record an attempt to reconnect the robot; `fault` says why it failed, if it did."""
+    @property
+    def stopped(self) -> bool:
+        """Whether a stop is in force."""
+        return self._supervision.stop is not None
+
+    @property
+    def stops(self) -> int:
+        """Number of stops that have arrived."""
+        return self._stops
+
+    def reconnected(self, fault: str | None, *, stops: int) -> str | None:
+        """Record the end of an attempt to reconnect the robot.
+
+        Args:
+            fault: Why it failed; None when the robot is connected.
+            stops: Number of stops that had arrived when it began. The motors may have been cut by
+                a later one, so that the robot has to be released and reconnected once more.
+
+        Returns:
+            Why the robot still cannot be trusted; None when it can be.
+        """
         with self._lock:
+            if fault is None and stops != self._stops:
+                fault = "it was stopped while it was being reconnected"
             self._supervise(supervisor.Reconnected(fault))
+            return fault
 
     def state(self) -> RobotState:
         """Return the state to publish now, with the next sequence number."""

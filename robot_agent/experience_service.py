@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 
 from nufleet.robot_agent.flight.inverse_model import NetworkInverse
-from nufleet.robot_agent.flight.memory import Kept, Memory
+from nufleet.robot_agent.flight.memory import Kept, Memory, MemoryFolderError
 from nufleet.robot_agent.flight.prior_bounds import out_of_bounds
 from nufleet.robot_agent.network.trust import ROUTER_SILENT, Trust
 from nufleet.robot_agent.robot import Robot
@@ -60,10 +60,19 @@ class ExperienceService:
         """
         self._name, self._robot, self._memory, self._change = name, robot, memory, change
         self._trust, self._output_max = trust, output_max
-        self._review()
+        self._sign_own()
+        self._review_priors()
 
     def offers(self) -> tuple[ExperienceOffer, ...]:
-        """Return an offer of each experience learned on this robot."""
+        """Return an offer of each experience learned on this robot.
+
+        If the identity was renewed since, those of a former authority are signed again before.
+        """
+        if self._trust.identity() != self._signed_as:
+            try:
+                self._sign_own()
+            except (InvalidInputError, MemoryFolderError) as error:
+                _log.warning("%s: its experiences keep their signatures: %s", self._name, error)
         return tuple(offer_of(kept) for kept in self._memory.experiences)
 
     def priors(self) -> tuple[ExperienceOffer, ...]:
@@ -128,11 +137,16 @@ class ExperienceService:
         refusal = None if own else self._out_of_bounds(manifest, NetworkInverse(experience))
         return refusal or offer_of(keep(request.payload, request.sha256))
 
-    def _review(self) -> None:
-        """Sign what was learned without this identity; remove priors that are no longer taken."""
+    def _sign_own(self) -> None:
+        """Sign what was learned without this identity, or under a former authority."""
+        self._signed_as = self._trust.identity()
         for kept in self._memory.experiences:
-            if self._trust.signed(kept.payload) != kept.payload:
-                self._keep_own(kept.payload)
+            signed = self._trust.signed(kept.payload)
+            if signed != kept.payload:
+                self._memory.keep_experience(signed, digest(signed))
+
+    def _review_priors(self) -> None:
+        """Remove priors that are no longer taken."""
         for kept in self._memory.priors:
             refusal = self._trust.refusal(kept.payload)
             refusal = refusal or self._out_of_bounds(kept.manifest, kept.inverse)

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -20,13 +20,14 @@ from nufleet.robot_agent.flight.mixture_learner import experts_of
 from nufleet.robot_agent.flight.online_gp import Correction
 from nufleet.robot_agent.flight.state_model import state_evidence
 from nufleet.robot_agent.motion.excitation import reference_of
-from nufleet.robot_agent.motion.perform import AxisMotion, Performance, Played, Samples, perform
+from nufleet.robot_agent.motion.perform import AxisMotion, Performance, Played, Samples, performed
 from nufleet.robot_agent.motion.sortie import Sortie
+from nufleet.robot_agent.motion.steps import Steps, make
 from nufleet.robot_agent.motion.watched_robot import WatchedRobot
 from nufleet.robot_agent.network.telemetry import TelemetryBatcher
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.errors import RobotDownError, RobotError
+from nufleet.shared.errors import RobotError
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
 from nufleet.shared.wire.codec import Message
 from nufleet.shared.wire.messages import (
@@ -38,7 +39,7 @@ from nufleet.shared.wire.messages import (
     TrackingTelemetry,
 )
 from nufleet.shared.wire.motions import PredictedError, Tracking
-from nufleet.shared.wire.transport import Publisher
+from nufleet.shared.wire.requests import Publisher
 
 CLOSING_LOOK_S = 0.1
 """Interval between checks on the robot while the worker is closing."""
@@ -61,9 +62,10 @@ class MotionWorker:
         *,
         realtime: float | None,
         foretold: Callable[[Tracking], PredictedError | None] = lambda motion: None,
+        hindrance: Callable[[], str | None] = lambda: None,
     ) -> None:
         self._boot_id = boot_id
-        self._foretold = foretold
+        self._foretold, self._hindrance = foretold, hindrance
         self._robot = robot
         self._sortie = Sortie(robot)
         self._memory = memory
@@ -80,6 +82,8 @@ class MotionWorker:
 
     def begin(self, assignment: Assignment) -> None:
         """Play a motion as soon as the previous one is over; returns at once."""
+        with self._lock:
+            self._performing = (assignment, None)
         self._jobs.put(assignment)
 
     def reconnect(self) -> Future[Message]:
@@ -104,6 +108,8 @@ class MotionWorker:
         with self._lock:
             performing, self._performing = self._performing, None
         if performing is None:
+            if self._decisions.fault is None:
+                self._decisions.broke(reason)
             return
         assignment, performance = performing
         _log.error("goal %s: %s", assignment.goal.goal_id, reason)
@@ -147,11 +153,11 @@ class MotionWorker:
             if isinstance(job, Assignment):
                 self._perform(job)
             else:
-                job.set_result(self._reconnected())
+                job.set_result(make(reconnected(self._sortie, self._decisions)))
 
     def _end(self) -> str | None:
         """Land a robot that no motion keeps in the air; return why that failed."""
-        failed = self._sortie.end()
+        failed = make(self._sortie.end())
         if failed is not None:
             _log.error("%s", failed)
             self._decisions.broke(failed)
@@ -159,13 +165,11 @@ class MotionWorker:
 
     def _perform(self, assignment: Assignment) -> None:
         with self._lock:
-            self._performing = (assignment, None)
-        try:
-            played = self._played(assignment)
-        except Exception as error:  # noqa: BLE001 - a goal always ends, and the thread never does
-            _log.exception("goal %s", assignment.goal.goal_id)
-            reason = f"an unexpected error: {error!r}"
-            played = Played(Outcome.FAILED, reason, _nothing(assignment, self._robot), fault=reason)
+            if self._performing is None:
+                return  # the driver hung before this goal's turn came, which has been reported
+        nothing = _nothing(assignment, self._robot)
+        steps = partial(self._performed, assignment)
+        played = make(self._sortie.move(assignment.switch, self._hindrance, nothing, steps))
         with self._lock:
             given_up, self._performing = self._performing is None, None
         if given_up:
@@ -191,27 +195,13 @@ class MotionWorker:
         )
         self._decisions.ended(result, played.fault)
 
-    def _played(self, assignment: Assignment) -> Played:
-        order = assignment.switch.order
-        if order is not None:  # a robot that was stopped in the meantime does not take off
-            return Played(*order, _nothing(assignment, self._robot))
-        try:
-            self._sortie.begin()
-        except RobotError as error:
-            fault = str(error) if isinstance(error, RobotDownError) else None
-            return Played(Outcome.FAILED, str(error), _nothing(assignment, self._robot), fault)
-        played = self._performed(assignment)
-        also = None if played.fault is None else self._sortie.end()
-        if also is None:
-            return played
-        return replace(played, fault=f"{played.fault}; {also}")
-
-    def _performed(self, assignment: Assignment) -> Played:
+    def _performed(self, assignment: Assignment) -> Steps[Played]:
         telemetry = self._batcher(assignment)
         performance = self._performance(assignment, telemetry)
         with self._lock:
-            self._performing = (assignment, performance)
-        played = perform(
+            if self._performing is not None:  # it is if the driver hung in its `begin`
+                self._performing = (assignment, performance)
+        played = yield from performed(
             self._robot,
             performance,
             assignment.switch,
@@ -317,22 +307,21 @@ class MotionWorker:
             clock=time.monotonic,
         )
 
-    def _reconnected(self) -> Message:
-        if self._decisions.fault is None:
-            return Done()  # another release came first
-        fault = None
-        try:
-            try:
-                self._robot.disconnect()
-            except RobotError as error:
-                _log.warning("a robot with a fault could not be disconnected: %s", error)
-            self._robot.connect()
-            self._sortie = Sortie(self._robot)
-        except Exception as error:  # noqa: BLE001 - a driver's mistake must not end the thread
-            _log.exception("a robot could not be reconnected")
-            fault = f"could not be reconnected: {error}"
-        self._decisions.reconnected(fault)
-        return Done() if fault is None else Refusal(code="fault", reason=fault)
+
+def reconnected(sortie: Sortie, decisions: Decisions) -> Steps[Message]:
+    """Disconnect and connect a robot with a fault; return the answer to its release."""
+    if decisions.fault is None:
+        return Done()  # another release came first
+    if decisions.stopped:
+        return Refusal(code="stopped", reason="it has just been stopped again")
+    fault, stops = None, decisions.stops
+    try:
+        yield from sortie.reconnect(lambda: decisions.stops == stops)
+    except Exception as error:  # noqa: BLE001 - a driver's mistake must not end the thread
+        _log.exception("a robot could not be reconnected")
+        fault = f"could not be reconnected: {error}"
+    fault = decisions.reconnected(fault, stops=stops)
+    return Done() if fault is None else Refusal(code="fault", reason=fault)
 
 
 def _nothing(assignment: Assignment, robot: Robot) -> Samples:

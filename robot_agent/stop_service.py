@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 
 from nufleet.robot_agent.commands import Commands
 from nufleet.robot_agent.decisions import Decisions
@@ -30,14 +30,26 @@ class StopService:
         keys: FleetKeys,
         commands: Commands,
         kill: Callable[[], None],
+        *,
+        writer: Executor | None = None,
     ) -> None:
+        """Handle no stop yet.
+
+        Args:
+            robot: Name of the robot.
+            decisions: Decisions of its agent.
+            keys: Keys of its fleet.
+            commands: Record of what its agent was told.
+            kill: The driver's `kill`.
+            writer: What stores stops; a thread of its own unless given.
+        """
         self._robot = robot
         self._decisions = decisions
         self._keys = keys
         self._commands = commands
         self._kill = kill
         self._killing: Future[Message] | None = None
-        self._writer = ThreadPoolExecutor(1, thread_name_prefix=f"{robot}-stops")
+        self._writer = writer or ThreadPoolExecutor(1, thread_name_prefix=f"{robot}-stops")
         self._lock = threading.Lock()
         self._storing: Future[Message] | None = None
         self._closed = False
@@ -47,7 +59,7 @@ class StopService:
         try:
             self.asked(self._keys.principal_of_stop(key), payload)
         except MalformedMessageError as error:
-            _log.warning("%s: malformed stop on %s: %s", self._robot, key, error)
+            _log.warning("%s: malformed stop on %r: %s", self._robot, key, error)
 
     def asked(self, principal: str | None, payload: bytes) -> Future[Message]:
         """Handle a stop sent as a query; the motion has been halted when this returns.
@@ -76,7 +88,7 @@ class StopService:
         killing = self._cut_motors(sender, request.reason) if request.kill else None
         self._commands.stopped(principal, request)
         stored = self._stored()
-        return stored if killing is None else killing
+        return stored if killing is None else _both(killing, stored)
 
     def close(self) -> None:
         """Store the stops that have been handled, and end."""
@@ -100,14 +112,19 @@ class StopService:
             except Exception as error:  # noqa: BLE001 - the sender is told, of a driver's mistake too
                 _log.error("%s: its motors could not be cut: %r", self._robot, error)
                 text = f"it was stopped, but its motors were not cut: {error}"
+                self._decisions.cut(None)
                 answer.set_result(Refusal(code="not-killed", reason=text))
             else:
-                self._decisions.broke(f"its motors were cut by {sender}: {reason}")
+                self._decisions.cut(f"its motors were cut by {sender}: {reason}")
                 answer.set_result(Done())
 
-        # It is not joined: a driver that hangs must not keep the agent from ending.
-        threading.Thread(target=cut, name=f"{self._robot}-kill", daemon=True).start()
+        self._decisions.cutting()
+        self._start(cut)
         return answer
+
+    def _start(self, work: Callable[[], None]) -> None:
+        """Begin work of the driver on a thread that is never waited for, since it may hang."""
+        threading.Thread(target=work, name=f"{self._robot}-kill", daemon=True).start()
 
     def _stored(self) -> Future[Message]:
         """Return the reply to come; stops that wait for the disk at the same time share it."""
@@ -130,3 +147,18 @@ class StopService:
             forgotten = "it was halted, but the stop will not outlast its agent"
             return Refusal(code="journal", reason=f"{forgotten}: {error}")
         return Done()
+
+
+def _both(killing: Future[Message], stored: Future[Message]) -> Future[Message]:
+    """Return the reply to come when the motors are cut and the stop is stored: what went wrong."""
+    answer: Future[Message] = Future()
+
+    def cut(_: object) -> None:
+        stored.add_done_callback(ended)
+
+    def ended(_: object) -> None:
+        cut_or_not = killing.result()
+        answer.set_result(stored.result() if isinstance(cut_or_not, Done) else cut_or_not)
+
+    killing.add_done_callback(cut)
+    return answer

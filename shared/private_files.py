@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from nufleet.shared.errors import InvalidInputError
+
 
 def make_private_folder(folder: Path) -> None:
     """Make sure that a folder exists and that no other user may look into it (mode 0700).
@@ -34,6 +36,23 @@ def write_privately(path: Path, data: bytes) -> None:
         OSError: the file could not be written; its old contents are unchanged.
     """
     os.close(replace_privately(path, data, path.with_name(f"{path.name}.part")))
+
+
+def check_private(path: Path) -> None:
+    """Check that this user alone can read a file with a key.
+
+    Args:
+        path: File of the key.
+
+    Raises:
+        InvalidInputError: This user cannot read it, or others can.
+        OSError: It is not there.
+    """
+    mode = path.stat().st_mode
+    if not os.access(path, os.R_OK):
+        raise InvalidInputError(f"the key {path} belongs to another user")
+    if mode & 0o077:
+        raise InvalidInputError(f"other users can read or replace the key {path}: chmod 600 {path}")
 
 
 def create_privately(path: Path, data: bytes) -> None:

@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from nufleet.shared.robots.fleet_file import FleetFile, RouterEntry
-from nufleet.shared.wire.keys import COMMANDS, READS, RELEASE, STOP, FleetKeys
-from nufleet.shared.wire.transport import (
+from nufleet.shared.wire.keys import ADMITTED, COMMANDS, READS, RELEASE, STOP, FleetKeys
+from nufleet.shared.wire.limits import (
     FULL_LINK_WAIT_US,
     LEASE_MS,
     MAX_MESSAGE_BYTES,
@@ -59,10 +59,11 @@ def router_configuration(
         revocations: Number of revocations of each principal; none if absent.
     """
     principals, keys = fleet.principals, FleetKeys(fleet.name)
-    people, robots = _people(keys), _robots(keys)
+    people, robots, office = _people(keys), _robots(keys), _office(keys)
+    by_role = {"robot": robots, "orchestrator": [*people, *office]}
     own = _own_rules(fleet, keys)
     names = {name: common_name(name, revocations.get(name, 0)) for name in principals}
-    shared = {name: robots if role == "robot" else people for name, role in principals.items()}
+    shared = {name: by_role.get(role, people) for name, role in principals.items()}
     configuration = {
         "mode": "router",
         # Robots ask for this list, to know whose signatures count.
@@ -76,7 +77,12 @@ def router_configuration(
             # Without this line everything would be allowed.
             "enabled": True,
             "default_permission": "deny",
-            "rules": [*people, *robots, *(rule for rules in own.values() for rule in rules)],
+            "rules": [
+                *people,
+                *robots,
+                *office,
+                *(rule for rules in own.values() for rule in rules),
+            ],
             "subjects": [
                 {
                     "id": name,
@@ -152,8 +158,8 @@ def _people(keys: FleetKeys) -> list[Rule]:
     states = [every("state"), every("state/@adv/**")]
     alive = [every("alive"), every("state/@adv/**"), keys.every_orchestrator_alive]
     return [
-        _allow("admitted", "ingress", ["query"], ["@/*/router"]),
-        _allow("admitted-reply", "egress", ["reply"], ["@/*/router"]),
+        _allow("admitted", "ingress", ["query"], [ADMITTED]),
+        _allow("admitted-reply", "egress", ["reply"], [ADMITTED]),
         _allow("watch", "ingress", ["declare_subscriber"], [*states, every("telemetry/*")]),
         _allow(
             "watch-presence",
@@ -185,14 +191,22 @@ def _robots(keys: FleetKeys) -> list[Rule]:
     heard = [*keys.every_stop, orchestrators]
     watched = [every("state"), every("telemetry/*"), every("state/@adv/**")]
     return [
-        _allow("robot-admitted", "ingress", ["query"], ["@/*/router"]),
-        _allow("robot-admitted-reply", "egress", ["reply"], ["@/*/router"]),
+        _allow("robot-admitted", "ingress", ["query"], [ADMITTED]),
+        _allow("robot-admitted-reply", "egress", ["reply"], [ADMITTED]),
         _allow("robot-hears-stops", "ingress", ["declare_subscriber"], list(keys.every_stop)),
         _allow("robot-watches-orchestrators", "ingress", tokens, [orchestrators]),
         _allow("robot-is-told", "egress", ["put", "liveliness_token"], heard),
         _allow("robot-is-watched", "egress", ["declare_subscriber"], watched),
         # A stop of several robots at once travels under its own key expression.
         _allow("robot-stops-with-others", "egress", ["put", "query"], [every(f"by/*/{STOP}")]),
+    ]
+
+
+def _office(keys: FleetKeys) -> list[Rule]:
+    """Return what orchestrators have in common beside watching: they may see who is connected."""
+    return [
+        _allow("connected", "ingress", ["query"], [keys.connected]),
+        _allow("connected-reply", "egress", ["reply"], [keys.connected]),
     ]
 
 

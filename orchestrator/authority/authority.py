@@ -45,7 +45,7 @@ from nufleet.orchestrator.authority.key_files import (
 )
 from nufleet.orchestrator.authority.ledger import Enrolment, Ledger, read_ledger, write_ledger
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.private_files import make_private_folder, write_privately
+from nufleet.shared.private_files import check_private, make_private_folder, write_privately
 from nufleet.shared.robots.fleet_file import FleetFile, RouterEntry, read_fleet_file
 from nufleet.shared.wire.identity import KEY_SUFFIX, SUFFIX, Identity, identity_text
 
@@ -91,8 +91,7 @@ class Authority:
         self._router = router_of(self.inventory, self._listed_in)
         path = folder / _KEY
         try:
-            if path.stat().st_mode & 0o077:
-                raise InvalidInputError(f"other users can read the key {path}: chmod 600 {path}")
+            check_private(path)
             key = read_key(path.read_bytes(), str(path))
             self._issuer, self._former = read_issuers((folder / _CERTIFICATE).read_bytes(), key)
         except (OSError, ValueError) as error:

@@ -84,7 +84,7 @@ class RobotKnowledge:
         """What the amplitude does to its response, as its tests or those of others show."""
         self._tones: list[Tones] = []
         self._doubts: list[FloatArray] = []
-        """Variance of each test's estimates that is the same in all tests, whatever their number.
+        """Variance of each test's estimates that is the same in all tests, however many there are.
         """
         self._noise: list[FloatArray] = []
         self._model: ResponseModel | None = None

@@ -14,13 +14,24 @@ from nufleet.orchestrator.cli.options import (
     storage_options,
     unguarded_option,
 )
-from nufleet.orchestrator.cli.types import Durations, Names, PositiveNumber, PositiveNumbers
+from nufleet.orchestrator.cli.types import (
+    Durations,
+    Names,
+    PositiveNumber,
+    PositiveNumbers,
+    RobotName,
+)
 
 
 @click.command()
 @fleet_option
 @connect_options
-@click.option("--target", help="Robot that flies.  [default: the target named in the fleet file]")
+@click.option(
+    "--target",
+    type=RobotName(),
+    metavar="NAME",
+    help="Robot that flies.  [default: the target named in the fleet file]",
+)
 @click.option(
     "--sources",
     type=Names(),
@@ -104,7 +115,8 @@ def evaluate(**options: Any) -> None:
     source's experience as its prior mean (the paper's Section VI, Table I, Figs. 4 and 7), with
     their mixture, and with its model of itself: after the tests alone, and again after more flying
     of its own. Plots, tables and all samples go into the run's folder, where flights.jsonl holds
-    the result of every flight as soon as it ends.
+    the result of every flight as soon as it ends. `nufleet runs resume` continues an evaluation
+    that was interrupted.
 
     \b
     nufleet evaluate --fleet paper_quadrotors --quick

@@ -7,11 +7,11 @@ from typing import Any
 import click
 
 from nufleet.orchestrator.cli.options import open_option
-from nufleet.orchestrator.cli.types import PositiveNumber, fleet_file
+from nufleet.orchestrator.cli.types import FleetPath, PositiveNumber
 
 
 @click.command()
-@click.argument("fleet_file", type=fleet_file, metavar="FLEET")
+@click.argument("fleet_file", type=FleetPath(), metavar="FLEET")
 @click.option(
     "--listen",
     default="tcp/127.0.0.1:7447",

@@ -7,9 +7,11 @@ from typing import Any
 import click
 
 from nufleet.orchestrator.cli.options import (
+    band_option,
     connect_options,
     fleet_option,
     live_option,
+    realtime_option,
     recording_option,
     refuse_in_vain,
     rehearsal_option,
@@ -19,7 +21,7 @@ from nufleet.orchestrator.cli.options import (
     wait_option,
     yes_option,
 )
-from nufleet.orchestrator.cli.types import Names, Number, PositiveNumber
+from nufleet.orchestrator.cli.types import DrawingName, Names, Number, PositiveNumber, RobotName
 
 
 @click.command()
@@ -27,7 +29,10 @@ from nufleet.orchestrator.cli.types import Names, Number, PositiveNumber
 @connect_options
 @wait_option("With --connect: how long to wait for the router and the robots named.")
 @click.option(
-    "--target", help="Robot that needs experience.  [default: the target named in the fleet file]"
+    "--target",
+    type=RobotName(),
+    metavar="NAME",
+    help="Robot that needs experience.  [default: the target named in the fleet file]",
 )
 @click.option(
     "--sources",
@@ -35,14 +40,7 @@ from nufleet.orchestrator.cli.types import Names, Number, PositiveNumber
     metavar="NAME,NAME",
     help="Robots that have experience.  [default: all but the target]",
 )
-@click.option(
-    "--band",
-    "band_rad_s",
-    type=Number(unit="rad/s"),
-    nargs=2,
-    metavar="LOW HIGH",
-    help="Operating band, rad/s.  [default: from the fleet file, or what all robots accept]",
-)
+@band_option("Operating band")
 @click.option("--axis", help="Axis to test.  [default: the target's first]")
 @click.option(
     "--iterations",
@@ -92,6 +90,7 @@ from nufleet.orchestrator.cli.types import Names, Number, PositiveNumber
 )
 @click.option(
     "--trajectory",
+    type=DrawingName(),
     metavar="FILE|NAME",
     help="Rank for this drawing (CSV or SVG, or an installed one such as `pear`).",
 )
@@ -102,12 +101,7 @@ from nufleet.orchestrator.cli.types import Names, Number, PositiveNumber
     metavar="M/S",
     help="With --trajectory: largest speed on it.  [default: what the target's axis allows]",
 )
-@click.option(
-    "--realtime",
-    type=PositiveNumber(),
-    metavar="FACTOR",
-    help="With --fleet: run at this multiple of real time.  [default: as fast as possible]",
-)
+@realtime_option
 @click.option(
     "--plan",
     "plans",
@@ -145,6 +139,8 @@ def rank(resume: str | None, **options: Any) -> None:
         return
     if options["fleet_file"] is None:
         refuse_in_vain("without --fleet", "realtime")
+    if options["plans"]:
+        refuse_in_vain("with --plan, which moves no robot", "live", "draws", "rehearses", "yes")
     from nufleet.orchestrator.jobs.rank import RankCommand, rank_and_print
 
     rank_and_print(RankCommand(**options))

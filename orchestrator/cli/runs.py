@@ -16,7 +16,7 @@ from nufleet.orchestrator.cli.options import (
     storage_options,
     wait_option,
 )
-from nufleet.orchestrator.cli.types import PositiveNumber
+from nufleet.orchestrator.cli.types import PositiveNumber, RunName
 from nufleet.shared.command_line import folder_option
 
 
@@ -31,7 +31,7 @@ def list_runs(runs_root: Path, as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("run", default="latest")
+@click.argument("run", type=RunName(), default="latest")
 @click.option(
     "--connect",
     metavar="ENDPOINT",
@@ -43,11 +43,11 @@ def list_runs(runs_root: Path, as_json: bool) -> None:
 @recording_option
 @storage_options
 def resume(**options: Any) -> None:
-    """Resume the interrupted run RUN: a folder, its name, or `latest`.
+    """Resume the interrupted ranking or evaluation RUN: a folder, its name, or `latest`.
 
-    Tests that were completed are not repeated. If a motion was in progress, the robot is asked how
-    it ended: it counts if it was completed, and is repeated otherwise. For robots that respond
-    reproducibly, the result is the same as without the interruption.
+    Tests and flights that were completed are not repeated. If a test was in progress, the robot is
+    asked how it ended: it counts if it was completed, and is repeated otherwise. For robots that
+    respond reproducibly, the result is the same as without the interruption.
     """
     from nufleet.orchestrator.jobs.resume import ResumeCommand, resume_and_print
 
@@ -55,7 +55,7 @@ def resume(**options: Any) -> None:
 
 
 @click.command()
-@click.argument("run", default="latest")
+@click.argument("run", type=RunName(), default="latest")
 @runs_option
 @json_option
 def show(run: str, runs_root: Path, as_json: bool) -> None:
@@ -66,8 +66,8 @@ def show(run: str, runs_root: Path, as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("first", metavar="RUN")
-@click.argument("second", metavar="RUN", default="latest")
+@click.argument("first", type=RunName(), metavar="RUN")
+@click.argument("second", type=RunName(), metavar="RUN", default="latest")
 @runs_option
 @json_option
 def compare(first: str, second: str, runs_root: Path, as_json: bool) -> None:
@@ -85,7 +85,7 @@ def compare(first: str, second: str, runs_root: Path, as_json: bool) -> None:
 
 
 @click.command()
-@click.argument("run", default="latest")
+@click.argument("run", type=RunName(), default="latest")
 @folder_option(
     "--to",
     help="Folder for the files, one per robot.  [default: `responses` in the run's folder]",

@@ -60,7 +60,8 @@ def release(robots: tuple[str, ...], connect: str, fleet_name: str | None) -> No
     """Let stopped robots move again.
 
     Every robot named is asked, even if another one could not be released. Ends with exit code 1
-    when one of them stays stopped.
+    when one of them stays stopped. There is no --all on purpose: a person looks at each robot
+    before it may move again.
     """
     from nufleet.orchestrator.jobs.stop import release_and_print
 

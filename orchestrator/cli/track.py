@@ -14,7 +14,7 @@ from nufleet.orchestrator.cli.options import (
     storage_options,
     unguarded_option,
 )
-from nufleet.orchestrator.cli.types import PositiveNumber
+from nufleet.orchestrator.cli.types import DrawingName, PositiveNumber
 
 
 @click.command()
@@ -23,6 +23,7 @@ from nufleet.orchestrator.cli.types import PositiveNumber
 @click.option(
     "--trajectory",
     "drawings",
+    type=DrawingName(),
     required=True,
     multiple=True,
     metavar="FILE|NAME",

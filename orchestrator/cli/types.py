@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
+from collections.abc import Iterable
 from pathlib import Path
 
 import click
+from click.shell_completion import CompletionItem
 
+from nufleet.orchestrator.jobs.environment import RUNS_VARIABLE
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.text import split_names
 
@@ -65,6 +69,14 @@ class Names(click.ParamType[tuple[str, ...]]):
         except InvalidInputError as error:
             self.fail(str(error), param, ctx)
 
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Return the robots of the fleet file as a continuation of the names typed already."""
+        typed, comma, begun = incomplete.rpartition(",")
+        left = [name for name in _robots_of(ctx) if name not in typed.split(",")]
+        return [CompletionItem(typed + comma + item.value) for item in _beginning(begun, left)]
+
 
 class PositiveNumbers(click.ParamType[tuple[float, ...]]):
     """Finite numbers above zero, separated by commas."""
@@ -93,11 +105,78 @@ class Durations(click.ParamType[tuple[float, ...]]):
         return tuple(0.0 if p.strip() == "0" else some.convert(p, param, ctx) for p in parts)
 
 
-def fleet_file(path_or_name: str) -> Path:
-    """Return the path of a fleet file, given by its path or by the name of an installed one."""
-    from nufleet.shared.robots.fleet_file import find_fleet_file
+class FleetPath(click.ParamType[Path]):
+    """A fleet file, given by its path or by the name of an installed one."""
 
-    return find_fleet_file(path_or_name)
+    name = "fleet"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> Path:
+        """Return the path of the file; raises FleetFileError when there is none."""
+        from nufleet.shared.robots.fleet_file import find_fleet_file
+
+        return value if isinstance(value, Path) else find_fleet_file(str(value))
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Return the installed fleets and, for the shell to complete, files."""
+        from nufleet.orchestrator.jobs.known_names import installed_fleets
+
+        return [*_beginning(incomplete, installed_fleets()), CompletionItem(incomplete, "file")]
+
+
+class DrawingName(click.ParamType[str]):
+    """A drawing, given by its file or by the name of an installed one."""
+
+    name = "drawing"
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Return the installed drawings and, for the shell to complete, files."""
+        from nufleet.orchestrator.jobs.known_names import drawing_names
+
+        return [*_beginning(incomplete, drawing_names()), CompletionItem(incomplete, "file")]
+
+
+class RunName(click.ParamType[str]):
+    """A run, given by its folder, by its name in the folder of all runs, or as `latest`."""
+
+    name = "run"
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Return the runs in the folder of all runs, the newest first."""
+        from nufleet.orchestrator.jobs.known_names import run_names
+
+        root = ctx.params.get("runs_root") or Path(os.environ.get(RUNS_VARIABLE, "runs"))
+        return _beginning(incomplete, run_names(root))
+
+
+class RobotName(click.ParamType[str]):
+    """A robot; completed from the fleet file that was typed, since that needs no network."""
+
+    name = "robot"
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Return the robots of the fleet file."""
+        return _beginning(incomplete, _robots_of(ctx))
+
+
+def _robots_of(ctx: click.Context) -> list[str]:
+    from nufleet.orchestrator.jobs.known_names import robot_names
+
+    typed = ctx.params.get("fleet_file")
+    return [] if typed is None else robot_names(str(typed))
+
+
+def _beginning(incomplete: str, names: Iterable[str]) -> list[CompletionItem]:
+    return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
 
 class Endpoint(click.types.StringParamType):

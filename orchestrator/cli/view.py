@@ -8,10 +8,11 @@ from typing import Any
 import click
 
 from nufleet.orchestrator.cli.options import overwriting_option, refuse_in_vain, runs_option
+from nufleet.orchestrator.cli.types import RunName
 
 
 @click.command()
-@click.argument("run", required=False)
+@click.argument("run", type=RunName(), required=False)
 @click.option("--live", is_flag=True, help="Watch the run in progress, if it has --live.")
 @click.option("--web", is_flag=True, help="Open it in a browser instead of the native viewer.")
 @click.option(

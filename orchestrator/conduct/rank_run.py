@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from nufleet.orchestrator.conduct.archive import AWAY, Archive
+from nufleet.orchestrator.conduct.archive import Archive
 from nufleet.orchestrator.conduct.conductor import Conclusion, RankingObserver, conduct
 from nufleet.orchestrator.conduct.desired_motion import (
     TimedPath,
@@ -25,7 +25,7 @@ from nufleet.orchestrator.conduct.preflight import (
     check_robots,
     chosen_axis,
 )
-from nufleet.orchestrator.conduct.recipe import make_study, recipe_of
+from nufleet.orchestrator.conduct.recipe import AWAY, make_study, recipe_of
 from nufleet.orchestrator.conduct.reuse import stored_responses
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.repository.records import StudyRecord, StudyStatus

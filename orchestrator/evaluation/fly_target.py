@@ -23,6 +23,7 @@ from nufleet.orchestrator.evaluation.ways import (
     coverage_of,
     inverse_result,
     points_of,
+    sensor_noise_rms,
     ways_of,
     worse_than_baseline,
 )
@@ -71,11 +72,8 @@ class Psi:
 class FlightLog(Protocol):
     """An observer of the progress of an evaluation."""
 
-    def rehearsing(self, path: str, place: int, paths: int) -> None:
-        """Handle that the target begins to rehearse a path, the first of `paths` being number 1."""
-
-    def way_begins(self, way: str, own_flight_s: float, flights: int) -> None:
-        """Handle the beginning of flights in a way, after rich flights of that duration."""
+    def begins(self, what: str, flights: int) -> None:
+        """Handle the beginning of some flights, named by what they have in common."""
 
     def flown(self, record: FlightRecord) -> None:
         """Handle the end of a flight."""
@@ -100,6 +98,7 @@ def fly_target(
     seed: int = 0,
     rehearse: bool = False,
     log: FlightLog | None = None,
+    done: Sequence[FlightRecord] = (),
 ) -> tuple[FlightRecord, ...]:
     """Fly a target along all legs: own model, baseline, zero prior, every source, their mixture.
 
@@ -126,6 +125,8 @@ def fly_target(
         rehearse: Whether the target first predicts the error of every way on every path. The errors
             of its baseline and of its model of itself are predicted without that.
         log: Observer of the progress; None for none.
+        done: Records of the flights that were flown before an interruption, which are not flown
+            again.
 
     Returns:
         One record per flight, in the order in which they were flown.
@@ -134,38 +135,40 @@ def fly_target(
         RobotError: A real robot failed and needs a person's attention.
         RefusedError: The target refuses a flight, for example because its baseline is not known.
     """
-    legged = _Legs(fleet, pilot, target, legs, observers, log)
+    flown = _Flown(fleet, pilot, target, observers, log, done)
     robot = target.robot
 
     def way(inverse: _Inverse, **found: Any) -> ForeseenWay:
         # The target remembers none of the flights, so that all of them begin with the same.
         return ForeseenWay(inverse=inverse, guarded=guarded, remember=False, **found)
 
+    own = way("own")
+    if len(done) >= flights_planned(len(sources), len(legs), len(own_flight_s)):
+        return tuple(done)
     with prior_put_back(fleet, pilot, target):
         alone = sources[MIXTURE_MAX:]  # more than a robot can hold at a time
         held = transfer_several(fleet, library, sources[:MIXTURE_MAX], target, architecture)
         mixture = mixture_of(fleet.describe(robot).priors, psi)
-        ways = {OWN: way("own"), BASELINE: way("baseline")}
+        ways = {OWN: own, BASELINE: way("baseline")}
         ways[NO_PRIOR] = way("zero-prior", layout=held[0].manifest.layout)
         ways |= {
             source: way("prior", prior_sha256=given.sha256)
             for source, given in zip(sources, held, strict=False)
         }
         ways[MIXTURE] = way("mixture", mixture=mixture)
-        if rehearse:
-            legged.rehearse(ways)
-        for name, each in ways.items():
-            legged.fly(name, each)
+        for leg in legs:
+            flown.along(leg, ways, rehearse=rehearse)
         for source in alone:
             given = transfer(fleet, library, source, target, architecture)
-            legged.fly(source, way("prior", prior_sha256=given.sha256))
-        legged.end_point()
+            for leg in legs:
+                flown.along(leg, {source: way("prior", prior_sha256=given.sha256)})
+        flown.end_point()
         for place, (before_s, after_s) in enumerate(pairwise(own_flight_s)):
-            result, _ = pilot.rich(robot, duration_s=after_s - before_s, seed=seed + place)
-            legged.beyond_tests_s += len(result.reference) * target.spec.sample_time_s
-            legged.fly(OWN, ways[OWN])
-            legged.end_point()
-    return tuple(legged.records)
+            flown.go_further(after_s - before_s, seed + place)
+            for leg in legs:
+                flown.along(leg, {OWN: own})
+            flown.end_point()
+    return tuple(flown.records)
 
 
 def flights_planned(sources: int, legs: int, points: int) -> int:
@@ -173,63 +176,85 @@ def flights_planned(sources: int, legs: int, points: int) -> int:
     return legs * (sources + 4 + points - 1)
 
 
-class _Legs:
-    """Has a target fly all legs, one way after the other, and keeps the records."""
+class _Flown:
+    """Has a target fly legs in several ways, and keeps the records."""
 
     def __init__(
         self,
         fleet: Fleet,
         pilot: Pilot,
         target: Description,
-        legs: Sequence[Leg],
         observers: Sequence[FlightObserver],
         log: FlightLog | None,
+        done: Sequence[FlightRecord],
     ) -> None:
-        self._fleet, self._pilot, self._target, self._legs = fleet, pilot, target, legs
+        self._fleet, self._pilot, self._target = fleet, pilot, target
         self._observers, self._log = observers, log
-        self._predicted: dict[tuple[str, str, float], PredictedError] = {}
-        self.records: list[FlightRecord] = []
-        self.beyond_tests_s = 0.0
+        self.records = list(done)
+        self._beyond_tests_s = 0.0
 
-    def rehearse(self, ways: Mapping[str, ForeseenWay]) -> None:
-        """Have the target predict its error on every leg in the ways that learn in flight.
-
-        What it predicts of the others comes with their flights.
-        """
-        learning = {
-            name: way for name, way in ways.items() if way.inverse not in ("baseline", "own")
+    def along(self, leg: Leg, ways: Mapping[str, ForeseenWay], *, rehearse: bool = False) -> None:
+        """Fly one leg in every way that it has not been flown in with the present knowledge."""
+        known = {
+            record.inverse
+            for record in self.records
+            if (record.drawing, record.speed_m_s) == (leg.drawing, leg.speed)
+            and record.beyond_tests_s == self._beyond_tests_s
         }
-        for place, leg in enumerate(self._legs, start=1):
-            if self._log is not None:
-                path = path_label(leg.drawing, leg.speed, leg.unit)
-                self._log.rehearsing(path, place, len(self._legs))
-            found = self._fleet.forecast(self._target.robot, leg.desired, list(learning.values()))
-            for name, foreseen in zip(learning, found, strict=True):
-                if foreseen.predicted is not None:
-                    self._predicted[name, leg.drawing, leg.speed] = foreseen.predicted
-
-    def fly(self, name: str, way: ForeseenWay) -> None:
-        """Fly all legs in one way."""
+        missing = {name: way for name, way in ways.items() if name not in known}
+        if not missing:
+            return
         if self._log is not None:
-            self._log.way_begins(name, self.beyond_tests_s, len(self._legs))
-        for leg in self._legs:
-            record = self._flown(name, way, leg)
-            self.records.append(record)
-            if self._log is not None:
-                self._log.flown(record)
+            after = f" after {self._beyond_tests_s:.0f} s of its own flying"
+            path = path_label(leg.drawing, leg.speed, leg.unit)
+            self._log.begins(path + (after if self._beyond_tests_s else ""), len(missing))
+        predicted = self._rehearsed(leg, missing) if rehearse else {}
+        for name, way in missing.items():
+            self._fly(name, way, leg, predicted.get(name))
+
+    def go_further(self, duration_s: float, seed: int) -> None:
+        """Have the target fly for itself, unless it did so before an interruption."""
+        later = [r for r in self.records if r.beyond_tests_s > self._beyond_tests_s]
+        if later:
+            self._beyond_tests_s = min(record.beyond_tests_s for record in later)
+            return
+        robot, before_s = self._target.robot, self.records[-1].own_flight_s
+        known_s = self._fleet.describe(robot).least_known_s
+        if before_s is not None and known_s - before_s > duration_s / 2:
+            # It was interrupted after that flight, and before the next one along a path.
+            self._beyond_tests_s += known_s - before_s
+            return
+        result, _ = self._pilot.rich(robot, duration_s=duration_s, seed=seed)
+        self._beyond_tests_s += len(result.reference) * self._target.spec.sample_time_s
 
     def end_point(self) -> None:
         """Tell the log that every way was flown with the present knowledge."""
         if self._log is not None:
             self._log.point_complete(self.records)
 
-    def _flown(self, name: str, way: ForeseenWay, leg: Leg) -> FlightRecord:
+    def _rehearsed(
+        self, leg: Leg, ways: Mapping[str, ForeseenWay]
+    ) -> dict[str, PredictedError | None]:
+        """Have the target predict its error in the ways that learn in flight.
+
+        What it predicts of the others comes with their flights.
+        """
+        learning = {
+            name: way for name, way in ways.items() if way.inverse not in ("baseline", "own")
+        }
+        if not learning:
+            return {}
+        found = self._fleet.forecast(self._target.robot, leg.desired, list(learning.values()))
+        return {name: one.predicted for name, one in zip(learning, found, strict=True)}
+
+    def _fly(self, name: str, way: ForeseenWay, leg: Leg, expected: PredictedError | None) -> None:
         robot = self._target.robot
-        after = f"+{self.beyond_tests_s:.0f}s" if self.beyond_tests_s else ""
+        after = f"+{self._beyond_tests_s:.0f}s" if self._beyond_tests_s else ""
         label = leg.label(f"{name}{after}")
         for observer in self._observers:
             observer.begins(robot, label, self._target.spec)
         known_s = self._fleet.describe(robot).least_known_s
+        flight: PathFlight | None = None
         try:
             flight = self._pilot.along(robot, way, leg.desired, label)
         except RefusedError as error:
@@ -237,13 +262,17 @@ class _Legs:
                 raise
             record = _not_flown(robot, name, leg, error.reason, known_s)
         else:
+            record = flight_record(flight, name, leg, known_s, expected)
+        record = record.model_copy(update={"beyond_tests_s": self._beyond_tests_s})
+        self.records.append(record)
+        # First, so that no flight is repeated whose samples are kept already.
+        if self._log is not None:
+            self._log.flown(record)
+        if flight is not None:
             for observer in self._observers:
                 observer.ended(flight)
             if flight.failure is not None:
                 pick_up(self._fleet, self._target, flight.failure)
-            expected = self._predicted.get((name, leg.drawing, leg.speed))
-            record = flight_record(flight, name, leg, known_s, expected)
-        return record.model_copy(update={"beyond_tests_s": self.beyond_tests_s})
 
 
 def _not_flown(
@@ -294,6 +323,7 @@ def flight_record(
         predicted_rms_m=None if predicted is None else predicted.rms,
         predicted_low_m=None if predicted is None else predicted.low,
         predicted_high_m=None if predicted is None else predicted.high,
+        noise_rms_m=sensor_noise_rms(flight.actual) if len(flight.actual) > 3 else None,
         findings=flight.details.findings,
     )
 
@@ -308,7 +338,6 @@ def summarise(
     guarded: bool,
     run: str,
     predicted: PredictedRms | None = None,
-    noise_rms: float | None = None,
 ) -> EvaluationResult:
     """Compare the predicted distances and errors with the errors of the flights.
 
@@ -321,7 +350,6 @@ def summarise(
         guarded: Whether the guard was active in these flights.
         run: Path of the run's folder.
         predicted: RMS errors that the tests predict for these paths; None when not computed.
-        noise_rms: Error that the noise of the target's sensor alone leaves; None when not known.
 
     Returns:
         The errors of all inverses and their rank correlation with the predictions; sources are in
@@ -338,6 +366,7 @@ def summarise(
     points = points_of(ways, flights)
     worse = worse_than_baseline(flights)
     chosen_way = points[0].chosen_way if points else None
+    noise = [f.noise_rms_m for f in baseline if f.noise_rms_m is not None and f.failure is None]
     sources = tuple(
         SourceResult(
             robot=source,
@@ -371,7 +400,7 @@ def summarise(
         points=points,
         chosen_way=chosen_way,
         regret_m=points[0].regret_m if points else None,
-        noise_rms_m=noise_rms,
+        noise_rms_m=sum(noise) / len(noise) if noise else None,
         worse_than_baseline=len(worse),
         chosen_worse_than_baseline=sum(
             f.inverse == chosen_way and f.beyond_tests_s == 0 for f in worse

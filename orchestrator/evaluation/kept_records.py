@@ -1,4 +1,7 @@
-"""Keeps the records of an evaluation as they come, and says how long the rest will take."""
+"""Keeps the records of an evaluation as they come, and says how long the rest will take.
+
+A record is complete when its line is.
+"""
 
 from __future__ import annotations
 
@@ -9,21 +12,28 @@ from types import TracebackType
 from typing import TextIO
 
 from nufleet.orchestrator.evaluation.results import FlightRecord
+from nufleet.shared.errors import InvalidInputError, system_errors_as
+from nufleet.shared.strict import validation_errors_as
 
 RECORDS = "flights.jsonl"
 """File in the run's folder that holds one record per line, complete up to the last flight."""
 
 
 class KeptRecords:
-    """A log that writes each record at once and announces each way; a context that closes the file.
+    """A log that writes each record at once and announces what follows; a context.
 
-    An evaluation takes hours. When it ends early, the flights until then are in the file.
+    An evaluation takes hours. When it ends early, the flights until then are in the file, and a
+    resumed run continues the file.
     """
+
+    done: int
+    """Number of flights that were flown."""
 
     def __init__(
         self,
         folder: Path,
         flights: int,
+        done: int = 0,
         *,
         say: Callable[[str], None],
         on_point: Callable[[Sequence[FlightRecord]], object],
@@ -34,14 +44,14 @@ class KeptRecords:
         Args:
             folder: Folder of the run.
             flights: Number of flights that are planned.
-            say: Callback that receives one line before each way.
+            done: Number of those that were flown before an interruption.
+            say: Callback that receives one line before the flights along each path.
             on_point: Callback that receives all records after each duration of own flying.
             clock: Time in s.
         """
         self._flights, self._say, self._on_point = flights, say, on_point
         self._clock = clock
-        self._began_s: float | None = None
-        self._done = 0
+        self._began_s, self._before, self.done = clock(), done, done
         self._file: TextIO = (folder / RECORDS).open("a", encoding="utf-8")
 
     def __enter__(self) -> KeptRecords:
@@ -52,34 +62,44 @@ class KeptRecords:
     ) -> None:
         self._file.close()
 
-    def rehearsing(self, path: str, place: int, paths: int) -> None:
-        """Announce what the target rehearses; flights are timed from the end of the last."""
-        self._say(f"rehearses {path}: {place} of {paths}")
-        self._began_s = None
-
-    def way_begins(self, way: str, own_flight_s: float, flights: int) -> None:
-        """Announce a way, with an estimate of the time that is left."""
-        if self._began_s is None:
-            self._began_s = self._clock()
-        after = f" after {own_flight_s:.0f} s of its own flying" if own_flight_s else ""
-        left = ""
-        if self._done:
-            per_flight_s = (self._clock() - self._began_s) / self._done
-            left = f", about {_duration(per_flight_s * (self._flights - self._done))} left"
-        last = self._done + flights
-        self._say(
-            f"[bold]{way}[/]{after}: flights {self._done + 1} to {last} of {self._flights}{left}"
-        )
+    def begins(self, what: str, flights: int) -> None:
+        """Announce some flights, with an estimate of the time that is left."""
+        left, flown = "", self.done - self._before
+        if flown:
+            per_flight_s = (self._clock() - self._began_s) / flown
+            left = f", about {_duration(per_flight_s * (self._flights - self.done))} left"
+        first, last = self.done + 1, self.done + flights
+        which = f"flights {first} to {last}" if flights > 1 else f"flight {first}"
+        self._say(f"[bold]{what}[/]: {which} of {self._flights}{left}")
 
     def flown(self, record: FlightRecord) -> None:
         """Write a record."""
         self._file.write(record.model_dump_json() + "\n")
         self._file.flush()
-        self._done += 1
+        self.done += 1
 
     def point_complete(self, records: Sequence[FlightRecord]) -> None:
         """Pass on what is known until now."""
         self._on_point(records)
+
+
+def read_records(folder: Path) -> list[FlightRecord]:
+    """Return the records in a run's folder; the last may have been cut off while it was written.
+
+    Raises:
+        InvalidInputError: The file cannot be read, or holds something else.
+    """
+    path = folder / RECORDS
+    if not path.exists():
+        return []
+    with system_errors_as(InvalidInputError, f"{path} cannot be read"):
+        text = path.read_text(encoding="utf-8")
+    whole = text[: text.rfind("\n") + 1]
+    if whole != text:
+        with system_errors_as(InvalidInputError, f"{path} cannot be written"):
+            path.write_text(whole, encoding="utf-8")
+    with validation_errors_as(InvalidInputError, str(path)):
+        return [FlightRecord.model_validate_json(line) for line in whole.splitlines()]
 
 
 def _duration(seconds: float) -> str:

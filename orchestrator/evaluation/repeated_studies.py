@@ -15,10 +15,14 @@ from nufleet.orchestrator.conduct.recipe import make_study
 from nufleet.orchestrator.evaluation.fly_target import Psi
 from nufleet.orchestrator.evaluation.results import StudyEstimates
 from nufleet.orchestrator.fleet.client import Fleet
-from nufleet.orchestrator.repository.records import StudyStatus
+from nufleet.orchestrator.repository.errors import UnknownRecordError
+from nufleet.orchestrator.repository.records import StudyRecord, StudyStatus
 from nufleet.orchestrator.study.interface import Question, Report
 from nufleet.orchestrator.study.outcomes import TestOutcome
+from nufleet.shared.errors import StudyError
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+
+_RANK = "rank"
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,8 @@ def repeat_study(
 ) -> RepeatedStudies:
     """Rank the sources once for every seed.
 
-    Each study is stored under the id `{run_id}.{target}.s{seed}`.
+    Each study is stored under the id `{run_id}.{target}.s{seed}`. One that is stored already is
+    replayed as far as it came, and continues from there.
 
     Args:
         fleet: Client of the fleet, already connected.
@@ -82,7 +87,8 @@ def rank_once(
 ) -> Conclusion:
     """Rank the sources as `nufleet rank` does, with the adaptive algorithm.
 
-    The study is stored under the id `{run_id}.{target}.rank`.
+    The study is stored under the id `{run_id}.{target}.rank`, and replayed like those of
+    `repeat_study`.
 
     Args:
         fleet: Client of the fleet, already connected.
@@ -94,7 +100,23 @@ def rank_once(
     Raises:
         StudyError: The study cannot continue, because the target or every source is gone.
     """
-    return _conducted(fleet, ready, seed, "rank", "adaptive", run_id, archive, _Recorder())
+    return _conducted(fleet, ready, seed, _RANK, "adaptive", run_id, archive, _Recorder())
+
+
+def has_begun(target: str, run_id: str, archive: Archive) -> bool:
+    """Return whether `rank_once` has begun for a target of a run."""
+    return _stored(_study_id(run_id, target, _RANK), archive) is not None
+
+
+def _study_id(run_id: str, target: str, suffix: str) -> str:
+    return f"{run_id}.{target}.{suffix}"
+
+
+def _stored(study_id: str, archive: Archive) -> StudyRecord | None:
+    try:
+        return archive.repository.studies.study(study_id)
+    except UnknownRecordError:
+        return None
 
 
 def _conducted(
@@ -108,14 +130,19 @@ def _conducted(
     recorder: _Recorder,
 ) -> Conclusion:
     specs = {robot: description.spec for robot, description in ready.descriptions.items()}
-    study_id = f"{run_id}.{ready.plan.target}.{suffix}"
-    begun = archive.begin(study_id, algorithm, ready.plan, seed, ready.descriptions)
+    study_id = _study_id(run_id, ready.plan.target, suffix)
+    begun = _stored(study_id, archive)
+    if begun is None:
+        begun = archive.begin(study_id, algorithm, ready.plan, seed, ready.descriptions)
+    if begun.status is StudyStatus.FAILED:
+        raise StudyError(f"{begun.reason}; evaluate again")
     log = archive.log(begun.study_id)
     dispatcher = Dispatcher(fleet, log, specs, on_attempt_failed=recorder.attempt_failed)
     kept = archive.repository.studies
     with archive.conducting(begun.study_id, dispatcher.interrupt):
         conclusion = conduct(make_study(begun, kept), log, dispatcher, recorder)
-    kept.end(begun.study_id, StudyStatus.COMPLETE, f"selected {conclusion.report.selected}")
+    if begun.status is StudyStatus.OPEN:
+        kept.end(begun.study_id, StudyStatus.COMPLETE, f"selected {conclusion.report.selected}")
     return conclusion
 
 

@@ -171,8 +171,8 @@ def write_figures(folder: Path, record: EvaluationRecord, flights: Path) -> None
     Args:
         folder: Folder of the run; the figures go to its subfolder `plots`.
         record: Results of the evaluation.
-        flights: Parquet file that holds every sample of every flight (see `FlightTable`). The
-            picture of the paths is left out when the file is missing.
+        flights: Parquet data set that holds every sample of every flight (see `FlightTable`). The
+            picture of the paths is left out when it is missing.
     """
     plots = folder / "plots"
     plots.mkdir(exist_ok=True)

@@ -51,6 +51,8 @@ class FlightRecord(Strict):
     """Error that it expected to exceed with a probability of 95 %."""
     predicted_high_m: NonNegative | None = None
     """Error that it expected to stay below with a probability of 95 %."""
+    noise_rms_m: NonNegative | None = None
+    """Error that the noise of the sensor alone would have left; None without samples."""
     findings: tuple[str, ...] = ()
     """What the flight showed of the target's model of itself: that the target has changed, say."""
 
@@ -208,4 +210,7 @@ class EvaluationRecord(Strict):
     flights: tuple[FlightRecord, ...]
     """Flights in the order in which they were flown."""
     wall_time_s: NonNegative
-    """Wall time of the whole evaluation."""
+    """Wall time of the whole evaluation, without the time between an interruption and its
+    resumption."""
+    complete: bool = True
+    """False as long as flights are missing; `nufleet runs resume` flies them."""

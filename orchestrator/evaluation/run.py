@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -17,21 +17,23 @@ from nufleet.orchestrator.evaluation.fly_target import (
     fly_target,
     summarise,
 )
-from nufleet.orchestrator.evaluation.kept_records import KeptRecords
-from nufleet.orchestrator.evaluation.repeated_studies import psi_of, rank_once, repeat_study
+from nufleet.orchestrator.evaluation.kept_records import KeptRecords, read_records
+from nufleet.orchestrator.evaluation.repeated_studies import (
+    has_begun,
+    psi_of,
+    rank_once,
+    repeat_study,
+)
 from nufleet.orchestrator.evaluation.results import EVALUATION, EvaluationRecord, FlightRecord
-from nufleet.orchestrator.evaluation.ways import sensor_noise_rms
 from nufleet.orchestrator.experience.learning import FLIGHT_S, know_itself
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.train import Trained, train_robots
 from nufleet.orchestrator.fleet.client import Fleet
-from nufleet.orchestrator.flights.labels import BASELINE, prior_and_path
 from nufleet.orchestrator.flights.legs import Leg
-from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
-from nufleet.orchestrator.runs.folder import RunFolder
+from nufleet.orchestrator.flights.pilot import Pilot
+from nufleet.orchestrator.runs.folder import RunFolder, read_document
 from nufleet.orchestrator.study.predicted_errors import predict_rms
 from nufleet.shared.experience.layout import Architecture
-from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Description
 
 Say = Callable[[str], None]
@@ -75,6 +77,9 @@ def run_evaluation(
 ) -> EvaluationRecord:
     """Evaluate one target; experiences that sources do not have yet are trained first.
 
+    What an interrupted evaluation left in the folder and in the repository is not done again: the
+    experiences, the studies and the flights.
+
     Args:
         fleet: Client of the fleet, already connected.
         pilot: Pilot that has the robots fly.
@@ -93,7 +98,9 @@ def run_evaluation(
     """
     began_s = time.monotonic()
     study = plan.ready.plan
-    prepare_robots(fleet, pilot, library, plan, folder, say=say)
+    kept = [record for record in read_records(folder.path) if record.target == study.target]
+    before_s = _wall_time_s(folder, study.target)
+    prepare_robots(fleet, pilot, library, plan, study.sources, folder, say=say)
     run_id = folder.path.name.lower()
     studies = repeat_study(
         fleet,
@@ -117,7 +124,7 @@ def run_evaluation(
     ranking = _tested(fleet, plan, run_id, archive, say=say)
     know_itself(fleet, pilot, study.target, seed=plan.seed, say=say)
     target = fleet.describe(study.target)
-    noise = _Noise()
+    planned = flights_planned(len(order), len(plan.legs), len(plan.own_flight_s))
 
     def keep(flights: Sequence[FlightRecord]) -> EvaluationRecord:
         result = summarise(
@@ -129,19 +136,20 @@ def run_evaluation(
             unit=target.spec.axis(study.axis).unit,
             guarded=plan.guarded,
             run=str(folder.path),
-            noise_rms=noise.rms,
         )
         record = EvaluationRecord(
             result=result,
             studies=studies.estimates,
             flights=tuple(flights),
-            wall_time_s=time.monotonic() - began_s,
+            wall_time_s=before_s + time.monotonic() - began_s,
+            complete=len(flights) >= planned,
         )
         folder.write_document(EVALUATION, record)
         return record
 
-    planned = flights_planned(len(order), len(plan.legs), len(plan.own_flight_s))
-    with KeptRecords(folder.path, planned, say=say, on_point=keep) as log:
+    if kept:
+        say(f"{len(kept)} of {planned} flights of {study.target} were flown before")
+    with KeptRecords(folder.path, planned, len(kept), say=say, on_point=keep) as log:
         flights = fly_target(
             fleet,
             pilot,
@@ -151,12 +159,13 @@ def run_evaluation(
             plan.legs,
             plan.architecture,
             guarded=plan.guarded,
-            observers=[*observers, noise],
+            observers=observers,
             psi=ranking,
             own_flight_s=plan.own_flight_s,
             seed=plan.seed,
             rehearse=True,
             log=log,
+            done=kept,
         )
     pilot.acknowledge_all()
     return keep(flights)
@@ -167,7 +176,7 @@ def _tested(
 ) -> dict[str, float]:
     """Have the target know of itself what one ranking shows; return ψ̂* of every source."""
     study = plan.ready.plan
-    if plan.forget:
+    if plan.forget and not has_begun(study.target, run_id, archive):
         fleet.forget_own_model(study.target)
     conclusion = rank_once(fleet, plan.ready, plan.seed, run_id, archive)
     ranking = {estimate.robot: estimate.psi for estimate in conclusion.report.ranking}
@@ -182,24 +191,10 @@ def _tested(
     return ranking
 
 
-class _Noise:
-    """An observer that finds the noise of the target's sensor in its flights with the baseline."""
-
-    def __init__(self) -> None:
-        self._found: list[float] = []
-
-    @property
-    def rms(self) -> float | None:
-        """Error that the noise alone would leave; None before any flight."""
-        return float(np.mean(self._found)) if self._found else None
-
-    def begins(self, robot: str, label: str, spec: RobotSpec) -> None:
-        """Ignore the beginning of a flight."""
-
-    def ended(self, flight: PathFlight) -> None:
-        """Keep what a flight with the baseline shows."""
-        if prior_and_path(flight.label)[0] == BASELINE and flight.failure is None:
-            self._found.append(sensor_noise_rms(flight.actual))
+def _wall_time_s(folder: RunFolder, target: str) -> float:
+    """Return how long an interrupted evaluation of a target took until its last point, in s."""
+    record = read_document(folder.path / EVALUATION, EvaluationRecord)
+    return record.wall_time_s if record is not None and record.result.target == target else 0.0
 
 
 def prepare_robots(
@@ -207,21 +202,24 @@ def prepare_robots(
     pilot: Pilot,
     library: ExperienceLibrary,
     plan: EvaluationPlan,
+    robots: Iterable[str],
     folder: RunFolder,
     *,
     say: Say,
 ) -> None:
-    """Train the experiences that sources lack; for the arguments and errors, see `run_evaluation`.
+    """Train the experiences that robots lack; for other arguments and errors: `run_evaluation`.
 
-    The target needs no flight: its guard knows its baseline from the tests.
+    The target of a single evaluation needs none: its guard knows its baseline from the tests.
+
+    Args:
+        robots: Names of the robots that are to have one.
     """
-    study = plan.ready.plan
     with ThreadPoolExecutor(8, thread_name_prefix="describe") as pool:
-        sources = tuple(pool.map(fleet.describe, study.sources))
-    lacking = [source for source in sources if not _has(source, plan.architecture)]
+        there = tuple(pool.map(fleet.describe, robots))
+    lacking = [one for one in there if not _has(one, plan.architecture)]
     if not lacking:
         return
-    say(f"{', '.join(source.robot for source in lacking)}: experiences are flown and trained")
+    say(f"{', '.join(one.robot for one in lacking)}: experiences are flown and trained")
     keep = library.keeping(lacking, folder.path.name)
 
     def on_trained(trained: Trained) -> None:

@@ -18,7 +18,8 @@ from nufleet.shared.redaction import without_secrets
 from nufleet.shared.robots.drivers import check_settings
 from nufleet.shared.robots.fleet_file import FleetFile
 from nufleet.shared.wire.keys import FleetKeys
-from nufleet.shared.wire.transport import Session, open_client
+from nufleet.shared.wire.session import Session
+from nufleet.shared.wire.transport import open_client
 
 CONNECT_TIMEOUT_S = 5.0
 START_TIMEOUT_S = 60.0
@@ -109,11 +110,14 @@ def fleet_at(session: Session, named: str | None) -> str | None:
 
 @contextmanager
 def started_fleet(
-    file: FleetFile, path: Path, *, processes: int | None = None, realtime: float | None = None
+    file: FleetFile,
+    path: Path,
+    *,
+    processes: int | None = None,
+    realtime: float | None = None,
+    state_folder: Path | None = None,
 ) -> Iterator[Connection]:
     """Start the fleet of a file with a router of its own, and end both afterwards.
-
-    The fleet starts with empty state: it knows nothing of what it learned in earlier runs.
 
     Args:
         file: Content of the fleet file.
@@ -121,6 +125,8 @@ def started_fleet(
         processes: Number of processes that share the robots; None gives each robot its own.
         realtime: Multiple of real time at which simulated robots play; None plays as fast as
             possible.
+        state_folder: Folder in which the robots keep what they learn, and find what they learned
+            before; None if they begin with nothing, and leave nothing.
 
     Yields:
         The connected fleet, with all robots of the file alive.
@@ -134,7 +140,8 @@ def started_fleet(
     with private_folder() as folder, FleetProcesses() as started:
         endpoint = f"unixsock-stream/{folder}/router.sock"
         started.start_router(endpoint)
-        started.start_agents(path, groups, endpoint, realtime, state_folder=Path(folder, "state"))
+        kept = state_folder or Path(folder, "state")
+        started.start_agents(path, groups, endpoint, realtime, state_folder=kept)
         with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as session:
             fleet = Fleet(session, FleetKeys(file.name), new_orchestrator_id())
             wait_for_robots(fleet, started, file)

@@ -36,6 +36,9 @@ class Reach(Strict):
     """Multiple of real time at which robots of the file play; None plays as fast as possible."""
     processes: Annotated[int, Field(ge=1)] | None = 2
     """Number of processes that share the robots of the file; None gives each its own."""
+    state_folder: str | None = None
+    """Folder in which the robots of the file keep what they learn, until a resumed run starts them
+    again; None if they begin with nothing whenever they are started."""
 
     @field_serializer("connect")
     def _without_secrets(self, connect: str) -> str:
@@ -112,6 +115,16 @@ class FleetChoice:
             )
         return cls(reach, file)
 
+    def remembering(self, state_folder: Path) -> FleetChoice:
+        """Return the same fleet, with robots that keep in a folder what they learn.
+
+        A running fleet keeps it anyway.
+        """
+        if self.file is None:
+            return self
+        kept = self.reach.model_copy(update={"state_folder": str(state_folder.resolve())})
+        return FleetChoice(kept, self.file)
+
     @property
     def name(self) -> str | None:
         """Name of the fleet; None for the only one that runs at the router."""
@@ -161,5 +174,9 @@ class FleetChoice:
             return running_fleet(reach.connect, reach.fleet_name, robots=robots, wait_s=wait_s)
         console.print(f"starting a router and {len(self.file.robots)} robots of {reach.fleet_file}")
         return started_fleet(
-            self.file, Path(reach.fleet_file), processes=reach.processes, realtime=reach.realtime
+            self.file,
+            Path(reach.fleet_file),
+            processes=reach.processes,
+            realtime=reach.realtime,
+            state_folder=None if reach.state_folder is None else Path(reach.state_folder),
         )

@@ -1,4 +1,4 @@
-"""The Parquet file in a run's folder that holds every sample of every flight along a path."""
+"""The Parquet data set in a run's folder that holds every sample of every flight along a path."""
 
 from __future__ import annotations
 
@@ -12,29 +12,19 @@ from nufleet.shared.arrays import FloatArray, arrow
 
 if TYPE_CHECKING:
     import pyarrow
-    import pyarrow.parquet
 
 FLIGHTS = "flights.parquet"
 
 
 class FlightTable:
-    """Appends flights to the file; only closing it, or leaving its context, completes the file."""
+    """Appends flights to the data set: a folder with one file for each flight.
+
+    Readers of Parquet take the folder for one table. A file appears once it is complete, so that
+    all flights until an interruption can be read, and a resumed run adds its own.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / FLIGHTS
-        self._writer: pyarrow.parquet.ParquetWriter | None = None
-
-    def __enter__(self) -> FlightTable:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Complete the file."""
-        writer, self._writer = self._writer, None
-        if writer is not None:
-            writer.close()
 
     def write(self, flight: PathFlight, axes: tuple[str, ...]) -> None:
         """Append a flight: one row for each sample and axis.
@@ -52,11 +42,13 @@ class FlightTable:
 
         pa = arrow()
         samples, details = len(flight.actual), flight.details
+        if not samples:
+            return
 
         def repeated(name: str) -> pyarrow.DictionaryArray:
-            # The type is given explicitly: a flight may have no samples to infer it from.
             return pa.array([name] * samples, pa.string()).dictionary_encode()
 
+        tables = []
         for column, axis in enumerate(axes):
             table = pa.table(
                 {
@@ -75,9 +67,14 @@ class FlightTable:
                     "weights": _maps(flight.weights, samples),
                 }
             )
-            if self._writer is None:
-                self._writer = pq.ParquetWriter(self.path, table.schema, compression="zstd")
-            self._writer.write_table(table)
+            tables.append(table)
+        self.path.mkdir(exist_ok=True)
+        number = len(list(self.path.glob("*.parquet"))) + 1
+        whole = self.path / f"{number:05d}.parquet"
+        # Readers skip names that begin with an underscore.
+        part = whole.with_name(f"_{whole.name}.part")
+        pq.write_table(pa.concat_tables(tables), part, compression="zstd")
+        part.rename(whole)
 
 
 def _maps(weights: dict[str, FloatArray], samples: int) -> pyarrow.Array:

@@ -47,10 +47,17 @@ def _ranking(record: RunRecord) -> Iterator[RenderableType]:
     result = record.result
     low, high = result.band_rad_s
     yield (
-        f"target {result.target}, axis {record.axis}, band {low:g} to {high:g} rad/s, "
+        f"target: {result.target}, axis {record.axis}, band {low:g} to {high:g} rad/s, "
         f"seed {record.seed}"
     )
     yield record_table(record)
+    rounds = "1 round" if result.iterations == 1 else f"{result.iterations} rounds"
+    yield f"{rounds} of tests, in which all robots together moved for {result.robot_time_s:.0f} s"
+    for source, reason in (result.eliminated or {}).items():
+        yield f"{source} was not tested to the end: {reason}"
+    if result.confidence is not None:
+        why = f": {result.stopped_because}" if result.stopped_because else ""
+        yield f"probability of a correct selection: {result.confidence:.3f}{why}"
     for robot, stored in (result.stored or {}).items():
         yield f"[yellow]{said_of(robot, stored, datetime.now(UTC))}[/]"
     yield from verdict_parts(result)

@@ -18,9 +18,9 @@ from nufleet.orchestrator.authority.certificates import utc_now
 from nufleet.orchestrator.authority.key_files import make_request
 from nufleet.orchestrator.authority.ledger import Enrolment
 from nufleet.orchestrator.jobs.terminal import stdout_console
-from nufleet.shared.errors import InvalidInputError, NufleetError
+from nufleet.shared.errors import InvalidInputError, NufleetError, TransportError
 from nufleet.shared.wire.identity import identity_folder
-from nufleet.shared.wire.keys import FleetKeys, checked_name, principal_of
+from nufleet.shared.wire.keys import checked_name, principal_of
 from nufleet.shared.wire.transport import open_client
 
 WHO_TIMEOUT_S = 5.0
@@ -131,14 +131,14 @@ def replace_and_print(folder: Path | None) -> None:
         expires = authority.finish_replacing()
         said = f"""\
 the former authority is trusted no longer, and the router's certificate is valid until {expires:%F}.
-An agent that was not restarted with its new identity will not find the router again once that is
-restarted: restart it when all agents have theirs."""
+Restart the router when the renewed identities are on all machines: agents take them when they
+connect to it again, without a restart of their own."""
     else:
         authority.replace()
         said = f"""\
 a new authority signs from now on; {authority.folder} trusts the former one as well.
 1. restart the router
-2. `nufleet fleet renew`; copy each identity to its machine, and restart its agent while it rests
+2. `nufleet fleet renew`, and copy each identity to its machine
 3. `nufleet fleet renew --replace-authority` once more, and restart the router"""
     click.echo(said, err=True)
 
@@ -168,23 +168,21 @@ def who_and_print(folder: Path | None, connect: str) -> None:
 
     Raises:
         InvalidInputError: There is no authority here.
-        NoRouterError: The router cannot be reached; the table is printed before.
+        TransportError: The router cannot be asked; the table is printed before.
     """
     authority = Authority(found_authority(folder))
     fleet, ledger = authority.inventory, authority.ledger
     connected: set[str] | None = None
     error = None
     try:
-        connected = _connected(connect, fleet.name)
+        connected = _connected(connect)
     except NufleetError as raised:  # raised again below the table
         error = raised
     table = Table(title=f"principals of fleet {fleet.name}")
     for heading in ("principal", "role", "certificate", "connected"):
         table.add_column(heading)
     for name, role in fleet.principals.items():
-        # Watchers and operators leave no sign of their presence in the fleet.
-        seen = role in ("robot", "orchestrator") and connected is not None
-        there = ("yes" if name in (connected or ()) else "no") if seen else "not known"
+        there = "not known" if connected is None else "yes" if name in connected else "no"
         table.add_row(name, role, _certificate(ledger.enrolments.get(name)), there)
     table.add_row("the router", "router", _left(ledger.router_expires), "")
     stdout_console().print(table)
@@ -210,16 +208,22 @@ def found_authority(folder: Path | None) -> Path:
     )
 
 
-def _connected(connect: str, fleet: str) -> set[str]:
-    """Return the robots and orchestrators whose tokens the router of a fleet shows."""
-    keys = FleetKeys(fleet)
+def _connected(connect: str) -> set[str]:
+    """Return the principals that are connected to the router, also under a revoked certificate.
+
+    Raises:
+        TransportError: The router cannot be asked, or does not tell this principal.
+    """
     with open_client(connect, timeout_s=WHO_TIMEOUT_S) as session:
         session.check_admitted()
-        robots = session.alive(keys.every_robot("alive"), timeout_s=WHO_TIMEOUT_S)
-        others = session.alive(keys.every_orchestrator_alive, timeout_s=WHO_TIMEOUT_S)
-    found = {keys.robot_of(key) for key in robots}
-    found |= {principal_of(keys.orchestrator_of(key) or "") for key in others}
-    return {name for name in found if name}
+        names = {principal_of(name) for name in session.connected()}
+        if session.principal not in names:
+            raise TransportError(
+                f"the router does not tell {session.principal} who is connected: use the identity "
+                "of an orchestrator; if it is one, `nufleet fleet renew --router` writes the "
+                "router's list again, and the router has to be restarted"
+            )
+    return names
 
 
 def _certificate(enrolment: Enrolment | None) -> str:

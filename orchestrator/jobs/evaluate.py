@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 
 import click
+from pydantic import TypeAdapter
 from rich.console import Console
 
 from nufleet.orchestrator.conduct.preflight import check_robots
@@ -22,20 +26,24 @@ from nufleet.orchestrator.evaluation.report import (
     write_scatter,
 )
 from nufleet.orchestrator.evaluation.results import EvaluationRecord, EvaluationResult
-from nufleet.orchestrator.evaluation.run import EvaluationPlan, run_evaluation
+from nufleet.orchestrator.evaluation.run import EvaluationPlan, prepare_robots, run_evaluation
 from nufleet.orchestrator.experience.learning import FLIGHT_S
 from nufleet.orchestrator.experience.library import ExperienceLibrary
-from nufleet.orchestrator.experience.train import Trained, check_torch, train_robots
+from nufleet.orchestrator.experience.train import check_torch
 from nufleet.orchestrator.experience.transfer import check_would_fit
+from nufleet.orchestrator.fleet.reach import REACH, FleetChoice, Reach
 from nufleet.orchestrator.flights.legs import legs_of, read_drawings
-from nufleet.orchestrator.jobs.commands import AnyFleetCommand
+from nufleet.orchestrator.history.catalogue import read_run
+from nufleet.orchestrator.jobs.commands import AnyFleetCommand, StoredCommand
 from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
 from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.orchestrator.runs.folder import CONFIGURATION, read_configuration
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.layout import Architecture
-from nufleet.shared.paths.installed import drawing_names
+from nufleet.shared.paths.installed import drawing_names, find_drawing
 from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.strict import validation_errors_as
 from nufleet.shared.wire.messages import Description
 
 Drawings = dict[str, FloatArray]
@@ -53,12 +61,23 @@ STUDIES = 10
 PAPERS_FLEET = "paper-quadrotors"
 """Name of the fleet that models the paper's own, so that its Table I can be compared."""
 
+ROBOTS = "robots"
+"""Subfolder of the run in which the robots of a fleet that was started for it remember."""
+
 # The settings of --quick.
 QUICK_DRAWINGS = 2
 QUICK_SPEED = 0.6
 QUICK_STUDIES = 2
 QUICK_FLIGHT_S = 60.0
 QUICK_OWN_FLIGHT_S = (0.0, 15.0, 30.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResumedCommand(StoredCommand):
+    """The options of an evaluation that may differ when it is resumed."""
+
+    live: bool
+    """Whether to serve the recording to live viewers."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,6 +114,11 @@ class EvaluateCommand(AnyFleetCommand):
     """Seed of the first study, of the flights and of the networks."""
     live: bool
     """Whether to serve the recording to live viewers."""
+
+    @property
+    def kind(self) -> str:
+        """Kind of the run."""
+        return "pairs" if self.all_pairs else "evaluate"
 
     @property
     def chosen_drawings(self) -> tuple[str, ...]:
@@ -153,72 +177,124 @@ def evaluate(command: EvaluateCommand, console: Console) -> EvaluationResult | P
         raise InvalidInputError(
             "--all-pairs takes every robot as target and source: leave --target and --sources out"
         )
-    began_s = time.monotonic()
     choice = command.fleet()
     one = () if command.all_pairs else (choice.target(command.target),)
-    kind = "pairs" if command.all_pairs else "evaluate"
     drawings = read_drawings(command.chosen_drawings)
-    result: EvaluationResult | PairsResult
     with FlyingRun(command, console) as run:
-        _, name, there = run.reach(choice)
-        targets = one or there
-        check_robots(targets, there)
-        # Check all targets first, so that no robot learns for minutes before a plan is refused.
-        plans = [_plan(command, run, drawings, target) for target in targets]
-        descriptions = {
-            robot: description
-            for plan in plans
-            for robot, description in plan.ready.descriptions.items()
-        }
-        run.fly(kind, descriptions, live=command.live)
-        run.configure({"kind": kind, **asdict(command)})
-        if command.all_pairs:
-            result = _all_pairs(command, run, plans, descriptions)
-        else:
-            record = _evaluated(run, _library(command, run), plans[0])
-            run.table.close()
-            write_figures(run.folder.path, record, run.table.path)
-            result = record.result
-            run.results.print(evaluation_table(result))
-            run.results.print(ways_table(result))
-            if name == PAPERS_FLEET:
-                run.results.print(paper_table(result))
-    if isinstance(result, PairsResult):
-        run.results.print(pairs_table(result))
-    console.print(f"{time.monotonic() - began_s:.0f} s")
+        if choice.file is not None:
+            # Its robots remember what they learn, so that the run can be resumed.
+            choice = choice.remembering(run.keep(command.kind, choice.name).path / ROBOTS)
+        plans, descriptions = _planned(command, run, choice, drawings, one)
+        run.fly(command.kind, descriptions, live=command.live)
+        files = [find_drawing(drawing).resolve() for drawing in command.chosen_drawings]
+        reached = choice.reach.model_copy(update={"fleet_name": run.connection.name})
+        run.configure(
+            {
+                **asdict(command),
+                "kind": command.kind,
+                "drawings": [str(file) for file in files],
+                REACH: reached.model_dump(mode="json"),
+            }
+        )
+        result = _conducted(command, run, plans, descriptions)
+    _forget_robots(run.folder.path)
     return result
 
 
-def _all_pairs(
+def resume_evaluation(
+    path: Path, reach: Reach, resumed: ResumedCommand, console: Console
+) -> EvaluationResult | PairsResult:
+    """Resume an interrupted evaluation where it stopped, and return its result.
+
+    Args:
+        path: Folder of the run.
+        reach: How to reach its fleet.
+        resumed: Options that may differ from those of the interrupted command.
+        console: Console for progress.
+
+    Raises:
+        InvalidInputError: It is complete, its folder is damaged, or a robot is missing.
+        LeaseHeldError: A robot belongs to another orchestrator.
+    """
+    check_torch()
+    with validation_errors_as(InvalidInputError, str(path / CONFIGURATION)):
+        stored: EvaluateCommand = TypeAdapter(EvaluateCommand).validate_json(
+            json.dumps(read_configuration(path))
+        )
+    command = replace(stored, **asdict(resumed))
+    if read_run(path).result is not None:
+        raise InvalidInputError(f"{path.name} is complete: `nufleet runs show {path.name}`")
+    one = () if command.all_pairs else (command.target or FleetChoice.again(reach).target(None),)
+    drawings = read_drawings(command.chosen_drawings)
+    with FlyingRun(command, console) as run:
+        console.print(f"going on with {path.name}")
+        plans, descriptions = _planned(command, run, FleetChoice.again(reach), drawings, one)
+        run.fly_on(path, descriptions, live=command.live)
+        result = _conducted(command, run, plans, descriptions)
+    _forget_robots(path)
+    return result
+
+
+def _planned(
+    command: EvaluateCommand,
+    run: FlyingRun,
+    choice: FleetChoice,
+    drawings: Drawings,
+    targets: tuple[str, ...],
+) -> tuple[list[EvaluationPlan], dict[str, Description]]:
+    """Reach the fleet; return the checked plan of every target, and all robots that fly."""
+    _, _, there = run.reach(choice)
+    targets = targets or there
+    check_robots(targets, there)
+    # Check all targets first, so that no robot learns for minutes before a plan is refused.
+    plans = [_plan(command, run, drawings, target) for target in targets]
+    return plans, {
+        robot: description
+        for plan in plans
+        for robot, description in plan.ready.descriptions.items()
+    }
+
+
+def _conducted(
     command: EvaluateCommand,
     run: FlyingRun,
     plans: Sequence[EvaluationPlan],
     descriptions: Mapping[str, Description],
-) -> PairsResult:
-    run.console.print(f"{len(descriptions)} robots learn what they would pass on")
+) -> EvaluationResult | PairsResult:
+    began_s = time.monotonic()
+    run.say_how_to_resume()
     library = _library(command, run)
-    keep = library.keeping(descriptions.values(), run.folder.path.name)
+    if command.all_pairs:
+        prepare_robots(
+            run.connection.fleet,
+            run.pilot,
+            library,
+            plans[0],
+            tuple(descriptions),
+            run.folder,
+            say=run.console.print,
+        )
+        results = [_evaluated(run, library, plan).result for plan in plans]
+        pairs = compare_pairs(results, str(run.folder.path))
+        run.folder.write_document(PAIRS, pairs)
+        write_scatter(run.folder.path, pairs)
+        run.results.print(pairs_table(pairs))
+        result: EvaluationResult | PairsResult = pairs
+    else:
+        record = _evaluated(run, library, plans[0])
+        write_figures(run.folder.path, record, run.table.path)
+        result = record.result
+        run.results.print(evaluation_table(result))
+        run.results.print(ways_table(result))
+        if run.connection.name == PAPERS_FLEET:
+            run.results.print(paper_table(result))
+    run.console.print(f"{time.monotonic() - began_s:.0f} s")
+    return result
 
-    def on_trained(trained: Trained) -> None:
-        keep(trained)
-        run.console.print(f"  {trained.lesson.robot} has learned")
 
-    train_robots(
-        run.connection.fleet,
-        run.pilot,
-        list(descriptions.values()),
-        (command.architecture,),
-        run.folder.path / "experiences",
-        seed=command.seed,
-        duration_s=command.flight_s,
-        say=lambda robot, what: None,
-        on_trained=on_trained,
-    )
-    results = [_evaluated(run, library, plan).result for plan in plans]
-    pairs = compare_pairs(results, str(run.folder.path))
-    run.folder.write_document(PAIRS, pairs)
-    write_scatter(run.folder.path, pairs)
-    return pairs
+def _forget_robots(folder: Path) -> None:
+    """Remove what a fleet started for a run remembered, since nothing is left to resume."""
+    shutil.rmtree(folder / ROBOTS, ignore_errors=True)
 
 
 def _plan(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
 from nufleet.orchestrator.flights.table import FlightTable
@@ -24,7 +26,7 @@ class FlyingRun(Opening):
     """Table of all samples of these flights; exists after `fly`."""
 
     def fly(self, kind: str, descriptions: Mapping[str, Description], *, live: bool) -> None:
-        """Create the run's folder, lease robots, and open the recording and the table of flights.
+        """Create the run's folder, unless it was kept before, and open what flights need.
 
         When the command fails or is interrupted afterwards, all flying robots are brought to rest
         first.
@@ -37,14 +39,35 @@ class FlyingRun(Opening):
         Raises:
             LeaseHeldError, RobotOwnedError: See `take`.
         """
-        fleet = self.connection.fleet
-        self.keep(kind)
+        if not hasattr(self, "folder"):
+            self.keep(kind)
         self.take(descriptions)
+        self._open(self.folder.study_id, live=live)
+
+    def fly_on(self, path: Path, descriptions: Mapping[str, Description], *, live: bool) -> None:
+        """Open the folder of an interrupted run, and what flights need, like `fly`.
+
+        Its recording begins with the flights that follow.
+
+        Args:
+            path: Folder of the run.
+            descriptions: Descriptions of the robots that will fly, by robot.
+            live: Whether to serve the recording to live viewers.
+
+        Raises:
+            LeaseHeldError, RobotOwnedError: See `go_on`.
+        """
+        self.go_on(path, descriptions)
+        # No goal may have the id of an earlier one.
+        self._open(f"{self.folder.study_id}.{secrets.token_hex(4)}", live=live)
+
+    def _open(self, goals: str, *, live: bool) -> None:
+        fleet = self.connection.fleet
         self.record(live=live)
         self.view = PathView(self.clock, self.writer.emit)
         self.view.watch(fleet)
-        self.table = self._stack.enter_context(FlightTable(self.folder.path))
-        self.pilot = Pilot(fleet, self.folder.study_id)
+        self.table = FlightTable(self.folder.path)
+        self.pilot = Pilot(fleet, goals)
         self.guard(self.pilot.interrupt)
         self._stack.enter_context(_brought_to_rest(self.pilot))
 

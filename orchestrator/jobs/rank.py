@@ -9,7 +9,6 @@ from datetime import UTC, datetime
 import click
 from rich.console import Console
 
-from nufleet.orchestrator.conduct.archive import AWAY, study_record
 from nufleet.orchestrator.conduct.desired_motion import TimedPath, read_motion
 from nufleet.orchestrator.conduct.first_round import StudyOutlook, check_healths, outlook
 from nufleet.orchestrator.conduct.preflight import check_band, check_names
@@ -20,7 +19,7 @@ from nufleet.orchestrator.conduct.rank_run import (
     configuration,
     prepare,
 )
-from nufleet.orchestrator.conduct.recipe import make_study
+from nufleet.orchestrator.conduct.recipe import AWAY, Recipe, make_study
 from nufleet.orchestrator.conduct.reuse import check_absent, find_stored, oldest_reused
 from nufleet.orchestrator.fleet.reach import REACH, FleetChoice
 from nufleet.orchestrator.jobs.commands import AnyFleetCommand
@@ -28,6 +27,7 @@ from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.outlook import ask_consent, outlook_table
 from nufleet.orchestrator.jobs.study import show_study
 from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.orchestrator.repository.records import StudyRecord
 from nufleet.orchestrator.runs.rank_result import RunRecord
 from nufleet.shared.errors import InvalidInputError
 
@@ -164,9 +164,8 @@ def _prepared(
     run.reach(choice, (request.target, *sources), wait_s=command.wait_s)
     ready, stored = _ready(command, request, run)
     fleet, name, _ = run.connection
-    record = study_record(
-        "planned", name, command.algorithm, ready.plan, command.seed, ready.descriptions, stored
-    )
+    parameters = Recipe.of(ready.descriptions, stored).parameters()
+    record = StudyRecord("planned", name, command.algorithm, ready.plan, command.seed, parameters)
     question = make_study(record, run.repository.studies).ask()
     if question is None:
         raise InvalidInputError("the stored responses answer the question: no robot has to move")

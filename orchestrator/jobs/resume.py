@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
@@ -12,7 +12,9 @@ from rich.console import Console
 from nufleet.orchestrator.conduct.rank_run import prepare_again
 from nufleet.orchestrator.conduct.recipe import recipe_of
 from nufleet.orchestrator.fleet.reach import REACH, FleetChoice, Reach
+from nufleet.orchestrator.history.catalogue import read_run
 from nufleet.orchestrator.jobs.commands import StoredCommand
+from nufleet.orchestrator.jobs.evaluate import ResumedCommand, resume_evaluation
 from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.study import show_study
 from nufleet.orchestrator.jobs.terminal import stderr_console
@@ -33,7 +35,7 @@ from nufleet.orchestrator.runs.folder import (
 )
 from nufleet.orchestrator.runs.rank_result import RunRecord
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.strict import validation_errors_as
+from nufleet.shared.strict import Document, validation_errors_as
 
 LATEST = "latest"
 
@@ -58,24 +60,37 @@ class ResumeCommand(StoredCommand):
 
 def resume_and_print(command: ResumeCommand) -> None:
     """Resume a run, with progress on stderr and, if wanted, the document on stdout."""
-    record = resume_run(command, stderr_console())
+    document = resume(command, stderr_console())
     if command.as_json:
-        click.echo(record.result.document())
+        click.echo(document.document())
 
 
-def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
-    """Resume a run and return its record, as stored in its folder.
+def resume(command: ResumeCommand, console: Console) -> Document:
+    """Resume a ranking or an evaluation, and return the document that it prints.
 
     Raises:
         InvalidInputError: The run cannot be resumed, or a robot that it needs is missing.
         StudyError: The study cannot continue, because the target or every source is gone.
     """
+    with command.storage.open() as repository:
+        path = _interrupted_run(command, repository)
+    if not _evaluates(path):
+        return resume_run(replace(command, run=str(path)), console).result
+    resumed = ResumedCommand(
+        runs_root=command.runs_root,
+        repository=command.repository,
+        as_json=command.as_json,
+        live=command.live,
+    )
+    return resume_evaluation(path, _reach(command, path), resumed, console)
+
+
+def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
+    """Resume a ranking and return its record, as stored in its folder; see `resume`."""
     with Opening(command, console) as run:
         path = _interrupted_run(command, run.repository)
         study = _open_study(path, run.repository)
-        reach = reach_of(path)
-        if command.connect is not None:
-            reach = reach.model_copy(update={"connect": command.connect})
+        reach = _reach(command, path)
         specs, untestable = recipe_of(study).specs, recipe_of(study).untestable
         gone = {*untestable, *_given_up(run.repository.studies.trials(study.study_id))}
         needed = tuple(robot for robot in specs if robot not in gone)
@@ -91,8 +106,18 @@ def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
         return show_study(run, ready, study, rehearses=command.rehearses)
 
 
+def _reach(command: ResumeCommand, path: Path) -> Reach:
+    given = {} if command.connect is None else {"connect": command.connect}
+    return reach_of(path).model_copy(update=given)
+
+
+def _evaluates(path: Path) -> bool:
+    return read_configuration(path).get("kind") in ("evaluate", "pairs")
+
+
 def can_reach_again(folder: Path) -> bool:
-    """Return whether a run's folder records how the run connected to its fleet; rankings do so."""
+    """Return whether a run's folder records how the run connected to its fleet; rankings and
+    evaluations do so."""
     try:
         reach_of(folder)
     except InvalidInputError:
@@ -118,7 +143,8 @@ def _interrupted_run(command: ResumeCommand, repository: Repository) -> Path:
     runs = [
         path
         for path in list_runs(command.runs_root)
-        if study_id_of(path) in resumable and can_reach_again(path)
+        if can_reach_again(path)
+        and (read_run(path).result is None if _evaluates(path) else study_id_of(path) in resumable)
     ]
     if not runs:
         raise InvalidInputError(

@@ -63,7 +63,7 @@ def why_unfinished(runs_root: Path, runs: list[Run]) -> dict[Path, str]:
     if not runs:
         return {}
     from nufleet.orchestrator.jobs.storage import Storage
-    from nufleet.orchestrator.repository.database import FILE_NAME
+    from nufleet.orchestrator.repository.address import FILE_NAME
     from nufleet.orchestrator.repository.records import StudyStatus
 
     found = {run.folder: INTERRUPTED for run in runs}

@@ -12,7 +12,7 @@ from pathlib import Path
 from rich.console import Console
 
 from nufleet.orchestrator.jobs.environment import REPOSITORY_VARIABLE
-from nufleet.orchestrator.repository.database import default_url, name_of
+from nufleet.orchestrator.repository.address import default_url, name_of
 from nufleet.orchestrator.repository.errors import LeaseLostError
 from nufleet.orchestrator.repository.repository import Repository, open_repository
 from nufleet.shared.command_line import invocation

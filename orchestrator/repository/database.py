@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 from sqlalchemy import (
@@ -19,11 +18,11 @@ from sqlalchemy import (
     Select,
     create_engine,
     event,
-    make_url,
     text,
 )
-from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
+from nufleet.orchestrator.repository.address import shown
 from nufleet.orchestrator.repository.errors import (
     RecordConflictError,
     RepositoryBusyError,
@@ -35,9 +34,7 @@ from nufleet.orchestrator.repository.errors import (
     UnknownRecordError,
 )
 from nufleet.orchestrator.repository.group_commit import GroupCommit, Work
-from nufleet.shared.redaction import without_secrets
 
-FILE_NAME = "nufleet.sqlite"
 BUSY_S = 10.0
 """Time in s that a transaction waits for those of other processes."""
 
@@ -74,61 +71,12 @@ _ADVICE = {
 }
 
 
-def default_url(runs: Path) -> str:
-    """Return the address of the default repository for a folder of runs.
-
-    The file lies in the same folder as the runs it describes, so that one option names both, a copy
-    of the folder is complete, and two folders are independent of each other.
-    """
-    return f"sqlite:///{runs / FILE_NAME}"
-
-
-def parse_url(address: str) -> URL:
-    """Return the URL of a database.
-
-    Args:
-        address: URL of a database, or path of an SQLite file.
-
-    Raises:
-        RepositoryUrlError: The address is neither an SQLite file nor a PostgreSQL database.
-    """
-    expected = "expected a file, sqlite:///FILE or postgresql://USER@HOST/DATABASE"
-    try:
-        url = make_url(address) if ":" in address else URL.create("sqlite", database=address)
-    except (ArgumentError, ValueError):
-        # The message shows neither the address nor the cause: both may contain a password.
-        raise RepositoryUrlError(f"the repository's address is not a URL; {expected}") from None
-    if "@" in (url.host or ""):
-        raise RepositoryUrlError(
-            f"the repository's address has more than one @; write %40 for one in a password, or "
-            f"leave the password to PGPASSFILE; {expected}"
-        )
-    if url.drivername in ("postgresql", "postgresql+psycopg"):
-        return url.set(drivername="postgresql+psycopg")
-    if url.drivername in ("sqlite", "sqlite+pysqlite") and url.database not in (
-        None,
-        "",
-        ":memory:",
-    ):
-        return url
-    raise RepositoryUrlError(f"{_shown(url)}: {expected}")
-
-
-def name_of(address: str) -> str:
-    """Return a database's address without a password; raises RepositoryUrlError."""
-    return _shown(parse_url(address))
-
-
-def _shown(url: URL) -> str:
-    return without_secrets(url.render_as_string(hide_password=True))
-
-
 class Database:
     """The connections to one database, which must be closed; many threads may use it at once."""
 
     def __init__(self, url: URL) -> None:
         """Prepare; no connection is opened yet."""
-        self.name = _shown(url)
+        self.name = shown(url)
         self.is_sqlite = url.get_backend_name() == "sqlite"
         self._engine = _sqlite(url) if self.is_sqlite else _postgresql(url)
         self._group = GroupCommit(self)

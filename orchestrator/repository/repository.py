@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from nufleet.orchestrator.repository.database import Database, parse_url
+from nufleet.orchestrator.repository.address import check_proven, parse_url
+from nufleet.orchestrator.repository.database import Database
 from nufleet.orchestrator.repository.flight_store import FlightStore
 from nufleet.orchestrator.repository.lease_store import LeaseStore
 from nufleet.orchestrator.repository.robot_store import RobotStore
@@ -46,11 +47,14 @@ def open_repository(address: str, *, migrations: Path = MIGRATIONS) -> Repositor
         migrations: Folder with the known schemas.
 
     Raises:
-        RepositoryUrlError: The address does not name a database.
+        RepositoryUrlError: The address does not name a database, or one on another machine
+            without saying whether that proves who it is.
         SchemaVersionError: The database was written by a newer nufleet.
         RepositoryError: The database cannot be reached, read or written.
     """
-    database = Database(parse_url(address))
+    url = parse_url(address)
+    check_proven(url)
+    database = Database(url)
     try:
         database.prepare()
         migrate(database, migrations)

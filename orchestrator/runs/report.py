@@ -40,7 +40,9 @@ def write_plots(
     plots.mkdir(exist_ok=True)
     colours = drawn_colours(record.result)
     drawings: dict[str, Callable[[Axes], None]] = {
-        "psi_over_frequency.png": lambda axes: _draw_curves(axes, curves, true_psi, colours),
+        "psi_over_frequency.png": lambda axes: _draw_curves(
+            axes, record.result, curves, true_psi, colours
+        ),
         "psi_over_iterations.png": lambda axes: _draw_history(axes, record, colours),
     }
     for name, draw in drawings.items():
@@ -48,7 +50,7 @@ def write_plots(
         axes = figure.add_subplot()
         draw(axes)
         plain(axes)
-        axes.legend(frameon=False, fontsize=9)
+        axes.legend(frameon=False, fontsize=9, loc="upper left", bbox_to_anchor=(1.0, 1.0))
         save(figure, plots / name)
 
 
@@ -64,6 +66,7 @@ def drawn_colours(result: RankResult) -> dict[str, str]:
 
 def _draw_curves(
     axes: Axes,
+    result: RankResult,
     curves: tuple[Curve, ...],
     true_psi: Mapping[str, FloatArray],
     colours: Mapping[str, str],
@@ -73,16 +76,26 @@ def _draw_curves(
             continue
         colour, omega = colours[curve.source], curve.omega_rad_s
         axes.fill_between(omega, curve.low, curve.high, color=colour, alpha=0.15, linewidth=0)
-        axes.plot(omega, curve.median, color=colour, label=curve.source)
+        axes.plot(omega, curve.median, color=colour)
         axes.plot(curve.sampled_omega_rad_s, curve.sampled_psi, "o", color=colour, markersize=5)
         if curve.source in true_psi:
             axes.plot(omega, true_psi[curve.source], "--", color="black", linewidth=0.9)
+    for row in sorted(result.ranking, key=lambda row: -row.psi):
+        if row.robot in colours:
+            label = f"{row.robot}  {row.psi:.3g}"
+            axes.plot(
+                *(row.omega_rad_s, row.psi), "D", color=colours[row.robot], label=label, mec="black"
+            )
     if true_psi:
         axes.plot([], [], "--", color="black", linewidth=0.9, label="closed form")
+    axes.set_xscale("log")
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.set_xlim(*result.band_rad_s)
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("ω [rad/s]")
-    axes.set_ylabel("chordal distance ψ to the target")
-    axes.set_title("median, 95 % interval, and the tests", loc="left", fontsize=10)
+    axes.set_ylabel(f"chordal distance ψ to {result.target}")
+    title = "median, 95 % interval, tests (dots) and worst case ψ* (diamonds)"
+    axes.set_title(title, loc="left", fontsize=10)
 
 
 def _draw_history(axes: Axes, record: RunRecord, colours: Mapping[str, str]) -> None:
@@ -95,12 +108,17 @@ def _draw_history(axes: Axes, record: RunRecord, colours: Mapping[str, str]) -> 
         ]
         iterations, psi, low, high = np.array(points).T
         axes.errorbar(
-            iterations, psi, yerr=[psi - low, high - psi], color=colour, label=source, capsize=3
+            *(iterations, psi, [psi - low, high - psi]),
+            fmt="o-",
+            color=colour,
+            label=source,
+            capsize=3,
+            markersize=4,
         )
         if source in record.closed_form:
             axes.axhline(record.closed_form[source].psi, color=colour, linestyle=":", linewidth=1)
     axes.set_ylim(bottom=0.0)
-    axes.set_xlabel("iteration")
+    axes.set_xlabel("round")
     axes.set_ylabel("median of ψ* and 95 % interval")
     title = "worst-case chordal distance"
     if record.closed_form:

@@ -119,7 +119,7 @@ class SelectionBelief:
     def beaten(
         self, leader: str, epsilon: float, lowest_rad_s: Mapping[str, float]
     ) -> tuple[float, dict[str, float]]:
-        """Return how sure the leader is, whatever the other sources do where they were not tested.
+        """Return how sure the leader is if the others may do anything where they were not tested.
 
         A loss is a maximum, or a sum of squares, over frequencies: what is not seen of a source can
         only make it worse, so that what is seen is enough to tell that it is not the best.

@@ -78,6 +78,7 @@ class Scene:
         for answers in self._running.look(last=last):
             sources = [robot for robot in answers.responses if robot != answers.target]
             self._palette.assign(answers.target, sources)
+            self._samples.paint()
             with drawn_at(self._stream, answers.t_s):
                 self._sphere.draw(answers)
                 self._differences.draw(answers)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -13,6 +14,7 @@ from nufleet.robot_agent.motion.monitored_robot import begun
 from nufleet.robot_agent.motion.pace import HaltSwitch, Pace
 from nufleet.robot_agent.motion.paced_robot import CHUNK_SAMPLES, Halted
 from nufleet.robot_agent.motion.resampling import outputs_at_samples
+from nufleet.robot_agent.motion.steps import Steps, make
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import OutsideLimitsError, RobotDownError, RobotError
@@ -86,10 +88,17 @@ class Performance(Protocol):
 def perform(
     robot: Robot, performance: Performance, switch: HaltSwitch, *, on_resting: Callable[[], None]
 ) -> Played:
+    """Perform a motion on this thread, from rest to rest; see `performed`."""
+    return make(performed(robot, performance, switch, on_resting=on_resting))
+
+
+def performed(
+    robot: Robot, performance: Performance, switch: HaltSwitch, *, on_resting: Callable[[], None]
+) -> Steps[Played]:
     """Perform a motion, from rest to rest.
 
     A robot that breaks its interface (raises anything but `RobotError`, or does not come to rest)
-    yields a failed motion with a fault; no exception of the robot leaves this function. A robot
+    yields a failed motion with a fault; no exception of the robot leaves this procedure. A robot
     that is down (`RobotDownError`) is not asked to come to rest.
 
     Args:
@@ -102,36 +111,51 @@ def perform(
         The outcome of the motion and its samples.
     """
     fault: str | None = None
-    down: str | None = None
+    down = False
     try:
-        outcome, reason = performance.play()
+        outcome, reason = yield performance.play
     except Halted:
         outcome, reason = switch.order or (Outcome.ABORTED, "halted")
-    except RobotError as error:
-        outcome, reason = Outcome.FAILED, str(error)
-        if isinstance(error, RobotDownError):
-            down = reason
-        if isinstance(error, RobotDownError | OutsideLimitsError):
-            fault = reason
     except Exception as error:  # noqa: BLE001 - a driver's mistake must not leave it moving
-        _log.exception("a motion ended unexpectedly")
-        outcome, reason = Outcome.FAILED, f"an unexpected error: {error!r}"
-        fault = reason
+        outcome, reason, down, fault = _failed(error, "")
     samples = performance.measured()
     try:
         on_resting()
-        if down is None and samples.column is not None:
-            samples = _recorded(robot, samples)
-    except RobotError as error:
-        outcome = Outcome.FAILED
-        reason = f"{reason}; {error}" if reason else str(error)
-    finally:
-        not_at_rest = None if down is not None else _bring_to_rest(robot)
-    if not_at_rest is not None:
-        outcome = Outcome.FAILED
-        reason = f"{reason}; {not_at_rest}" if reason else not_at_rest
-        fault = reason
+        if not down and samples.column is not None:
+            samples = yield partial(_recorded, robot, samples)
+    except Exception as error:  # noqa: BLE001 - as above
+        outcome, reason, down, also = _failed(error, reason)
+        fault = also or fault
+    if not down:
+        try:
+            yield robot.rest
+        except Exception as error:  # noqa: BLE001 - as above
+            words = str(error) if isinstance(error, RobotError) else repr(error)
+            _log.error("a robot could not come to rest", exc_info=error)
+            outcome, fault = Outcome.FAILED, _joined(reason, f"could not come to rest: {words}")
+            reason = fault
     return Played(outcome, reason, samples, fault)
+
+
+def _failed(error: Exception, reason: str) -> tuple[Outcome, str, bool, str | None]:
+    """Return what an error makes of a motion: outcome, reason, whether it is down, and its fault.
+
+    Args:
+        error: Error that the robot raised.
+        reason: Why the motion had ended before; empty if it had not.
+    """
+    if isinstance(error, RobotError):
+        reason = _joined(reason, str(error))
+        down = isinstance(error, RobotDownError)
+        broken = down or isinstance(error, OutsideLimitsError)
+        return Outcome.FAILED, reason, down, reason if broken else None
+    _log.error("a motion ended unexpectedly", exc_info=error)
+    reason = _joined(reason, f"an unexpected error: {error!r}")
+    return Outcome.FAILED, reason, False, reason
+
+
+def _joined(reason: str, more: str) -> str:
+    return f"{reason}; {more}" if reason else more
 
 
 def _recorded(robot: Robot, samples: Samples) -> Samples:
@@ -141,18 +165,6 @@ def _recorded(robot: Robot, samples: Samples) -> Samples:
         return samples
     outputs, timing = outputs_at_samples(record, len(samples.reference), robot.spec)
     return replace(samples, response=outputs[:, samples.column], timing=timing)
-
-
-def _bring_to_rest(robot: Robot) -> str | None:
-    """Bring the robot to rest; return why that failed, None when it is at rest."""
-    try:
-        robot.rest()
-    except RobotError as error:
-        return f"could not come to rest: {error}"
-    except Exception as error:  # noqa: BLE001 - a driver's mistake, as above
-        _log.exception("a robot could not come to rest")
-        return f"could not come to rest: {error!r}"
-    return None
 
 
 class AxisMotion:

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from datetime import datetime
+from datetime import datetime, timedelta
 
 from nufleet.shared.wire.handshake import validity
-from nufleet.shared.wire.identity import Identity, IdentityError, read_identity
+from nufleet.shared.wire.identity import Identity
 from nufleet.shared.wire.messages import Refusal
 
 MARGIN_S = 60.0
@@ -21,6 +21,8 @@ which closes the link, may have a clock that is ahead."""
 
 WARN_BELOW = 1 / 3
 """Part of a certificate's life that is left when warnings begin."""
+
+WARN_EVERY = timedelta(days=1)
 
 _log = logging.getLogger(__name__)
 
@@ -37,12 +39,19 @@ class CertificateWatch:
         """
         self._identity, self._now = identity, now
         begins, self._ends = validity(identity)
-        self._warn_at: datetime | None = self._ends - WARN_BELOW * (self._ends - begins)
+        self._look_at = self._ends - WARN_BELOW * (self._ends - begins)
 
     def look(self) -> None:
-        """Warn once when less than a third of the certificate's life is left; called regularly."""
-        if self._warn_at is not None and self._now() >= self._warn_at:
-            self._warn_at = None
+        """Warn once a day while less than a third of the certificate's life is left.
+
+        This is called regularly. An identity file that was renewed ends the warnings.
+        """
+        now = self._now()
+        if now < self._look_at:
+            return
+        self._look_at = now + WARN_EVERY
+        begins, ends = validity(self._identity.now())
+        if ends - now <= WARN_BELOW * (ends - begins):
             _log.warning("%s", self.due)
 
     def refusal(self, duration_s: float) -> Refusal | None:
@@ -53,24 +62,20 @@ class CertificateWatch:
         """
         if self._now() >= self._ends:
             # The robot is still heard, so it has connected again, with the file as it is now.
-            self._read_again()
+            self._ends = validity(self._identity.now())[1]
         if (self._ends - self._now()).total_seconds() > duration_s + MARGIN_S:
             return None
         return Refusal(code="certificate", reason=self.due)
 
-    def _read_again(self) -> None:
-        try:
-            begins, self._ends = validity(read_identity(self._identity.path))
-            self._warn_at = self._ends - WARN_BELOW * (self._ends - begins)
-        except IdentityError as error:
-            _log.warning("%s", error)
-
     @property
     def due(self) -> str:
         """What has to be done about the certificate, and until when, for a person."""
-        name = self._identity.principal
+        name, path = self._identity.principal, self._identity.path
+        ends = f"{self._ends:%Y-%m-%d %H:%M} UTC"
+        said = f"the certificate of {name} ends at {ends}, and its link with it"
+        if validity(self._identity.now())[1] > self._ends:
+            return f"{said}; {path} is renewed and takes effect then, or when the agent restarts"
         return (
-            f"the certificate of {name} ends at {self._ends:%Y-%m-%d %H:%M} UTC, and its link with "
-            f"it: `nufleet fleet renew {name}`, copy the identity to {self._identity.path}, and "
-            "restart the agent when the robot is at rest"
+            f"{said}: `nufleet fleet renew {name}` and copy the identity to {path}; the robot then "
+            "connects with it by itself"
         )

@@ -7,11 +7,13 @@ word of its router, which reads it from the inventory: a revoked robot is no lon
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import UTC, datetime
 
 from nufleet.shared.errors import InvalidInputError, TransportError
 from nufleet.shared.experience.file import decode_experience, signed_content, with_signature
 from nufleet.shared.experience.signature import (
     UntrustedError,
+    authority_of,
     common_name_of,
     sign,
     signer_of,
@@ -46,6 +48,12 @@ class Trust:
         self._name, self._policy, self._identity = name, policy, identity
         self._admitted_robots = admitted_robots
 
+    def identity(self) -> Identity | None:
+        """Return the robot's identity as its file is now; None in an open fleet."""
+        if self._identity is not None:
+            self._identity = self._identity.now()
+        return self._identity
+
     def signed(self, payload: bytes) -> bytes:
         """Return the file of an experience of this robot with the robot's signature.
 
@@ -55,14 +63,14 @@ class Trust:
             payload: Contents of the file.
 
         Raises:
-            InvalidInputError: The key of the robot cannot sign.
+            InvalidInputError: The robot's key cannot sign, or its certificate is not valid now.
         """
-        identity = self._identity
+        identity = self.identity()
         if identity is None or self._is_its_own(payload, identity):
             return payload
         try:
             key = identity.key.read_bytes()
-            signature = sign(signed_content(payload), key, identity.certificate)
+            signature = sign(signed_content(payload), key, identity.certificate, datetime.now(UTC))
         except (OSError, UntrustedError) as error:
             raise InvalidInputError(f"the key {identity.key} cannot sign: {error}") from error
         return with_signature(payload, signature)
@@ -82,10 +90,11 @@ class Trust:
             allowed = f"{', '.join(admitted) or 'no robot'} (`priors_from` of {self._name})"
             reason = f"its fleet file lets it take priors from {allowed}, not from {robot}"
             return Refusal(code="policy", reason=reason)
-        if self._identity is None or robot == self._name:
+        identity = self.identity()
+        if identity is None or robot == self._name:
             return None
         try:
-            self._check_signed(payload, robot, self._identity)
+            self._check_signed(payload, robot, identity)
         except UntrustedError as error:
             reason = f"it cannot trust the experience of {robot}: {error}"
             return Refusal(code="untrusted", reason=reason)
@@ -111,10 +120,16 @@ class Trust:
             )
 
     def _is_its_own(self, payload: bytes, identity: Identity) -> bool:
+        """Return whether a file bears a signature of this robot under its present authority.
+
+        After a replacement of the authority it is signed again, since others trust the former one
+        no longer.
+        """
         signature = decode_experience(payload).signature
         try:
+            authority = authority_of(identity.certificate, identity.authority)
             return signature is not None and common_name_of(identity.certificate) == signer_of(
-                signature, signed_content(payload), identity.authority
+                signature, signed_content(payload), authority
             )
         except UntrustedError:
             return False

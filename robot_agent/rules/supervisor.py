@@ -142,8 +142,7 @@ def supervise(state: Supervision, event: Event) -> tuple[Supervision, Halt | Non
         case FaultFound(fault):
             return replace(state, fault=state.fault or fault), _halt_if_moving(state, fault)
         case HealthReported(unfit):
-            halt = None if unfit is None else _halt_if_moving(state, unfit)
-            return replace(state, unfit=unfit), halt
+            return replace(state, unfit=unfit), _halt_if_moving(state, unfit)
 
 
 def refusal_to_start(state: Supervision, *, owner: str, owner_alive: bool) -> Refusal | None:
@@ -177,5 +176,7 @@ def refusal_to_start(state: Supervision, *, owner: str, owner_alive: bool) -> Re
     return None
 
 
-def _halt_if_moving(state: Supervision, reason: str) -> Halt | None:
-    return None if state.motion_owner is None else Halt(Outcome.ABORTED, reason)
+def _halt_if_moving(state: Supervision, reason: str | None) -> Halt | None:
+    if state.motion_owner is None or reason is None:
+        return None
+    return Halt(Outcome.ABORTED, reason)

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, TypeVar
 from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from nufleet.shared.errors import FleetFileError
-from nufleet.shared.robots.installed import find_file
+from nufleet.shared.robots.installed import find_file, installed
 from nufleet.shared.strict import Name, Positive, Strict, validation_errors_as
 from nufleet.shared.text import read_toml
 
@@ -182,6 +182,11 @@ def find_fleet_file(path_or_name: str) -> Path:
         'paper_linear.toml'
     """
     return find_file(path_or_name, ENTRY_POINT_GROUP, "fleet file", FleetFileError)
+
+
+def installed_fleets() -> tuple[str, ...]:
+    """Return the names of the fleet files that are installed."""
+    return tuple(sorted(installed(ENTRY_POINT_GROUP)))
 
 
 def read_fleet_file(path: Path) -> FleetFile:

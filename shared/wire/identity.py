@@ -8,13 +8,14 @@ is checked without pydantic, because a stop must not wait for heavy imports.
 
 from __future__ import annotations
 
-import base64
+import logging
 import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
 
 from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.private_files import check_private
 from nufleet.shared.text import is_name, read_toml
 
 SCHEME = "identity/"
@@ -23,6 +24,7 @@ SCHEME = "identity/"
 IDENTITY_VARIABLE = "NUFLEET_IDENTITY"
 SUFFIX, KEY_SUFFIX = ".nufleet", ".key"
 ROLES = ("robot", "orchestrator", "operator", "watcher")
+_log = logging.getLogger(__name__)
 _ROUTER = re.compile(r"tls/(\[[0-9A-Fa-f:.]+\]|[0-9A-Za-z.-]+):[0-9]{1,5}")
 _FIELDS = ("fleet", "principal", "role", "router", "certificate", "authority")
 
@@ -55,14 +57,26 @@ class Identity:
         """File with the private key, beside the identity file."""
         return self.path.with_suffix(KEY_SUFFIX)
 
+    def now(self) -> Identity:
+        """Return the identity as its file is now, which may have been renewed since it was read.
+
+        If the file cannot be used, this identity is returned and a warning says why.
+        """
+        try:
+            return read_identity(self.path)
+        except IdentityError as error:
+            _log.warning("%s", error)
+            return self
+
     def zenoh_settings(self) -> dict[str, object]:
         """Return Zenoh's settings of `transport/link/tls`.
 
-        Certificate and key are given as files, so that renewed ones are read at the next
-        connection.
+        All are given as files, which Zenoh reads at each connection: what is renewed takes effect
+        at the next one. The identity's own certificate thus counts as an authority to itself,
+        which lets no one in who does not hold its key already.
         """
         return {
-            "root_ca_certificate_base64": base64.b64encode(self.authority.encode()).decode(),
+            "root_ca_certificate": str(self.path),
             "connect_certificate": str(self.path),
             "connect_private_key": str(self.key),
             "enable_mtls": True,
@@ -117,16 +131,14 @@ def _check(identity: Identity) -> None:
     if not all("-----BEGIN CERTIFICATE" in pem for pem in certificates):
         raise IdentityError(f"{path} is not an identity file: a certificate is not in PEM")
     try:
-        mode, readable = key.stat().st_mode, os.access(key, os.R_OK)
+        check_private(key)
     except OSError as error:
         raise IdentityError(
             f"the key of {path} is missing: {key} ({error.strerror}); it was made where `nufleet "
             "fleet request` or `enroll` ran, and has to lie beside the identity"
         ) from error
-    if not readable:
-        raise IdentityError(f"the key {key} belongs to another user")
-    if mode & 0o077:
-        raise IdentityError(f"other users can read or replace the key {key}: chmod 600 {key}")
+    except InvalidInputError as error:
+        raise IdentityError(str(error)) from error
 
 
 def identity_folder() -> Path:

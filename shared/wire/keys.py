@@ -25,6 +25,9 @@ releases are given in the same way."""
 DEFAULT_PRINCIPAL = "orchestrator"
 """Principal of a sender without an identity, in a fleet that is open."""
 
+ADMITTED = "@/*/router"
+"""Key expression of what a router says about itself; it answers each principal in its list."""
+
 
 def principal_of(sender: str) -> str:
     """Return the principal that an orchestrator's id names: the part before its first dot."""
@@ -181,6 +184,11 @@ class FleetKeys:
         """Return the id of the orchestrator that a key from the network names; None if invalid."""
         orchestrator = self._below(key, "orchestrator")
         return orchestrator if is_identifier(orchestrator) else None
+
+    @property
+    def connected(self) -> str:
+        """Key on which the router of a closed fleet tells orchestrators who is connected."""
+        return f"{self.root}/connected"
 
     def stop(self, principal: str) -> str:
         """Return the key on which a principal's put stops every robot of the fleet."""

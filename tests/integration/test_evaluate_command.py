@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import io
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
-from fleet_lab import Lab, double_integrator
+from command_processes import PATIENCE_S
+from fleet_lab import Lab
 from learned_things import experience, layout
 from rich.console import Console
 
@@ -18,12 +23,39 @@ from nufleet.orchestrator.evaluation.results import (
     FlightRecord,
 )
 from nufleet.orchestrator.experience.prior_custody import install
+from nufleet.orchestrator.history.catalogue import read_run
 from nufleet.orchestrator.jobs.evaluate import EvaluateCommand, evaluate
+from nufleet.orchestrator.jobs.resume import ResumeCommand, resume
+from nufleet.shared.errors import InvalidInputError
+from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 ALPHA = {"target": 0.85, "source": 0.97}
+KILLED = """
+import os, signal, sys
+from nufleet.orchestrator.evaluation.kept_records import KeptRecords
+from nufleet.shared.command_line import main
+
+flown = KeptRecords.flown
+
+def killed(kept, record):
+    flown(kept, record)
+    if kept.done == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+KeptRecords.flown = killed
+main()
+"""
 
 
-def command(lab: Lab, runs_root: Path, own_flight_s: tuple[float, ...]) -> EvaluateCommand:
+def options(lab: Lab, runs_root: Path) -> tuple[str, ...]:
+    return (
+        *("evaluate", "--connect", lab.endpoint, "--target", "target", "--runs", str(runs_root)),
+        *("--architecture", "preview", "--drawings", "clover", "--speeds", "0.4"),
+        *("--scale", "0.08", "--own-flight", "5", "--studies", "1", "--iterations", "2", "--quick"),
+    )
+
+
+def command(lab: Lab, runs_root: Path) -> EvaluateCommand:
     return EvaluateCommand(
         fleet_file=None,
         connect=lab.endpoint,
@@ -33,8 +65,8 @@ def command(lab: Lab, runs_root: Path, own_flight_s: tuple[float, ...]) -> Evalu
         architecture="preview",
         drawings=("clover",),
         speeds=(0.4,),
-        scale=0.15,
-        own_flight_s=own_flight_s,
+        scale=0.08,
+        own_flight_s=(5.0,),
         studies=1,
         iterations=2,
         quick=True,
@@ -50,8 +82,9 @@ def command(lab: Lab, runs_root: Path, own_flight_s: tuple[float, ...]) -> Evalu
 
 @pytest.fixture
 def fleet_with_experiences(lab: Lab) -> Lab:
-    for seed, (name, alpha) in enumerate(ALPHA.items()):
-        lab.agent(name, double_integrator(alpha, seed))
+    for name, alpha in ALPHA.items():
+        settings = DoubleIntegratorSettings(alpha=alpha, beta=0.003)
+        lab.agent(name, DoubleIntegrator(settings, np.random.default_rng(0)))
     # This orchestrator owns nothing, so that the evaluation may.
     fleet = lab.orchestrator("giver", *ALPHA).fleet
     given = experience("source", layout=layout(horizon_samples=20))
@@ -59,11 +92,25 @@ def fleet_with_experiences(lab: Lab) -> Lab:
     return lab
 
 
-def test_an_evaluation_compares_all_ways_and_keeps_every_flight(
+def flights_in(run: Path) -> tuple[FlightRecord, ...]:
+    lines = (run / RECORDS).read_text().splitlines()
+    return tuple(map(FlightRecord.model_validate_json, lines))
+
+
+def table(record: EvaluationRecord) -> dict[str, float | None]:
+    return {
+        f"{way.way} after {way.own_flight_s:.0f} s: {field}": value
+        for way in record.result.ways
+        for field, value in way.model_dump(exclude={"way", "own_flight_s"}).items()
+    }
+
+
+def test_an_evaluation_compares_all_ways_and_goes_on_where_it_was_killed(
     fleet_with_experiences: Lab, tmp_path: Path
 ) -> None:
+    lab = fleet_with_experiences
     console = Console(record=True, width=200, file=io.StringIO())
-    result = evaluate(command(fleet_with_experiences, tmp_path, (5.0,)), console)
+    result = evaluate(command(lab, tmp_path / "undisturbed"), console)
     assert isinstance(result, EvaluationResult)
     ways = [(way.way, round(way.own_flight_s)) for way in result.ways]
     first = ("own", "baseline", "none", "source", "mixture")
@@ -72,11 +119,34 @@ def test_an_evaluation_compares_all_ways_and_keeps_every_flight(
     assert result.chosen_way in first
     assert [round(point.own_flight_s) for point in result.points] == [0, 5]
     run = Path(result.run)
-    record = EvaluationRecord.model_validate_json((run / EVALUATION).read_text())
-    lines = (run / RECORDS).read_text().splitlines()
-    assert tuple(map(FlightRecord.model_validate_json, lines)) == record.flights
+    undisturbed = EvaluationRecord.model_validate_json((run / EVALUATION).read_text())
+    assert flights_in(run) == undisturbed.flights
     assert (run / "plots" / "curve.png").exists()
     said = console.export_text()
-    assert "own after 5 s of its own flying: flights 6 to 6 of 6, about" in said
-    assert "rehearses clover · 0.4 m/s: 1 of 1" in said
+    assert "clover · 0.4 m/s: flights 1 to 5 of 6" in said
+    assert "clover · 0.4 m/s after 5 s of its own flying: flight 6 of 6, about" in said
     assert "which way to fly" in said
+
+    # The robots are as they were before.
+    lab.orchestrator("forgetter", *ALPHA).fleet.forget_own_model("target")
+    runs_root = tmp_path / "killed"
+    done = subprocess.run(
+        [sys.executable, "-c", KILLED, *options(lab, runs_root)],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    (run,) = [path for path in runs_root.iterdir() if path.is_dir()]
+    before = flights_in(run)
+    assert len(before) == 3
+    assert read_run(run).result is None
+    resume(ResumeCommand(runs_root=runs_root), console)
+    record = EvaluationRecord.model_validate_json((run / EVALUATION).read_text())
+    assert record.complete
+    assert record.flights[:3] == before
+    assert flights_in(run) == record.flights
+    assert table(record) == pytest.approx(table(undisturbed), rel=1e-6)
+    with pytest.raises(InvalidInputError, match="is complete"):
+        resume(ResumeCommand(runs_root=runs_root, run=run.name), console)

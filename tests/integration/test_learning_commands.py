@@ -20,7 +20,7 @@ from learned_things import experience, layout
 from polling import PATIENCE_S, wait_until
 
 from nufleet.orchestrator.fleet.client import Fleet
-from nufleet.orchestrator.repository.database import default_url
+from nufleet.orchestrator.repository.address import default_url
 from nufleet.orchestrator.repository.records import Origin
 from nufleet.orchestrator.repository.repository import open_repository
 from nufleet.shared.experience.file import decode_experience

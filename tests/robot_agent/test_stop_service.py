@@ -17,6 +17,7 @@ from nufleet.robot_agent.commands import Commands
 from nufleet.robot_agent.decisions import Decisions
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.journal.journal import Journal
+from nufleet.robot_agent.journal.ledger import JournalError
 from nufleet.robot_agent.planner import Planner
 from nufleet.robot_agent.stop_service import StopService
 from nufleet.shared import private_files
@@ -66,6 +67,15 @@ def stored_stop(tmp_path: Path, journal: Journal) -> str | None:
     with Journal(tmp_path / "journal") as reopened:
         stop = reopened.remembrance.stop
         return None if stop is None else f"{stop.sender}: {stop.reason}"
+
+
+def test_what_a_key_contains_does_not_reach_the_terminal(
+    stops: StopService, caplog: pytest.LogCaptureFixture
+) -> None:
+    stops.heard("nufleet/lab/by/\x1b[31m\nrobot r: all is well/stop", b"no message")
+    assert "malformed stop on" in caplog.text
+    assert "\x1b" not in caplog.text
+    assert "\nrobot r" not in caplog.text
 
 
 def test_a_stop_is_answered_when_it_is_stored(
@@ -189,14 +199,38 @@ def test_a_driver_that_hangs_in_its_kill_holds_up_no_stop(
     stops: StopService, decisions: Decisions, robot: PuppetRobot
 ) -> None:
     goes_on = threading.Event()
-    robot.on_kill = lambda: assert_waited(goes_on)
-    killing = stops.asked("alice", KILL)
-    assert stops.asked("alice", KILL) is killing  # one thread, however often it is asked
+    robot.on_kill = Mock(side_effect=lambda: goes_on.wait(PATIENCE_S))
+    killing = [stops.asked("alice", KILL) for _ in range(3)]
     assert stops.asked("bob", STOP).result(PATIENCE_S) == Done()
-    assert not killing.done()
+    assert not any(answer.done() for answer in killing)
     goes_on.set()
-    assert killing.result(PATIENCE_S) == Done()
+    assert [answer.result(PATIENCE_S) for answer in killing] == [Done()] * 3
+    robot.on_kill.assert_called_once_with()  # by one thread, however often it is asked
 
 
-def assert_waited(event: threading.Event) -> None:
-    assert event.wait(PATIENCE_S)
+def test_a_kill_whose_stop_cannot_be_stored_is_not_confirmed(
+    stops: StopService,
+    decisions: Decisions,
+    journal: Journal,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def full(order: object) -> None:
+        raise JournalError("no space left on the device")
+
+    monkeypatch.setattr(journal, "stopped", full)
+    answer = stops.asked("alice", KILL).result(PATIENCE_S)
+    assert isinstance(answer, Refusal)
+    assert answer.code == "journal"
+    assert decisions.fault == "its motors were cut by alice: smoke"
+
+
+def test_nobody_releases_a_robot_whose_motors_are_being_cut(
+    stops: StopService, decisions: Decisions, robot: PuppetRobot
+) -> None:
+    refused: list[Refusal | None] = []
+    robot.on_kill = lambda: refused.append(decisions.release("bob"))
+    assert stops.asked("alice", KILL).result(PATIENCE_S) == Done()
+    assert refused == [
+        Refusal(code="busy", reason="its motors are being cut; release it in a moment")
+    ]
+    assert decisions.release("bob") is None

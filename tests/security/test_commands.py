@@ -71,9 +71,14 @@ def test_a_fleet_is_closed_and_its_principals_are_known_by_their_identities(here
             if len(cells := line.replace("┃", "│").split("│")) > 4
         }
         assert (rows["a"][0], rows["a"][2]) == ("robot", "yes")
-        assert (rows["desk"][0], rows["desk"][2]) == ("orchestrator", "no")
+        assert (rows["desk"][0], rows["desk"][2]) == ("orchestrator", "yes")
+        assert (rows["screen"][0], rows["screen"][2]) == ("watcher", "no")
         assert rows["otto"][1] == "not enrolled"
         assert "90 d left" in rows["anna"][1]
+
+        asked = nufleet("fleet", "who", NUFLEET_IDENTITY="ids/screen.nufleet")
+        assert "not known" in asked.output
+        assert "does not tell screen who is connected" in str(asked.exception)
 
         config = here / "config" / "nufleet"
         config.mkdir(parents=True)

@@ -18,12 +18,9 @@ from puppet_robot import PuppetRobot
 
 from nufleet.orchestrator.authority.access import STATES_HZ, common_name
 from nufleet.orchestrator.authority.certificates import (
-    Issuer,
     certificate_pem,
     key_pem,
     new_key,
-    read_certificate,
-    read_key,
     utc_now,
 )
 from nufleet.orchestrator.fleet.client import Fleet
@@ -37,8 +34,9 @@ from nufleet.shared.frequency_test.excitation import Tone
 from nufleet.shared.private_files import write_privately
 from nufleet.shared.wire.codec import decode, encode
 from nufleet.shared.wire.identity import Identity, address_of, identity_text, read_identity
+from nufleet.shared.wire.limits import MAX_STATE_BYTES
 from nufleet.shared.wire.messages import Outcome, Refusal, RobotStatus, StopRequest
-from nufleet.shared.wire.transport import MAX_STATE_BYTES, _base_config, open_client
+from nufleet.shared.wire.transport import _base_config, open_client
 
 
 @dataclass
@@ -195,11 +193,8 @@ def test_a_robot_that_floods_its_state_is_heard_no_more_often_than_the_router_al
 
 def short_lived(lab: ClosedLab, folder: Path, life: timedelta) -> Identity:
     """An identity of robot b that ends soon."""
-    authority = lab.authority.folder
-    signer = read_key((authority / "authority.key").read_bytes(), "its key")
-    certificate = read_certificate((authority / "authority.pem").read_bytes())
     key, path = new_key(), folder / "b.nufleet"
-    made = Issuer(certificate, signer).issue(common_name("b", 0), key.public_key(), utc_now(), life)
+    made = lab.issuer.issue(common_name("b", 0), key.public_key(), utc_now(), life)
     model = read_identity(lab.identity("b"))
     write_privately(path.with_suffix(".key"), key_pem(key))
     identity = Identity(
@@ -263,7 +258,7 @@ def test_no_goal_begins_that_may_outlast_the_certificate(
         assert isinstance(decode(encode(refusal), Refusal), Refusal)
 
 
-def test_an_agent_that_runs_warns_once_when_a_third_of_the_life_is_left(
+def test_an_agent_that_runs_warns_once_a_day_when_a_third_of_the_life_is_left(
     fleet: Fleetlet, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     now = [utc_now()]
@@ -274,6 +269,14 @@ def test_an_agent_that_runs_warns_once_when_a_third_of_the_life_is_left(
         watch.look()
         assert [record.message for record in caplog.records] == warnings * [watch.due]
     assert "`nufleet fleet renew b`" in watch.due
+    now[0] += timedelta(days=1)
+    watch.look()
+    assert len(caplog.records) == 2
+    short_lived(fleet.lab, tmp_path, timedelta(days=90))
+    assert f"{identity.path} is renewed and takes effect then" in watch.due
+    now[0] += timedelta(days=1)
+    watch.look()
+    assert len(caplog.records) == 2
 
 
 def test_a_robot_takes_the_goals_that_end_before_its_certificate_and_no_others(

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -13,6 +16,11 @@ from learned_things import experience
 from polling import PATIENCE_S
 from robots_that_learn import double_integrator
 
+from nufleet.orchestrator.authority.certificates import (
+    certificate_pem,
+    read_key,
+    utc_now,
+)
 from nufleet.orchestrator.experience.prior_custody import install
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.fleet.orchestrator_id import new_orchestrator_id
@@ -29,12 +37,13 @@ from nufleet.shared.experience.file import (
     signed_content,
     with_signature,
 )
-from nufleet.shared.experience.signature import sign
+from nufleet.shared.experience.signature import UntrustedError, sign
 from nufleet.shared.robots.fleet_file import RobotPolicy
 from nufleet.shared.wire.identity import Identity, read_identity
 from nufleet.shared.wire.messages import ExperienceOffer, InstallRequest, Refusal
 
 ALL = RobotPolicy()
+DAY = timedelta(days=1)
 
 
 @pytest.fixture(scope="module")
@@ -57,9 +66,26 @@ def trust(lab: ClosedLab, name: str, policy: RobotPolicy = ALL, admitted: str = 
     return Trust(name, policy, identity(lab, name), lambda: frozenset(admitted.split()))
 
 
-def signed_by(who: Identity, payload: bytes) -> bytes:
-    signature = sign(signed_content(payload), who.key.read_bytes(), who.certificate)
+def signed_by(who: Identity, payload: bytes, at: datetime | None = None) -> bytes:
+    signature = sign(
+        signed_content(payload), who.key.read_bytes(), who.certificate, at or utc_now()
+    )
     return with_signature(payload, signature)
+
+
+def whose_certificate_ended(lab: ClosedLab, who: Identity) -> Identity:
+    """The same identity with a certificate of last week for its key."""
+    public = read_key(who.key.read_bytes(), "its key").public_key()
+    made = lab.issuer.issue(f"{who.principal}.1", public, utc_now() - 7 * DAY, 3 * DAY)
+    return replace(who, certificate=certificate_pem(made))
+
+
+def dated_back(payload: bytes) -> bytes:
+    """The same file with a signature that claims to be a minute older."""
+    signature = decode_experience(payload).signature
+    assert signature is not None
+    earlier = signature.signed_at_s - 60
+    return with_signature(payload, signature.model_copy(update={"signed_at_s": earlier}))
 
 
 def altered(payload: bytes) -> bytes:
@@ -104,6 +130,11 @@ def test_what_a_robot_of_the_fleet_signed_is_taken_with_its_content_unchanged(
             "b: it was altered after it was signed",
         ),
         (
+            lambda lab, other: dated_back(signed_by(identity(lab, "b"), experience("b"))),
+            "a.1 b.1",
+            "b: it was altered after it was signed",
+        ),
+        (
             lambda lab, other: renamed(signed_by(identity(lab, "c"), experience("c"))),
             "a.1 b.1 c.1",
             "b: it was altered after it was signed",
@@ -129,7 +160,16 @@ def test_what_a_robot_of_the_fleet_signed_is_taken_with_its_content_unchanged(
             "b: b was revoked after it had signed, or is not a robot of the inventory",
         ),
     ],
-    ids=["unsigned", "altered", "renamed", "another's", "no robot's", "foreign", "revoked"],
+    ids=[
+        "unsigned",
+        "altered",
+        "dated back",
+        "renamed",
+        "another's",
+        "no robot's",
+        "foreign",
+        "revoked",
+    ],
 )
 def test_what_is_not_proven_is_refused(
     offered: Callable[[ClosedLab, ClosedLab], bytes],
@@ -142,6 +182,41 @@ def test_what_is_not_proven_is_refused(
     assert refusal is not None
     assert refusal.code == "untrusted"
     assert f"it cannot trust the experience of {words}" in refusal.reason
+
+
+def test_a_signature_counts_after_its_certificate_has_ended_and_cannot_be_made_then(
+    lab: ClosedLab,
+) -> None:
+    ended, payload = whose_certificate_ended(lab, identity(lab, "b")), experience("b")
+    assert trust(lab, "a").refusal(signed_by(ended, payload, utc_now() - 5 * DAY)) is None
+    words = "signed on .* with a certificate that is valid from .* to "
+    with pytest.raises(UntrustedError, match=words):
+        signed_by(ended, payload)
+    # A program of its own does not stop there.
+    current = decode_experience(signed_by(identity(lab, "b"), payload)).signature
+    assert current is not None
+    late = current.model_copy(update={"certificate": ended.certificate})
+    refusal = trust(lab, "a").refusal(with_signature(payload, late))
+    assert refusal is not None
+    assert re.search(f"the experience of b: it was {words}", refusal.reason)
+
+
+def test_a_robot_signs_again_when_its_authority_was_replaced_while_its_agent_ran(
+    tmp_path: Path,
+) -> None:
+    lab = ClosedLab(tmp_path, ExitStack())
+    memory, payload = Memory(None), experience("a")
+    memory.keep_experience(payload, digest(payload))
+    service = ExperienceService("a", double_integrator(), memory, lambda _: None, trust(lab, "a"))
+    before = service.offers()
+    lab.authority.replace()
+    assert service.offers() == before
+    lab.authority.renew("a", lab.identity("a").parent)
+    (after,) = service.offers()
+    assert after.sha256 != before[0].sha256
+    assert trust(lab, "b").refusal(memory.experiences[0].payload) is None
+    lab.identity("a").write_text("half a fi")
+    assert service.offers() == (after,)
 
 
 def test_a_router_that_does_not_answer_is_no_reason_to_trust(lab: ClosedLab) -> None:

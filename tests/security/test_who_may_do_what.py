@@ -13,7 +13,8 @@ from polling import PATIENCE_S, wait_until
 
 from nufleet.shared.errors import NoRouterError
 from nufleet.shared.wire.keys import COMMANDS, READS
-from nufleet.shared.wire.transport import Declaration, Session
+from nufleet.shared.wire.requests import Declaration
+from nufleet.shared.wire.session import Session
 
 ROLES = {
     "a": "robot",
@@ -168,6 +169,10 @@ def seeing_a_token(stage: Stage, actor: Session, name: str) -> Observed:
     return lambda: bool(actor.alive(KEYS.robot("a", "alive"), timeout_s=PATIENCE_S))
 
 
+def seeing_the_connected(stage: Stage, actor: Session, name: str) -> Observed:
+    return lambda: "a.1" in actor.connected()
+
+
 def eavesdropping(stage: Stage, actor: Session, name: str) -> Observed:
     """Subscribe to the stops and commands that others give a robot."""
     mark, got = f"mark-{next(COUNT)}", []
@@ -241,6 +246,7 @@ ACTIONS = [
         frozenset({"b"}),
         serving(KEYS.robot("b", "describe")),
     ),
+    Action("see who is connected", COMMANDERS, seeing_the_connected),
     Action("ask the router about others", NO_ONE, asking(lambda _: "@/*/router/**")),
     Action("ask every fleet", NO_ONE, asking(lambda _: "nufleet/*/robot/*/describe")),
     Action("ask everything", NO_ONE, asking(lambda _: "**")),

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 from benchmarks.faults.simulation.network import NoAnswer, Node
 from benchmarks.faults.simulation.robot import SimulatedRobot
-from nufleet.shared.wire.messages import Done
+from nufleet.shared.wire.codec import encode
+from nufleet.shared.wire.messages import Done, StopRequest
 
 if TYPE_CHECKING:
     from benchmarks.faults.simulation.schedule import Kind
@@ -63,6 +65,7 @@ def _break_sensor(case: Case) -> None:
 
 
 def _fill_disk(case: Case) -> None:
+    case.simulation.history.excuses.add((case.robot.name, "journal"))
     case.robot.disk.full = True
     case.simulation.world.after(case.size, lambda: setattr(case.robot.disk, "full", False))
 
@@ -126,18 +129,17 @@ class _Person:
         """Leave a question unanswered: a person serves no queries."""
         answer(NoAnswer())
 
-    def stop(self) -> None:
-        self._ask("stop", self._stopped)
+    def stop(self, *, kill: bool) -> None:
+        request = StopRequest(sender=self._node.name, reason="smoke", kill=kill)
+        self._ask("stop", (self._node.name, encode(request)), self._stopped)
 
     def release(self) -> None:
-        world, history = self._simulation.world, self._simulation.history
-        history.release_asked(world.now_s, self._robot.name)
-        self._ask("release", self._released)
+        self._ask("release", self._node.name, self._released)
 
     def _stopped(self, answer: object) -> None:
         if isinstance(answer, Done):
-            history = self._simulation.history
-            history.stop_confirmed(self._simulation.world.now_s, self._robot.name)
+            now_s = self._simulation.world.now_s
+            self._simulation.history.stop_confirmed(now_s, self._robot.name, self._node.name)
 
     def _released(self, answer: object) -> None:
         if not isinstance(answer, Done):
@@ -145,22 +147,33 @@ class _Person:
         elif self._node.running:
             self._simulation.network.end(self._node)
 
-    def _ask(self, question: str, then: Callable[[object], None]) -> None:
+    def _ask(self, question: str, body: object, then: Callable[[object], None]) -> None:
         self._simulation.network.ask(
             self._node,
             "robot",
             self._robot.name,
             question,
-            self._node.name,
+            body,
             timeout_s=3.0,
             on_answer=then,
         )
 
 
-def _stop(case: Case) -> None:
+def _stop(case: Case, *, kill: bool = False, after_s: float = 0.1) -> None:
     person = _Person(case.simulation, case.robot)
-    case.simulation.world.after(0.1, person.stop)
-    case.simulation.world.after(case.size + RELEASED_AFTER_S, person.release)
+    case.simulation.world.after(after_s, partial(person.stop, kill=kill))
+    case.simulation.world.after(after_s + case.size + RELEASED_AFTER_S, person.release)
+
+
+def _cut_motors(case: Case) -> None:
+    """Cut the motors; for a short fault once more, soon after they were released."""
+    _stop(case, kill=True)
+    if case.size < STATES_LATE_MAX_S:
+        _stop(case, kill=True, after_s=case.size + RELEASED_AFTER_S + 0.3)
+
+
+def _until(case: Case) -> float:
+    return case.simulation.world.now_s + case.size
 
 
 CAUSES: Mapping[Kind, Cause] = {
@@ -183,4 +196,8 @@ CAUSES: Mapping[Kind, Cause] = {
     "stop": _stop,
     "other repository": _bring_rival,
     "second orchestrator": _bring_second,
+    "cut motors": _cut_motors,
+    "bad health": lambda case: setattr(case.robot, "unready_until_s", _until(case)),
+    "no health": lambda case: setattr(case.robot, "unreported_until_s", _until(case)),
+    "other version": lambda case: case.robot.outdate(case.size),
 }

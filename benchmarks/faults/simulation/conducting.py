@@ -14,7 +14,6 @@ from benchmarks.faults.simulation.robot import BAD_SENSOR
 from benchmarks.faults.simulation.study import RankingStudy, response_of, useless
 from nufleet.orchestrator.conduct.attempts import ATTEMPTS, ATTEMPTS_IN_ALL, Attempts, Settled
 from nufleet.orchestrator.conduct.replay import OpenRound, OpenTest, resume, round_of
-from nufleet.orchestrator.fleet.client import QUERY_TIMEOUT_S, RESULT_TIMEOUT_S
 from nufleet.orchestrator.fleet.goal_events import (
     Accepted,
     Ask,
@@ -30,6 +29,7 @@ from nufleet.orchestrator.fleet.goal_events import (
     Unanswered,
 )
 from nufleet.orchestrator.fleet.goal_pursuit import RETURN_PATIENCE_S, Pursuit
+from nufleet.orchestrator.fleet.requests import QUERY_TIMEOUT_S, RESULT_TIMEOUT_S
 from nufleet.orchestrator.repository.errors import RepositoryError
 from nufleet.orchestrator.repository.records import TrialStatus
 from nufleet.orchestrator.study.outcomes import Failed, Measured, TestOutcome
@@ -45,10 +45,6 @@ from nufleet.shared.wire.messages import (
 
 if TYPE_CHECKING:
     from benchmarks.faults.simulation.orchestrator import SimulatedOrchestrator
-
-INNOCENT = frozenset({"stopped", "stale-epoch", "fault", "journal"})
-"""Codes of refusals after which a robot may be dropped: a person or another orchestrator decided
-so, or the robot's own state requires it."""
 
 
 @dataclass(eq=False)
@@ -298,7 +294,9 @@ class Conduct:
     def _check_failed(self, run: Run, outcome: Failed, ended: Ended) -> None:
         test = run.test
         if isinstance(ended.error, RefusedError):
-            if ended.error.code not in INNOCENT:
+            code = ended.error.code
+            excuses = self._process.history.excuses
+            if code != "stale-epoch" and (test.robot, code) not in excuses:
                 raise Violation(
                     f"{self._process.world.now_s:.3f}: {test.robot} is left out, refused as "
                     f"{ended.error.code}: {ended.error}"

@@ -8,11 +8,13 @@ messages carry no guarantee at all.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from benchmarks.faults.simulation.world import Job, World
+from nufleet.robot_agent.rules.freezes import FROZEN_S
 
 LEASE_S = 2.0
 _TOLD_S = 0.003
@@ -93,6 +95,9 @@ class Node:
 
     frozen_since_s: float = 0.0
     """Time at which the process was last frozen."""
+
+    thawed_s: float = -math.inf
+    """Time at which the process last thawed from a freeze that is longer than a pause."""
 
     quiet_since: int = 0
     """Number of times the process was frozen or cut off, to tell these apart."""
@@ -175,6 +180,8 @@ class Network:
         if not node.running:
             return
         node.frozen = False
+        if self.world.now_s - node.frozen_since_s > FROZEN_S:
+            node.thawed_s = self.world.now_s
         kept, node.kept = node.kept, []
         for job in kept:
             node.do(job)

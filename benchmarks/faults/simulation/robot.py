@@ -2,42 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
 from functools import partial
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from benchmarks.faults.simulation.disk import Disk, DiskJournal
+from benchmarks.faults.simulation.driver import MotionThread, SimulatedDriver
 from benchmarks.faults.simulation.history import History, Motion, Violation
 from benchmarks.faults.simulation.network import Network, Node, OnAnswer
 from benchmarks.faults.simulation.world import World
+from nufleet.robot_agent.commands import Commands
 from nufleet.robot_agent.decisions import Assignment, Decisions
 from nufleet.robot_agent.flight.memory import Memory
-from nufleet.robot_agent.journal.journal import Remembrance, lost_result
-from nufleet.robot_agent.journal.ledger import (
-    Accepted,
-    Acknowledged,
-    Ended,
-    JournalError,
-    Ledger,
-    Owned,
-    Record,
-    Released,
-    Stopped,
-)
+from nufleet.robot_agent.journal.ledger import JournalError
 from nufleet.robot_agent.motion.excitation import peak_velocity_and_acceleration, reference_of
 from nufleet.robot_agent.motion.pace import GAP_MAX_S
+from nufleet.robot_agent.motion.perform import Played
+from nufleet.robot_agent.motion.watched_robot import WatchedRobot
 from nufleet.robot_agent.network.heartbeat import HEARTBEAT_S
 from nufleet.robot_agent.planner import Planner
+from nufleet.robot_agent.rules import fitness
 from nufleet.robot_agent.rules.freezes import Freezes
-from nufleet.robot_agent.rules.goal_machine import Goal, Goals
 from nufleet.robot_agent.rules.ownership import Commander
-from nufleet.robot_agent.rules.supervisor import StopOrder
-from nufleet.shared.errors import RefusedError
+from nufleet.robot_agent.stop_service import StopService
+from nufleet.shared.errors import MalformedMessageError, RefusedError
 from nufleet.shared.frequency_test.excitation import ExcitationPlan
+from nufleet.shared.robots.health import Health
 from nufleet.shared.robots.spec import RobotSpec
+from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.messages import (
     Description,
     Done,
@@ -50,88 +45,10 @@ from nufleet.shared.wire.motions import Motion as AskedMotion
 from nufleet.shared.wire.motions import MotionPlan
 
 BAD_SENSOR = "its sensor reads 0"
+_READY, _LOCKED = Health(), Health(ready=False, reason="locked")
+_KEYS, _COMMANDS = FleetKeys("sim"), Commands(None)
 _PLANS: dict[tuple[float, AskedMotion], MotionPlan] = {}
 _NO_SAMPLES = np.empty(0)
-
-
-class Disk:
-    """The disk of a robot, which outlives its agents: the journal's ledger and the kept results."""
-
-    def __init__(self) -> None:
-        self.ledger = Ledger()
-        self.results: dict[str, GoalResult] = {}
-        self.full = False
-
-
-class DiskJournal:
-    """A `Journal` on a simulated disk: a record is stored whole or refused."""
-
-    def __init__(self, disk: Disk) -> None:
-        self._disk = disk
-        lost = tuple(known.goal.goal_id for known in disk.ledger.running)
-        for known in disk.ledger.running:
-            result = lost_result(known)
-            disk.results[known.goal.goal_id] = result
-            disk.ledger.apply(_ended(result))
-        goals = {goal_id: known.goal for goal_id, known in disk.ledger.goals.items()}
-        self.remembrance = Remembrance(
-            Goals(MappingProxyType(goals)), disk.ledger.stop, disk.ledger.owner, lost, None
-        )
-
-    def accepted(self, goal: Goal, plan: MotionPlan, boot_id: str) -> None:
-        self._append(
-            Accepted.model_construct(
-                goal_id=goal.goal_id,
-                owner=goal.owner,
-                digest=goal.digest,
-                boot_id=boot_id,
-                plan=plan,
-            )
-        )
-
-    def ended(self, result: GoalResult) -> bool:
-        self._append(_ended(result))
-        self._disk.results[result.goal_id] = result
-        return True
-
-    def forgone(self, goal_id: str) -> None:
-        self._append(
-            Ended.model_construct(
-                goal_id=goal_id, outcome=Outcome.CANCELLED, sha256=None, size_bytes=0
-            )
-        )
-
-    def acknowledged(self, goal_ids: Iterable[str]) -> None:
-        self._append(Acknowledged.model_construct(goal_ids=tuple(goal_ids)))
-
-    def stopped(self, order: StopOrder) -> None:
-        self._append(Stopped.model_construct(sender=order.sender, reason=order.reason))
-
-    def released(self, sender: str) -> None:
-        self._append(Released.model_construct(sender=sender))
-
-    def owned(self, owner: str, epoch: int) -> None:
-        self._append(Owned.model_construct(owner=owner, epoch=epoch))
-
-    def result(self, goal_id: str) -> GoalResult | None:
-        return self._disk.results.get(goal_id)
-
-    def close(self) -> None:
-        """Do nothing: no file is open."""
-
-    def _append(self, record: Record) -> None:
-        if self._disk.ledger.says_already(record):
-            return
-        if self._disk.full:
-            raise JournalError("no space left on the device")
-        for goal_id in self._disk.ledger.apply(record):
-            self._disk.results.pop(goal_id, None)
-
-
-def _ended(result: GoalResult) -> Ended:
-    return Ended.model_construct(
-        goal_id=result.goal_id, outcome=result.outcome, sha256="0" * 64, size_bytes=1
-    )
 
 
 def _result(
@@ -172,23 +89,6 @@ class CachedPlanner(Planner):
             raise Violation(f"a plan asks for {found} where {limits} is allowed: {plan}")
 
 
-@dataclass
-class Playing:
-    """The motion in progress."""
-
-    assignment: Assignment
-    """Accepted goal that is played."""
-
-    record: Motion
-    """Entry of the motion in the history."""
-
-    ends_s: float
-    """Time at which its last sample has been played."""
-
-    resting: bool = False
-    """Whether the robot is coming to rest."""
-
-
 class _Changed:
     """Substitute for the event that `Decisions` sets when its state is to be published."""
 
@@ -199,22 +99,57 @@ class _Changed:
         self._agent.change()
 
 
+class _AtOnce(Executor):
+    """Does what it is given at once, as a disk does that takes no time."""
+
+    def submit(self, work: Callable[..., Any], /, *args: Any, **options: Any) -> Future[Any]:
+        done: Future[Any] = Future()
+        done.set_result(work(*args, **options))
+        return done
+
+
+class _Stops(StopService):
+    """The product's handling of stops; a driver's `kill` takes its time on the virtual clock."""
+
+    def __init__(self, agent: SimulatedAgent, kill: Callable[[], None]) -> None:
+        decisions = agent.decisions
+        super().__init__(agent.name, decisions, _KEYS, _COMMANDS, kill, writer=_AtOnce())
+        self._agent = agent
+
+    def _start(self, work: Callable[[], None]) -> None:
+        self._agent.cut_motors(work)
+
+
 class SimulatedRobot:
     """One robot: its spec, its disk, and the agent that serves it now, if any."""
 
     def __init__(
-        self, world: World, network: Network, history: History, name: str, spec: RobotSpec
+        self,
+        world: World,
+        network: Network,
+        history: History,
+        name: str,
+        spec: RobotSpec,
+        reports: bool,
     ) -> None:
         self.world, self.network, self.history = world, network, history
-        self.name, self.spec = name, spec
+        self.name, self.spec, self.reports = name, spec, reports
         self.disk = Disk()
         self.bad_sensor = 0
         self.states_lost_until_s = 0.0
         self.states_late: tuple[float, float] = (0.0, 0.0)
+        self.unready_until_s = 0.0
+        self.unreported_until_s = 0.0
+        self.outdated_until_s = 0.0
         self.lives = 0
         self.agent: SimulatedAgent | None = None
         self.listeners: list[Any] = []
         self.start()
+
+    @property
+    def in_the_air(self) -> bool:
+        """Whether the robot has taken off and its agent has not landed it yet."""
+        return self.agent is not None and self.agent.motions.in_the_air
 
     def start(self) -> None:
         """Start an agent unless one is running."""
@@ -231,38 +166,52 @@ class SimulatedRobot:
         self.agent = None
         self.world.after(back_after_s, self.start)
 
+    def outdate(self, for_s: float) -> None:
+        """Replace the agent for a while by one of another protocol version."""
+        self.outdated_until_s = self.world.now_s + for_s
+        self.history.excuses.add((self.name, "malformed"))
+        self.kill(0.2)
+        self.world.after(for_s, lambda: self.kill(0.2))
+
 
 class SimulatedAgent:
     """One agent process."""
 
     def __init__(self, robot: SimulatedRobot) -> None:
-        self._robot, self._world, self._history = robot, robot.world, robot.history
+        self.world, self.history, self.name = robot.world, robot.history, robot.name
+        self._robot = robot
         self.boot_id = f"{robot.name}-boot-{robot.lives}"
-        planner = CachedPlanner(robot.name, robot.spec, (), Memory(None), 1.0)
+        self._outdated = self.world.now_s < robot.outdated_until_s
         self._publishing = False
-        self._playing: Playing | None = None
-        self._motion: Assignment | None = None
-        self._freezes = Freezes(self._world.now_s)
+        self._freezes = Freezes(self.world.now_s)
         journal: Any = DiskJournal(robot.disk)
         changed: Any = _Changed(self)
+        planner = CachedPlanner(robot.name, robot.spec, (), Memory(None), 1.0)
         self.decisions = Decisions(
-            self.boot_id, planner, journal, changed, lambda: self._world.now_s
+            self.boot_id, planner, journal, changed, lambda: self.world.now_s
         )
+        self._driver = SimulatedDriver(robot.name, robot.spec, robot.history, robot.world)
+        self._watched = WatchedRobot(self._driver, realtime=1.0)
+        self.history.killed.pop(self.name, None)  # a person started another agent
+        self._watched.connect()
+        self.motions = MotionThread(self, self._watched, self._driver)
+        self._stops = _Stops(self, self._kill)
+        # The product waits for the first answer before it serves the robot.
+        self._health = (_READY, self.world.now_s)
         self.node: Node = robot.network.join("robot", robot.name, self)
         self._beat()
 
     def die(self) -> None:
         """End the process at once; without references its robot comes to rest."""
         self._robot.network.end(self.node)
-        if self._playing is not None:
-            self._playing.record.ended_s = self._world.now_s
+        self.motions.die()
 
     # Events from the network.
 
     def told(self, kind: str, name: str, alive: bool) -> None:
         if kind == "orchestrator":
             (self.decisions.owner_appeared if alive else self.decisions.owner_lost)(name)
-            self._look()
+            self.motions.look()
 
     def asked(self, question: str, body: Any, answer: OnAnswer) -> None:
         try:
@@ -271,11 +220,22 @@ class SimulatedAgent:
             said = Refusal(code=error.code, reason=error.reason)
         except JournalError as error:
             said = Refusal(code="journal", reason=str(error))
-        answer(Done() if said is None else said)
-        self._look()
+        except MalformedMessageError as error:
+            said = Refusal(code="malformed", reason=str(error))
+        if isinstance(said, Future):
+            said.add_done_callback(lambda done: answer(done.result()))
+        else:
+            answer(Done() if said is None else said)
+        self.motions.look()
 
     def _answer(self, question: str, body: Any) -> Any:
         decisions = self.decisions
+        if question == "stop":
+            sender, payload = body
+            self.history.stop_arrived(self.world.now_s, self.name, sender)
+            return self._stops.asked(sender, b"of another version" if self._outdated else payload)
+        if self._outdated:
+            return Refusal(code="malformed", reason="the message speaks another protocol version")
         match question:
             case "goal":
                 return self._take(body)
@@ -287,12 +247,8 @@ class SimulatedAgent:
             case "acknowledge":
                 goal_ids, sender = body
                 return decisions.acknowledge(goal_ids, sender)
-            case "stop":
-                decisions.stop(StopOrder(body, "smoke"))
-                decisions.store_stop()
-                return None
             case "release":
-                return decisions.release(body)
+                return self._release(body)
             case "describe":
                 return self._described()
         raise AssertionError(question)
@@ -308,103 +264,121 @@ class SimulatedAgent:
         )
 
     def _take(self, request: GoalRequest) -> Any:
-        refusal = self._freezes.refusal(self._world.now_s)
+        refusal = self._freezes.refusal(self.world.now_s)
         if refusal is not None and not self.decisions.knows(request.goal_id):
             return refusal
         accepted, motion = self.decisions.take(request)
         if motion is not None:
-            self._begin(motion)
+            self.motions.begin(motion)
         return accepted
 
-    # Motions.
+    def frozen(self) -> str | None:
+        """Return that the process was frozen; None if that is long ago."""
+        refusal = self._freezes.refusal(self.world.now_s)
+        return None if refusal is None else refusal.reason
 
-    def _begin(self, assignment: Assignment) -> None:
-        goal = assignment.goal
-        if assignment.switch.order is not None:
-            self._ended(assignment, 0, *assignment.switch.order)
-            return
-        record = self._history.began(self._world.now_s, self._robot.name, goal.goal_id, goal.owner)
-        playing = self._playing = Playing(
-            assignment, record, self._world.now_s + assignment.plan.duration_s
-        )
-        self._world.at(playing.ends_s, lambda: self.node.do(lambda: self._played(playing)))
+    def _release(self, sender: str) -> Any:
+        refusal = self.decisions.release(sender)
+        if refusal is not None:
+            return refusal
+        self.history.release_taken(self.world.now_s, self.name)
+        if self.decisions.fault is None:
+            self.history.release_confirmed(self.world.now_s, self.name)
+            return None
+        answer: Future[Any] = Future()
 
-    def _played(self, playing: Playing) -> None:
-        self._note_gap()
-        if self._playing is playing and not playing.resting:
-            self._rest(playing)
+        def reconnected(said: Any) -> None:
+            if isinstance(said, Done):
+                self.history.release_confirmed(self.world.now_s, self.name)
+            answer.set_result(said)
 
-    def _look(self) -> None:
-        """Bring the robot to rest if its motion has been halted."""
-        playing = self._playing
-        if playing is None or playing.resting or playing.assignment.switch.order is None:
-            return
-        self._rest(playing)
+        self.motions.reconnect(reconnected)
+        return answer
 
-    def _rest(self, playing: Playing) -> None:
-        playing.resting = True
-        playing.record.resting_s = self._world.now_s
-        self.decisions.resting()
-        self._world.after(
-            self._world.between(0.01, 1.5), lambda: self.node.do(lambda: self._at_rest(playing))
-        )
+    # The driver's switch.
 
-    def _at_rest(self, playing: Playing) -> None:
-        assignment = playing.assignment
-        self._playing = None
-        playing.record.ended_s = self._world.now_s
-        order = assignment.switch.order
-        plan = assignment.plan
-        if order is not None:
-            flown_s = playing.record.resting_s - playing.record.began_s  # type: ignore[operator]
-            samples = min(int(flown_s / plan.sample_time_s), plan.samples)
-            self._ended(assignment, samples, *order)
-            return
-        bad = self._robot.bad_sensor > 0
+    def _kill(self) -> None:
+        self._watched.kill()
+        self.history.motors_cut(self.world.now_s, self.name)
+
+    def cut_motors(self, work: Callable[[], None]) -> None:
+        """Have the driver cut the motors on a thread of its own, which takes a moment."""
+        after, between, do = self.world.after, self.world.between, self.node.do
+        self.history.excuses.add((self.name, "fault"))
+        cut_s = between(0.0, 0.2)
+        after(cut_s, lambda: do(self._driver.kill))
+        after(cut_s + between(0.0, 0.05), lambda: do(work))
+
+    # The ends of motions.
+
+    def ended(self, assignment: Assignment, played: Played, record: Motion | None) -> None:
+        """Report the end of a motion; its entry in the history is None if it did not begin."""
+        bad = played.outcome is Outcome.COMPLETED and self._robot.bad_sensor > 0
         self._robot.bad_sensor -= bad
-        playing.record.completed = not bad
-        self._ended(assignment, plan.samples, Outcome.COMPLETED, BAD_SENSOR if bad else "")
+        if record is not None:
+            record.completed = played.outcome is Outcome.COMPLETED and not bad
+        goal_id, samples = assignment.goal.goal_id, len(played.samples.reference)
+        self.history.tell(self.world.now_s, f"{self.name} ended {goal_id}: {played.outcome}")
+        reason = BAD_SENSOR if bad else played.reason
+        result = _result(goal_id, self.boot_id, played.outcome, reason, assignment.plan, samples)
+        self.decisions.ended(result, played.fault)
 
-    def _ended(self, assignment: Assignment, samples: int, outcome: Outcome, reason: str) -> None:
-        goal_id = assignment.goal.goal_id
-        self._history.tell(self._world.now_s, f"{self._robot.name} ended {goal_id}: {outcome}")
-        result = _result(goal_id, self.boot_id, outcome, reason, assignment.plan, samples)
-        self.decisions.ended(result, None)
+    def landed(self, failed: str | None) -> None:
+        """Report that the robot was ended after it had been idle, or why that failed."""
+        self.history.tell(self.world.now_s, f"{self.name} is ended: {failed or 'well'}")
+        if failed is not None:
+            self.decisions.broke(failed)
 
     # Heartbeats.
 
     def _beat(self) -> None:
-        self._note_gap()
+        self.note_gap()
         self.node.frozen_since_s = 0.0
-        self._freezes.beat(self._world.now_s)
+        self._freezes.beat(self.world.now_s)
         self._publish()
-        self._world.after(HEARTBEAT_S, lambda: self.node.do(self._beat))
+        self.world.after(HEARTBEAT_S, lambda: self.node.do(self._beat))
 
-    def _note_gap(self) -> None:
+    def note_gap(self) -> None:
         """End a motion whose samples are too far apart, as `Pace` does."""
-        gap_s = self._world.now_s - self.node.frozen_since_s
-        if self.node.frozen_since_s and gap_s > GAP_MAX_S and self._playing is not None:
-            self._playing.assignment.switch.halt(Outcome.ABORTED, f"nothing for {gap_s:.1f} s")
-            self._look()
+        gap_s, playing = self.world.now_s - self.node.frozen_since_s, self.motions.playing
+        if self.node.frozen_since_s and gap_s > GAP_MAX_S and playing is not None:
+            playing.assignment.switch.halt(Outcome.ABORTED, f"nothing for {gap_s:.1f} s")
+            self.motions.look()
+
+    def _look_at_health(self) -> None:
+        """Ask the driver for the robot's health, unless it hangs, and judge it as it is."""
+        robot, now_s = self._robot, self.world.now_s
+        if now_s >= robot.unreported_until_s:
+            self._health = (_LOCKED if now_s < robot.unready_until_s else _READY, now_s)
+        health, reported_s = self._health
+        age_s = now_s - reported_s
+        ready = age_s <= fitness.HEALTH_MAX_AGE_S and health.ready
+        self.decisions.reported(health, fitness.unfit(health, age_s))
+        self.history.report(now_s, self.name, ready=ready)
+        playing = self.motions.playing
+        if not ready and playing is not None and playing.assignment.switch.order is None:
+            raise Violation(f"{now_s:.3f}: {self.name} is not ready, and its motion continues")
+        self.motions.look()
 
     def change(self) -> None:
         """Publish the state soon; changes in quick succession share one message."""
         if not self._publishing:
             self._publishing = True
-            self._world.after(0.001, lambda: self.node.do(self._publish))
+            self.world.after(0.001, lambda: self.node.do(self._publish))
 
     def _publish(self) -> None:
         self._publishing = False
-        playing = self._playing
-        if playing is not None and not playing.resting:
-            flown_s = self._world.now_s - playing.record.began_s
-            samples = int(flown_s / playing.assignment.plan.sample_time_s)
+        robot, now_s, playing = self._robot, self.world.now_s, self.motions.playing
+        if robot.reports:
+            self._look_at_health()
+        if playing is not None and playing.moves and playing.record is not None:
+            samples = int((now_s - playing.record.began_s) / robot.spec.sample_time_s)
             self.decisions.progressed(playing.assignment, samples)
-        if not self._robot.listeners or self._world.now_s < self._robot.states_lost_until_s:
+        if not robot.listeners or now_s < robot.states_lost_until_s or self._outdated:
             return
         state = self.decisions.state()
-        until_s, late_s = self._robot.states_late
-        extra_s = self._world.between(0.0, late_s) if self._world.now_s < until_s else 0.0
-        for listener in self._robot.listeners:
-            arrive = partial(listener.heard, self._robot.name, state)
-            self._robot.network.send(self.node, listener.node, arrive, extra_s)
+        until_s, late_s = robot.states_late
+        extra_s = self.world.between(0.0, late_s) if now_s < until_s else 0.0
+        for listener in robot.listeners:
+            arrive = partial(listener.heard, robot.name, state)
+            robot.network.send(self.node, listener.node, arrive, extra_s)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -26,6 +27,10 @@ Kind = Literal[
     "stop",
     "other repository",
     "second orchestrator",
+    "cut motors",
+    "bad health",
+    "no health",
+    "other version",
 ]
 
 KINDS: tuple[tuple[Kind, int], ...] = (
@@ -47,6 +52,19 @@ KINDS: tuple[tuple[Kind, int], ...] = (
     ("other repository", 2),
     ("second orchestrator", 1),
 )
+
+KINDS_IN_THE_AIR: tuple[tuple[Kind, int], ...] = (
+    ("cut motors", 6),
+    ("bad health", 4),
+    ("no health", 2),
+    ("other version", 1),
+    ("stop", 2),
+    ("fill disk", 1),
+    ("kill agent", 1),
+    ("freeze agent", 1),
+    ("other repository", 2),
+)
+"""Further faults of robots that take off, land and report their health."""
 
 LAST_FAULT_S = 30.0
 
@@ -87,6 +105,9 @@ class Schedule:
     weather: Weather
     """Quality of the network."""
 
+    idle_s: float | None
+    """Time after which the robots land; None for robots that neither take off nor report."""
+
     faults: tuple[Fault, ...]
     """Faults, in the order of their times."""
 
@@ -103,18 +124,20 @@ def drawn(seed: int) -> Schedule:
             late=rng.choice((0.0, 0.02, 0.1)),
             late_s=rng.choice((0.2, 2.0, 5.0)),
         )
-    faults = tuple(_fault(rng, robots) for _ in range(rng.choice((0, 1, 1, 2, 2, 3, 4, 6))))
-    return Schedule(
-        seed,
-        robots,
-        rng.choice((7.0, 60.0)),
-        weather,
-        tuple(sorted(faults, key=lambda fault: fault.time_s)),
-    )
+    faults = [_fault(rng, robots, KINDS) for _ in range(rng.choice((0, 1, 1, 2, 2, 3, 4, 6)))]
+    duration_max_s = rng.choice((7.0, 60.0))
+    # Half of the schedules are as they were before robots could take off.
+    more = random.Random(f"{seed} in the air")  # noqa: S311 - as above
+    idle_s = more.choice((None, None, None, 0.3, 3.0, 20.0))
+    if idle_s is not None:
+        number = more.choice((1, 1, 2, 2, 3))
+        faults += (_fault(more, robots, KINDS_IN_THE_AIR) for _ in range(number))
+    faults.sort(key=lambda fault: fault.time_s)
+    return Schedule(seed, robots, duration_max_s, weather, idle_s, tuple(faults))
 
 
-def _fault(rng: random.Random, robots: int) -> Fault:
-    kinds, weights = zip(*KINDS, strict=True)
+def _fault(rng: random.Random, robots: int, among: Sequence[tuple[Kind, int]]) -> Fault:
+    kinds, weights = zip(*among, strict=True)
     (kind,) = rng.choices(kinds, weights)
     size = rng.choice((0.2, 1.0, 2.0, 3.0, 5.0, 15.0)) * (0.5 + rng.random())
     # The moment at which the first goals are sent is the most critical: a quarter of the faults

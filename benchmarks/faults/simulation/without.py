@@ -8,6 +8,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from typing import Any
 from unittest.mock import patch
@@ -33,8 +34,15 @@ from nufleet.orchestrator.repository import lease_rules
 from nufleet.orchestrator.repository.errors import LeaseLostError
 from nufleet.orchestrator.repository.lease_rules import StoredLease
 from nufleet.orchestrator.repository.records import Lease
-from nufleet.robot_agent.rules import goal_machine, ownership
+from nufleet.robot_agent import stop_service
+from nufleet.robot_agent.decisions import Decisions
+from nufleet.robot_agent.motion.pace import HaltSwitch
+from nufleet.robot_agent.motion.sortie import Sortie
+from nufleet.robot_agent.motion.watched_robot import WatchedRobot
+from nufleet.robot_agent.robot import RobotAround
+from nufleet.robot_agent.rules import fitness, goal_machine, ownership, supervisor
 from nufleet.robot_agent.rules.freezes import Freezes
+from nufleet.robot_agent.rules.supervisor import Supervision
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
 from nufleet.shared.frequency_test.quality import Quality
 from nufleet.shared.robots.spec import RobotSpec
@@ -160,6 +168,99 @@ def _forget_who_waits() -> Patches:
     yield patch.object(ownership, "refusal_to_begin", lambda *asked, **circumstances: None)
 
 
+def _ask_the_killed() -> Patches:
+    """A robot whose motors were cut is asked to rest and to land like any other."""
+    yield patch.object(WatchedRobot, "kill", RobotAround.kill)
+
+
+def _trust_the_killed() -> Patches:
+    """That motors were cut is no fault, and a release does not reconnect the robot."""
+    cut = Decisions.cut
+    yield patch.object(Decisions, "cut", lambda self, fault: cut(self, None))
+
+
+def _release_the_killed() -> Patches:
+    """A robot is released while its motors are being cut, and reconnected under the cut."""
+    yield patch.object(Decisions, "cutting", lambda self: None)
+
+
+def _fly_after_a_freeze() -> Patches:
+    """A process that was frozen while its robot took off begins the motion all the same."""
+
+    def move(self: Sortie, switch: HaltSwitch, hindrance: Any, *others: Any) -> Any:
+        del hindrance
+        return (yield from moved(self, switch, lambda: None, *others))
+
+    moved = Sortie.move
+    yield patch.object(Sortie, "move", move)
+
+
+def _store_no_kill() -> Patches:
+    """A kill is confirmed when the motors are cut, whether its stop is stored or not."""
+    yield patch.object(stop_service, "_both", lambda killing, stored: killing)
+
+
+def _cure_everything() -> Patches:
+    """A reconnection cures every fault, although motors were cut during it."""
+
+    def cured(self: Decisions, fault: str | None, *, stops: int) -> str | None:
+        del stops
+        return reconnected(self, fault, stops=self.stops)
+
+    reconnected = Decisions.reconnected
+    yield patch.object(Decisions, "reconnected", cured)
+
+
+def _accept_unready() -> Patches:
+    """A robot takes goals in good health and in bad."""
+
+    def refusal(state: Supervision, **circumstances: Any) -> Any:
+        return refused(replace(state, unfit=None), **circumstances)
+
+    refused = supervisor.refusal_to_start
+    yield patch.object(supervisor, "refusal_to_start", refusal)
+
+
+def _move_unready() -> Patches:
+    """A robot whose health becomes bad continues its motion."""
+
+    def supervised(state: Supervision, event: supervisor.Event) -> tuple[Supervision, Any]:
+        after, halt = supervise(state, event)
+        return after, None if isinstance(event, supervisor.HealthReported) else halt
+
+    supervise = supervisor.supervise
+    yield patch.object(supervisor, "supervise", supervised)
+
+
+def _believe_old_health() -> Patches:
+    """A robot moves by its last report of health, however old it is."""
+    unfit = fitness.unfit
+    yield patch.object(fitness, "unfit", lambda health, age_s: unfit(health, 0.0))
+
+
+def _take_off_halted() -> Patches:
+    """A robot takes off for a goal that was halted before its turn came."""
+
+    def move(self: Sortie, switch: HaltSwitch, *circumstances: Any) -> Any:
+        del switch
+        return (yield from moved(self, HaltSwitch(), *circumstances))
+
+    moved = Sortie.move
+    yield patch.object(Sortie, "move", move)
+
+
+def _stay_begun() -> Patches:
+    """A robot that has landed is not asked to take off again."""
+
+    def end(self: Sortie) -> Any:
+        failed = yield from ended(self)
+        self.begun = True
+        return failed
+
+    ended = Sortie.end
+    yield patch.object(Sortie, "end", end)
+
+
 WITHOUT: Mapping[str, Callable[[], Patches]] = {
     "1-interrupt": _interrupt_once,
     "6-late-states": _believe_old_states,
@@ -170,6 +271,17 @@ WITHOUT: Mapping[str, Callable[[], Patches]] = {
     "forgone": _forget_forgone,
     "frozen": _wake_at_once,
     "starved": _forget_who_waits,
+    "killed": _ask_the_killed,
+    "kill-fault": _trust_the_killed,
+    "kill-stored": _store_no_kill,
+    "kill-cured": _cure_everything,
+    "kill-released": _release_the_killed,
+    "frozen-beginning": _fly_after_a_freeze,
+    "unready": _accept_unready,
+    "unready-moving": _move_unready,
+    "old-health": _believe_old_health,
+    "halted": _take_off_halted,
+    "landed": _stay_begun,
 }
 
 

@@ -50,7 +50,7 @@ class TestSamples:
             if (robot, axis) not in self._units:
                 self._units[robot, axis] = events[0].unit
                 self._painted.pop(robot, None)
-                self._paint()
+                self.paint()
             self._draw_signal(f"tests/reference/{robot}/{axis}", events, "reference")
             self._draw_signal(f"tests/response/{robot}/{axis}", events, "response")
 
@@ -74,9 +74,10 @@ class TestSamples:
     def show(self, target: str, leaders: Iterable[str]) -> None:
         """Show the target and the leading sources in the palette's colours, and hide all others."""
         self._shown = {target, *leaders}
-        self._paint()
+        self.paint()
 
-    def _paint(self) -> None:
+    def paint(self) -> None:
+        """Give every robot the colour that it has now."""
         for robot in {robot for robot, _ in self._units}:
             colour = self._palette.of(robot)
             shown = self._shown is None or robot in self._shown

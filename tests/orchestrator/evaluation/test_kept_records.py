@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from evaluated_flights import ERRORS, records
 
-from nufleet.orchestrator.evaluation.kept_records import RECORDS, KeptRecords
+from nufleet.orchestrator.evaluation.kept_records import RECORDS, KeptRecords, read_records
 from nufleet.orchestrator.evaluation.results import FlightRecord
 
 FLIGHTS = records(ERRORS)
@@ -32,21 +32,29 @@ def test_whatever_was_flown_before_an_interruption_is_kept(tmp_path: Path) -> No
     assert kept(tmp_path) == FLIGHTS[:3]
 
 
-def test_each_way_is_announced_with_the_time_that_is_left(tmp_path: Path) -> None:
+def test_a_record_that_was_cut_off_is_not_kept(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        interrupted(tmp_path)
+    with (tmp_path / RECORDS).open("a", encoding="utf-8") as file:
+        file.write('{"target": "tar')
+    assert read_records(tmp_path) == FLIGHTS[:3]
+    with KeptRecords(tmp_path, 10, 3, say=lambda line: None, on_point=lambda records: None) as log:
+        log.flown(FLIGHTS[3])
+    assert read_records(tmp_path) == FLIGHTS[:4]
+
+
+def test_flights_are_announced_with_the_time_that_is_left(tmp_path: Path) -> None:
     said: list[str] = []
     now_s = 0.0
     with KeptRecords(
-        tmp_path, 40, say=said.append, on_point=lambda records: None, clock=lambda: now_s
+        tmp_path, 40, 2, say=said.append, on_point=lambda records: None, clock=lambda: now_s
     ) as log:
-        log.rehearsing("clover · 0.6 m/s", 1, 1)
-        now_s = 500.0  # which counts for no flight
-        log.way_begins("baseline", 0.0, 2)
+        log.begins("clover · 0.6 m/s", 2)
         for flight in FLIGHTS[:2]:
             log.flown(flight)
-        now_s = 520.0
-        log.way_begins("own", 15.0, 2)
+        now_s = 20.0
+        log.begins("clover · 0.6 m/s after 15 s of its own flying", 1)
     assert said == [
-        "rehearses clover · 0.6 m/s: 1 of 1",
-        "[bold]baseline[/]: flights 1 to 2 of 40",
-        "[bold]own[/] after 15 s of its own flying: flights 3 to 4 of 40, about 6 min left",
+        "[bold]clover · 0.6 m/s[/]: flights 3 to 4 of 40",
+        "[bold]clover · 0.6 m/s after 15 s of its own flying[/]: flight 5 of 40, about 6 min left",
     ]

@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from nufleet.orchestrator.fleet.reach import REACH, FleetChoice, Reach
+from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.orchestrator.runs.folder import CONFIGURATION, RunFolder
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.robots.fleet_file import find_fleet_file
@@ -60,3 +61,17 @@ def test_a_fleet_file_that_names_another_fleet_than_when_the_run_began_is_refuse
     file.write_text(FLEET.read_text().replace("paper-linear", "paper-linear-2"))
     with pytest.raises(InvalidInputError, match=r"is of fleet paper-linear, .* paper-linear-2 now"):
         FleetChoice.again(reach)
+
+
+def test_a_resumed_run_finds_its_robots_with_what_they_have_learned(tmp_path: Path) -> None:
+    one = FLEET.read_text().partition("[robots.source-1]")[0]
+    file = tmp_path / "one.toml"
+    file.write_text(one)
+    choice = FleetChoice.started(file, processes=1).remembering(tmp_path / "robots")
+    with choice.connection(Console(quiet=True)) as (fleet, _, _):
+        Pilot(fleet, "run").rich("target", duration_s=5.0, seed=0)
+        known_s = fleet.describe("target").least_known_s
+    assert known_s > 0
+    again = Reach.model_validate_json(choice.reach.model_dump_json())
+    with FleetChoice.again(again).connection(Console(quiet=True)) as (fleet, _, _):
+        assert fleet.describe("target").least_known_s == known_s

@@ -26,7 +26,7 @@ from nufleet.orchestrator.flights.pilot import PathFlight
 from nufleet.orchestrator.jobs.import_flight import ImportCommand, import_log
 from nufleet.orchestrator.logs.keeping import keep_flight_responses
 from nufleet.orchestrator.logs.signals import LogError
-from nufleet.orchestrator.repository.database import default_url
+from nufleet.orchestrator.repository.address import default_url
 from nufleet.orchestrator.repository.records import Origin, ResponseRecord, RobotRecord
 from nufleet.orchestrator.repository.repository import Repository, open_repository
 from nufleet.shared.errors import InvalidInputError

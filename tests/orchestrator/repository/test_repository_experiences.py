@@ -11,7 +11,7 @@ from learned_things import experience
 from repository_records import FLEET, SPEC
 from sqlalchemy import create_engine
 
-from nufleet.orchestrator.repository.database import parse_url
+from nufleet.orchestrator.repository.address import parse_url
 from nufleet.orchestrator.repository.errors import DamagedRecordError, UnknownRecordError
 from nufleet.orchestrator.repository.records import ExperienceRecord, RobotRecord
 from nufleet.orchestrator.repository.repository import Repository, open_repository

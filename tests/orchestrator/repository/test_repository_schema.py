@@ -20,7 +20,7 @@ from repository_records import FLEET, SPEC, STUDY
 from sqlalchemy import create_engine
 
 from nufleet.orchestrator.repository import database
-from nufleet.orchestrator.repository.database import default_url, parse_url
+from nufleet.orchestrator.repository.address import default_url, parse_url
 from nufleet.orchestrator.repository.errors import (
     DamagedRecordError,
     RepositoryError,

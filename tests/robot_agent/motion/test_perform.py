@@ -328,3 +328,21 @@ def test_a_robot_that_does_not_come_to_rest_has_a_fault_however_its_motion_went(
     assert "the brake is stuck" in result.reason
     assert result.reason.startswith("cancelled; ") == halted
     assert result.fault == result.reason
+
+
+@pytest.mark.parametrize("error", [OSError("no such log"), RobotError("no such log")])
+def test_a_record_that_cannot_be_read_fails_the_motion_and_leaves_the_robot_at_rest(
+    monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    robot = connected(PuppetRobot())
+
+    def fails() -> None:
+        raise error
+
+    monkeypatch.setattr(robot, "record", fails)
+    result = played(robot)
+    assert robot.at_rest
+    assert result.outcome is Outcome.FAILED
+    assert "no such log" in result.reason
+    assert len(result.samples.reference) == len(SINE)
+    assert (result.fault is None) == isinstance(error, RobotError)

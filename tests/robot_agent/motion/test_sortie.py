@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from puppet_robot import PuppetRobot
 
+from nufleet.robot_agent.motion.pace import HaltSwitch
+from nufleet.robot_agent.motion.perform import Played, Samples
 from nufleet.robot_agent.motion.sortie import Sortie
+from nufleet.robot_agent.motion.steps import Steps, make
 from nufleet.shared.errors import RobotDownError, RobotError
+from nufleet.shared.wire.messages import Outcome
 
 
 @pytest.fixture
@@ -22,15 +27,15 @@ def fails(error: Exception) -> None:
 
 def test_a_robot_is_begun_once_and_ended_once(robot: PuppetRobot) -> None:
     sortie = Sortie(robot)
-    assert sortie.end() is None
+    assert make(sortie.end()) is None
     assert robot.ended == 0
-    sortie.begin()
-    sortie.begin()
+    make(sortie.begin())
+    make(sortie.begin())
     assert (sortie.begun, robot.begun) == (True, 1)
-    assert sortie.end() is None
-    assert sortie.end() is None
+    assert make(sortie.end()) is None
+    assert make(sortie.end()) is None
     assert (sortie.begun, robot.ended) == (False, 1)
-    sortie.begin()
+    make(sortie.begin())
     assert robot.begun == 2
 
 
@@ -41,11 +46,11 @@ def test_a_robot_that_half_began_is_ended_and_may_try_again(
     robot.on_begin = lambda: fails(error)
     sortie = Sortie(robot)
     with pytest.raises(RobotError, match=r"could not get ready to move: .*no GPS") as raised:
-        sortie.begin()
+        make(sortie.begin())
     assert not isinstance(raised.value, RobotDownError)
     assert (sortie.begun, robot.ended) == (False, 1)
     robot.on_begin = lambda: None
-    sortie.begin()
+    make(sortie.begin())
     assert sortie.begun
 
 
@@ -53,13 +58,38 @@ def test_a_robot_that_can_neither_begin_nor_end_is_down(robot: PuppetRobot) -> N
     robot.on_begin = lambda: fails(RobotError("no GPS"))
     robot.on_end = lambda: fails(RobotError("no landing"))
     with pytest.raises(RobotDownError, match="no GPS; could not be ended: no landing"):
-        Sortie(robot).begin()
+        make(Sortie(robot).begin())
 
 
 def test_a_robot_that_cannot_be_ended_says_why_and_is_not_asked_again(robot: PuppetRobot) -> None:
     robot.on_end = lambda: fails(OSError("broken"))
     sortie = Sortie(robot)
-    sortie.begin()
-    assert sortie.end() == "could not be ended: OSError('broken')"
-    assert sortie.end() is None
+    make(sortie.begin())
+    assert make(sortie.end()) == "could not be ended: OSError('broken')"
+    assert make(sortie.end()) is None
     assert robot.ended == 1
+
+
+def test_a_process_that_was_frozen_while_its_robot_took_off_begins_no_motion(
+    robot: PuppetRobot,
+) -> None:
+    sortie, nothing = Sortie(robot), Samples(np.empty(0), np.empty(0))
+
+    def performed() -> Steps[Played]:
+        yield lambda: pytest.fail("it moves")
+        return Played(Outcome.COMPLETED, "", nothing)
+
+    played = make(sortie.move(HaltSwitch(), lambda: "it was frozen", nothing, performed))
+    assert (played.outcome, played.reason) == (Outcome.ABORTED, "it was frozen")
+    assert (sortie.begun, robot.begun, robot.ended) == (True, 1, 0)
+
+
+@pytest.mark.parametrize("released", [True, False])
+def test_a_robot_that_is_stopped_as_it_is_disconnected_is_not_connected(
+    robot: PuppetRobot, released: bool
+) -> None:
+    calls: list[str] = []
+    robot.on_disconnect = lambda: calls.append("disconnect")
+    robot.on_connect = lambda: calls.append("connect")
+    make(Sortie(robot).reconnect(lambda: released))
+    assert calls == ["disconnect", *["connect"] * released]

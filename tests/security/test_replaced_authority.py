@@ -1,0 +1,75 @@
+"""An authority is replaced while agents run: they trust the new one from their next connection."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from closed_lab import KEYS, ClosedLab
+from learned_things import experience
+from polling import PATIENCE_S, wait_until
+
+from nufleet.robot_agent.network.trust import Trust
+from nufleet.shared.robots.fleet_file import RobotPolicy
+from nufleet.shared.wire.identity import address_of, read_identity
+from nufleet.shared.wire.transport import open_client
+
+ROBOTS = frozenset({"a.1", "b.1"})
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> ClosedLab:
+    return ClosedLab(tmp_path, ExitStack())
+
+
+def renewed(lab: ClosedLab, *names: str) -> None:
+    """Put renewed identities in the place of those that running programs were started with."""
+    for name in names:
+        lab.authority.renew(name, lab.identity(name).parent)
+
+
+def test_a_session_finds_the_router_of_the_new_authority_without_a_restart(lab: ClosedLab) -> None:
+    token, desk = KEYS.robot("a", "alive"), address_of(lab.identity("desk"))
+    address = address_of(lab.identity("a"))
+    with ExitStack() as stack:
+        with ExitStack() as lab.stack:
+            lab.start_router()
+            robot = stack.enter_context(open_client(address, timeout_s=PATIENCE_S))
+            robot.declare_alive(token)
+        lab.authority.replace()
+        renewed(lab, "a", "desk")
+        lab.authority.finish_replacing()
+        with ExitStack() as lab.stack:
+            lab.start_router()
+            watcher = stack.enter_context(open_client(desk, timeout_s=PATIENCE_S))
+            wait_until(lambda: watcher.alive(token, timeout_s=PATIENCE_S) == [token])
+
+
+def test_a_robot_takes_what_is_signed_under_the_new_authority_without_a_restart(
+    lab: ClosedLab,
+) -> None:
+    started = Trust("a", RobotPolicy(), read_identity(lab.identity("a")), lambda: ROBOTS)
+    before = Trust("b", RobotPolicy(), read_identity(lab.identity("b")), lambda: ROBOTS)
+    of_old = before.signed(experience("b"))
+    lab.authority.replace()
+    renewed(lab, "a", "b")
+    of_new = before.signed(experience("b"))
+    assert of_new != of_old
+    assert started.refusal(of_old) is None
+    assert started.refusal(of_new) is None
+    lab.authority.finish_replacing()
+    renewed(lab, "a")
+    assert started.refusal(of_new) is None
+    late = started.refusal(of_old)
+    assert late is not None
+    assert "signed under another authority" in late.reason
+
+
+def test_an_identity_that_cannot_be_read_any_more_is_used_as_it_was(
+    lab: ClosedLab, caplog: pytest.LogCaptureFixture
+) -> None:
+    identity = read_identity(lab.identity("a"))
+    identity.path.write_text("half a fi")
+    assert identity.now() == identity
+    assert str(identity.path) in caplog.text
