@@ -14,6 +14,7 @@ import numpy as np
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import geodesic_radius
 from nufleet.shared.frequency_test.excitation import ExcitationPlan
+from nufleet.shared.frequency_test.mid_test_change import changed_midway
 from nufleet.shared.frequency_test.nonlinearity import (
     harmonic_distortion,
     intermodulation,
@@ -287,6 +288,9 @@ def _findings(
         unexplained(reference_rms, samples.y, residual),
         *uncertain(omegas, silent, geodesic_radius(z, uncertainty_radius(variance, degrees))),
     ]
+    midway = changed_midway(residual, moved, output_fit.omega_rad_s, tones, step_s)
+    if midway is not None:
+        return [*findings, midway]
     if silent.all():
         return [
             *findings,
