@@ -288,9 +288,11 @@ def _findings(
         unexplained(reference_rms, samples.y, residual),
         *uncertain(omegas, silent, geodesic_radius(z, uncertainty_radius(variance, degrees))),
     ]
-    midway = changed_midway(residual, moved, output_fit.omega_rad_s, tones, step_s)
-    if midway is not None:
-        return [*findings, midway]
+    # A change makes estimates of segments scatter as if noise hid the response.
+    if silent.any() and not ringing.lasting.any():
+        midway = changed_midway(residual, moved, output_fit.omega_rad_s, tones, step_s)
+        if midway is not None:
+            return [*findings, midway]
     if silent.all():
         return [
             *findings,
