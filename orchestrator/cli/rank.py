@@ -43,6 +43,12 @@ from nufleet.orchestrator.cli.types import DrawingName, Names, Number, PositiveN
 @band_option("Operating band")
 @click.option("--axis", help="Axis to test.  [default: the target's first]")
 @click.option(
+    "--axes",
+    type=Names(),
+    metavar="NAME,NAME",
+    help="Axes to test together, or `all`; sources are compared by their worst axis.",
+)
+@click.option(
     "--iterations",
     type=click.IntRange(min=1),
     default=7,

@@ -45,6 +45,8 @@ class RankCommand(AnyFleetCommand):
     file or of the robots."""
     axis: str | None = None
     """Name of the axis to test; None for the target's first."""
+    axes: tuple[str, ...] | None = None
+    """Names of several axes to test, `all` for all that the target has; None for `axis` alone."""
     iterations: int = 7
     """Limit on the number of iterations."""
     precision: float | None = None
@@ -182,6 +184,10 @@ def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:
         check_band(command.band_rad_s)
     if command.reuse_days is not None and command.algorithm != "adaptive":
         raise InvalidInputError("--reuse requires --algorithm adaptive")
+    if command.axes is not None and command.reuse_days is not None:
+        raise InvalidInputError("--axes tests all sources: leave out --reuse, or choose one --axis")
+    if command.axes is not None and command.algorithm != "adaptive":
+        raise InvalidInputError("--axes requires --algorithm adaptive")
     if command.algorithm != "adaptive" and (command.precision or command.amplitude):
         raise InvalidInputError("--precision and --amplitude require --algorithm adaptive")
     request = RankRequest(
@@ -190,7 +196,7 @@ def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:
         band_rad_s=choice.band_rad_s(command.band_rad_s),
         iterations=command.iterations,
         seed=command.seed,
-        axis=command.axis,
+        axes=_axes(command),
         drawing=_drawing(command),
         precision=command.precision,
         amplitude=command.amplitude,
@@ -200,6 +206,14 @@ def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:
         there = tuple(choice.file.robots)
         check_names(request.target, request.sources_among(there), there)
     return request
+
+
+def _axes(command: RankCommand) -> tuple[str, ...] | None:
+    if command.axis is None:
+        return command.axes
+    if command.axes is not None:
+        raise InvalidInputError("give either --axis or --axes")
+    return (command.axis,)
 
 
 def _drawing(command: RankCommand) -> TimedPath | None:

@@ -20,9 +20,9 @@ from nufleet.orchestrator.study.tone_choice import (
     first_look,
     lowest_look,
 )
-from nufleet.shared.arrays import FloatArray
+from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.frequency_test.excitation import Excitation
-from nufleet.shared.frequency_test.multitone import largest_amplitude
+from nufleet.shared.frequency_test.multitone import largest_amplitudes
 
 NOISY = 0.05
 """Standard deviation of estimates from which noise leaves no room for a smaller amplitude."""
@@ -58,8 +58,10 @@ class Looks:
         cost_s = self.duration_s(name, choice)
         self.asked_s += cost_s
         self.lowest_asked_s += cost_s * self._is_lowest(name, choice)
+        amplitude = self._amplitude(name, choice)
+        amplitudes = None if amplitude is None else (amplitude,)
         return choice.excitation(
-            self._plan.axis, settle_s=self._settle_s(name), amplitude=self._amplitude(name, choice)
+            self._plan.axis, settle_s=self._settle_s(name), amplitudes=amplitudes
         )
 
     def duration_s(self, name: str, choice: ToneChoice) -> float:
@@ -92,6 +94,25 @@ class Looks:
             times_as_long *= self._settings.other_amplitude**2
         return self._robots[name].expected_variance(choice.omega_rad_s, times_as_long)
 
+    def expected(
+        self, name: str, choice: ToneChoice, grid_rad_s: FloatArray, z: ComplexArray
+    ) -> tuple[ComplexArray, FloatArray]:
+        """Return what a test would measure, and the variances with which it would tell that.
+
+        Args:
+            name: Name of the robot.
+            choice: Test.
+            grid_rad_s: Frequencies of the samples in rad/s, shape (grid,).
+            z: Samples of the robot's response there, shape (samples, grid or more).
+
+        Returns:
+            Samples at the tones, shape (samples, tones), and variances, shape (tones,).
+        """
+        # Samples exist on the grid only, so each tone takes them from the next grid point.
+        at = np.searchsorted(grid_rad_s, choice.omega_rad_s).clip(0, len(grid_rad_s) - 1)
+        doubt = self._robots[name].lasting_doubt(choice.omega_rad_s)
+        return z[:, at], self.expected_variance(name, choice) + doubt
+
     def reached(self, name: str) -> bool:
         """Whether a test of the robot reached down to the lower end of the band."""
         lowest_rad_s = float(self.lowest[name].omega_rad_s[0])
@@ -120,4 +141,4 @@ class Looks:
             return None
         tones = choice.excitation(self._plan.axis).tones
         axis = self._robots[name].spec.axis(self._plan.axis)
-        return min(wanted, largest_amplitude(tones, axis))
+        return min(wanted, *largest_amplitudes([tones], [axis]))

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
+from nufleet.orchestrator.study.axes_looks import AxesLooks
 from nufleet.orchestrator.study.looks import Looks
 from nufleet.orchestrator.study.selection_belief import SelectionBelief
 from nufleet.orchestrator.study.tone_choice import ToneChoice
@@ -64,8 +66,8 @@ class NextTests:
         target: str,
         omega_rad_s: FloatArray,
         settings: AdaptiveSettings,
-        robots: Mapping[str, RobotKnowledge],
-        looks: Looks,
+        robots: Mapping[str, RobotKnowledge | AxesKnowledge],
+        looks: Looks | AxesLooks,
     ) -> None:
         """Remember what the tests of a study are chosen from.
 
@@ -137,10 +139,7 @@ class NextTests:
         price = self._settings.simulated_cost if robot.spec.simulated else 1.0
         found = []
         for choice in self._looks.candidates(name, centres_rad_s):
-            # Samples exist on the grid only, so each tone takes them from the next grid point.
-            at = np.searchsorted(self._grid, choice.omega_rad_s).clip(0, len(self._grid) - 1)
-            doubt = robot.lasting_doubt(choice.omega_rad_s)
-            gain = value(z[:, at], self._looks.expected_variance(name, choice) + doubt)
+            gain = value(*self._looks.expected(name, choice, self._grid, z))
             # Gains below the floor cannot be told from sampling noise; the cheapest test then wins.
             rate = max(gain, GAIN_MIN) / (price * self._looks.duration_s(name, choice))
             found.append(_Candidate(rate, gain, choice))

@@ -27,6 +27,7 @@ FOUND_AT = {
     "forgone": 1855,
     "frozen": 4797,
     "starved": 1_080_956,
+    "unsure": 21_958,
     "killed": 1,
     "kill-fault": 13,
     "kill-stored": 90,

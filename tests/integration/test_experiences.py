@@ -217,7 +217,7 @@ def test_one_test_is_all_that_a_guard_and_a_robots_own_inverse_need(
 ) -> None:
     """As after a ranking: the first flights, and no flight of minutes before them."""
     fleet = orchestrator.fleet
-    tones = multitone(2 * np.pi / 10.0, (3, 5, 7, 11, 15), np.ones(5))
+    (tones,) = multitone(2 * np.pi / 10.0, [(3, 5, 7, 11, 15)], [np.ones(5)])
     assert orchestrator.run("target", "test", tones=tones).outcome is Outcome.COMPLETED
     assert fleet.describe("target").own_flight_s["x"] > 10.0
     pilot = Pilot(fleet, "run")

@@ -205,7 +205,7 @@ def test_an_experience_that_an_evaluation_trains_is_stored(
     orchestrator: Orchestrator, tmp_path: Path
 ) -> None:
     fleet = orchestrator.fleet
-    request = RankRequest("target", ("source",), (0.5, 10.0), iterations=1, seed=0, axis=None)
+    request = RankRequest("target", ("source",), (0.5, 10.0), iterations=1, seed=0, axes=None)
     plan = EvaluationPlan(
         ready=prepare(fleet, request, fleet.robots()),
         legs=(),

@@ -168,6 +168,17 @@ def _forget_who_waits() -> Patches:
     yield patch.object(ownership, "refusal_to_begin", lambda *asked, **circumstances: None)
 
 
+def _drop_the_unsure() -> Patches:
+    """A refused goal is over, although an earlier copy of it may still arrive."""
+
+    def noted(self: Pursuit, error: Any, now_s: float) -> None:
+        self._unsure = False
+        refused(self, error, now_s)
+
+    refused = Pursuit._note_goal_refused  # noqa: SLF001 - as above
+    yield patch.object(Pursuit, "_note_goal_refused", noted)
+
+
 def _ask_the_killed() -> Patches:
     """A robot whose motors were cut is asked to rest and to land like any other."""
     yield patch.object(WatchedRobot, "kill", RobotAround.kill)
@@ -271,6 +282,7 @@ WITHOUT: Mapping[str, Callable[[], Patches]] = {
     "forgone": _forget_forgone,
     "frozen": _wake_at_once,
     "starved": _forget_who_waits,
+    "unsure": _drop_the_unsure,
     "killed": _ask_the_killed,
     "kill-fault": _trust_the_killed,
     "kill-stored": _store_no_kill,
