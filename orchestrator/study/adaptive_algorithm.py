@@ -338,7 +338,7 @@ class AdaptiveStudy:
         return tuple(name for name in known if name not in self._grounded)
 
     def _share_doubt(self) -> None:
-        """Make all robots as doubtful as those that were seen to be.
+        """Extend what is doubted of some robots to the others.
 
         Robots of one fleet are alike: where the flights of one are no tests, those of the others
         are not, either; and what the amplitude does to some of a kind, it may do to all of it.

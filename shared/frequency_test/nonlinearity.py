@@ -157,7 +157,7 @@ def power_distortion(
 def intermodulation(fit: SinusoidFit, tones: int, residual: FloatArray, step_s: float) -> float:
     """Return what odd nonlinearities add to each tone, relative to the tones, from other lines.
 
-    Sums and differences of three harmonics of one parity have that parity, too, so that whatever is
+    Sums and differences of three harmonics of one parity have that parity, too, so that what is
     odd in a robot (friction, backlash, saturation) falls on the tones themselves, where no single
     test tells it from a linear response, and on the lines of the same parity beyond them (Schoukens
     and Pintelon, System Identification, 2012, section 4.3). Lines of the other parity show how much

@@ -85,7 +85,7 @@ def test_what_half_the_amplitude_does_tells_most_nonlinearities_apart(kind: str,
         robot = TestedRobot(NONLINEAR[kind](rng), 0.0, rng)
         choice = first_look((0.1, 5.4), robot.spec, 11, 0.7)
         full, _ = robot.test(choice.excitation("x"))
-        half, _ = robot.test(choice.excitation("x", amplitude=0.5 * (full.amplitude or 1.0)))
+        half, _ = robot.test(choice.excitation("x", amplitudes=[0.5 * (full.amplitude or 1.0)]))
         if np.max(np.abs(half.z - full.z)) > 0.05:
             said.append(word in nonlinearity_in_words(full.z, half.z))
     assert said

@@ -26,11 +26,8 @@ SPEC = RobotSpec(
     simulated=False,
 )
 HARMONICS = (1, 3, 5, 7, 9, 11)
-PLAN = plan_excitation(
-    Excitation(axis="x", tones=multitone(5.4 / 11, HARMONICS, np.ones(6)), segments=3),
-    SPEC,
-    "robot",
-)
+(TONES,) = multitone(5.4 / 11, (HARMONICS,), (np.ones(6),))
+PLAN = plan_excitation(Excitation(axis="x", tones=TONES, segments=3), SPEC, "robot")
 
 
 def played(

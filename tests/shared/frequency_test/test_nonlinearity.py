@@ -46,7 +46,8 @@ def response_of(
     harmonics: tuple[int, ...] = HARMONICS,
     memory: float = 0.0,
 ) -> FrequencyResponse:
-    tones = multitone(5.4 / 11, harmonics, np.array(harmonics, dtype=np.float64) ** -0.5)
+    weights = np.array(harmonics, dtype=np.float64) ** -0.5
+    (tones,) = multitone(5.4 / 11, (harmonics,), (weights,))
     plan = plan_excitation(Excitation(axis="x", tones=tones, segments=3), SPEC, "robot")
     reference = reference_of(plan)
     drawn = np.random.default_rng(seed).standard_normal(len(reference))
