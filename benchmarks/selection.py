@@ -128,6 +128,9 @@ def show(setting: Setting, rows: Sequence[Row], fleets: int) -> None:
             f"  {_time(row.robot_time_as_default_s):>15}   {claimed:>7}  {claims}"
         )
     at = {row.method: row for row in rows}
+    if "oracle" in at:
+        times = at["default"].robot_time_s / at["oracle"].robot_time_s
+        print(f"  the default needs {times:.2f} times the oracle's robot-seconds", flush=True)
     if "algorithm-1" not in at:
         return
     ours, paper = at["default"].robot_time_as_default_s, at["algorithm-1"].robot_time_as_default_s

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,10 +19,12 @@ from benchmarks.selection_families import (
     Loop,
 )
 from nufleet.orchestrator.conduct.attempts import ATTEMPTS, retried
+from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
+from nufleet.orchestrator.study.tone_choice import WEIGHT_EXPONENT, first_look
 from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import chordal_distance
-from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.frequency_test.excitation import Excitation
 from nufleet.shared.frequency_test.frequency_response import (
     FrequencyResponse,
     estimate_frequency_response,
@@ -33,6 +35,11 @@ NOISE_LEVELS_M = {"low": 0.003, "high": 0.012}
 """Standard deviation of the white noise on each sample of the position, at 50 Hz."""
 
 TRUTH_POINTS = 4001
+TRUTH_HARMONIC = 54
+TRUTH_MOTIONS = 4
+"""Number of frequencies at which the response of linear loops is computed, and of the tones and the
+motions from which that of others is.
+"""
 
 
 class TestedRobot:
@@ -47,7 +54,7 @@ class TestedRobot:
         self.loop = loop
         settling_time_s = -math.log(SETTLED) / loop.slowest_decay_1_s
         self.spec = spec_of(family.stated(rng, settling_time_s), family.sample_time_s)
-        self._noise_m = noise_m
+        self.noise_m = noise_m
         self._spoil = family.spoil
         self._rng = rng
 
@@ -67,7 +74,7 @@ class TestedRobot:
     def fly(self, reference: FloatArray) -> FloatArray:
         """Return the output for any reference, shape (samples,), from rest at its first sample."""
         clean = self.moved(reference)
-        noisy = clean + self._noise_m * self._rng.standard_normal(len(reference))
+        noisy = clean + self.noise_m * self._rng.standard_normal(len(reference))
         return noisy if self._spoil is None else self._spoil(self._rng, noisy)
 
     def moved(self, reference: FloatArray) -> FloatArray:
@@ -86,6 +93,10 @@ class Fleet:
     sources: Mapping[str, TestedRobot]
     psi_star: Mapping[str, float]
     band_rad_s: tuple[float, float]
+    omega_rad_s: FloatArray
+    """Frequencies of the true responses in rad/s, shape (frequencies,)."""
+    z: Mapping[str, ComplexArray]
+    """True response of each robot at these frequencies, by name; the target is called so."""
 
     @property
     def robots(self) -> dict[str, TestedRobot]:
@@ -118,43 +129,56 @@ def spec_of(settling_time_s: float, sample_time_s: float = SAMPLE_TIME_S) -> Rob
 def random_fleet(name: str, sources: int, noise_m: float, rng: np.random.Generator) -> Fleet:
     """Draw a target and sources of one family.
 
-    The true response of a nonlinear robot is the one to single tones of the amplitude that the
-    robot itself chooses for them, without noise.
+    The true response of a nonlinear robot is the one to many tones at once, over the whole band and
+    at the amplitude at which a study tests it: that of its linear approximation in such motions.
     """
     family = FAMILIES[name]
     band = family.band_rad_s
     robots = [TestedRobot(family.draw(rng), noise_m, rng, family) for _ in range(sources + 1)]
-    if isinstance(robots[0].loop, NonlinearLoop):
-        omega = np.geomspace(*band, 40)
-    else:
-        omega = np.linspace(*band, TRUTH_POINTS)
-    z = [true_response(robot, omega) for robot in robots]
+    omega, z = true_responses(robots, band)
     named = {f"source-{n}": robot for n, robot in enumerate(robots[1:], start=1)}
-    distances = [float(chordal_distance(z[0], other).max()) for other in z[1:]]
-    return Fleet(robots[0], named, dict(zip(named, distances, strict=True)), band)
+    responses = dict(zip(("target", *named), z, strict=True))
+    psi_star = {
+        name: float(chordal_distance(responses["target"], responses[name]).max()) for name in named
+    }
+    return Fleet(robots[0], named, psi_star, band, omega, responses)
 
 
-def true_response(robot: TestedRobot, omega_rad_s: FloatArray) -> ComplexArray:
-    """Return z without noise; of a nonlinear robot as `random_fleet` says."""
-    if isinstance(robot.loop, LinearLoop):
-        return robot.loop.response(omega_rad_s)
-    return np.array([_to_one_tone(robot, omega) for omega in omega_rad_s.tolist()])
+def true_responses(
+    robots: Sequence[TestedRobot], band_rad_s: tuple[float, float]
+) -> tuple[FloatArray, ComplexArray]:
+    """Return frequencies in rad/s and z without noise there, shape (robots, frequencies)."""
+    omega = np.linspace(*band_rad_s, TRUTH_POINTS)
+    loops = [robot.loop for robot in robots]
+    linear = [loop.response(omega) for loop in loops if isinstance(loop, LinearLoop)]
+    if len(linear) == len(loops):
+        return omega, np.array(linear)
+    base = band_rad_s[1] / TRUTH_HARMONIC
+    tones = range(math.ceil(band_rad_s[0] / base), TRUTH_HARMONIC + 1)
+    return base * np.array(tones), np.array(
+        [np.mean(list(_linearised(robot, band_rad_s, base, tones)), axis=0) for robot in robots]
+    )
 
 
-def _to_one_tone(robot: TestedRobot, omega_rad_s: float) -> complex:
-    """Return the fundamental of a nonlinear robot's response over that of the reference."""
-    single = Excitation(axis="x", tones=(Tone(omega_rad_s=omega_rad_s),), segments=3)
-    plan = plan_excitation(single, robot.spec, "robot")
-    reference = reference_of(plan)
-    response = robot.moved(reference)
-    first = plan.first_measured_sample
-    measured = slice(first, first + plan.segments * plan.segment_samples)
-    phase = omega_rad_s * np.arange(plan.samples)[measured] * plan.sample_time_s
-    columns = np.stack([np.cos(phase), np.sin(phase), np.ones(len(phase))], axis=1)
-    both = np.stack([reference[measured], response[measured]], axis=1)
-    cosine, sine, _ = np.linalg.lstsq(columns, both, rcond=None)[0]
-    u, y = cosine - 1j * sine
-    return complex(y / u)
+def _linearised(
+    robot: TestedRobot, band_rad_s: tuple[float, float], base_rad_s: float, tones: range
+) -> Iterator[ComplexArray]:
+    """Yield the response to as many tones of random phases as large as a study's first test."""
+    settings = AdaptiveSettings()
+    first = first_look(band_rad_s, robot.spec, settings.first_periods, settings.share_of_settling)
+    played = reference_of(plan_excitation(first.excitation("x"), robot.spec, "robot"))
+    step_s = robot.spec.sample_time_s
+    period = round(2 * math.pi / (base_rad_s * step_s))
+    omega = base_rad_s * np.array(tones)
+    times_s = step_s * np.arange(3 * period)
+    for seed in range(TRUTH_MOTIONS):
+        phases = np.random.default_rng(seed).uniform(0, 2 * math.pi, len(omega))
+        reference = np.cos(np.outer(times_s, omega) + phases) @ omega**WEIGHT_EXPONENT
+        reference *= float(np.std(played)) / float(np.std(reference))
+        output = robot.moved(reference)
+        # Three periods, of which the last is taken, when everything has settled.
+        late = np.exp(-1j * np.outer(omega, times_s[-period:]))
+        yield (late @ output[-period:]) / (late @ reference[-period:])
 
 
 def _played(loop: LinearLoop, reference: FloatArray, sample_time_s: float) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Ways to select a source, all on the same fleets: Algorithm 1, sweeps, and the default."""
+"""Ways to select a source, all on the same fleets: Algorithm 1, sweeps, an oracle, the default."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from benchmarks.selection_fleets import Fleet
+from benchmarks.selection_oracle import oracle_time_s
 from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
 from nufleet.orchestrator.study.interface import Study, StudyPlan
 from nufleet.orchestrator.study.paper_algorithm import SEGMENT_MIN_S, SEGMENTS, PaperStudy
@@ -111,6 +112,12 @@ def long_multitone(fleet: Fleet, _rng: np.random.Generator) -> Trace:
     return _largest_so_far(fleet, [choice.excitation("x")])
 
 
+def oracle(fleet: Fleet, _rng: np.random.Generator) -> Trace:
+    """Only prove what is known."""
+    closest = min(fleet.sources, key=lambda source: fleet.psi_star[source])
+    return Trace([Step(closest, None, oracle_time_s(fleet))])
+
+
 METHODS: dict[str, Callable[[Fleet, np.random.Generator], Trace]] = {
     "algorithm-1": paper,
     "uniform-sweep": uniform_sweep,
@@ -118,6 +125,7 @@ METHODS: dict[str, Callable[[Fleet, np.random.Generator], Trace]] = {
     "random-search": random_search,
     "long-multitone": long_multitone,
     "default": default,
+    "oracle": oracle,
 }
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
+from nufleet.orchestrator.belief.amplitude_dependence import AmplitudeDependence, differ
 from nufleet.orchestrator.belief.loop_features import LOOP_PARAMETERS, ResponsePrior
 from nufleet.orchestrator.belief.loop_fit import Tones
 from nufleet.orchestrator.belief.noise_pooling import pooled_variance
@@ -25,14 +26,16 @@ MISSTATED = 1.2
 NONLINEAR_DEVIATION = 0.02
 """Assumed relative change of a nonlinear robot's response at another amplitude."""
 
+NONLINEAR_ELSEWHERE = 4.0
+"""Change of the response in another motion of the same size, as a multiple of the distortion that a
+test shows: about that of backlash and friction in a loop, which hides what is above its bandwidth.
+"""
+
 FLIGHT_TEST_STD = 0.02
 """Standard deviation that is expected of a test's estimates while the robot was never tested."""
 
 DEGREES_OF_A_VARIANCE = 2.0
 """A t distribution with d degrees of freedom has the variance d / (d − 2)."""
-
-AMPLITUDES_DIFFER = 1.25
-"""Ratio of two amplitudes from which a change of the response is laid to them."""
 
 DOUBT_STAYS = 10.0
 """Factor by which a doubt that no test removes outweighs what a test of average noise tells."""
@@ -60,13 +63,6 @@ class _Miss:
     """Its frequency in rad/s."""
 
 
-def _differ(one: float | None, other: float | None) -> bool:
-    """Return whether two amplitudes are known and clearly different."""
-    if one is None or other is None:
-        return False
-    return max(one, other) > AMPLITUDES_DIFFER * min(one, other)
-
-
 class RobotKnowledge:
     """The knowledge of one robot that its tests have provided."""
 
@@ -82,8 +78,10 @@ class RobotKnowledge:
         """Variance by which flights missed tests, or flights at other speeds, where they did."""
         self._test_doubt = 0.0
         """Variance by which tests missed each other, where only time differed between them."""
-        self._bent: tuple[FloatArray, FloatArray] | None = None
-        """Frequencies, and the variance at each by what the amplitude does to the response."""
+        self.compared = False
+        """Whether the robot was tested at two amplitudes."""
+        self.by_amplitude: AmplitudeDependence | None = None
+        """What the amplitude does to its response, as its tests or those of others show."""
         self._tones: list[Tones] = []
         self._doubts: list[FloatArray] = []
         """Variance of each test's estimates that is the same in all tests, however many there are.
@@ -120,35 +118,41 @@ class RobotKnowledge:
             # A reference of no tones has its own spectrum, so no line in ln ω fits its variances.
             variance = response.variance[known] * degrees / (degrees - DEGREES_OF_A_VARIANCE)
         variance = np.maximum(variance, VARIANCE_MIN)
-        doubt = np.zeros(len(omega))
-        if flight is None:
-            doubt += self._test_doubt
-            if self._bent is not None:
-                top = max(self.amplitude or 0.0, response.amplitude or 0.0)
-                doubt += self._by_amplitude(omega, response.amplitude, top)
-        for finding in response.quality.warnings:
-            if finding.code == "nonlinear":
-                self._find(finding.text)
-                share = max(NONLINEAR_DEVIATION, finding.value or 0.0)
-                doubt += (share * np.abs(z)) ** 2
-            if finding.code == "ringing" and (finding.value or 0.0) > self.settling_time_s:
-                self.settling_time_s, self._model = finding.value or 0.0, None
+        doubt = self._doubt_from(response, np.abs(z))
         new = Tones(omega, z, variance)
-        later = None if first or not check else self._modelled(new, doubt)
-        miss = None if later is None else self._miss(new, doubt, later, rng)
-        before = self.amplitude
+        amplitude = self.amplitude
+        compared = flight is None and differ(amplitude, response.amplitude)
+        if compared and not self.compared:
+            # From now on it is known of this robot, and no longer assumed.
+            self.compared, self.by_amplitude, self._model = True, None, None
+        before = self.model if check and not first else None
         self.responses.append(response)
         self._tones.append(new)
         self._doubts.append(doubt)
+        self._model = None
+        if before is None:
+            return
+        miss = self._miss(before, new, doubt, rng)
         if miss is None:
-            self._model = later
             return
         self._model = None
         tests_only = all(one.flight is None for one in self.responses)
-        if tests_only and _differ(before, response.amplitude):
-            self._doubt_amplitudes(new, miss, before or 0.0, response.amplitude or 0.0)
+        if tests_only and compared:
+            self._doubt_amplitudes(new, miss, amplitude or 0.0, response.amplitude or 0.0)
         else:
             self._doubt(self._changed(new, miss, flight))
+
+    def _doubt_from(self, response: FrequencyResponse, gains: FloatArray) -> FloatArray:
+        """Return what its own findings make uncertain in a test, shape (tones,)."""
+        doubt = np.full(len(gains), self._test_doubt if response.flight is None else 0.0)
+        for finding in response.quality.warnings:
+            if finding.code == "nonlinear":
+                self._find(finding.text)
+                share = max(NONLINEAR_DEVIATION, NONLINEAR_ELSEWHERE * (finding.value or 0.0))
+                doubt += (share * gains) ** 2
+            if finding.code == "ringing" and (finding.value or 0.0) > self.settling_time_s:
+                self.settling_time_s, self._model = finding.value or 0.0, None
+        return doubt
 
     def doubt_flights(self, variance: float) -> None:
         """Make all flights less certain, as flights of another robot missed its tests.
@@ -164,8 +168,8 @@ class RobotKnowledge:
     def _doubt_amplitudes(self, new: Tones, miss: _Miss, before: float, now: float) -> None:
         """Make the tests less certain by what amplitude does to the response, at each frequency.
 
-        What halving the amplitude does, doubling it may do again, so that a test is the less
-        certain the further its amplitude is from the largest.
+        The response is that at the largest amplitude, so that a test is the less certain the
+        further its own is from that; motions of another form are as those of another amplitude.
         """
         larger, smaller = (miss.expected, new.z) if before > now else (new.z, miss.expected)
         unit = self.spec.axes[0].unit
@@ -175,22 +179,26 @@ class RobotKnowledge:
             f"{miss.worst_rad_s:.4g} rad/s{nonlinearity_in_words(larger, smaller)}"
         )
         excess = np.maximum(miss.squared - miss.usual, float(np.mean(miss.squared)) / 4)
-        self._bent = new.omega_rad_s, excess
-        top = self.amplitude or now
-        self._doubts = [
-            doubt + self._by_amplitude(known.omega_rad_s, response.amplitude, top)
-            for doubt, known, response in zip(
-                self._doubts, self._tones, self.responses, strict=True
-            )
-        ]
+        self.by_amplitude = AmplitudeDependence(new.omega_rad_s, excess)
 
-    def _by_amplitude(
-        self, omega_rad_s: FloatArray, amplitude: float | None, top: float
+    def assume(self, by_amplitude: AmplitudeDependence | None) -> None:
+        """Believe of a robot that played one amplitude what others of its kind have shown.
+
+        Args:
+            by_amplitude: What the amplitude does to their responses; None if nothing.
+        """
+        if self.compared or by_amplitude is self.by_amplitude:
+            return
+        if by_amplitude is None or not by_amplitude.equals(self.by_amplitude):
+            self.by_amplitude, self._model = by_amplitude, None
+
+    def _whole(
+        self, tones: Tones, doubt: FloatArray, one: FrequencyResponse, largest: float | None
     ) -> FloatArray:
-        if self._bent is None:
-            return np.zeros(len(omega_rad_s))
-        halvings = math.log2(top / (amplitude or top))
-        return np.asarray(np.interp(omega_rad_s, *self._bent) * (1 + halvings) ** 2)
+        """Return a test's doubt with what its amplitude adds, shape (tones,)."""
+        if self.by_amplitude is None or one.flight is not None:
+            return doubt
+        return doubt + self.by_amplitude.variance(tones.omega_rad_s, one.amplitude, largest)
 
     def _doubt(self, variance: float) -> None:
         """Add a variance to all flights or, where there are none, to all tests.
@@ -265,7 +273,15 @@ class RobotKnowledge:
     @property
     def doubted(self) -> bool:
         """Whether something makes its tests uncertain that further tests do not tell."""
-        return any(doubt.any() for doubt in self._doubts)
+        return any(doubt.any() for doubt in self._whole_doubts)
+
+    @property
+    def _whole_doubts(self) -> list[FloatArray]:
+        largest = self.amplitude
+        return [
+            self._whole(*one, largest)
+            for one in zip(self._tones, self._doubts, self.responses, strict=True)
+        ]
 
     @property
     def flown_only(self) -> bool:
@@ -281,24 +297,18 @@ class RobotKnowledge:
     def model(self) -> ResponseModel:
         """The belief after all tests, of which there must be at least one."""
         if self._model is None:
-            self._model = self._modelled()
-        return self._model
-
-    def _modelled(self, new: Tones | None = None, doubt: FloatArray | None = None) -> ResponseModel:
-        tones, doubts = list(self._tones), list(self._doubts)
-        if new is not None and doubt is not None:
-            tones.append(new)
-            doubts.append(doubt)
-        # A doubt is the same in every test, so that their number must not average it away.
-        variance = [t.variance + len(tones) * d for t, d in zip(tones, doubts, strict=True)]
-        return ResponseModel(
-            Tones(
-                np.concatenate([each.omega_rad_s for each in tones]),
-                np.concatenate([each.z for each in tones]),
+            # A doubt is the same in every test, so that their number must not average it away.
+            variance = [
+                tones.variance + len(self._tones) * doubt
+                for tones, doubt in zip(self._tones, self._whole_doubts, strict=True)
+            ]
+            tones = Tones(
+                self.omega_rad_s,
+                np.concatenate([each.z for each in self._tones]),
                 np.concatenate(variance),
-            ),
-            self.prior,
-        )
+            )
+            self._model = ResponseModel(tones, self.prior)
+        return self._model
 
     def expected_variance(self, omega_rad_s: FloatArray, times_as_long: float) -> FloatArray:
         """Predict the variances of a test's estimates from the earlier tests.
@@ -331,11 +341,11 @@ class RobotKnowledge:
         if not self.doubted:
             return np.zeros(len(omega_rad_s))
         nearest = np.argmin(np.abs(self.omega_rad_s - omega_rad_s[:, None]), axis=1)
-        doubt = np.concatenate(self._doubts)[nearest]
+        doubt = np.concatenate(self._whole_doubts)[nearest]
         return np.asarray(DOUBT_STAYS * (1 + len(self._doubts)) * doubt)
 
     def _miss(
-        self, new: Tones, doubt: FloatArray, later: ResponseModel, rng: np.random.Generator
+        self, before: ResponseModel, new: Tones, doubt: FloatArray, rng: np.random.Generator
     ) -> _Miss | None:
         """Return how far a new test misses what the earlier ones predict; None if it does not.
 
@@ -343,9 +353,9 @@ class RobotKnowledge:
         belief with the new one as well says how large it is; its distribution is χ² with one degree
         of freedom for each real and imaginary part.
         """
-        if self.model.distance(later) <= chdtri(2 * len(new.z), CHANGE_SIGNIFICANCE):
+        if before.distance(self.model) <= chdtri(2 * len(new.z), CHANGE_SIGNIFICANCE):
             return None
-        expected = self.model.draw(new.omega_rad_s, CHECK_SAMPLES, rng)
+        expected = before.draw(new.omega_rad_s, CHECK_SAMPLES, rng)
         squared = np.abs(new.z - expected.mean(axis=0)) ** 2
         usual = new.variance + doubt + np.var(expected, axis=0)
         worst = int(np.argmax(squared / usual))
@@ -360,7 +370,7 @@ class RobotKnowledge:
     def _changed(self, new: Tones, miss: _Miss, flight: Flight | None) -> float:
         """Return the variance to add to all tests if a new one contradicts the earlier ones."""
         tests_only = all(one.flight is None for one in self.responses)
-        depends = "on time" if tests_only else "on the amplitude or on time"
+        depends = "on time or on the tones" if tests_only else "on the amplitude or on time"
         self._find(
             f"its response changed between {self._motions(flight)}, by {miss.worst:.3g} at "
             f"{miss.worst_rad_s:.4g} rad/s: it depends {depends}"

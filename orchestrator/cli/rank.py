@@ -67,7 +67,8 @@ from nufleet.orchestrator.cli.types import DrawingName, Names, Number, PositiveN
     metavar="A",
     help=(
         "Amplitude of the task in m (rad for angles), at which distances are meant; robots whose "
-        "limits are tighter play less.  [default: what each robot's limits allow]"
+        "limits are tighter play less.  [default: that of --trajectory, or what each robot's "
+        "limits allow]"
     ),
 )
 @seed_option("Seed of the random choices, such as the first test.")

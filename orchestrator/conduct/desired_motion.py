@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from nufleet.orchestrator.flights.legs import Leg, legs_of
@@ -93,3 +94,15 @@ def desired_motion(drawing: TimedPath, spec: RobotSpec, axis: str) -> DesiredMot
         omega_rad_s=tuple(spectrum.omega_rad_s.tolist()),
         power=tuple(spectrum.power.tolist()),
     )
+
+
+def amplitude_of(motion: DesiredMotion) -> float:
+    """Return the amplitude in m of a sinusoid as large as one of the two axes of a motion.
+
+    Each axis has half of the motion's power, and a sinusoid's power is half of its amplitude
+    squared.
+
+    Args:
+        motion: Spectrum of the motion.
+    """
+    return math.sqrt(sum(motion.power))

@@ -12,7 +12,12 @@ import numpy as np
 
 from nufleet.orchestrator.conduct.archive import Archive
 from nufleet.orchestrator.conduct.conductor import Conclusion, RankingObserver, conduct
-from nufleet.orchestrator.conduct.desired_motion import TimedPath, desired_motion, leg_of
+from nufleet.orchestrator.conduct.desired_motion import (
+    TimedPath,
+    amplitude_of,
+    desired_motion,
+    leg_of,
+)
 from nufleet.orchestrator.conduct.dispatcher import Dispatcher
 from nufleet.orchestrator.conduct.preflight import (
     check_names,
@@ -122,17 +127,21 @@ def prepare(
     if also:
         check_combination(request)
     at_target = descriptions[request.target].spec
+    motion = None
+    if request.drawing is not None:
+        motion = desired_motion(request.drawing, at_target, axis)
+    amplitude = request.amplitude
+    if amplitude is None and motion is not None:
+        amplitude = amplitude_of(motion)
     plan = StudyPlan(
         target=request.target,
         sources=sources,
         band_rad_s=request.band_rad_s or _common_band(descriptions.values()),
         iterations=request.iterations,
         axis=axis,
-        motion=None
-        if request.drawing is None
-        else desired_motion(request.drawing, at_target, axis),
+        motion=motion,
         precision=request.precision,
-        amplitude=request.amplitude,
+        amplitude=amplitude,
         also=tuple(also),
     )
     check_plan(plan, descriptions)

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from nufleet.orchestrator.belief.amplitude_dependence import AmplitudeDependence
 from nufleet.orchestrator.belief.response_belief import ResponseModel
 from nufleet.orchestrator.belief.resting_gain import draw_resting
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
@@ -198,7 +199,9 @@ class AdaptiveStudy:
         if confidence < sure:
             chance = f"P(correct selection) = {confidence:.3f}"
             if not rounds_left:
-                return _Verdict(confidence, why=f"{used}; {chance}")
+                return _Verdict(
+                    confidence, why=f"{used}; {chance}{self._time_left(belief, leader)}"
+                )
             value = settling(belief, leader, self._settings.epsilon)
             following = self._next_tests.choose(
                 belief, draws, leader, value, hopeless=hopeless, absent=self._grounded
@@ -267,6 +270,15 @@ class AdaptiveStudy:
             ).tests
         return _Verdict(confidence, tests, wide if tests else f"{claim}; {wide}")
 
+    def _time_left(self, belief: SelectionBelief, leader: str) -> str:
+        """Return in words what more tests like those that were played would have to cost."""
+        if any(robot.doubted for robot in self._robots.values()):
+            return ""
+        settings = self._settings
+        times = belief.variance_to_settle(leader, settings.epsilon, settings.delta)
+        more_s = (times - 1.0) * self._looks.asked_s
+        return f"; with as much noise, about {more_s:.2g} robot-seconds more would settle it"
+
     def _unseen(self, name: str) -> bool:
         return not self._looks.reached(name)
 
@@ -326,14 +338,20 @@ class AdaptiveStudy:
         return tuple(name for name in known if name not in self._grounded)
 
     def _share_doubt(self) -> None:
-        """Make all flights as doubtful as those that missed a test, or flights at other speeds.
+        """Extend what is doubted of some robots to the others.
 
         Robots of one fleet are alike: where the flights of one are no tests, those of the others
-        are not, either.
+        are not, either; and what the amplitude does to some of a kind, it may do to all of it.
         """
         doubt = max(robot.flight_doubt for robot in self._robots.values())
         for robot in self._robots.values():
             robot.doubt_flights(doubt)
+            alike = [
+                one.by_amplitude
+                for one in self._robots.values()
+                if one.compared and one.spec.kind == robot.spec.kind
+            ]
+            robot.assume(AmplitudeDependence.of_fleet(alike))
 
     def _remaining(self) -> tuple[str, ...]:
         return tuple(source for source in self._plan.sources if source not in self._dropped)

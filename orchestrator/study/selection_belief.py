@@ -152,6 +152,22 @@ class SelectionBelief:
         parts = self.errors.parts[n][:, self.errors.omega_rad_s >= from_rad_s]
         return np.asarray(np.sqrt(parts.sum(axis=1)))
 
+    def variance_to_settle(self, leader: str, epsilon: float, delta: float) -> float:
+        """Return the factor by which variances have to fall until the leader is surely the best.
+
+        All leads are assumed to be normal, and their means to stay what they are.
+
+        Args:
+            leader: Name of the source that is selected now.
+            epsilon: Difference ε of two losses that does not matter.
+            delta: Accepted probability δ of a wrong selection.
+        """
+        n = self.sources.index(leader)
+        leads = np.delete(self.loss, n, axis=0) - self.loss[n]
+        needed = -float(ndtri(delta / len(self.sources))) * leads.std(axis=1)
+        margin = np.maximum(leads.mean(axis=1) + epsilon, np.finfo(float).tiny)
+        return float(np.max((needed / margin) ** 2, initial=1.0))
+
     def probability_best(self) -> FloatArray:
         """Return the share of samples in which each source is the best, shape (sources,)."""
         best = np.argmin(self.loss, axis=0)

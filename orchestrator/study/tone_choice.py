@@ -134,6 +134,9 @@ def first_look(
     wanted_s = max(share_of_settling * spec.settling_time_s, SAMPLES_MIN * spec.sample_time_s)
     highest = max(periods, math.ceil(wanted_s * high / (2 * math.pi)))
     highest = math.ceil(highest * (len(axes) + 1) / 2)
+    # Of more harmonics than that, every second one would be more than `TONES_MAX` per axis.
+    most = STEP * TONES_MAX * len(axes)
+    highest = min(highest, math.ceil(most / (1 - band_rad_s[0] / high)))
     highest += 1 - highest % 2  # odd like the lowest, 1
     while highest > 3:
         choice = _between(band_rad_s, highest * 2 * math.pi / high, 0, axes)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.special import fdtri
 
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.frequency_test.quality import SILENCE, Finding, f_quantile
-from nufleet.shared.frequency_test.sinusoid_fit import SinusoidFit, fit_sinusoids
+from nufleet.shared.frequency_test.sinusoid_fit import SinusoidFit, exponentials, fit_sinusoids
 
 HARMONIC_SIGNIFICANCE = 1e-3
 HARMONIC_SCATTER_SIGNIFICANCE = 1e-2
@@ -18,6 +19,13 @@ test against the scatter between segments."""
 POWERS_EXPLAIN_MIN = 0.1
 """Least fraction of the residual's power in held-out segments that powers of the signals must
 predict to count as distortion."""
+
+INTERMODULATION_SIGNIFICANCE = 1e-4
+BEYOND = 2.0
+LINES_MIN = 3
+HALF_LINE = 0.25
+"""Probability that noise passes for what odd nonlinearities do; the multiple of the highest tone up
+to which that is sought, and the least number of lines; a quarter of the lines' spacing."""
 
 DISTORTION_REPORTED = 0.01
 """Ratio of the nonlinear to the linear part of the output from which distortion is reported."""
@@ -144,3 +152,46 @@ def power_distortion(
     if predicted <= POWERS_EXPLAIN_MIN * total:
         return 0.0
     return math.sqrt(predicted / len(residual)) / scales[0]
+
+
+def intermodulation(fit: SinusoidFit, tones: int, residual: FloatArray, step_s: float) -> float:
+    """Return what odd nonlinearities add to each tone, relative to the tones, from other lines.
+
+    Sums and differences of three harmonics of one parity have that parity, too, so that what is
+    odd in a robot (friction, backlash, saturation) falls on the tones themselves, where no single
+    test tells it from a linear response, and on the lines of the same parity beyond them (Schoukens
+    and Pintelon, System Identification, 2012, section 4.3). Lines of the other parity show how much
+    of that is noise.
+
+    Args:
+        fit: Fit of the output; the first `tones` frequencies are tones, the others harmonics.
+        tones: Number of tones.
+        residual: Output minus the fit, shape (samples,).
+        step_s: Time between samples.
+
+    Returns:
+        Root mean square of what falls on a line, relative to that of a tone; 0 where noise explains
+        it or where the tones are not every second harmonic of a common base.
+    """
+    omega = np.sort(fit.omega_rad_s[:tones])
+    if tones < LINES_MIN:
+        return 0.0
+    base = float(omega[-1] - omega[0]) / (2 * (tones - 1))
+    harmonics = np.round(omega / base).astype(int)
+    if np.any(np.diff(harmonics) != 2) or np.max(np.abs(omega - base * harmonics)) > 1e-3 * base:
+        return 0.0
+    top = min(int(BEYOND * harmonics[-1]), int(0.8 * np.pi / (step_s * base)))
+    beyond = np.arange(harmonics[-1] + 1, top + 1)
+    turning = exponentials(step_s * base * beyond, len(residual))
+    power = np.abs(2 / len(residual) * (residual @ turning)) ** 2
+    # Harmonics that were fitted are not in the residual any more.
+    for place, phasor in zip(fit.omega_rad_s[tones:] / base, fit.phasors[tones:], strict=True):
+        power[np.abs(beyond - place) < HALF_LINE] = np.abs(phasor) ** 2
+    alike = (beyond - harmonics[-1]) % 2 == 0
+    count = min(int(alike.sum()), int((~alike).sum()))
+    if count < LINES_MIN:
+        return 0.0
+    here, noise = float(np.mean(power[alike])), float(np.mean(power[~alike]))
+    if here <= noise * float(fdtri(2 * count, 2 * count, 1 - INTERMODULATION_SIGNIFICANCE)):
+        return 0.0
+    return math.sqrt((here - noise) / float(np.mean(np.abs(fit.phasors[:tones]) ** 2)))

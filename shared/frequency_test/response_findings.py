@@ -10,8 +10,10 @@ import numpy as np
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import geodesic_radius
 from nufleet.shared.frequency_test.excitation import ExcitationPlan
+from nufleet.shared.frequency_test.mid_test_change import changed_midway
 from nufleet.shared.frequency_test.nonlinearity import (
     harmonic_distortion,
+    intermodulation,
     nonlinear,
     power_distortion,
 )
@@ -97,6 +99,11 @@ def findings_of(
         unexplained(reference_rms, samples.y, residual),
         *uncertain(omegas[own], silent, doubtful_rad[own]),
     ]
+    # A change makes estimates of segments scatter as if noise hid the response.
+    if silent.any() and not ringing.lasting.any():
+        midway = changed_midway(residual, moved, output_fit.omega_rad_s, tones, step_s)
+        if midway is not None:
+            return [*findings, midway]
     if silent.all():
         return [
             *findings,
@@ -107,7 +114,8 @@ def findings_of(
     # For a single tone the powers contain nothing but harmonics, which were tested above.
     if tones > 1:
         powers = power_distortion(residual, (moved, played), omegas, step_s, segments)
-        distortion = max(distortion, powers)
+        odd = intermodulation(output_fit, tones, residual, step_s)
+        distortion = max(distortion, powers, odd)
     gain = samples.y_scale / samples.u_scale
     # A change dY of the output's phasor moves z by dY/U, and its point on the Riemann sphere by
     # |dz| / (1 + |z|²), the metric that the chordal distance has for close points.

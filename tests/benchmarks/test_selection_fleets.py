@@ -13,7 +13,8 @@ from benchmarks.selection_families import (
     LinearLoop,
     Mode,
 )
-from benchmarks.selection_fleets import TestedRobot, random_fleet
+from benchmarks.selection_fleets import TestedRobot, random_fleet, true_responses
+from benchmarks.selection_oracle import oracle_time_s
 from nufleet.orchestrator.study.tone_choice import first_look
 from nufleet.shared.frequency_test.nonlinearity import nonlinearity_in_words
 
@@ -50,6 +51,24 @@ def test_estimates_scatter_about_the_truth_as_they_say() -> None:
     assert inside > 0.9
 
 
+def test_the_true_response_of_a_loop_without_nonlinearity_is_the_linear_one() -> None:
+    rng = np.random.default_rng(0)
+    bent = TestedRobot(NonlinearLoop(3.0, 0.6, 0.2, 0.06), 0.0, rng)
+    omega, z = true_responses([bent], (0.1, 5.4))
+    # The simulation integrates with steps of 5 ms, which is a delay of half of that.
+    assert np.max(np.abs(z[0] - LINEAR.response(omega))) < 0.02
+
+
+def test_an_oracle_needs_the_less_time_the_less_noise_there_is() -> None:
+    quiet, noisy = (
+        random_fleet("second-order", 3, noise_m, np.random.default_rng(0))
+        for noise_m in (0.003, 0.3)
+    )
+    # Each robot plays at least three periods of its tone and two ramps.
+    shortest_s = 4 * 5 * 2 * np.pi / 5.4
+    assert shortest_s <= oracle_time_s(quiet) < 0.5 * oracle_time_s(noisy)
+
+
 SAID = {
     "saturating": "saturates",
     "dead-zone": "dead zone",
@@ -66,7 +85,7 @@ def test_what_half_the_amplitude_does_tells_most_nonlinearities_apart(kind: str,
         robot = TestedRobot(NONLINEAR[kind](rng), 0.0, rng)
         choice = first_look((0.1, 5.4), robot.spec, 11, 0.7)
         full, _ = robot.test(choice.excitation("x"))
-        half, _ = robot.test(choice.excitation("x", amplitude=0.5 * (full.amplitude or 1.0)))
+        half, _ = robot.test(choice.excitation("x", amplitudes=[0.5 * (full.amplitude or 1.0)]))
         if np.max(np.abs(half.z - full.z)) > 0.05:
             said.append(word in nonlinearity_in_words(full.z, half.z))
     assert said

@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 from random_loops import SPEC
 
-from nufleet.orchestrator.conduct.desired_motion import desired_motion, leg_of, read_motion
+from nufleet.orchestrator.conduct.desired_motion import (
+    amplitude_of,
+    desired_motion,
+    leg_of,
+    read_motion,
+)
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.robots.spec import TrackingLimits
 from nufleet.shared.wire.messages import Description
@@ -31,6 +36,7 @@ def test_most_of_a_circle_s_motion_is_at_its_angular_speed(circle: Path) -> None
     # Smoothing, and speeding up and down, take a little of the radius and of the turn.
     assert motion.omega_rad_s[int(np.argmax(power))] == pytest.approx(0.5, rel=0.1)
     assert power.sum() == pytest.approx(1.0, rel=0.1)
+    assert amplitude_of(motion) == pytest.approx(1.0, rel=0.1), "its radius"
 
 
 def test_without_a_speed_the_target_s_axis_says_how_fast(circle: Path) -> None:

@@ -154,6 +154,8 @@ def test_it_does_not_claim_what_noise_hides() -> None:
     assert last.confidence < 0.95
     assert last.stopped_because is not None
     assert "rounds have been used" in last.stopped_because
+    assert "with as much noise, about" in last.stopped_because
+    assert "robot-seconds more would settle it" in last.stopped_because
 
 
 def test_asking_twice_is_one_question() -> None:
@@ -249,7 +251,7 @@ def test_a_robot_that_changes_between_its_tests_is_said_and_believed_less() -> N
     assert last["steady"].findings == ()
     assert len(last["worn"].findings) == 1
     assert last["worn"].findings[0].startswith("target: its response changed between tests, by 0.1")
-    assert "it depends on time" in last["worn"].findings[0]
+    assert "it depends on time or on the tones" in last["worn"].findings[0]
     steady, worn_out = (
         {e.robot: e.psi_high - e.psi_low for e in last[k].ranking} for k in ("steady", "worn")
     )

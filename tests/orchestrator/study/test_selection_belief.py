@@ -90,3 +90,12 @@ def test_what_is_not_seen_of_a_source_can_only_make_it_worse() -> None:
     surely, ahead = sources.beaten("leader", 0.01, {"far": 2.5})
     assert surely == 0.0, "nothing was seen of it"
     assert ahead == {"far": 1.0}
+
+
+def test_a_lead_that_noise_hides_is_settled_by_as_much_less_variance() -> None:
+    rng = np.random.default_rng(0)
+    noisy = belief(leader=np.full(20_000, 0.1), rival=rng.normal(0.19, 0.1, 20_000))
+    # With two sources, P(N(0.09 + 0.01, 0.1 / √times) < 0) = 0.025 at 1.96 deviations.
+    assert noisy.variance_to_settle("leader", 0.01, 0.05) == pytest.approx(1.96**2, rel=0.05)
+    sure = belief(leader=np.full(200, 0.1), rival=rng.normal(0.5, 0.001, 200))
+    assert sure.variance_to_settle("leader", 0.01, 0.05) == 1.0

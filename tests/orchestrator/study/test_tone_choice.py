@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from nufleet.orchestrator.study import tone_choice
 from nufleet.orchestrator.study.tone_choice import closer_looks, first_look
 from nufleet.robot_agent.motion.excitation import plan_excitation
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
@@ -81,3 +82,21 @@ def test_a_closer_look_surrounds_its_centre() -> None:
     window = [c for c in choices if len(c.harmonics) <= 6]
     assert len(window) == 1
     assert window[0].omega_rad_s[0] < 3.0 < window[0].omega_rad_s[-1]
+
+
+def test_a_slow_robot_in_a_wide_band_is_not_offered_thousands_of_tests(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tried = 0
+    between = tone_choice._between
+
+    def counted(*arguments: object) -> object:
+        nonlocal tried
+        tried += 1
+        return between(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(tone_choice, "_between", counted)
+    spec = robot(100.0).model_copy(update={"sample_time_s": 0.001, "omega_max_rad_s": 3000.0})
+    choice = first_look((0.1, 2800.0), spec, 11, 0.7)
+    assert len(choice.harmonics) == 64
+    assert tried <= 4

@@ -1,0 +1,79 @@
+"""What the amplitude of a test does to a robot's response, and how much that makes uncertain."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nufleet.shared.arrays import FloatArray
+
+FORM_HALVINGS = 0.5
+"""What the form of a motion does to a nonlinear robot, in halvings of the amplitude: peaks of the
+same height stand out of the rest of a motion by factors that differ by about √2."""
+
+
+AMPLITUDES_DIFFER = 1.25
+"""Ratio of two amplitudes from which a change of the response is laid to them."""
+
+
+def differ(one: float | None, other: float | None) -> bool:
+    """Whether two amplitudes are known and clearly different."""
+    if one is None or other is None:
+        return False
+    return max(one, other) > AMPLITUDES_DIFFER * min(one, other)
+
+
+@dataclass(frozen=True, eq=False)
+class AmplitudeDependence:
+    """How far the responses at an amplitude and at half of it lie apart."""
+
+    omega_rad_s: FloatArray
+    """Frequencies in rad/s, rising, shape (frequencies,)."""
+    squared: FloatArray
+    """Squared distance of the two responses at each, shape (frequencies,)."""
+
+    def variance(
+        self, omega_rad_s: FloatArray, amplitude: float | None, largest: float | None
+    ) -> FloatArray:
+        """Return by how much it makes the estimates of a test uncertain.
+
+        What is believed of a robot is its response at the largest amplitude that it played, in a
+        motion of any form.
+
+        Args:
+            omega_rad_s: Frequencies of the test's tones in rad/s, shape (tones,).
+            amplitude: Amplitude of the test; None if unknown.
+            largest: Largest amplitude of the robot's tests, in the same unit; None if unknown.
+
+        Returns:
+            Variances, shape (tones,).
+        """
+        halvings = math.log2(largest / amplitude) if amplitude and largest else 0.0
+        squared = np.interp(omega_rad_s, self.omega_rad_s, self.squared)
+        return np.asarray(squared * (FORM_HALVINGS + max(halvings, 0.0)) ** 2)
+
+    def equals(self, other: AmplitudeDependence | None) -> bool:
+        """Whether another one says the same."""
+        return (
+            other is not None
+            and np.array_equal(self.omega_rad_s, other.omega_rad_s)
+            and np.array_equal(self.squared, other.squared)
+        )
+
+    @staticmethod
+    def of_fleet(found: Sequence[AmplitudeDependence | None]) -> AmplitudeDependence | None:
+        """Return what may be expected of a robot of the same kind that was not compared.
+
+        Args:
+            found: What was found of each robot that was tested at two amplitudes; None for one
+                whose responses agreed.
+        """
+        known = [one for one in found if one is not None]
+        if not known:
+            return None
+        omega = known[0].omega_rad_s
+        total = sum(np.interp(omega, one.omega_rad_s, one.squared) for one in known)
+        return AmplitudeDependence(omega, np.asarray(total / len(found)))
