@@ -3,6 +3,7 @@
 # make check       the part of it that takes a minute: lint, format, types, and the tests that start no
 #                  process, open no connection, run no foreign simulator (tests/purity.py) and are not
 #                  marked `thorough`
+# make docs        builds the documentation into site/
 # make test-busy   runs the tests RUNS times, beside processes that keep the machine busy
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PIP_INSTALL = .venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
@@ -15,7 +16,7 @@ SYSTEM_PACKAGES = mesa-vulkan-drivers postgresql iproute2 libfaketime
 RUNS ?= 5
 BURNERS ?= 4
 
-.PHONY: demo test test-busy check lint clean system-packages
+.PHONY: demo docs test test-busy check lint clean system-packages
 
 demo: .venv/installed-demo
 	.venv/bin/nufleet demo
@@ -31,6 +32,10 @@ test-busy: .venv/installed-test system-packages
 	  echo "== run $$run of $(RUNS), beside $(BURNERS) busy loops"; \
 	  .venv/bin/pytest -n $(TEST_PROCESSES) --dist loadfile || exit 1; \
 	done
+
+# The documentation, in site/; open site/index.html.
+docs: .venv/installed-test
+	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
 
 check: .venv/installed-test
 	@echo "== lint, format, types and pure tests"

@@ -31,7 +31,8 @@ from nufleet.shared.wire.frame import stop_frame
 from nufleet.shared.wire.identity import SCHEME, address_of
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.messages import Outcome
-from nufleet.shared.wire.transport import Session, open_client, open_configured_router, open_router
+from nufleet.shared.wire.session import Session
+from nufleet.shared.wire.transport import open_client, open_configured_router, open_router
 from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 KEYS = FleetKeys("lab")

@@ -37,6 +37,7 @@ def rank(
     sources: Sequence[str] | None = None,
     band_rad_s: tuple[float, float] | None = None,
     axis: str | None = None,
+    axes: Sequence[str] | None = None,
     iterations: int = 7,
     precision: float | None = None,
     amplitude: float | None = None,
@@ -69,6 +70,7 @@ def rank(
         band_rad_s: Lower and upper end of the operating band; None for that of the fleet file, or
             the band that all robots accept.
         axis: Name of the axis to test; None for the target's first.
+        axes: Names of several axes to test together, or `all` alone; None for `axis`.
         iterations: Limit on the number of rounds of tests.
         precision: Width of the selected source's 95 % interval to continue to; None for any.
         amplitude: Amplitude of the task in the unit of the axis; None for what each robot chooses.
@@ -104,6 +106,7 @@ def rank(
         sources=None if sources is None else tuple(sources),
         band_rad_s=band_rad_s,
         axis=axis,
+        axes=None if axes is None else tuple(axes),
         iterations=iterations,
         precision=precision,
         amplitude=amplitude,

@@ -49,8 +49,9 @@ from nufleet.shared.robots.fleet_file import RobotPolicy
 from nufleet.shared.wire import messages
 from nufleet.shared.wire.codec import M, decode
 from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.limits import MAX_STATE_BYTES
 from nufleet.shared.wire.motions import MotionPlan
-from nufleet.shared.wire.transport import MAX_STATE_BYTES, Session
+from nufleet.shared.wire.session import Session
 
 OWNER_PATIENCE_S = 1.0
 """Time that a goal waits for its owner's liveliness token, which may arrive after the goal."""

@@ -357,19 +357,27 @@ class Decisions:
         """Whether a stop is in force."""
         return self._supervision.stop is not None
 
-    def reconnected(self, fault: str | None) -> str | None:
+    @property
+    def stops(self) -> int:
+        """Number of stops that have arrived."""
+        return self._stops
+
+    def reconnected(self, fault: str | None, *, stops: int) -> str | None:
         """Record the end of an attempt to reconnect the robot.
 
         Args:
             fault: Why it failed; None when the robot is connected.
+            stops: Number of stops that had arrived when it began. The motors may have been cut by
+                a later one, so that the robot has to be released and reconnected once more.
 
         Returns:
-            Why the robot still cannot be trusted: `fault`, or that it was stopped meanwhile; None
-            when it can be.
+            Why the robot still cannot be trusted; None when it can be.
         """
         with self._lock:
+            if fault is None and stops != self._stops:
+                fault = "it was stopped while it was being reconnected"
             self._supervise(supervisor.Reconnected(fault))
-            return self._supervision.fault
+            return fault
 
     def state(self) -> RobotState:
         """Return the state to publish now, with the next sequence number."""

@@ -39,7 +39,7 @@ from nufleet.shared.wire.messages import (
     TrackingTelemetry,
 )
 from nufleet.shared.wire.motions import PredictedError, Tracking
-from nufleet.shared.wire.transport import Publisher
+from nufleet.shared.wire.requests import Publisher
 
 CLOSING_LOOK_S = 0.1
 """Interval between checks on the robot while the worker is closing."""
@@ -214,19 +214,24 @@ class MotionWorker:
 
     def _learn_from_test(self, plan: ExcitationPlan, samples: Samples) -> None:
         """Add a frequency test to the robot's model of itself."""
-        spec = self._robot.spec
-        tested = np.array([axis.name == plan.axis for axis in spec.axes], dtype=np.float64)
-        references, outputs = (np.outer(s, tested) for s in (samples.reference, samples.response))
-        seen = None
-        if samples.states is not None:
+        spec, names = self._robot.spec, [axis.name for axis in self._robot.spec.axes]
+        columns = [names.index(played.axis) for played in plan.played]
+        references, outputs = np.zeros((2, len(samples.reference), len(names)))
+        references[:, columns] = samples.reference.reshape(len(references), -1)
+        outputs[:, columns] = samples.response.reshape(len(outputs), -1)
+        states = {}
+        for place, (column, played) in enumerate(zip(columns, plan.played, strict=True)):
+            if samples.states is None:
+                continue
             seen = state_evidence(
                 self._robot.state_names,
-                samples.response,
-                samples.states,
+                outputs[:, column],
+                samples.states[:, place],
                 spec.sample_time_s,
-                max(tone.omega_rad_s for tone in plan.tones),
+                max(tone.omega_rad_s for tone in played.tones),
             )
-        states = {} if seen is None else {plan.axis: seen}
+            if seen is not None:
+                states[played.axis] = seen
         learn(self._memory, spec, references, outputs, states)
 
     def _performance(self, assignment: Assignment, telemetry: TelemetryBatcher) -> Performance:
@@ -257,7 +262,7 @@ class MotionWorker:
                 raise TypeError("a frequency test needs the plan of an excitation")
             return AxisMotion(
                 self._robot,
-                plan.axis,
+                [played.axis for played in plan.played],
                 reference_of(plan),
                 realtime=self._realtime,
                 switch=assignment.switch,
@@ -312,17 +317,20 @@ def reconnected(sortie: Sortie, decisions: Decisions) -> Steps[Message]:
     """Disconnect and connect a robot with a fault; return the answer to its release."""
     if decisions.fault is None:
         return Done()  # another release came first
-    fault = None
+    if decisions.stopped:
+        return Refusal(code="stopped", reason="it has just been stopped again")
+    fault, stops = None, decisions.stops
     try:
-        yield from sortie.reconnect(lambda: not decisions.stopped)
+        yield from sortie.reconnect(lambda: decisions.stops == stops)
     except Exception as error:  # noqa: BLE001 - a driver's mistake must not end the thread
         _log.exception("a robot could not be reconnected")
         fault = f"could not be reconnected: {error}"
-    remaining = decisions.reconnected(fault)
-    return Done() if remaining is None else Refusal(code="fault", reason=remaining)
+    fault = decisions.reconnected(fault, stops=stops)
+    return Done() if fault is None else Refusal(code="fault", reason=fault)
 
 
 def _nothing(assignment: Assignment, robot: Robot) -> Samples:
-    """Return the samples of a motion that did not begin: shape (0,) for a test, else (0, axes)."""
-    columns = () if isinstance(assignment.motion, Excitation) else (len(robot.spec.axes),)
+    """Return the samples of a motion that did not begin, in the shape that its result has."""
+    plan = assignment.plan
+    columns = plan.columns if isinstance(plan, ExcitationPlan) else (len(robot.spec.axes),)
     return Samples(np.empty((0, *columns)), np.empty((0, *columns)))

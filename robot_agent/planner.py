@@ -54,9 +54,9 @@ class Planner:
         Raises:
             RefusedError: The motion is outside the robot's limits, or its result too large.
         """
-        per_sample = 2
         if isinstance(motion, Excitation):
             plan: MotionPlan = plan_excitation(motion, self.spec, robot=self.robot)
+            per_sample = 2 * len(motion.played)
         else:
             plan = plan_flight(
                 motion,

@@ -59,7 +59,7 @@ class StopService:
         try:
             self.asked(self._keys.principal_of_stop(key), payload)
         except MalformedMessageError as error:
-            _log.warning("%s: malformed stop on %s: %s", self._robot, key, error)
+            _log.warning("%s: malformed stop on %r: %s", self._robot, key, error)
 
     def asked(self, principal: str | None, payload: bytes) -> Future[Message]:
         """Handle a stop sent as a query; the motion has been halted when this returns.

@@ -8,7 +8,7 @@ from collections.abc import Generator
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from lifeline import Lifeline
 from purity import is_pure
 
@@ -33,7 +33,13 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # A busy machine is no failure: how long one example takes is not what these tests are about.
 # Continuous integration tries the same examples each time, so that a change is judged by what it
 # changes; at a desk every run tries new ones.
-settings.register_profile("nufleet", deadline=None, print_blob=True, derandomize="CI" in os.environ)
+settings.register_profile(
+    "nufleet",
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+    print_blob=True,
+    derandomize="CI" in os.environ,
+)
 settings.register_profile("quick", settings.get_profile("nufleet"), max_examples=20)
 settings.load_profile("nufleet")
 

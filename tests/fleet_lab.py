@@ -21,7 +21,8 @@ from nufleet.shared.frequency_test.excitation import Excitation, Tone
 from nufleet.shared.robots.fleet_file import RobotPolicy
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.messages import GoalAccepted, GoalRequest, GoalResult, RobotState
-from nufleet.shared.wire.transport import Session, open_client
+from nufleet.shared.wire.session import Session
+from nufleet.shared.wire.transport import open_client
 from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 KEYS = FleetKeys("lab")

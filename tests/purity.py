@@ -22,6 +22,7 @@ REACHING_OUT = (
         "nufleet.orchestrator.viewer",
         "nufleet.robot_agent.agent",
     ),
+    "nufleet.shared.wire.session",
     "nufleet.shared.wire.transport",
 )
 

@@ -159,7 +159,7 @@ def performed(
             reject()
         performance: Performance = AxisMotion(
             robot,
-            plan.axis,
+            [played.axis for played in plan.played],
             reference_of(plan),
             realtime=realtime,
             switch=switch,

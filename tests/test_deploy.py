@@ -20,12 +20,8 @@ from nufleet.shared.command_line import command_line
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.robots.fleet_file import read_fleet_file
 from nufleet.shared.wire import codec
-from nufleet.shared.wire.transport import (
-    FULL_LINK_WAIT_US,
-    MAX_MESSAGE_BYTES,
-    open_client,
-    open_configured_router,
-)
+from nufleet.shared.wire.limits import FULL_LINK_WAIT_US, MAX_MESSAGE_BYTES
+from nufleet.shared.wire.transport import open_client, open_configured_router
 
 DEPLOY = Path(__file__).parents[1] / "deploy"
 UNITS = sorted(DEPLOY.glob("systemd/*.service"))

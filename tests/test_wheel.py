@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
+ROOMS = ("shared", "orchestrator", "robot_agent", "sims")
 PATIENCE_S = 600.0
 
 
@@ -45,6 +46,8 @@ def test_the_wheel_holds_nufleet_and_its_licence_alone(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     assert {name.split("/")[0].split("-")[0] for name in names} == {"nufleet"}
     assert "nufleet/py.typed" in names
+    here = {str(p.relative_to(ROOT)) for room in ROOMS for p in (ROOT / room).rglob("*.py")}
+    assert {f"nufleet/{path}" for path in here} <= set(names)
     assert any(name.endswith("licenses/LICENSE") for name in names)
     # `robot new` writes a test from a template, which is text here.
     assert not [n for n in names if ("/tests/" in n and n.endswith(".py")) or n.endswith(".pyc")]
@@ -56,7 +59,7 @@ def test_a_fleet_is_ranked_from_the_wheel_outside_the_checkout(
     nufleet = environment / "bin" / "nufleet"
     own = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     ranked = subprocess.run(
-        [nufleet, "rank", "--fleet", "paper_linear", "--json"],
+        [nufleet, "rank", "--fleet", "paper_linear", "--no-rehearsal", "--no-recording", "--json"],
         cwd=tmp_path,
         env=own,
         capture_output=True,
@@ -67,7 +70,7 @@ def test_a_fleet_is_ranked_from_the_wheel_outside_the_checkout(
     assert json.loads(ranked.stdout)["selected"] == "source-2"
 
 
-@pytest.mark.parametrize("old_name", ["shared", "orchestrator", "robot_agent", "sims"])
+@pytest.mark.parametrize("old_name", ROOMS)
 def test_no_other_name_is_taken_from_the_environment(environment: Path, old_name: str) -> None:
     code = f"import nufleet.{old_name}, importlib.util as u; print(u.find_spec({old_name!r}))"
     found = subprocess.run(

@@ -30,7 +30,7 @@ from nufleet.shared.wire.messages import (
     ResultRequest,
     StopRequest,
 )
-from nufleet.shared.wire.transport import Session
+from nufleet.shared.wire.session import Session
 
 LEAVES: dict[str, type[Message]] = {
     "describe": DescribeRequest,

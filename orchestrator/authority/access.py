@@ -12,9 +12,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from nufleet.shared.robots.fleet_file import FleetFile, RouterEntry
-from nufleet.shared.wire.keys import COMMANDS, READS, RELEASE, STOP, FleetKeys
-from nufleet.shared.wire.transport import (
-    ADMITTED,
+from nufleet.shared.wire.keys import ADMITTED, COMMANDS, READS, RELEASE, STOP, FleetKeys
+from nufleet.shared.wire.limits import (
     FULL_LINK_WAIT_US,
     LEASE_MS,
     MAX_MESSAGE_BYTES,

@@ -178,11 +178,6 @@ def certificate_pem(certificate: x509.Certificate) -> str:
     return certificate.public_bytes(serialization.Encoding.PEM).decode()
 
 
-def read_certificate(pem: bytes) -> x509.Certificate:
-    """Return the first certificate of a file's contents."""
-    return x509.load_pem_x509_certificate(pem)
-
-
 def read_issuers(pem: bytes, key: Ed25519PrivateKey) -> tuple[Issuer, tuple[x509.Certificate, ...]]:
     """Return the authority that has a key, and the others in a file's contents.
 

@@ -34,6 +34,9 @@ DEGREES_OF_A_VARIANCE = 2.0
 AMPLITUDES_DIFFER = 1.25
 """Ratio of two amplitudes from which a change of the response is laid to them."""
 
+DOUBT_STAYS = 10.0
+"""Factor by which a doubt that no test removes outweighs what a test of average noise tells."""
+
 CHANGE_SIGNIFICANCE = 1e-3
 CHECK_SAMPLES = 400
 VARIANCE_MIN = 1e-10
@@ -82,6 +85,9 @@ class RobotKnowledge:
         self._bent: tuple[FloatArray, FloatArray] | None = None
         """Frequencies, and the variance at each by what the amplitude does to the response."""
         self._tones: list[Tones] = []
+        self._doubts: list[FloatArray] = []
+        """Variance of each test's estimates that is the same in all tests, however many there are.
+        """
         self._noise: list[FloatArray] = []
         self._model: ResponseModel | None = None
 
@@ -114,24 +120,26 @@ class RobotKnowledge:
             # A reference of no tones has its own spectrum, so no line in ln ω fits its variances.
             variance = response.variance[known] * degrees / (degrees - DEGREES_OF_A_VARIANCE)
         variance = np.maximum(variance, VARIANCE_MIN)
+        doubt = np.zeros(len(omega))
         if flight is None:
-            # The doubt is the same in every test, so that their number must not average it away.
-            variance = variance + self._test_doubt
+            doubt += self._test_doubt
             if self._bent is not None:
-                variance = variance + len(self.responses) * np.interp(omega, *self._bent)
+                top = max(self.amplitude or 0.0, response.amplitude or 0.0)
+                doubt += self._by_amplitude(omega, response.amplitude, top)
         for finding in response.quality.warnings:
             if finding.code == "nonlinear":
                 self._find(finding.text)
                 share = max(NONLINEAR_DEVIATION, finding.value or 0.0)
-                variance = variance + (share * np.abs(z)) ** 2
+                doubt += (share * np.abs(z)) ** 2
             if finding.code == "ringing" and (finding.value or 0.0) > self.settling_time_s:
                 self.settling_time_s, self._model = finding.value or 0.0, None
         new = Tones(omega, z, variance)
-        later = None if first or not check else self._modelled(new)
-        miss = None if later is None else self._miss(new, later, rng)
+        later = None if first or not check else self._modelled(new, doubt)
+        miss = None if later is None else self._miss(new, doubt, later, rng)
         before = self.amplitude
         self.responses.append(response)
         self._tones.append(new)
+        self._doubts.append(doubt)
         if miss is None:
             self._model = later
             return
@@ -169,13 +177,20 @@ class RobotKnowledge:
         excess = np.maximum(miss.squared - miss.usual, float(np.mean(miss.squared)) / 4)
         self._bent = new.omega_rad_s, excess
         top = self.amplitude or now
-        tones = []
-        for known, response in zip(self._tones, self.responses, strict=True):
-            halvings = math.log2(top / (response.amplitude or top))
-            at = np.interp(known.omega_rad_s, new.omega_rad_s, excess)
-            variance = known.variance + at * (1 + halvings) ** 2
-            tones.append(Tones(known.omega_rad_s, known.z, variance))
-        self._tones = tones
+        self._doubts = [
+            doubt + self._by_amplitude(known.omega_rad_s, response.amplitude, top)
+            for doubt, known, response in zip(
+                self._doubts, self._tones, self.responses, strict=True
+            )
+        ]
+
+    def _by_amplitude(
+        self, omega_rad_s: FloatArray, amplitude: float | None, top: float
+    ) -> FloatArray:
+        if self._bent is None:
+            return np.zeros(len(omega_rad_s))
+        halvings = math.log2(top / (amplitude or top))
+        return np.asarray(np.interp(omega_rad_s, *self._bent) * (1 + halvings) ** 2)
 
     def _doubt(self, variance: float) -> None:
         """Add a variance to all flights or, where there are none, to all tests.
@@ -192,13 +207,13 @@ class RobotKnowledge:
                 len(t.z) for t, of_flight in zip(self._tones, flown, strict=True) if of_flight
             )
             variance *= max(1.0, estimates / LOOP_PARAMETERS)
+            self._tones = [
+                Tones(t.omega_rad_s, t.z, t.variance + variance * of_flight)
+                for t, of_flight in zip(self._tones, flown, strict=True)
+            ]
         else:
             self._test_doubt += variance
-        doubted = flown if any(flown) else [True] * len(flown)
-        self._tones = [
-            Tones(t.omega_rad_s, t.z, t.variance + variance * at_stake)
-            for t, at_stake in zip(self._tones, doubted, strict=True)
-        ]
+            self._doubts = [doubt + variance for doubt in self._doubts]
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -217,11 +232,6 @@ class RobotKnowledge:
         """The belief about the robot before its tests, but for its settling time."""
         decay_min_1_s = DECAYS_UNTIL_SETTLED / max(self.settling_time_s, 1e-3)
         return ResponsePrior(self._omega_max_rad_s, decay_min_1_s)
-
-    @property
-    def settle_s(self) -> float | None:
-        """Time in s for which a test has to wait, where the robot itself would not wait as long."""
-        return None if self.settling_time_s <= self.spec.settling_time_s else self.settling_time_s
 
     @property
     def lowest_rad_s(self) -> float:
@@ -245,11 +255,17 @@ class RobotKnowledge:
     def forget(self) -> None:
         """Forget all tests."""
         self.responses, self._tones, self._noise, self._model = [], [], [], None
+        self._doubts = []
 
     @property
     def tests(self) -> int:
         """Number of tests and flights of the robot."""
         return len(self.responses)
+
+    @property
+    def doubted(self) -> bool:
+        """Whether something makes its tests uncertain that further tests do not tell."""
+        return any(doubt.any() for doubt in self._doubts)
 
     @property
     def flown_only(self) -> bool:
@@ -268,13 +284,18 @@ class RobotKnowledge:
             self._model = self._modelled()
         return self._model
 
-    def _modelled(self, *more: Tones) -> ResponseModel:
-        tones = (*self._tones, *more)
+    def _modelled(self, new: Tones | None = None, doubt: FloatArray | None = None) -> ResponseModel:
+        tones, doubts = list(self._tones), list(self._doubts)
+        if new is not None and doubt is not None:
+            tones.append(new)
+            doubts.append(doubt)
+        # A doubt is the same in every test, so that their number must not average it away.
+        variance = [t.variance + len(tones) * d for t, d in zip(tones, doubts, strict=True)]
         return ResponseModel(
             Tones(
                 np.concatenate([each.omega_rad_s for each in tones]),
                 np.concatenate([each.z for each in tones]),
-                np.concatenate([each.variance for each in tones]),
+                np.concatenate(variance),
             ),
             self.prior,
         )
@@ -298,7 +319,24 @@ class RobotKnowledge:
         nearest = np.argmin(np.abs(omega - omega_rad_s[:, None]), axis=1)
         return np.asarray(density[nearest] * len(omega_rad_s) / times_as_long)
 
-    def _miss(self, new: Tones, later: ResponseModel, rng: np.random.Generator) -> _Miss | None:
+    def lasting_doubt(self, omega_rad_s: FloatArray) -> FloatArray:
+        """Return the variance by which no further test is better than those before it.
+
+        Args:
+            omega_rad_s: Frequencies of a test's tones in rad/s, shape (tones,).
+
+        Returns:
+            Variances to add to those that are expected of it, shape (tones,).
+        """
+        if not self.doubted:
+            return np.zeros(len(omega_rad_s))
+        nearest = np.argmin(np.abs(self.omega_rad_s - omega_rad_s[:, None]), axis=1)
+        doubt = np.concatenate(self._doubts)[nearest]
+        return np.asarray(DOUBT_STAYS * (1 + len(self._doubts)) * doubt)
+
+    def _miss(
+        self, new: Tones, doubt: FloatArray, later: ResponseModel, rng: np.random.Generator
+    ) -> _Miss | None:
         """Return how far a new test misses what the earlier ones predict; None if it does not.
 
         The test statistic is the squared distance of the new ẑ from what was expected, of which the
@@ -309,7 +347,7 @@ class RobotKnowledge:
             return None
         expected = self.model.draw(new.omega_rad_s, CHECK_SAMPLES, rng)
         squared = np.abs(new.z - expected.mean(axis=0)) ** 2
-        usual = new.variance + np.var(expected, axis=0)
+        usual = new.variance + doubt + np.var(expected, axis=0)
         worst = int(np.argmax(squared / usual))
         return _Miss(
             expected.mean(axis=0),

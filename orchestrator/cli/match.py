@@ -7,21 +7,30 @@ from typing import Any
 import click
 
 from nufleet.orchestrator.cli.options import (
+    band_option,
     connect_options,
     fleet_option,
+    realtime_option,
+    refuse_in_vain,
     seed_option,
     storage_options,
     wait_option,
     yes_option,
 )
-from nufleet.orchestrator.cli.types import Names, PositiveNumber
+from nufleet.orchestrator.cli.types import Names, PositiveNumber, RobotName
 
 
 @click.command()
 @fleet_option
 @connect_options
 @wait_option("With --connect: how long to wait for the router and the robots named.")
-@click.option("--robot", "target", metavar="NAME", help="Robot.  [default: the target of the file]")
+@click.option(
+    "--robot",
+    "target",
+    type=RobotName(),
+    metavar="NAME",
+    help="Robot.  [default: the target of the file]",
+)
 @click.option(
     "--simulators",
     "sources",
@@ -30,14 +39,7 @@ from nufleet.orchestrator.cli.types import Names, PositiveNumber
     help="Simulated robots to compare with it, or one with several settings.  [default: all but "
     "the robot]",
 )
-@click.option(
-    "--band",
-    "band_rad_s",
-    type=float,
-    nargs=2,
-    metavar="LOW HIGH",
-    help="Band of the tests, rad/s.  [default: from the fleet file, or what all robots accept]",
-)
+@band_option("Band of the tests")
 @click.option("--axis", help="Axis to test.  [default: the robot's first]")
 @click.option(
     "--rounds",
@@ -54,12 +56,7 @@ from nufleet.orchestrator.cli.types import Names, PositiveNumber
     metavar="PSI",
     help="End with exit code 1 if even the best simulator is further from the robot than this.",
 )
-@click.option(
-    "--realtime",
-    type=PositiveNumber(),
-    metavar="FACTOR",
-    help="With --fleet: run simulated robots at this multiple of real time.",
-)
+@realtime_option
 @yes_option
 @seed_option("Seed of the random choices.")
 @storage_options
@@ -75,5 +72,7 @@ def match(**options: Any) -> None:
     """
     from nufleet.orchestrator.jobs.match import MatchCommand, match_and_print
 
+    if options["fleet_file"] is None:
+        refuse_in_vain("without --fleet", "realtime")
     if not match_and_print(MatchCommand(**options)):
         raise click.exceptions.Exit(1)

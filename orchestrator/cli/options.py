@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 import click
 from click.core import ParameterSource
 
-from nufleet.orchestrator.cli.types import FleetPath, Number
+from nufleet.orchestrator.cli.types import FleetPath, Number, PositiveNumber
 from nufleet.orchestrator.jobs.environment import (
     REPOSITORY_VARIABLE,
     ROUTER_VARIABLE,
@@ -187,6 +187,26 @@ fleet_option = click.option(
     metavar="FILE",
     help="Start the simulated fleet of this file (or installed name) for this command only.",
 )
+
+
+realtime_option = click.option(
+    "--realtime",
+    type=PositiveNumber(),
+    metavar="FACTOR",
+    help="With --fleet: run at this multiple of real time.  [default: as fast as possible]",
+)
+
+
+def band_option(help_text: str) -> Callable[[F], F]:
+    """Return an option that adds --band of a study with a help text."""
+    return click.option(
+        "--band",
+        "band_rad_s",
+        type=Number(unit="rad/s"),
+        nargs=2,
+        metavar="LOW HIGH",
+        help=f"{help_text}, rad/s.  [default: from the fleet file, or what all robots accept]",
+    )
 
 
 def seed_option(help_text: str | None = None) -> Callable[[F], F]:

@@ -7,9 +7,11 @@ from typing import Any
 import click
 
 from nufleet.orchestrator.cli.options import (
+    band_option,
     connect_options,
     fleet_option,
     live_option,
+    realtime_option,
     recording_option,
     refuse_in_vain,
     rehearsal_option,
@@ -38,15 +40,14 @@ from nufleet.orchestrator.cli.types import DrawingName, Names, Number, PositiveN
     metavar="NAME,NAME",
     help="Robots that have experience.  [default: all but the target]",
 )
-@click.option(
-    "--band",
-    "band_rad_s",
-    type=Number(unit="rad/s"),
-    nargs=2,
-    metavar="LOW HIGH",
-    help="Operating band, rad/s.  [default: from the fleet file, or what all robots accept]",
-)
+@band_option("Operating band")
 @click.option("--axis", help="Axis to test.  [default: the target's first]")
+@click.option(
+    "--axes",
+    type=Names(),
+    metavar="NAME,NAME",
+    help="Axes to test together, or `all`; sources are compared by their worst axis.",
+)
 @click.option(
     "--iterations",
     type=click.IntRange(min=1),
@@ -105,12 +106,7 @@ from nufleet.orchestrator.cli.types import DrawingName, Names, Number, PositiveN
     metavar="M/S",
     help="With --trajectory: largest speed on it.  [default: what the target's axis allows]",
 )
-@click.option(
-    "--realtime",
-    type=PositiveNumber(),
-    metavar="FACTOR",
-    help="With --fleet: run at this multiple of real time.  [default: as fast as possible]",
-)
+@realtime_option
 @click.option(
     "--plan",
     "plans",

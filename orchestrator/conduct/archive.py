@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from nufleet.orchestrator.conduct.leases import HeldLeases
-from nufleet.orchestrator.conduct.recipe import Recipe
+from nufleet.orchestrator.conduct.recipe import AWAY, Recipe
 from nufleet.orchestrator.conduct.replay import ResumeError
 from nufleet.orchestrator.conduct.trial_log import TrialLog
 from nufleet.orchestrator.repository.records import RobotRecord, StudyRecord, StudyStatus
@@ -18,25 +18,6 @@ from nufleet.shared.wire.messages import Description
 
 if TYPE_CHECKING:
     from nufleet.orchestrator.repository.repository import Repository
-
-AWAY = "away"
-"""Boot id in the description of a robot that is not there: its last known spec stands for it."""
-
-
-def study_record(
-    study_id: str,
-    fleet: str,
-    algorithm: str,
-    plan: StudyPlan,
-    seed: int,
-    descriptions: Mapping[str, Description],
-    stored: Mapping[str, tuple[str, ...]] | None = None,
-) -> StudyRecord:
-    """Return the record of a study that has not begun; see `Archive.begin`."""
-    specs = {robot: description.spec for robot, description in descriptions.items()}
-    absent = tuple(robot for robot, one in descriptions.items() if one.boot_id == AWAY)
-    recipe = Recipe(specs=specs, stored=dict(stored or {}), absent=absent)
-    return StudyRecord(study_id, fleet, algorithm, plan, seed, recipe.parameters())
 
 
 @dataclass(frozen=True)
@@ -81,7 +62,8 @@ class Archive:
             RecordConflictError: A study of that id exists already.
             RepositoryError: The study cannot be stored.
         """
-        record = study_record(study_id, self.fleet, algorithm, plan, seed, descriptions, stored)
+        parameters = Recipe.of(descriptions, stored or {}).parameters()
+        record = StudyRecord(study_id, self.fleet, algorithm, plan, seed, parameters)
         self.repository.robots.describe(
             *(
                 RobotRecord.of(self.fleet, description)

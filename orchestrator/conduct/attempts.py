@@ -6,7 +6,8 @@ no network, thread or clock, so that the same code runs in simulations of the wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -103,8 +104,33 @@ def widened(
     delay_s = specs[robot].delay_uncertainty_s
     if delay_s == 0 or len({spec.measurement for spec in specs.values()}) == 1:
         return response
-    turned = (response.omega_rad_s * delay_s * np.abs(response.z)) ** 2
-    return replace(response, variance=response.variance + turned)
+
+    def turned(one: FrequencyResponse) -> FrequencyResponse:
+        return replace(
+            one, variance=one.variance + (one.omega_rad_s * delay_s * np.abs(one.z)) ** 2
+        )
+
+    matrix = response.matrix
+    if matrix is not None:
+        matrix = replace(matrix, rows=tuple(turned(row) for row in matrix.rows))
+    return replace(turned(response), matrix=matrix)
+
+
+def without_the_expected(response: FrequencyResponse, spec: RobotSpec) -> FrequencyResponse:
+    """Return a response without the warning that its robot rang for as long as its spec says.
+
+    Tests may wait for less than that, since what still rings is estimated along with the tones.
+
+    Args:
+        response: Estimated response.
+        spec: Spec of the robot.
+    """
+    warnings = tuple(
+        one
+        for one in response.quality.warnings
+        if one.code != "ringing" or (one.value or math.inf) > spec.settling_time_s
+    )
+    return replace(response, quality=response.quality.model_copy(update={"warnings": warnings}))
 
 
 class Attempts:
@@ -171,6 +197,7 @@ class Attempts:
             retry = _retry(test, test.excitation, excuse)
         else:
             response = widened(self._estimate(result), test.robot, self._specs)
+            response = without_the_expected(response, self._specs[test.robot])
             if response.quality.usable:
                 end = TrialEnd(TrialStatus.MEASURED, result=result, response=response)
                 self._log.ended(test, end)
@@ -234,9 +261,9 @@ def retried(
     """
     codes = {reason.code for reason in quality.reasons}
     if "clipped" in codes:
-        return excitation.model_copy(update={"amplitude": plan.amplitude / 2})
+        return _at_amplitudes(excitation, [played.amplitude / 2 for played in plan.played])
     if "uncertain" in codes:
-        excitation = excitation.model_copy(update={"amplitude": None})
+        excitation = _at_amplitudes(excitation, [None] * len(plan.played))
     settle_s = max(plan.settle_samples, plan.ramp_samples) * plan.sample_time_s
     segment_s = plan.segment_samples * plan.sample_time_s
     for step in range(_LENGTHEN_STEPS):
@@ -248,3 +275,13 @@ def retried(
         if duration_s(longer, spec) <= spec.duration_max_s:
             return longer
     return excitation
+
+
+def _at_amplitudes(excitation: Excitation, amplitudes: Sequence[float | None]) -> Excitation:
+    """Return an excitation whose axes have other amplitudes, in the order of its axes."""
+    first, *others = amplitudes
+    also = tuple(
+        one.model_copy(update={"amplitude": amplitude})
+        for one, amplitude in zip(excitation.also, others, strict=True)
+    )
+    return excitation.model_copy(update={"amplitude": first, "also": also})

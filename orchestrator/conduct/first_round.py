@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from nufleet.orchestrator.study.interface import Question, StudyPlan
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.frequency_test.duration import duration_s
+from nufleet.shared.frequency_test.excitation import AxisTones, Excitation
 from nufleet.shared.robots.health import Health
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.strict import Document, Fraction, Name, NonNegative, Strict
@@ -17,6 +18,8 @@ class PlannedMotion(Strict):
 
     robot: Name
     """Name of the robot."""
+    axis: Name
+    """Name of the axis."""
     simulated: bool
     """Whether the robot is simulated."""
     tones: int
@@ -51,6 +54,8 @@ class StudyOutlook(Document):
     """Target of the study."""
     axis: Name
     """Axis that would be tested."""
+    also: tuple[Name, ...] = ()
+    """Further axes that would be tested."""
     band_rad_s: tuple[float, float]
     """Band of the study."""
     rounds_max: int
@@ -79,11 +84,13 @@ def outlook(
     return StudyOutlook(
         target=plan.target,
         axis=plan.axis,
+        also=plan.also,
         band_rad_s=plan.band_rad_s,
         rounds_max=plan.iterations,
         first_round=tuple(
-            _planned(robot, plan, question, specs[robot], healths.get(robot))
-            for robot in question.tests
+            _planned(robot, played, test, specs[robot], healths.get(robot))
+            for robot, test in question.tests.items()
+            for played in test.played
         ),
     )
 
@@ -107,16 +114,17 @@ def check_healths(planned: StudyOutlook, healths: Mapping[str, Health | None]) -
                 f"for {health.endurance_s:.3g} s"
             )
     if wrong:
-        raise InvalidInputError(f"{'; '.join(wrong)}; nothing has moved")
+        raise InvalidInputError(f"{'; '.join(dict.fromkeys(wrong))}; nothing has moved")
 
 
 def _planned(
-    robot: str, plan: StudyPlan, question: Question, spec: RobotSpec, health: Health | None
+    robot: str, played: AxisTones, test: Excitation, spec: RobotSpec, health: Health | None
 ) -> PlannedMotion:
-    test, axis = question.tests[robot], spec.axis(plan.axis)
-    omegas = [tone.omega_rad_s for tone in test.tones]
+    axis = spec.axis(played.axis)
+    omegas = [tone.omega_rad_s for tone in played.tones]
     return PlannedMotion(
         robot=robot,
+        axis=axis.name,
         simulated=spec.simulated,
         tones=len(omegas),
         omega_min_rad_s=min(omegas),

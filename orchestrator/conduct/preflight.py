@@ -10,6 +10,9 @@ from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.robots.spec import AxisSpec
 from nufleet.shared.wire.messages import Description
 
+ALL_AXES = "all"
+"""Word for all axes of the target, on the command line."""
+
 
 def check_band(band_rad_s: tuple[float, float]) -> None:
     """Raise InvalidInputError unless a band is finite, positive and rising, in rad/s."""
@@ -56,16 +59,28 @@ def check_robots(robots: tuple[str, ...], there: tuple[str, ...]) -> None:
         raise InvalidInputError("no robot is there; start some with `nufleet fleet up FLEET`")
 
 
-def chosen_axis(axis: str | None, target: Description) -> str:
-    """Return the axis to test: the requested one, or the target's first when it is None."""
-    return target.spec.axes[0].name if axis is None else axis
+def chosen_axes(axes: tuple[str, ...] | None, target: Description) -> tuple[str, ...]:
+    """Return the axes to test: those requested, all that the target has, or its first for None.
+
+    Args:
+        axes: Names of the axes; the single name `all` stands for all axes of the target.
+        target: Description of the target.
+
+    Raises:
+        InvalidInputError: An axis is named twice.
+    """
+    names = tuple(axis.name for axis in target.spec.axes)
+    if axes is None:
+        return names[:1]
+    if len(set(axes)) != len(axes):
+        raise InvalidInputError(f"an axis is named twice in {', '.join(axes)}")
+    return names if axes == (ALL_AXES,) and ALL_AXES not in names else axes
 
 
 def check_plan(plan: StudyPlan, descriptions: Mapping[str, Description]) -> None:
     """Raise InvalidInputError unless every robot can be tested on the axis over the whole band."""
     check_band(plan.band_rad_s)
     low, high = plan.band_rad_s
-    units: dict[str, str] = {}
     for robot in (plan.target, *plan.sources):
         spec = descriptions[robot].spec
         if low < spec.omega_min_rad_s or high > spec.omega_max_rad_s:
@@ -73,13 +88,14 @@ def check_plan(plan: StudyPlan, descriptions: Mapping[str, Description]) -> None
                 f"the band {low:g} to {high:g} rad/s exceeds the range in which robot {robot} can "
                 f"be tested: {spec.omega_min_rad_s:g} to {spec.omega_max_rad_s:g} rad/s"
             )
-        units[robot] = _axis(plan.axis, robot, descriptions[robot]).unit
-    for robot, unit in units.items():
-        if unit != units[plan.target]:
-            raise InvalidInputError(
-                f"axis {plan.axis} of robot {robot} is in {unit}, that of the target {plan.target} "
-                f"in {units[plan.target]}: their responses cannot be compared"
-            )
+        for axis in plan.axes:
+            unit = _axis(axis, robot, descriptions[robot]).unit
+            at_target = _axis(axis, plan.target, descriptions[plan.target]).unit
+            if unit != at_target:
+                raise InvalidInputError(
+                    f"axis {axis} of robot {robot} is in {unit}, that of the target {plan.target} "
+                    f"in {at_target}: their responses cannot be compared"
+                )
 
 
 def _axis(axis: str, robot: str, description: Description) -> AxisSpec:

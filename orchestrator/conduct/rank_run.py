@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from nufleet.orchestrator.conduct.archive import AWAY, Archive
+from nufleet.orchestrator.conduct.archive import Archive
 from nufleet.orchestrator.conduct.conductor import Conclusion, RankingObserver, conduct
 from nufleet.orchestrator.conduct.desired_motion import TimedPath, desired_motion, leg_of
 from nufleet.orchestrator.conduct.dispatcher import Dispatcher
@@ -18,9 +18,9 @@ from nufleet.orchestrator.conduct.preflight import (
     check_names,
     check_plan,
     check_robots,
-    chosen_axis,
+    chosen_axes,
 )
-from nufleet.orchestrator.conduct.recipe import make_study, recipe_of
+from nufleet.orchestrator.conduct.recipe import AWAY, make_study, recipe_of
 from nufleet.orchestrator.conduct.reuse import stored_responses
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.repository.records import StudyRecord, StudyStatus
@@ -58,8 +58,8 @@ class RankRequest:
     """Maximum number of rounds of tests."""
     seed: int
     """Seed of the study's random generator."""
-    axis: str | None
-    """Name of the axis to test; None takes the first axis of the target."""
+    axes: tuple[str, ...] | None
+    """Names of the axes to test; None takes the first axis of the target."""
     drawing: TimedPath | None = None
     """Trajectory to rank for; None ranks by distance over the whole band."""
     precision: float | None = None
@@ -118,7 +118,9 @@ def prepare(
     for robot, spec in away.items():
         if robot in sources:
             descriptions[robot] = Description(robot=robot, boot_id=AWAY, spec=spec)
-    axis = chosen_axis(request.axis, descriptions[request.target])
+    axis, *also = chosen_axes(request.axes, descriptions[request.target])
+    if also:
+        check_combination(request)
     at_target = descriptions[request.target].spec
     plan = StudyPlan(
         target=request.target,
@@ -131,12 +133,31 @@ def prepare(
         else desired_motion(request.drawing, at_target, axis),
         precision=request.precision,
         amplitude=request.amplitude,
+        also=tuple(also),
     )
     check_plan(plan, descriptions)
     if request.drawing is not None and at_target.tracking is not None:
         # A ranking for a path that `nufleet track` would refuse is of no use.
         leg_of(request.drawing, descriptions[request.target])
     return ReadyStudy(plan, descriptions, _closed_form(plan, descriptions))
+
+
+def check_combination(request: RankRequest) -> None:
+    """Refuse what a study of several axes cannot do.
+
+    Raises:
+        InvalidInputError: An option requires a single axis; the message names it.
+    """
+    single = {
+        "--trajectory": request.drawing,
+        "--precision": request.precision,
+        "--amplitude": request.amplitude,
+    }
+    for option, value in single.items():
+        if value is not None:
+            raise InvalidInputError(
+                f"{option} requires a single axis: choose it with --axis, or leave {option} out"
+            )
 
 
 def prepare_again(fleet: Fleet, study: StudyRecord, gone: Collection[str]) -> ReadyStudy:
@@ -210,19 +231,21 @@ def run_study(
     with archive.conducting(study.study_id, dispatcher.interrupt):
         conclusion = conduct(make_study(study, studies), log, dispatcher, everyone)
     report = conclusion.report
-    judgement = judge_transfers(
-        ready.plan,
-        report.ranking,
-        specs,
-        conclusion.responses,
-        np.random.default_rng(seed),
-    )
+    judgement = Judgement({}, ())
+    if not ready.plan.also:  # a verdict on one axis says nothing about the others
+        judgement = judge_transfers(
+            ready.plan,
+            report.ranking,
+            specs,
+            conclusion.responses,
+            np.random.default_rng(seed),
+        )
     result = _result(ready.plan, conclusion, judgement, folder).model_copy(
         update={"stored": stored_responses(studies, recipe_of(study).stored) or None}
     )
     record = RunRecord(
         result=result,
-        axis=ready.plan.axis,
+        axis=" ".join(ready.plan.axes),
         seed=seed,
         history=tuple(recorder.history),
         dropped=dict(report.dropped),
@@ -254,6 +277,8 @@ def _closed_form(plan: StudyPlan, descriptions: Mapping[str, Description]) -> di
     """Return max ψ_n(ω) over the band for the sources whose model, like the target's, is known."""
     at_target = descriptions[plan.target].spec.axis(plan.axis).model
     known: dict[str, ClosedForm] = {}
+    if plan.also:
+        return known  # robots state no model of what their axes do to each other
     for source in plan.sources:
         model = descriptions[source].spec.axis(plan.axis).model
         if at_target is not None and model is not None:
@@ -269,7 +294,7 @@ def _true_psi(ready: ReadyStudy, curves: tuple[Curve, ...]) -> dict[str, FloatAr
     true_psi: dict[str, FloatArray] = {}
     for curve in curves:
         model = ready.descriptions[curve.source].spec.axis(axis).model
-        if at_target is not None and model is not None:
+        if at_target is not None and model is not None and not ready.plan.also:
             omega = curve.omega_rad_s
             true_psi[curve.source] = chordal_distance(
                 at_target.frequency_response(omega), model.frequency_response(omega)

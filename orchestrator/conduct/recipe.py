@@ -18,10 +18,12 @@ from nufleet.orchestrator.repository.errors import DamagedRecordError
 from nufleet.orchestrator.repository.records import StudyRecord
 from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
+from nufleet.orchestrator.study.axes_study import AxesStudy
 from nufleet.orchestrator.study.interface import Study
 from nufleet.orchestrator.study.paper_algorithm import PaperStudy
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.strict import Identifier, Name, Strict, validation_errors_as
+from nufleet.shared.wire.messages import Description
 
 if TYPE_CHECKING:
     from nufleet.orchestrator.repository.study_store import StudyStore
@@ -30,6 +32,10 @@ if TYPE_CHECKING:
 MATCH_PERIODS = 33
 """Duration of the first test where simulators are matched with a robot, in periods of the band's
 upper end: 16 tones over the upper nine tenths of the band, the same for all robots."""
+
+
+AWAY = "away"
+"""Boot id in the description of a robot that is not there: its last known spec stands for it."""
 
 
 class Recipe(Strict):
@@ -42,6 +48,15 @@ class Recipe(Strict):
     absent: tuple[Name, ...] | None = None
     """Names of the robots that are not there to be tested; None in studies that tested no robot
     with stored responses."""
+
+    @classmethod
+    def of(
+        cls, descriptions: Mapping[str, Description], stored: Mapping[str, tuple[str, ...]]
+    ) -> Recipe:
+        """Return the parameters of a study that has not begun; see `Archive.begin`."""
+        specs = {robot: description.spec for robot, description in descriptions.items()}
+        absent = tuple(robot for robot, one in descriptions.items() if one.boot_id == AWAY)
+        return cls(specs=specs, stored=dict(stored), absent=absent)
 
     @property
     def untestable(self) -> frozenset[str]:
@@ -85,6 +100,8 @@ def make_study(record: StudyRecord, studies: StudyStore) -> Study:
             for robot, goal_ids in recipe.stored.items()
         }
         settings = AdaptiveSettings()
+        if record.plan.also:
+            return AxesStudy(record.plan, recipe.specs, rng, settings=settings)
         if record.algorithm == "match":
             settings = replace(settings, first_periods=MATCH_PERIODS)
         return AdaptiveStudy(

@@ -29,6 +29,7 @@ from nufleet.orchestrator.runs.rank_result import RunRecord
 from nufleet.orchestrator.study.predicted_errors import PredictedRms, predict_rms
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.wire.messages import Description
+from nufleet.shared.wire.motions import Way
 
 
 def demonstrate(
@@ -174,9 +175,8 @@ def _without_guard(
         given = transfer(fleet, library, source, target, architecture)
         for observer in observers:
             observer.begins(target.robot, label, target.spec)
-        flight = pilot.with_prior(
-            target.robot, leg.desired, label, sha256=given.sha256, guarded=False
-        )
+        way = Way(inverse="prior", prior_sha256=given.sha256, guarded=False)
+        flight = pilot.along(target.robot, way, leg.desired, label)
         for observer in observers:
             observer.ended(flight)
     return flight_record(flight, inverse, leg)

@@ -19,6 +19,7 @@ from nufleet.shared.errors import InvalidInputError, RobotError, StudyError
 from nufleet.shared.experience.file import Experience, encode_experience
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.wire.messages import Description
+from nufleet.shared.wire.motions import Way
 
 FLIGHT_S = 120.0
 """Duration of a rich flight. At 50 samples per second it yields about 6000 training pairs, of which
@@ -106,7 +107,8 @@ def fly_lessons(
         horizon = candidate.manifest.layout.horizon_s
         say(robot, f"tries a horizon of {horizon:.2f} s")
         sha256 = install(fleet, robot, "prior", encode_experience(candidate)).sha256
-        flight = pilot.with_prior(robot, path, "practice", sha256, learn=False)
+        way = Way(inverse="prior", prior_sha256=sha256, learn=False)
+        flight = pilot.along(robot, way, path, "practice")
         if flight.failure is not None:
             pick_up(fleet, description, flight.failure)
             return math.inf

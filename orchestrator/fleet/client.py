@@ -10,12 +10,13 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Literal, TypeVar
 
+from nufleet.orchestrator.fleet.requests import QUERY_TIMEOUT_S, RESULT_TIMEOUT_S, Requests
 from nufleet.orchestrator.fleet.robot_watch import RobotWatch
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.errors import MalformedMessageError, NoReplyError, RefusedError, RobotLostError
+from nufleet.shared.errors import MalformedMessageError, NoReplyError, RobotLostError
 from nufleet.shared.robots.health import Health
 from nufleet.shared.wire.codec import Message, decode, encode
-from nufleet.shared.wire.keys import READS, RELEASE, STOP, FleetKeys, principal_of
+from nufleet.shared.wire.keys import RELEASE, STOP, FleetKeys, principal_of
 from nufleet.shared.wire.messages import (
     AcknowledgeRequest,
     CancelRequest,
@@ -33,7 +34,6 @@ from nufleet.shared.wire.messages import (
     GoalResult,
     InstallRequest,
     PathForecast,
-    Refusal,
     ReleaseRequest,
     RemovePriorRequest,
     ResultRequest,
@@ -42,14 +42,12 @@ from nufleet.shared.wire.messages import (
     Telemetry,
     TrackingTelemetry,
 )
-from nufleet.shared.wire.transport import Session
+from nufleet.shared.wire.session import Session
 
-QUERY_TIMEOUT_S = 3.0
 FORECAST_TIMEOUT_S = 20.0
 """A robot that has learned something since may first have to work out what it knows of itself."""
 FORECAST_LOOK_S = 0.3
 """Interval between two requests for the same forecast, well within a robot's patience."""
-RESULT_TIMEOUT_S = 20.0
 TELEMETRY_MAX_BYTES = 4 * 2**20
 """Largest batch: the samples that an unpaced simulated robot plays in a tenth of a second."""
 
@@ -72,6 +70,7 @@ class Fleet:
         self.orchestrator_id = orchestrator_id
         self._session = session
         self._keys = keys
+        self._requests = Requests(session, keys, orchestrator_id)
         self._epochs: Mapping[str, int] = {}
         self._lock = threading.Lock()
         self._watches: dict[str, RobotWatch] = {}
@@ -174,7 +173,7 @@ class Fleet:
             RobotLostError: Several agents answer under this name.
         """
         try:
-            return self._ask(robot, "describe", DescribeRequest(), Description)
+            return self._requests.ask(robot, "describe", DescribeRequest(), Description)
         except NoReplyError as error:
             raise NoReplyError(
                 f"robot {robot} does not answer: is its agent running? "
@@ -188,24 +187,24 @@ class Fleet:
 
     def submit(self, robot: str, request: GoalRequest) -> GoalAccepted:
         """Send a goal to a robot; the same request may safely be sent again at any time."""
-        return self._ask(robot, "goal", request, GoalAccepted)
+        return self._requests.ask(robot, "goal", request, GoalAccepted)
 
     def cancel(self, robot: str, goal_id: str) -> None:
         """Ask a robot to end a goal early."""
         sender, epoch = self.orchestrator_id, self.epoch(robot)
         request = CancelRequest(sender=sender, epoch=epoch, goal_id=goal_id)
-        self._ask(robot, "cancel", request, Done)
+        self._requests.ask(robot, "cancel", request, Done)
 
     def result(self, robot: str, goal_id: str) -> GoalResult:
         """Return how a goal ended, with its samples."""
         request = ResultRequest(goal_id=goal_id)
-        return self._ask(robot, "result", request, GoalResult, timeout_s=RESULT_TIMEOUT_S)
+        return self._requests.ask(robot, "result", request, GoalResult, timeout_s=RESULT_TIMEOUT_S)
 
     def acknowledge(self, robot: str, goal_ids: tuple[str, ...]) -> None:
         """Acknowledge results, so that the robot may discard them."""
         sender, epoch = self.orchestrator_id, self.epoch(robot)
         request = AcknowledgeRequest(sender=sender, epoch=epoch, goal_ids=goal_ids)
-        self._ask(robot, "acknowledge", request, Done)
+        self._requests.ask(robot, "acknowledge", request, Done)
 
     def fetch(self, robot: str, sha256: str) -> bytes:
         """Return the file of a robot's experience or prior; the caller must check its content.
@@ -215,8 +214,9 @@ class Fleet:
             sha256: SHA-256 digest of the requested file, in hexadecimal.
         """
         request = FetchRequest(sha256=sha256)
-        file = self._ask(robot, "experience", request, ExperienceFile, timeout_s=RESULT_TIMEOUT_S)
-        return file.payload
+        return self._requests.ask(
+            robot, "experience", request, ExperienceFile, timeout_s=RESULT_TIMEOUT_S
+        ).payload
 
     def install(
         self,
@@ -246,19 +246,19 @@ class Fleet:
             sender=sender, epoch=epoch, sha256=sha256, payload=payload, beside=beside
         )
         leaf = f"{slot}/install"
-        return self._ask(robot, leaf, request, ExperienceOffer, timeout_s=RESULT_TIMEOUT_S)
+        return self._requests.ask(robot, leaf, request, ExperienceOffer, timeout_s=RESULT_TIMEOUT_S)
 
     def remove_prior(self, robot: str) -> None:
         """Remove all priors of a robot."""
         request = RemovePriorRequest(sender=self.orchestrator_id, epoch=self.epoch(robot))
-        self._ask(robot, "prior/remove", request, Done)
+        self._requests.ask(robot, "prior/remove", request, Done)
 
     def forget_own_model(self, robot: str) -> None:
         """Have a robot forget what it knows of itself, its baseline included."""
         request = RemovePriorRequest(
             sender=self.orchestrator_id, epoch=self.epoch(robot), what="own-model"
         )
-        self._ask(robot, "prior/remove", request, Done)
+        self._requests.ask(robot, "prior/remove", request, Done)
 
     def forecast(
         self,
@@ -283,7 +283,7 @@ class Fleet:
         """
         request = ForecastRequest(desired=desired, ways=tuple(ways))
         while True:
-            reply = self._ask(
+            reply = self._requests.ask(
                 robot, "forecast", request, PathForecast, timeout_s=FORECAST_TIMEOUT_S
             )
             found = tuple(one for one in reply.foreseen if one is not None)
@@ -301,8 +301,8 @@ class Fleet:
             kill: Whether to cut its motors instead of bringing it to rest.
         """
         request = StopRequest(sender=self.orchestrator_id, reason=reason, kill=kill)
-        self._session.put_urgent(self._key(robot, STOP), encode(request))
-        self._ask(robot, STOP, request, Done)
+        self._session.put_urgent(self._requests.key(robot, STOP), encode(request))
+        self._requests.ask(robot, STOP, request, Done)
 
     def stop_everyone(self, reason: str) -> None:
         """Send one unconfirmed stop to the whole fleet; call `stop` on each robot to confirm it."""
@@ -312,64 +312,7 @@ class Fleet:
 
     def release(self, robot: str) -> None:
         """Let a stopped robot move again."""
-        self._ask(robot, RELEASE, ReleaseRequest(sender=self.orchestrator_id), Done)
-
-    def _ask(
-        self,
-        robot: str,
-        leaf: str,
-        request: Message,
-        expected: type[R],
-        *,
-        timeout_s: float = QUERY_TIMEOUT_S,
-    ) -> R:
-        key = self._key(robot, leaf)
-        began_s = time.monotonic()
-        replies = self._session.ask_all(key, encode(request), timeout_s=timeout_s)
-        if not replies:
-            gone = time.monotonic() - began_s < timeout_s
-            if gone and self._denied(robot, leaf, request):
-                raise RefusedError("not-allowed", self._why_denied(leaf), robot)
-            raise NoReplyError(_no_reply(robot, leaf, request, None if gone else timeout_s))
-        if len(replies) > 1:
-            raise RobotLostError(
-                f"{len(replies)} agents answer as {robot}: stop all but one of them"
-            )
-        try:
-            reply = decode(replies[0], expected, Refusal)
-        except MalformedMessageError as error:
-            raise type(error)(
-                f"robot {robot} sent an invalid reply to {leaf!r}: {error}"
-            ) from error
-        if isinstance(reply, Refusal):
-            raise RefusedError(reply.code, reply.reason, robot)
-        if not isinstance(reply, expected):
-            raise MalformedMessageError(
-                f"robot {robot} sent an unexpected reply of type {type(reply).__name__}"
-            )
-        return reply
-
-    def _key(self, robot: str, leaf: str) -> str:
-        return self._keys.request(robot, principal_of(self.orchestrator_id), leaf)
-
-    def _denied(self, robot: str, leaf: str, request: Message) -> bool:
-        """Return whether the router of a closed fleet keeps a command from a robot.
-
-        Its answer is the same as that of a robot that is gone. A robot that answers a read, which
-        every principal may ask, and then still not the command, is not gone.
-        """
-        if self._session.identity is None or leaf in READS:
-            return False
-        described = self._keys.robot(robot, READS[0])
-        for key, asked in ((described, DescribeRequest()), (self._key(robot, leaf), request)):
-            replies = self._session.ask_all(key, encode(asked), timeout_s=QUERY_TIMEOUT_S)
-            if bool(replies) != (key == described):
-                return False
-        return True
-
-    def _why_denied(self, leaf: str) -> str:
-        principal = principal_of(self.orchestrator_id)
-        return f"{principal} may not ask {leaf!r} in this fleet; the inventory says who may"
+        self._requests.ask(robot, RELEASE, ReleaseRequest(sender=self.orchestrator_id), Done)
 
     # Network threads.
 
@@ -413,17 +356,6 @@ class Fleet:
         if robot is None:
             _log.warning("ignoring %r, which is not a robot's key", key)
         return robot
-
-
-def _no_reply(robot: str, leaf: str, request: Message, waited_s: float | None) -> str:
-    """Return the message about a missing reply; `waited_s` is None when no agent could answer."""
-    goal_id = getattr(request, "goal_id", None)
-    asked = repr(leaf) if goal_id is None else f"{leaf!r} about goal {goal_id}"
-    if waited_s is None:
-        return f"robot {robot} is not there, or disappeared while {asked} waited for its reply"
-    return (
-        f"robot {robot} did not answer {asked} within {waited_s:g} s; it may be cut off or frozen"
-    )
 
 
 def _tell(observer: Callable[[], None]) -> None:

@@ -18,7 +18,8 @@ from nufleet.shared.redaction import without_secrets
 from nufleet.shared.robots.drivers import check_settings
 from nufleet.shared.robots.fleet_file import FleetFile
 from nufleet.shared.wire.keys import FleetKeys
-from nufleet.shared.wire.transport import Session, open_client
+from nufleet.shared.wire.session import Session
+from nufleet.shared.wire.transport import open_client
 
 CONNECT_TIMEOUT_S = 5.0
 START_TIMEOUT_S = 60.0

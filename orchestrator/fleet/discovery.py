@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from nufleet.shared.wire.keys import EVERY_FLEETS_ROBOTS_ALIVE, FleetKeys, fleet_of
-from nufleet.shared.wire.transport import Session
+from nufleet.shared.wire.session import Session
 
 DISCOVERY_TIMEOUT_S = 3.0
 

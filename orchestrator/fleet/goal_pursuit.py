@@ -229,10 +229,13 @@ class Pursuit:
         patience_s = {"busy": self._rest_patience_s}.get(
             error.code, REFUSAL_PATIENCE_S if error.code in PASSING else 0.0
         )
-        if self._outlasts(Question.GOAL, patience_s, now_s):
-            self.ended = Ended(error=error, abandoned=(self.goal_id,) if self._unsure else ())
-        else:
+        if not self._outlasts(Question.GOAL, patience_s, now_s):
             self._not_before_s[Question.GOAL] = now_s + ASK_AGAIN_S
+        elif self._unsure:
+            # The goal was sent before without an answer, and may still arrive and be accepted.
+            self._given_up = error
+        else:
+            self.ended = Ended(error=error)
 
     def _outlasts(self, question: Question, patience_s: float, now_s: float) -> bool:
         """Return whether a question has been refused for at least `patience_s`."""

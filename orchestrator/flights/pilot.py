@@ -13,17 +13,14 @@ from nufleet.orchestrator.fleet.goal_runner import GoalRunner, Interrupted
 from nufleet.orchestrator.flights.labels import NO_PRIOR
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import MalformedMessageError, RobotError, RobotLostError
-from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.wire.messages import GoalResult, Outcome
 from nufleet.shared.wire.motions import (
     Flight,
     RichFlight,
     RichFlightDetails,
     StepTest,
-    Tracking,
     TrackingDetails,
     Way,
-    Weighted,
 )
 
 _log = logging.getLogger(__name__)
@@ -125,103 +122,8 @@ class Pilot:
             raise MalformedMessageError(f"robot {robot} returned a rich flight without its states")
         return result, result.details
 
-    def baseline(self, robot: str, desired: FloatArray, label: str) -> PathFlight:
-        """Fly a path with the baseline controller alone.
-
-        Args:
-            robot: Name of the robot that flies.
-            desired: Desired positions in the unit of the robot's axes, shape (samples, axes).
-            label: Name of the flight; see `flight_label`.
-        """
-        return self._path(robot, Tracking(desired=desired, inverse="baseline"), label)
-
-    def zero_prior(
-        self,
-        robot: str,
-        desired: FloatArray,
-        label: str,
-        layout: InverseLayout,
-        *,
-        guarded: bool = True,
-    ) -> PathFlight:
-        """Fly a path with an online Gaussian process whose prior mean is zero (paper, eq. 2).
-
-        Args:
-            robot: Name of the robot that flies.
-            desired: Desired positions in the unit of the robot's axes, shape (samples, axes).
-            label: Name of the flight; see `flight_label`.
-            layout: Layout of the inverse model.
-            guarded: Whether the guard may withdraw the inverse in flight.
-        """
-        motion = Tracking(desired=desired, inverse="zero-prior", layout=layout, guarded=guarded)
-        return self._path(robot, motion, label)
-
-    def with_prior(
-        self,
-        robot: str,
-        desired: FloatArray,
-        label: str,
-        sha256: str,
-        *,
-        guarded: bool = True,
-        learn: bool = True,
-    ) -> PathFlight:
-        """Fly a path with the prior that was installed on the robot (paper, eq. 2).
-
-        Args:
-            robot: Name of the robot that flies.
-            desired: Desired positions in the unit of the robot's axes, shape (samples, axes).
-            label: Name of the flight; see `flight_label`.
-            sha256: Hash of the prior that the robot is expected to hold.
-            guarded: Whether the guard may withdraw the prior in flight.
-            learn: Whether the online Gaussian process learns in flight; without it the prior acts
-                alone.
-        """
-        motion = Tracking(
-            desired=desired, inverse="prior", prior_sha256=sha256, guarded=guarded, learn=learn
-        )
-        return self._path(robot, motion, label)
-
-    def with_mixture(
-        self,
-        robot: str,
-        desired: FloatArray,
-        label: str,
-        mixture: tuple[Weighted, ...],
-        *,
-        guarded: bool = True,
-        learn: bool = True,
-    ) -> PathFlight:
-        """Fly a path with a mixture of the priors that were installed on the robot.
-
-        Args:
-            robot: Name of the robot that flies.
-            desired: Desired positions in the unit of the robot's axes, shape (samples, axes).
-            label: Name of the flight; see `flight_label`.
-            mixture: Priors that the robot is expected to hold, and their weights at the start.
-            guarded: Whether the guard may withdraw the mixture in flight.
-            learn: Whether the weights adapt and the online Gaussian process learns in flight.
-        """
-        motion = Tracking(
-            desired=desired, inverse="mixture", mixture=mixture, guarded=guarded, learn=learn
-        )
-        return self._path(robot, motion, label)
-
-    def own(
-        self, robot: str, desired: FloatArray, label: str, *, guarded: bool = True
-    ) -> PathFlight:
-        """Fly a path with the robot's model of itself, inverted along the whole path.
-
-        Args:
-            robot: Name of the robot that flies.
-            desired: Desired positions in the unit of the robot's axes, shape (samples, axes).
-            label: Name of the flight; see `flight_label`.
-            guarded: Whether the guard may withdraw the corrections in flight.
-        """
-        return self._path(robot, Tracking(desired=desired, inverse="own", guarded=guarded), label)
-
     def along(self, robot: str, way: Way, desired: FloatArray, label: str) -> PathFlight:
-        """Fly a path in any way.
+        """Fly a path.
 
         Args:
             robot: Name of the robot that flies.
@@ -229,13 +131,10 @@ class Pilot:
             desired: Desired positions in the unit of the robot's axes, shape (samples, axes).
             label: Name of the flight; see `flight_label`.
         """
-        return self._path(robot, way.along(desired), label)
-
-    def _path(self, robot: str, motion: Tracking, label: str) -> PathFlight:
-        result = self._fly(robot, motion)
+        result = self._fly(robot, way.along(desired))
         details = result.details
         if details is None and result.outcome is Outcome.FAILED:
-            nothing, none = np.empty((0, motion.desired.shape[1])), np.empty(0)
+            nothing, none = np.empty((0, desired.shape[1])), np.empty(0)
             details = TrackingDetails(
                 desired=nothing,
                 prior=nothing,

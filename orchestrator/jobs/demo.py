@@ -69,7 +69,7 @@ def demo(command: DemoCommand, console: Console) -> DemoResult:
         band_rad_s=choice.band_rad_s(None),
         iterations=ITERATIONS,
         seed=command.seed,
-        axis=None,
+        axes=None,
     )
     with FlyingRun(command, console) as run:
         fleet, _, there = run.reach(choice)

@@ -308,7 +308,7 @@ def _plan(
         band_rad_s=run.choice.band_rad_s(None),
         iterations=command.iterations,
         seed=command.seed,
-        axis=None,
+        axes=None,
     )
     ready = prepare(fleet, request, there)
     for source in ready.plan.sources:

@@ -51,7 +51,7 @@ def fleet_up(
         EndpointInUseError: The router cannot listen on that endpoint.
         NufleetError: A process of the fleet ended by itself.
     """
-    check_closed(listen, allow_open=allow_open)
+    check_closed(listen, allow_open=allow_open, anonymous=True)
     file = read_fleet_file(fleet_file)
     check_settings(file, fleet_file)
     console = stderr_console()

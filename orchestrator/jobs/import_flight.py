@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from nufleet.orchestrator.conduct.preflight import check_robots, chosen_axis
+from nufleet.orchestrator.conduct.preflight import check_robots, chosen_axes
 from nufleet.orchestrator.jobs.commands import AnyFleetCommand
 from nufleet.orchestrator.jobs.terminal import results_console, stderr_console
 from nufleet.orchestrator.logs.alignment import align
@@ -98,7 +98,8 @@ def import_log(
             f"--to {end_s:g} must be later than --from {command.begin_s:g}, both in s from the "
             "beginning of the log"
         )
-    axis, log = chosen_axis(command.axis, robot), command.log
+    wanted = None if command.axis is None else (command.axis,)
+    axis, log = chosen_axes(wanted, robot)[0], command.log
     names = [one.name for one in robot.spec.axes]
     if axis not in names:
         raise InvalidInputError(

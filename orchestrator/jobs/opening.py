@@ -14,8 +14,8 @@ from nufleet.orchestrator.conduct.archive import Archive
 from nufleet.orchestrator.conduct.leases import lease_robots
 from nufleet.orchestrator.fleet.connection import Connection
 from nufleet.orchestrator.fleet.reach import FleetChoice
-from nufleet.orchestrator.fleet.robot_watch import RobotWatch
 from nufleet.orchestrator.jobs.commands import StoredCommand
+from nufleet.orchestrator.jobs.rest_report import say_who_rests
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.terminal import results_console
 from nufleet.orchestrator.repository.errors import LeaseHeldError
@@ -26,17 +26,7 @@ from nufleet.orchestrator.viewer.server.ports import GRPC_PORT, WEB_PORT
 from nufleet.orchestrator.viewer.writer import RerunWriter, ServeOptions
 from nufleet.shared.command_line import invocation
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.wire.messages import Description, RobotStatus
-
-REST_TIMEOUT_S = 10.0
-"""Longest time after an interrupt in which robots report that they are at rest."""
-
-
-def _rests(watch: RobotWatch) -> bool:
-    return watch.state is not None and watch.state.status in (
-        RobotStatus.IDLE,
-        RobotStatus.STOPPED,
-    )
+from nufleet.shared.wire.messages import Description
 
 
 class Opening:
@@ -226,20 +216,7 @@ class Opening:
             yield
         except KeyboardInterrupt:
             watches = [self.connection.fleet.watch(robot) for robot in robots]
-            deadline_s = time.monotonic() + REST_TIMEOUT_S
-            moving = [
-                watch.robot
-                for watch in watches
-                if not watch.wait_until(_rests, timeout_s=max(0.0, deadline_s - time.monotonic()))
-            ]
-            if moving:
-                self.console.print(
-                    f"[bold red]{', '.join(moving)} did not report to be at rest: look at them, "
-                    "or stop them with `nufleet stop --all`[/]"
-                )
-            else:
-                what = f"all {len(robots)} robots are" if len(robots) > 1 else f"{robots[0]} is"
-                self.console.print(f"{what} at rest")
+            say_who_rests(self.console, watches)
             raise
 
     @contextmanager

@@ -15,8 +15,13 @@ from nufleet.shared.errors import InvalidInputError
 def outlook_table(planned: StudyOutlook) -> Table:
     """Return one row per robot of the first round."""
     low, high = planned.band_rad_s
+    axes = (
+        f"axes {', '.join((planned.axis, *planned.also))}"
+        if planned.also
+        else f"axis {planned.axis}"
+    )
     title = (
-        f"first of at most {planned.rounds_max} rounds: axis {planned.axis}, {low:g} to {high:g} "
+        f"first of at most {planned.rounds_max} rounds: {axes}, {low:g} to {high:g} "
         "rad/s; every test begins and ends at rest at 0"
     )
     headings = (
@@ -40,7 +45,8 @@ def outlook_table(planned: StudyOutlook) -> Table:
         charge = "" if one.battery is None else f"{one.battery:.0%}"
         lasts = "" if one.endurance_s is None else f"{one.endurance_s:.0f} s"
         table.add_row(
-            one.robot if one.simulated else f"[bold]{one.robot}[/] (real)",
+            (one.robot if one.simulated else f"[bold]{one.robot}[/] (real)")
+            + (f", {one.axis}" if planned.also else ""),
             str(one.tones),
             f"{one.omega_min_rad_s:.3g} to {one.omega_max_rad_s:.3g}",
             f"{one.duration_s:.1f}",
@@ -60,7 +66,7 @@ def ask_consent(planned: StudyOutlook, console: Console) -> None:
         InvalidInputError: No person is at the terminal to be asked.
         click.Abort: The person declined.
     """
-    real = [one.robot for one in planned.first_round if not one.simulated]
+    real = dict.fromkeys(one.robot for one in planned.first_round if not one.simulated)
     if not real:
         return
     console.print(outlook_table(planned))

@@ -9,7 +9,6 @@ from datetime import UTC, datetime
 import click
 from rich.console import Console
 
-from nufleet.orchestrator.conduct.archive import AWAY, study_record
 from nufleet.orchestrator.conduct.desired_motion import TimedPath, read_motion
 from nufleet.orchestrator.conduct.first_round import StudyOutlook, check_healths, outlook
 from nufleet.orchestrator.conduct.preflight import check_band, check_names
@@ -20,7 +19,7 @@ from nufleet.orchestrator.conduct.rank_run import (
     configuration,
     prepare,
 )
-from nufleet.orchestrator.conduct.recipe import make_study
+from nufleet.orchestrator.conduct.recipe import AWAY, Recipe, make_study
 from nufleet.orchestrator.conduct.reuse import check_absent, find_stored, oldest_reused
 from nufleet.orchestrator.fleet.reach import REACH, FleetChoice
 from nufleet.orchestrator.jobs.commands import AnyFleetCommand
@@ -28,6 +27,7 @@ from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.outlook import ask_consent, outlook_table
 from nufleet.orchestrator.jobs.study import show_study
 from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.orchestrator.repository.records import StudyRecord
 from nufleet.orchestrator.runs.rank_result import RunRecord
 from nufleet.shared.errors import InvalidInputError
 
@@ -45,6 +45,8 @@ class RankCommand(AnyFleetCommand):
     file or of the robots."""
     axis: str | None = None
     """Name of the axis to test; None for the target's first."""
+    axes: tuple[str, ...] | None = None
+    """Names of several axes to test, `all` for all that the target has; None for `axis` alone."""
     iterations: int = 7
     """Limit on the number of iterations."""
     precision: float | None = None
@@ -164,9 +166,8 @@ def _prepared(
     run.reach(choice, (request.target, *sources), wait_s=command.wait_s)
     ready, stored = _ready(command, request, run)
     fleet, name, _ = run.connection
-    record = study_record(
-        "planned", name, command.algorithm, ready.plan, command.seed, ready.descriptions, stored
-    )
+    parameters = Recipe.of(ready.descriptions, stored).parameters()
+    record = StudyRecord("planned", name, command.algorithm, ready.plan, command.seed, parameters)
     question = make_study(record, run.repository.studies).ask()
     if question is None:
         raise InvalidInputError("the stored responses answer the question: no robot has to move")
@@ -183,6 +184,10 @@ def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:
         check_band(command.band_rad_s)
     if command.reuse_days is not None and command.algorithm != "adaptive":
         raise InvalidInputError("--reuse requires --algorithm adaptive")
+    if command.axes is not None and command.reuse_days is not None:
+        raise InvalidInputError("--axes tests all sources: leave out --reuse, or choose one --axis")
+    if command.axes is not None and command.algorithm != "adaptive":
+        raise InvalidInputError("--axes requires --algorithm adaptive")
     if command.algorithm != "adaptive" and (command.precision or command.amplitude):
         raise InvalidInputError("--precision and --amplitude require --algorithm adaptive")
     request = RankRequest(
@@ -191,7 +196,7 @@ def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:
         band_rad_s=choice.band_rad_s(command.band_rad_s),
         iterations=command.iterations,
         seed=command.seed,
-        axis=command.axis,
+        axes=_axes(command),
         drawing=_drawing(command),
         precision=command.precision,
         amplitude=command.amplitude,
@@ -201,6 +206,14 @@ def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:
         there = tuple(choice.file.robots)
         check_names(request.target, request.sources_among(there), there)
     return request
+
+
+def _axes(command: RankCommand) -> tuple[str, ...] | None:
+    if command.axis is None:
+        return command.axes
+    if command.axes is not None:
+        raise InvalidInputError("give either --axis or --axes")
+    return (command.axis,)
 
 
 def _drawing(command: RankCommand) -> TimedPath | None:

@@ -38,7 +38,10 @@ def run_router(
         when_stdin_closes(ended.set)
     opening = (
         open_router(
-            [check_closed(at, allow_open=allow_open) for at in endpoints or (DEFAULT_ENDPOINT,)],
+            [
+                check_closed(at, allow_open=allow_open, anonymous=True)
+                for at in endpoints or (DEFAULT_ENDPOINT,)
+            ],
             connect=[check_closed(at, allow_open=allow_open) for at in others],
         )
         if configuration is None

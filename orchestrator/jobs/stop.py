@@ -21,7 +21,8 @@ from nufleet.shared.wire.keys import (
     every_fleets_stop,
     robot_in_every_fleet,
 )
-from nufleet.shared.wire.transport import Session, open_client
+from nufleet.shared.wire.session import Session
+from nufleet.shared.wire.transport import open_client
 
 if TYPE_CHECKING:
     from nufleet.orchestrator.fleet.client import Fleet

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from datetime import UTC
 from typing import Any
 
+import numpy as np
 from pydantic import JsonValue, TypeAdapter, ValidationError
 from sqlalchemy import RowMapping
 
@@ -30,9 +31,10 @@ from nufleet.shared.experience.file import decode_experience
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.matrix_response import MatrixResponse
 from nufleet.shared.frequency_test.quality import Quality
 from nufleet.shared.robots.spec import RobotSpec
-from nufleet.shared.strict import describe_validation
+from nufleet.shared.strict import Name, Positive, Strict, describe_validation
 from nufleet.shared.wire.messages import GoalResult, Outcome
 
 _PLAN = TypeAdapter(StudyPlan)
@@ -138,7 +140,8 @@ def trial_record(row: RowMapping, response: FrequencyResponse | None) -> TrialRe
 
 def goal_result(row: RowMapping) -> GoalResult:
     """Return the robot's result of the trial in a row, which is joined with its samples."""
-    trial, goal_id, shape = trial_record(row, None), row["goal_id"], (int(row["samples"]),)
+    trial, goal_id = trial_record(row, None), row["goal_id"]
+    shape = (int(row["samples"]), *(() if trial.plan is None else trial.plan.columns))
     with checked(f"the result of goal {goal_id}"):
         return GoalResult.model_validate(
             {
@@ -168,6 +171,77 @@ def response_row(response: FrequencyResponse) -> dict[str, Any]:
     }
 
 
+class _MatrixAxis(Strict):
+    """One axis of a test of several, as it is stored."""
+
+    axis: Name
+    """Name of the axis."""
+    tones: int
+    """Number of its tones."""
+    segments: int
+    """Number of segments of the test."""
+    amplitude: Positive | None
+    """Peak of its reference, in its unit."""
+    quality: Quality
+    """Verdict on its output."""
+
+
+_AXES = TypeAdapter(tuple[_MatrixAxis, ...])
+
+
+def matrix_row(matrix: MatrixResponse) -> dict[str, Any]:
+    """Return the columns of a row that hold every entry of a test of several axes."""
+    rows = matrix.rows
+    axes = tuple(
+        _MatrixAxis(
+            axis=axis,
+            tones=int(np.sum(matrix.played_by == place)),
+            segments=row.segments,
+            amplitude=row.amplitude,
+            quality=row.quality,
+        )
+        for place, (axis, row) in enumerate(zip(matrix.axes, rows, strict=True))
+    )
+    return {
+        "axes": _AXES.dump_json(axes).decode(),
+        "all_omega_rad_s": pack_array(rows[0].omega_rad_s),
+        "all_z": pack_array(np.stack([row.z for row in rows])),
+        "all_variances": pack_array(np.stack([row.variance for row in rows])),
+        "all_degrees": pack_array(np.stack([row.degrees_of_freedom for row in rows])),
+        "correlation": pack_array(matrix.correlation),
+    }
+
+
+def _matrix_response(row: RowMapping, what: str) -> MatrixResponse | None:
+    """Return every entry of the response in a row; None for a test of one axis."""
+    if row.get("axes") is None:
+        return None
+    axes = _AXES.validate_json(row["axes"])
+    tones = sum(axis.tones for axis in axes)
+    shape = (len(axes), tones)
+    omega_rad_s = unpack_floats(row["all_omega_rad_s"], (tones,), what)
+    z = unpack_complex(row["all_z"], shape, what)
+    variances = unpack_floats(row["all_variances"], shape, what)
+    degrees = unpack_floats(row["all_degrees"], shape, what)
+    return MatrixResponse(
+        axes=tuple(axis.axis for axis in axes),
+        played_by=np.repeat(np.arange(len(axes)), [axis.tones for axis in axes]),
+        rows=tuple(
+            FrequencyResponse(
+                omega_rad_s=omega_rad_s,
+                z=z[place],
+                variance=variances[place],
+                segments=axis.segments,
+                quality=axis.quality,
+                degrees=degrees[place],
+                amplitude=axis.amplitude,
+            )
+            for place, axis in enumerate(axes)
+        ),
+        correlation=unpack_complex(row["correlation"], (len(axes), len(axes)), what),
+    )
+
+
 def frequency_response(row: RowMapping) -> FrequencyResponse:
     """Return the response in a row, bit for bit as it was stored."""
     what, shape = f"the response of goal {row['goal_id']}", (int(row["tones"]),)
@@ -181,6 +255,7 @@ def frequency_response(row: RowMapping) -> FrequencyResponse:
             quality=Quality.model_validate_json(row["quality"]),
             degrees=None if degrees is None else unpack_floats(degrees, shape, what),
             amplitude=row["amplitude"],
+            matrix=_matrix_response(row, what),
         )
 
 

@@ -27,6 +27,7 @@ from nufleet.orchestrator.repository.rows import (
     goal_result,
     intent_row,
     json_object,
+    matrix_row,
     response_record,
     response_row,
     robot_record,
@@ -35,6 +36,7 @@ from nufleet.orchestrator.repository.rows import (
     trial_record,
 )
 from nufleet.orchestrator.repository.tables import (
+    MATRICES,
     RESPONSES,
     ROBOTS,
     SAMPLES,
@@ -155,7 +157,7 @@ class StudyStore:
         """Return the trials of a study by iteration, robot and attempt, with their responses."""
         order = (TRIALS.c.iteration, TRIALS.c.robot, TRIALS.c.attempt)
         query = select(TRIALS).where(TRIALS.c.study_id == study_id).order_by(*order)
-        measured = select(RESPONSES).join(TRIALS).where(TRIALS.c.study_id == study_id)
+        measured = _RESPONSES.where(TRIALS.c.study_id == study_id)
         with self._database.read() as connection:  # one transaction, so that both fit together
             rows = connection.execute(query).mappings().all()
             found = connection.execute(measured).mappings().all()
@@ -216,8 +218,10 @@ class StudyStore:
 
 
 _RESPONSES = (
-    select(RESPONSES, TRIALS.c.study_id)
-    .join(TRIALS)
+    select(RESPONSES, TRIALS.c.study_id, *(c for c in MATRICES.c if c.name != "goal_id"))
+    .select_from(
+        RESPONSES.join(TRIALS).outerjoin(MATRICES, MATRICES.c.goal_id == RESPONSES.c.goal_id)
+    )
     .order_by(RESPONSES.c.measured_at, RESPONSES.c.goal_id)
 )
 
@@ -288,6 +292,8 @@ def _keep(
         **response_row(response),
     }
     connection.execute(_KEEP_RESPONSE, measured)
+    if response.matrix is not None:
+        connection.execute(_KEEP_MATRIX, {"goal_id": goal_id, **matrix_row(response.matrix)})
 
 
 # Statements that every test of every robot executes; building one takes longer than executing it,
@@ -296,6 +302,7 @@ _LOCKED = select(TRIALS).where(TRIALS.c.goal_id == bindparam("id")).with_for_upd
 _UPDATE = TRIALS.update().where(TRIALS.c.goal_id == bindparam("id"))
 _KEEP_SAMPLES = SAMPLES.insert()
 _KEEP_RESPONSE = RESPONSES.insert()
+_KEEP_MATRIX = MATRICES.insert()
 _DESCRIBED = (
     select(ROBOTS)
     .join(STUDIES, STUDIES.c.fleet == ROBOTS.c.fleet)

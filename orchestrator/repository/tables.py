@@ -50,7 +50,7 @@ def utc_now() -> datetime:
     return datetime.now(UTC).replace(tzinfo=None)
 
 
-REVISION = "0005"
+REVISION = "0006"
 """Revision of the newest migration, which arrives at the tables below."""
 
 METADATA = MetaData(
@@ -139,6 +139,19 @@ RESPONSES = Table(
     Column("kind", Text),
     *_response_columns(),
 )
+
+MATRICES = Table(
+    "matrices",
+    METADATA,
+    Column("goal_id", Text, ForeignKey("responses.goal_id"), primary_key=True),
+    Column("axes", Text, nullable=False),
+    Column("all_omega_rad_s", LargeBinary, nullable=False),
+    Column("all_z", LargeBinary, nullable=False),
+    Column("all_variances", LargeBinary, nullable=False),
+    Column("all_degrees", LargeBinary, nullable=False),
+    Column("correlation", LargeBinary, nullable=False),
+)
+"""Every entry of the response of a test of several axes, whose first axis is in `responses`."""
 
 FLIGHT_RESPONSES = Table(
     "flight_responses",

@@ -45,7 +45,7 @@ class ConsoleObserver:
         if not tested:
             return ""
         longest_s = max(duration_s(test, spec) for test, spec in tested)
-        axes = [spec.axis(test.axis) for test, spec in tested]
+        axes = [spec.axis(played.axis) for test, spec in tested for played in test.played]
         furthest = max(axes, key=lambda axis: axis.amplitude_max)
         within = f"±{furthest.amplitude_max:g} {furthest.unit}"
         return f", {longest_s:.0f} s long and within {within}"
@@ -87,8 +87,13 @@ class ConsoleObserver:
             self._console.print(
                 f"  {estimate.robot:<16} {measured:<12}  "
                 f"ψ* = {estimate.stated} "
-                f"at {estimate.omega_rad_s:.3f} rad/s{leader}"
+                f"at {estimate.omega_rad_s:.3f} rad/s{_on_axis(estimate)}{leader}"
             )
+
+
+def _on_axis(estimate: SourceEstimate) -> str:
+    """Return which axis decides, where several are tested."""
+    return "" if estimate.axis is None else f" on {estimate.axis}"
 
 
 def _price(question: Question) -> str:
@@ -121,11 +126,17 @@ def ranking_table(
     table = Table(title="worst-case chordal distance to the target", title_justify="left")
     table.add_column("source", no_wrap=True)
     exact_headings = ("closed form", "error") if closed_form else ("tests",)
-    for heading in ("ψ*", "95 % interval", "measured, at rad/s", *exact_headings):
+    axes = list(ranking[0].axes or {}) if ranking else []
+    decides = (*(f"ψ* on {axis}" for axis in axes), "decided by") if axes else ()
+    for heading in ("ψ*", "95 % interval", *decides, "measured, at rad/s", *exact_headings):
         table.add_column(heading, justify="right")
     for place, estimate in enumerate(ranking):
         interval = f"{estimate.psi_low:.4f}–{estimate.psi_high:.4f}"
-        row = [estimate.robot, f"{estimate.psi:.4f}", interval, estimate.measured]
+        row = [estimate.robot, f"{estimate.psi:.4f}", interval]
+        if estimate.axes is not None and estimate.axis is not None:
+            row += [f"{one.psi:.4f}" for one in estimate.axes.values()]
+            row.append(estimate.axis)
+        row.append(estimate.measured)
         exact = closed_form.get(estimate.robot)
         if not closed_form:
             row.append(str(estimate.tests))

@@ -122,23 +122,26 @@ class RunFolder:
 
         pa = arrow()
         result = measured.result
-        count = len(result.reference)
-        table = pa.table(
-            {
-                "robot": pa.array([measured.robot] * count).dictionary_encode(),
-                "goal_id": pa.array([result.goal_id] * count).dictionary_encode(),
-                "iteration": np.full(count, iteration, dtype=np.int32),
-                "sample": np.arange(count, dtype=np.int32),
-                "t_s": np.arange(count) * result.plan.sample_time_s,
-                "reference": result.reference,
-                "response": result.response,
-            }
-        )
-        if self._samples is None:
-            self._samples = pq.ParquetWriter(
-                self.path / "telemetry.parquet", table.schema, compression="zstd"
+        count, axes = len(result.reference), [played.axis for played in result.test_plan.played]
+        columns = (signal.reshape(count, -1).T for signal in (result.reference, result.response))
+        for axis, reference, response in zip(axes, *columns, strict=True):
+            table = pa.table(
+                {
+                    "robot": pa.array([measured.robot] * count).dictionary_encode(),
+                    "axis": pa.array([axis] * count).dictionary_encode(),
+                    "goal_id": pa.array([result.goal_id] * count).dictionary_encode(),
+                    "iteration": np.full(count, iteration, dtype=np.int32),
+                    "sample": np.arange(count, dtype=np.int32),
+                    "t_s": np.arange(count) * result.plan.sample_time_s,
+                    "reference": reference,
+                    "response": response,
+                }
             )
-        self._samples.write_table(table)
+            if self._samples is None:
+                self._samples = pq.ParquetWriter(
+                    self.path / "telemetry.parquet", table.schema, compression="zstd"
+                )
+            self._samples.write_table(table)
 
     def write_record(self, record: RunRecord) -> None:
         """Write the results of a ranking."""

@@ -144,7 +144,7 @@ class RunRecord(Strict):
     result: RankResult
     """Document that the run printed."""
     axis: str
-    """Name of the axis that was tested."""
+    """Name of the axis that was tested, or of the axes, separated by spaces."""
     seed: Count
     """Seed of the study's random generator."""
     history: tuple[IterationRecord, ...]

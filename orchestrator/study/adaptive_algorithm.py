@@ -12,7 +12,7 @@ it is selected: the response to a drawing need not be that to tones.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,18 +23,15 @@ from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.interface import Question, Report, Responses, StudyPlan
 from nufleet.orchestrator.study.looks import Looks
+from nufleet.orchestrator.study.next_tests import NextTests, narrowing, settling
 from nufleet.orchestrator.study.ranking import INTERVAL, curves_of, ranking_of, sampled_psi
 from nufleet.orchestrator.study.selection_belief import SelectionBelief
 from nufleet.orchestrator.study.tone_choice import ToneChoice
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum
-from nufleet.orchestrator.study.value_of_tests import expected_gain, expected_narrowing
-from nufleet.shared.arrays import ComplexArray, FloatArray
+from nufleet.shared.arrays import ComplexArray
 from nufleet.shared.errors import StudyError
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.robots.spec import RobotSpec
-
-_Value = Callable[[ComplexArray, FloatArray], float]
-"""Value of a test, from samples of the response at its tones and the variances expected there."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +89,9 @@ class AdaptiveStudy:
         self._grounded = dict.fromkeys(absent, "it is not there")
         self._share_doubt()
         self._looks = Looks(plan, self._settings, self._robots)
+        self._next_tests = NextTests(
+            plan.target, self._grid, self._settings, self._robots, self._looks
+        )
         self._draws: dict[str, tuple[ResponseModel, ComplexArray]] = {}
         self._next: Mapping[str, ToneChoice] = {
             name: self._looks.first[name]
@@ -154,7 +154,7 @@ class AdaptiveStudy:
             dropped=dict(self._dropped),
             confidence=verdict.confidence * self._share_measured,
             eliminated=hopeless,
-            findings=self._findings(),
+            findings=self._findings(leader),
             stopped_because=None if verdict.tests else verdict.why + self._left_open(),
         )
 
@@ -199,47 +199,76 @@ class AdaptiveStudy:
             chance = f"P(correct selection) = {confidence:.3f}"
             if not rounds_left:
                 return _Verdict(confidence, why=f"{used}; {chance}")
-            tests = self._choose(belief, draws, leader, hopeless, self._settling(belief, leader))
-            why = "what is contested" if tests else f"no further test would help; {chance}"
-            return _Verdict(confidence, tests, why)
+            value = settling(belief, leader, self._settings.epsilon)
+            following = self._next_tests.choose(
+                belief, draws, leader, value, hopeless=hopeless, absent=self._grounded
+            )
+            if following.tests:
+                return _Verdict(confidence, following.tests, "what is contested")
+            why = f"no further test would help; {chance}"
+            if following.missing:
+                why = f"{chance}; to settle it, test again: {', '.join(following.missing)}"
+            return _Verdict(confidence, why=why)
         if self._robots[leader].flown_only:
             if leader in self._grounded or not rounds_left:
                 why = f"{leader} is known from flights alone, and no test could confirm them"
                 return _Verdict(doubtful, why=why)
             return _Verdict(doubtful, {leader: self._looks.first[leader]}, "a test after flights")
-        looks = self._looks.due(
-            name
-            for name in (self._plan.target, *belief.sources)
-            if name not in hopeless and name not in self._grounded
-        )
+        return self._looked(belief, draws, leader, confidence, hopeless)
+
+    def _looked(
+        self,
+        belief: SelectionBelief,
+        draws: Mapping[str, ComplexArray],
+        leader: str,
+        confidence: float,
+        hopeless: Mapping[str, str],
+    ) -> _Verdict:
+        """Decide what is needed before a claim: lowest looks, and a narrow interval of ψ*.
+
+        Target and leader need the lowest look, a rival only if what was seen of it leaves open that
+        it is the best.
+        """
+        sure, doubtful = 1 - self._settings.delta, 1 - 2 * self._settings.delta
+        rounds_left = self._asked < self._plan.iterations
+        unseen = {n: self._robots[n].lowest_rad_s for n in belief.sources if self._unseen(n)}
+        surely, ahead = belief.beaten(leader, self._settings.epsilon, unseen)
+        contenders = [self._plan.target, leader]
+        looks = self._looks.due(name for name in contenders if name not in self._grounded)
+        if not looks and surely < sure:
+            share = self._settings.delta / len(belief.sources)
+            contenders = [source for source, chance in ahead.items() if chance > share]
+            looks = self._looks.due(name for name in contenders if name not in self._grounded)
         if looks and rounds_left:
-            why = f"nothing is claimed unseen below {self._unseen_rad_s(looks):.3g} rad/s"
+            lowest_rad_s = max(self._robots[name].lowest_rad_s for name in looks)
+            why = f"nothing is claimed unseen below {lowest_rad_s:.3g} rad/s"
             return _Verdict(doubtful, looks, why)
         if looks:
-            why = f"{used}, and the lower end of the band was not tested on {', '.join(looks)}"
+            why = (
+                f"all {self._asked} rounds have been used, and the lower end of the band was not "
+                f"tested on {', '.join(looks)}"
+            )
             return _Verdict(doubtful, why=why)
+        confidence = min(confidence, surely)
+        if confidence < sure:
+            why = f"the lower end of the band was not tested on {', '.join(contenders)}"
+            return _Verdict(confidence, why=f"{why}; P(correct selection) = {confidence:.3f}")
         claim = self._claim(belief, leader, confidence)
         low, _, high = np.quantile(belief.psi_star[belief.sources.index(leader)], INTERVAL)
         wanted = self._plan.precision
         if wanted is None or high - low <= wanted:
             return _Verdict(confidence, why=claim)
         wide = f"ψ* of {leader} is known to {high - low:.2g}, and {wanted:g} is wanted"
-        narrowing = self._narrowing(belief, leader)
-        tests = self._choose(belief, draws, leader, hopeless, narrowing) if rounds_left else {}
+        tests: Mapping[str, ToneChoice] = {}
+        if rounds_left:
+            value = narrowing(belief, leader)
+            tests = self._next_tests.choose(
+                belief, draws, leader, value, hopeless=hopeless, absent=self._grounded
+            ).tests
         return _Verdict(confidence, tests, wide if tests else f"{claim}; {wide}")
 
-    def _settling(self, belief: SelectionBelief, leader: str) -> _Value:
-        """Return the value of a test that is to settle which source is the best."""
-        n, epsilon = belief.sources.index(leader), self._settings.epsilon
-        return lambda z, variance: expected_gain(belief.loss, n, z, variance, epsilon)
-
-    def _narrowing(self, belief: SelectionBelief, leader: str) -> _Value:
-        """Return the value of a test that is to narrow the interval of the selected source."""
-        psi_star = belief.psi_star[belief.sources.index(leader)]
-        return lambda z, variance: expected_narrowing(psi_star, z, variance)
-
-    def _unseen_rad_s(self, names: Collection[str]) -> float:
-        return max(self._robots[name].lowest_rad_s for name in names)
+    def _unseen(self, name: str) -> bool:
+        return not self._looks.reached(name)
 
     def _lose_the_silent(self) -> None:
         """Drop the robots that respond to no tone, down to the lowest that they can be asked."""
@@ -265,15 +294,14 @@ class AdaptiveStudy:
         named = "; ".join(f"{source} ({why})" for source, why in self._dropped.items())
         return f"; a source that was not measured may be closer, so test again: {named}"
 
-    def _findings(self) -> tuple[str, ...]:
+    def _findings(self, leader: str) -> tuple[str, ...]:
         found = [finding for robot in self._robots.values() for finding in robot.findings]
-        for name in self._grounded:
-            robot = self._robots[name]
-            if robot.tests and not self._looks.reached(name):
-                found.append(
-                    f"{name}: nothing is known of it below {robot.lowest_rad_s:.3g} rad/s, and "
-                    "nothing is claimed there; test it again from the lower end of the band on"
-                )
+        if leader in self._grounded and self._unseen(leader):
+            found.append(
+                f"{leader}: nothing is known of it below {self._robots[leader].lowest_rad_s:.3g} "
+                "rad/s, and nothing is claimed there; test it again from the lower end of the band "
+                "on"
+            )
         looks = self._looks
         if looks.lowest_asked_s > self._settings.dear * looks.asked_s:
             lowest_rad_s = max(float(one.omega_rad_s[0]) for one in looks.first.values())
@@ -331,52 +359,3 @@ class AdaptiveStudy:
             f"{leader} {best}, or within {self._settings.epsilon:g} of it, with probability "
             f"{confidence:.3f}"
         )
-
-    def _choose(
-        self,
-        belief: SelectionBelief,
-        draws: Mapping[str, ComplexArray],
-        leader: str,
-        hopeless: Mapping[str, str],
-        value: _Value,
-    ) -> dict[str, ToneChoice]:
-        """Return the next round: each robot's best test, if its value per second is competitive."""
-        chances = belief.probability_best()
-        rivals = sorted(
-            (s for s in belief.sources if s not in hopeless and s != leader),
-            key=lambda s: -chances[belief.sources.index(s)],
-        )[: self._settings.contenders]
-        centres = self._contested(belief, leader, rivals)
-        rates: dict[str, float] = {}
-        choices: dict[str, ToneChoice] = {}
-        for name in (self._plan.target, leader, *rivals):
-            if name in self._grounded:
-                continue
-            rate, choice = self._best_test(name, draws[name], centres, value)
-            if choice is not None:
-                rates[name], choices[name] = rate, choice
-        best = max(rates.values(), default=0.0)
-        enough = self._settings.together * best
-        return {name: choice for name, choice in choices.items() if rates[name] >= enough}
-
-    def _best_test(
-        self, name: str, z: ComplexArray, centres_rad_s: Sequence[float], value: _Value
-    ) -> tuple[float, ToneChoice | None]:
-        price = self._settings.simulated_cost if self._robots[name].spec.simulated else 1.0
-        best: tuple[float, ToneChoice | None] = (0.0, None)
-        for choice in self._looks.candidates(name, centres_rad_s):
-            # Samples exist on the grid only, so each tone takes them from the next grid point.
-            at = np.searchsorted(self._grid, choice.omega_rad_s).clip(0, len(self._grid) - 1)
-            gain = value(z[:, at], self._looks.expected_variance(name, choice))
-            # Gains below the floor cannot be told from sampling noise; the cheapest test then wins.
-            rate = max(gain, 1e-6) / (price * self._looks.duration_s(name, choice))
-            if rate > best[0]:
-                best = (rate, choice)
-        return best
-
-    def _contested(
-        self, belief: SelectionBelief, leader: str, rivals: Sequence[str]
-    ) -> tuple[float, ...]:
-        """Return the frequencies (rad/s) that decide the losses of the leader and two rivals."""
-        found = [belief.decisive_omega_rad_s(source) for source in (leader, *rivals[:2])]
-        return tuple(dict.fromkeys(found))

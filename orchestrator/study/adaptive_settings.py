@@ -17,11 +17,14 @@ class AdaptiveSettings:
     """Least length of the first test's measuring part, in periods of the band's upper end."""
     share_of_settling: float = 0.7
     """Least length of the first test's measuring part, as a share of the settling time."""
+    settle_share: float = 0.4
+    """Share of a robot's settling time for which its tests wait, since what still rings then is
+    estimated along with the tones."""
     lowest: float = 2.0
     """Lowest tone that a claim rests on, as a multiple of the band's lower end."""
     other_amplitude: float = 0.5
     """Amplitude of that test, as a share of the largest that was played."""
-    dear: float = 0.5
+    dear: float = 0.6
     """Share of the robot time from which the price of that test is a finding."""
     lengths: tuple[float, ...] = (1.0, 1.7, 3.0)
     """Lengths of later tests, as multiples of the first test's measuring time."""
@@ -29,6 +32,9 @@ class AdaptiveSettings:
     """Number of tones in a test around one frequency."""
     contenders: int = 4
     """Number of rivals, the most probable winners, that are considered for tests in a round."""
+    worth: float = 0.05
+    """Least decrease of the probability of a wrong selection, as a share of it, for which robots
+    are tested again while something is doubted that tests do not tell."""
     together: float = 0.5
     """Share of the best gain per second that another robot's test needs to join the round."""
     simulated_cost: float = 0.01

@@ -45,7 +45,7 @@ class StudyPlan:
     iterations: int
     """Largest number of rounds of tests."""
     axis: str
-    """Name of the axis that is tested on every robot."""
+    """Name of the axis that is tested on every robot; the first of several."""
     motion: DesiredMotion | None = None
     """Trajectory that the target is to fly, if one is known."""
     precision: float | None = None
@@ -53,6 +53,14 @@ class StudyPlan:
     amplitude: float | None = None
     """Amplitude of the task, in the axis's unit, at which ψ is meant; None for the one that each
     robot chooses."""
+    also: tuple[str, ...] = ()
+    """Names of further axes that are tested, at the same time where the robots allow that. The best
+    source is then the closest on its worst axis."""
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of all axes that are tested."""
+        return (self.axis, *self.also)
 
 
 @dataclass(frozen=True)
@@ -76,8 +84,21 @@ class Question:
     @property
     def omega_rad_s(self) -> tuple[float, ...]:
         """All frequencies that any of the robots plays, in rad/s, rising."""
-        played = {tone.omega_rad_s for test in self.tests.values() for tone in test.tones}
+        played = {omega for test in self.tests.values() for omega in test.omega_rad_s}
         return tuple(sorted(played))
+
+
+@dataclass(frozen=True)
+class AxisEstimate:
+    """The estimate of a source's worst-case chordal distance to the target on one axis."""
+
+    psi: float
+    """Median of the distance, from 0 to 1."""
+    psi_low: float
+    psi_high: float
+    """Bounds of the interval that holds the distance with a probability of 95 %."""
+    omega_rad_s: float
+    """Frequency in rad/s at which the median of ψ_n,i(ω) is largest."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +120,16 @@ class SourceEstimate:
     """Largest distance at a tone that both robots played; None if they share none."""
     measured_omega_rad_s: float | None = None
     """That tone, in rad/s."""
+    axes: dict[str, AxisEstimate] | None = None
+    """Estimate on each axis, by axis; None where one axis is tested."""
+
+    @property
+    def axis(self) -> str | None:
+        """The axis that decides, on which the distance is largest; None where one is tested."""
+        if self.axes is None:
+            return None
+        axes = self.axes
+        return max(axes, key=lambda axis: axes[axis].psi)
 
     @property
     def stated(self) -> str:

@@ -20,9 +20,9 @@ from nufleet.orchestrator.study.tone_choice import (
     first_look,
     lowest_look,
 )
-from nufleet.shared.arrays import FloatArray
+from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.frequency_test.excitation import Excitation
-from nufleet.shared.frequency_test.multitone import largest_amplitude
+from nufleet.shared.frequency_test.multitone import largest_amplitudes
 
 NOISY = 0.05
 """Standard deviation of estimates from which noise leaves no room for a smaller amplitude."""
@@ -55,17 +55,18 @@ class Looks:
 
     def excitation(self, name: str, choice: ToneChoice) -> Excitation:
         """Return the excitation of a test that is to be played now, and count its time."""
-        robot = self._robots[name]
         cost_s = self.duration_s(name, choice)
         self.asked_s += cost_s
         self.lowest_asked_s += cost_s * self._is_lowest(name, choice)
+        amplitude = self._amplitude(name, choice)
+        amplitudes = None if amplitude is None else (amplitude,)
         return choice.excitation(
-            self._plan.axis, settle_s=robot.settle_s, amplitude=self._amplitude(name, choice)
+            self._plan.axis, settle_s=self._settle_s(name), amplitudes=amplitudes
         )
 
     def duration_s(self, name: str, choice: ToneChoice) -> float:
         """Return the duration of a test in s."""
-        return choice.duration_s(self._robots[name].spec, self._robots[name].settle_s)
+        return choice.duration_s(self._robots[name].spec, self._settle_s(name))
 
     def candidates(self, name: str, centres_rad_s: Sequence[float]) -> Iterator[ToneChoice]:
         """Yield the tests that the robot could play next, as far as it allows them.
@@ -93,6 +94,25 @@ class Looks:
             times_as_long *= self._settings.other_amplitude**2
         return self._robots[name].expected_variance(choice.omega_rad_s, times_as_long)
 
+    def expected(
+        self, name: str, choice: ToneChoice, grid_rad_s: FloatArray, z: ComplexArray
+    ) -> tuple[ComplexArray, FloatArray]:
+        """Return what a test would measure, and the variances with which it would tell that.
+
+        Args:
+            name: Name of the robot.
+            choice: Test.
+            grid_rad_s: Frequencies of the samples in rad/s, shape (grid,).
+            z: Samples of the robot's response there, shape (samples, grid or more).
+
+        Returns:
+            Samples at the tones, shape (samples, tones), and variances, shape (tones,).
+        """
+        # Samples exist on the grid only, so each tone takes them from the next grid point.
+        at = np.searchsorted(grid_rad_s, choice.omega_rad_s).clip(0, len(grid_rad_s) - 1)
+        doubt = self._robots[name].lasting_doubt(choice.omega_rad_s)
+        return z[:, at], self.expected_variance(name, choice) + doubt
+
     def reached(self, name: str) -> bool:
         """Whether a test of the robot reached down to the lower end of the band."""
         lowest_rad_s = float(self.lowest[name].omega_rad_s[0])
@@ -101,6 +121,9 @@ class Looks:
     def due(self, names: Iterable[str]) -> dict[str, ToneChoice]:
         """Return the lowest looks that are missing before anything is claimed."""
         return {name: self.lowest[name] for name in names if not self.reached(name)}
+
+    def _settle_s(self, name: str) -> float:
+        return self._settings.settle_share * self._robots[name].settling_time_s
 
     def _is_lowest(self, name: str, choice: ToneChoice) -> bool:
         return choice == self.lowest[name] != self.first[name]
@@ -118,4 +141,4 @@ class Looks:
             return None
         tones = choice.excitation(self._plan.axis).tones
         axis = self._robots[name].spec.axis(self._plan.axis)
-        return min(wanted, largest_amplitude(tones, axis))
+        return min(wanted, *largest_amplitudes([tones], [axis]))

@@ -116,6 +116,42 @@ class SelectionBelief:
         order = np.lexsort((self.typical_loss, -np.minimum(within, 1 - delta)))
         return self.sources[order[0]], float(within[order[0]])
 
+    def beaten(
+        self, leader: str, epsilon: float, lowest_rad_s: Mapping[str, float]
+    ) -> tuple[float, dict[str, float]]:
+        """Return how sure the leader is if the others may do anything where they were not tested.
+
+        A loss is a maximum, or a sum of squares, over frequencies: what is not seen of a source can
+        only make it worse, so that what is seen is enough to tell that it is not the best.
+
+        Args:
+            leader: Name of the source that is selected now.
+            epsilon: Difference ε of two losses that does not matter.
+            lowest_rad_s: Lowest tested frequency in rad/s of the sources that were not tested down
+                to the lower end of the band.
+
+        Returns:
+            The probability that the leader is within ε of the best, and the probability that it is
+            not within ε of each of the others.
+        """
+        limit = self.loss[self.sources.index(leader)] - epsilon
+        ahead = {
+            source: self._seen(n, lowest_rad_s.get(source, 0.0)) < limit
+            for n, source in enumerate(self.sources)
+            if source != leader
+        }
+        surely = 1.0 - float(np.mean(np.any([*ahead.values(), np.zeros(len(limit), bool)], axis=0)))
+        return surely, {source: float(np.mean(one)) for source, one in ahead.items()}
+
+    def _seen(self, n: int, from_rad_s: float) -> FloatArray:
+        """Return the part of a source's loss from a frequency (rad/s) on, shape (samples,)."""
+        if self.errors is None:
+            return np.asarray(
+                np.max(self.psi[n][:, self.omega_rad_s >= from_rad_s], axis=1, initial=0.0)
+            )
+        parts = self.errors.parts[n][:, self.errors.omega_rad_s >= from_rad_s]
+        return np.asarray(np.sqrt(parts.sum(axis=1)))
+
     def probability_best(self) -> FloatArray:
         """Return the share of samples in which each source is the best, shape (sources,)."""
         best = np.argmin(self.loss, axis=0)

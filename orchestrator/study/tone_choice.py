@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.frequency_test.duration import duration_s
-from nufleet.shared.frequency_test.excitation import Excitation, Tone
-from nufleet.shared.frequency_test.multitone import multitone
+from nufleet.shared.frequency_test.excitation import AxisTones, Excitation, Tone
+from nufleet.shared.frequency_test.multitone import free_of_products, interleaved, multitone
 from nufleet.shared.robots.spec import RobotSpec
 
 SEGMENTS = 3
@@ -44,6 +45,22 @@ class ToneChoice:
     """Measuring time T in s."""
     harmonics: tuple[int, ...]
     """Numbers of the harmonics, rising."""
+    axes: tuple[int, ...] = (0,)
+    """Places of the axes that play, among those of the study, to which the tones are dealt in turn:
+    the first plays the lowest tone."""
+
+    def omegas_of(self, axis: int) -> FloatArray:
+        """Return the frequencies of one axis's tones in rad/s, rising; none if it does not play."""
+        hand = dict(zip(self.axes, self._hands, strict=True)).get(axis, ())
+        return np.asarray(np.array(hand) * (2 * math.pi / self.measure_s))
+
+    def named(self, axes: Sequence[str]) -> str:
+        """Return the axes that play in words, from the names of the study's axes."""
+        return " and ".join(axes[place] for place in self.axes)
+
+    @property
+    def _hands(self) -> tuple[tuple[int, ...], ...]:
+        return interleaved(self.harmonics, len(self.axes))
 
     @property
     def omega_rad_s(self) -> FloatArray:
@@ -51,19 +68,31 @@ class ToneChoice:
         return np.asarray(np.array(self.harmonics) * (2 * math.pi / self.measure_s))
 
     def excitation(
-        self, axis: str, *, settle_s: float | None = None, amplitude: float | None = None
+        self, *axes: str, settle_s: float | None = None, amplitudes: Sequence[float] | None = None
     ) -> Excitation:
-        """Return the excitation that plays these tones on an axis.
+        """Return the excitation that plays these tones.
 
         Args:
-            axis: Name of the axis.
+            axes: Names of the study's axes.
             settle_s: Time before the measuring part; None leaves it to the robot.
-            amplitude: Peak of the reference in the axis's unit; None leaves it to the robot.
+            amplitudes: Peak of the reference of each axis that plays, in the order of `self.axes`
+                and in the axis's unit; None leaves them to the robot.
         """
-        weights = np.asarray(self.omega_rad_s**WEIGHT_EXPONENT)
-        tones = multitone(2 * math.pi / self.measure_s, self.harmonics, weights)
+        base_rad_s = 2 * math.pi / self.measure_s
+        weights = [(np.array(hand) * base_rad_s) ** WEIGHT_EXPONENT for hand in self._hands]
+        tones = multitone(base_rad_s, self._hands, weights)
+        peaks: Sequence[float | None] = amplitudes or [None] * len(tones)
+        first, *also = (
+            AxisTones(axis=axes[place], tones=own, amplitude=peak)
+            for place, own, peak in zip(self.axes, tones, peaks, strict=True)
+        )
         return Excitation(
-            axis=axis, tones=tones, segments=SEGMENTS, settle_s=settle_s, amplitude=amplitude
+            axis=first.axis,
+            tones=first.tones,
+            amplitude=first.amplitude,
+            also=tuple(also),
+            segments=SEGMENTS,
+            settle_s=settle_s,
         )
 
     def duration_s(self, spec: RobotSpec, settle_s: float | None = None) -> float:
@@ -74,7 +103,11 @@ class ToneChoice:
 
 
 def first_look(
-    band_rad_s: tuple[float, float], spec: RobotSpec, periods: int, share_of_settling: float
+    band_rad_s: tuple[float, float],
+    spec: RobotSpec,
+    periods: int,
+    share_of_settling: float,
+    axes: tuple[int, ...] = (0,),
 ) -> ToneChoice:
     """Return tones over the whole band, spaced as closely as the robot's resonances require.
 
@@ -82,34 +115,49 @@ def first_look(
     closely spaced tones, that is a long measuring time. A test of such a robot costs its settling
     time anyway. The measuring part therefore lasts a share of the settling time or a number of
     periods of the band's upper end, whichever is longer, and at least `SAMPLES_MIN` samples.
+    Several axes share the tones, so that each further one lengthens it by half as much.
 
     Args:
         band_rad_s: Lowest and highest frequency in rad/s.
         spec: Spec of the robot, with its settling time.
         periods: Least measuring time, in periods of the band's upper end.
         share_of_settling: Least measuring time, as a share of the settling time.
+        axes: Places of the axes that play, among those of the study.
 
     Returns:
-        At most `TONES_MAX` tones, for as long as the robot moves at most.
+        At most `TONES_MAX` tones per axis, for as long as the robot moves at most.
+
+    Raises:
+        InvalidInputError: The robot does not move for as long as several axes at once need.
     """
     high = band_rad_s[1]
     wanted_s = max(share_of_settling * spec.settling_time_s, SAMPLES_MIN * spec.sample_time_s)
     highest = max(periods, math.ceil(wanted_s * high / (2 * math.pi)))
+    highest = math.ceil(highest * (len(axes) + 1) / 2)
     highest += 1 - highest % 2  # odd like the lowest, 1
     while highest > 3:
-        choice = _between(band_rad_s, highest * 2 * math.pi / high, 0)
+        choice = _between(band_rad_s, highest * 2 * math.pi / high, 0, axes)
         if (
             choice is not None
-            and len(choice.harmonics) <= TONES_MAX
+            and len(choice.harmonics) <= TONES_MAX * len(axes)
             and choice.duration_s(spec) <= spec.duration_max_s
         ):
             return choice
         highest -= 2
-    return _up_to(high, 3 * 2 * math.pi / high, (3,))
+    if len(axes) > 1:
+        raise InvalidInputError(
+            f"a robot of kind {spec.kind} moves for at most {spec.duration_max_s:g} s, which is "
+            f"too short for a test of {len(axes)} axes at once: test one with --axis"
+        )
+    return _up_to(high, 3 * 2 * math.pi / high, (3,), axes)
 
 
 def lowest_look(
-    band_rad_s: tuple[float, float], spec: RobotSpec, lowest_rad_s: float, first: ToneChoice
+    band_rad_s: tuple[float, float],
+    spec: RobotSpec,
+    lowest_rad_s: float,
+    first: ToneChoice,
+    axes: tuple[int, ...] = (0,),
 ) -> ToneChoice:
     """Return tones over the whole band, from one period of the lowest on, spaced in proportion.
 
@@ -118,19 +166,23 @@ def lowest_look(
         spec: Spec of the robot, which may not allow a motion as long as that.
         lowest_rad_s: Frequency in rad/s of the lowest tone, whose period is the measuring time.
         first: First test of the robot, which the robot allows.
+        axes: Places of the axes that play; the first of them plays the lowest tone.
     """
     while lowest_rad_s < first.omega_rad_s[0]:
         # Robots refuse tones below their band, so that the lowest must not be rounded down.
         base = lowest_rad_s * (1 + 1e-9)
         top = math.floor(band_rad_s[1] / base)
+        allowed = _playable(range(1, top + 1), axes)
         harmonics = [1]
-        while (further := max(harmonics[-1] + STEP, math.ceil(LOW_SPACING * harmonics[-1]))) <= top:
-            harmonics.append(further)
-        choice = ToneChoice(2 * math.pi / base, tuple(harmonics))
-        if choice.duration_s(spec) <= spec.duration_max_s:
+        for harmonic in allowed:
+            spaced = LOW_SPACING ** (1 / len(axes)) * harmonics[-1]
+            if harmonic >= max(harmonics[-1] + STEP, math.ceil(spaced)):
+                harmonics.append(harmonic)
+        choice = ToneChoice(2 * math.pi / base, tuple(harmonics), axes)
+        if len(harmonics) >= len(axes) and choice.duration_s(spec) <= spec.duration_max_s:
             return choice
         lowest_rad_s *= LOW_SPACING
-    return first
+    return replace(first, axes=axes)
 
 
 def closer_looks(
@@ -139,57 +191,80 @@ def closer_looks(
     lengths: Sequence[float],
     centres_rad_s: Sequence[float],
     window_tones: int,
+    axes: tuple[int, ...] = (0,),
 ) -> list[ToneChoice]:
     """Return the candidates for a next test, without duplicates.
 
-    For each length there are tests of the whole band, on even and on odd harmonics, and one of
-    `window_tones` harmonics around each centre.
+    For each length there are tests of the whole band, and one of `window_tones` harmonics per axis
+    around each centre. Those of the whole band are two on one axis, on even and on odd harmonics;
+    on several axes, one for each of them to play the lowest tone.
 
     Args:
         band_rad_s: Lowest and highest frequency in rad/s.
         measure_s: Measuring time of the first test in s.
         lengths: Measuring times of the candidates, as multiples of `measure_s`.
         centres_rad_s: Frequencies in rad/s to look at more closely.
-        window_tones: Number of tones around each centre.
+        window_tones: Number of tones per axis around each centre.
+        axes: Places of the axes that play, among those of the study.
     """
     low, high = band_rad_s
     found: dict[ToneChoice, None] = {}
+    whole = [(0, turn) for turn in turns_of(axes)] if len(axes) > 1 else [(0, axes), (1, axes)]
     for length in lengths:
         total_s = length * measure_s
         base = 2 * math.pi / total_s
-        for offset in (0, 1):
-            choice = _between((low, high), total_s, offset)
-            if choice is not None and len(choice.harmonics) <= TONES_MAX:
+        for offset, turn in whole:
+            choice = _between((low, high), total_s, offset, turn)
+            if choice is not None and len(choice.harmonics) <= TONES_MAX * len(axes):
                 found[choice] = None
         for centre in centres_rad_s:
-            half = base * STEP * (window_tones - 1) / 2
+            half = base * STEP * (window_tones * len(axes) - 1) / 2
             # A window that would reach beyond the band is moved inside it.
             middle = min(max(centre, low + half), high - half)
-            choice = _between((max(low, middle - half), min(high, middle + half)), total_s, 0)
+            choice = _between((max(low, middle - half), min(high, middle + half)), total_s, 0, axes)
             if choice is not None:
                 found[choice] = None
     return list(found)
 
 
-def _between(window_rad_s: tuple[float, float], measure_s: float, offset: int) -> ToneChoice | None:
-    """Return every second harmonic in a window, counted from the top; None if it has none."""
+def turns_of(axes: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """Return the axes in each of the orders in which they can be dealt tones in turn."""
+    return [axes[turn:] + axes[:turn] for turn in range(len(axes))]
+
+
+def _playable(harmonics: Sequence[int], axes: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the harmonics that axes may share; a single axis may play all of them."""
+    return tuple(harmonics) if len(axes) == 1 else free_of_products(harmonics)
+
+
+def _between(
+    window_rad_s: tuple[float, float], measure_s: float, offset: int, axes: tuple[int, ...]
+) -> ToneChoice | None:
+    """Return every second harmonic in a window, counted from the top; None if it has too few."""
     base = 2 * math.pi / measure_s
     top = math.floor(window_rad_s[1] / base * (1 + 1e-9)) - offset
+    if len(axes) > 1:
+        top -= 1 - top % 2
     lowest = max(1, math.ceil(window_rad_s[0] / base * (1 + 1e-9)))
-    harmonics = tuple(range(top, lowest - 1, -STEP))[::-1]
+    harmonics = _playable(range(top, lowest - 1, -STEP)[::-1], axes)
     # Each segment holds a period of a single tone, which would last longer than asked for.
     if len(harmonics) < 2 and harmonics < (SEGMENTS,):
         return None
-    return _up_to(window_rad_s[1], measure_s, harmonics)
+    # An axis that plays a single tone of several says little of its response over the window.
+    if len(axes) > 1 and len(harmonics) < 2 * len(axes):
+        return None
+    return _up_to(window_rad_s[1], measure_s, harmonics, axes)
 
 
-def _up_to(high_rad_s: float, measure_s: float, harmonics: tuple[int, ...]) -> ToneChoice:
+def _up_to(
+    high_rad_s: float, measure_s: float, harmonics: tuple[int, ...], axes: tuple[int, ...]
+) -> ToneChoice:
     """Return the choice whose highest tone is not above `high_rad_s`, where robots refuse tests.
 
     Rounding may put a tone at the band's edge just outside the band; the measuring time is then
     lengthened by the smallest possible steps until the tone is inside.
     """
-    choice = ToneChoice(measure_s, harmonics)
+    choice = ToneChoice(measure_s, harmonics, axes)
     while choice.omega_rad_s[-1] > high_rad_s:
-        choice = ToneChoice(math.nextafter(choice.measure_s, math.inf), harmonics)
+        choice = replace(choice, measure_s=math.nextafter(choice.measure_s, math.inf))
     return choice

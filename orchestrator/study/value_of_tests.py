@@ -33,12 +33,24 @@ def expected_gain(
     Returns:
         The expected decrease, summed over all sources but the leader.
     """
-    leads = np.delete(psi_star - psi_star[leader], leader, axis=0)
+    leads = _leads(psi_star, leader)
     if not len(leads):
         return 0.0
-    mean, deviation = leads.mean(axis=1), leads.std(axis=1)
     share = _explained_share(leads, z, variance)
-    return float(np.sum(_wrong(mean, deviation, epsilon) - _after(mean, deviation, share, epsilon)))
+    after = _after(leads.mean(axis=1), leads.std(axis=1), share, epsilon)
+    return expected_errors(psi_star, leader, epsilon) - float(np.sum(after))
+
+
+def expected_errors(psi_star: FloatArray, leader: int, epsilon: float) -> float:
+    """Return Σ_n P(source n is closer than the leader by more than ε), with normal leads.
+
+    Args:
+        psi_star: Joint samples of the losses, shape (sources, samples).
+        leader: Index of the source that is selected now.
+        epsilon: Difference ε of two losses that does not matter.
+    """
+    leads = _leads(psi_star, leader)
+    return float(np.sum(_wrong(leads.mean(axis=1), leads.std(axis=1), epsilon)))
 
 
 def expected_narrowing(psi_star: FloatArray, z: ComplexArray, variance: FloatArray) -> float:
@@ -52,6 +64,10 @@ def expected_narrowing(psi_star: FloatArray, z: ComplexArray, variance: FloatArr
     """
     share = float(_explained_share(psi_star[None], z, variance)[0])
     return float(np.std(psi_star)) * (1.0 - math.sqrt(1.0 - share))
+
+
+def _leads(psi_star: FloatArray, leader: int) -> FloatArray:
+    return np.delete(psi_star - psi_star[leader], leader, axis=0)
 
 
 def _explained_share(values: FloatArray, z: ComplexArray, variance: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ from nufleet.orchestrator.viewer.events import (
     ViewerEvent,
 )
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.frequency_test.excitation import Tone
+from nufleet.shared.frequency_test.excitation import Excitation
 from nufleet.shared.wire.messages import RobotState, RobotStatus, Telemetry
 
 _CALM = (RobotStatus.IDLE, RobotStatus.RESTING)
@@ -43,7 +43,7 @@ class LiveView:
         self._emit = emit
         self._lock = threading.Lock()
         self._asked_s = 0.0
-        self._tones: dict[str, tuple[Tone, ...]] = {}
+        self._tests: Mapping[str, Excitation] = {}
         self._drawn: dict[str, int] = {}
         self._over: set[str] = set()
         self._played_s: dict[str, float] = {}
@@ -66,7 +66,7 @@ class LiveView:
         """Handle the beginning of a round: its samples are drawn starting at the current time."""
         with self._lock:
             self._asked_s = self._clock.now_s()
-            self._tones = {robot: test.tones for robot, test in question.tests.items()}
+            self._tests = question.tests
             self._unheard = set(question.tests)
             self._drawn.clear()
             self._over.clear()
@@ -147,6 +147,14 @@ class LiveView:
         reference: FloatArray,
         response: FloatArray,
     ) -> None:
+        """Draw the samples of the study's first axis, where a test plays several."""
+        played = self._tests[robot].played if robot in self._tests else ()
+        tones = {one.axis: one.tones for one in played}
+        if tones and self._plan.axis not in tones:
+            return
+        if reference.ndim == 2:
+            column = list(tones).index(self._plan.axis)
+            reference, response = reference[:, column], response[:, column]
         begin_s = self._asked_s + first_sample * sample_time_s
         self._unheard.discard(robot)
         self._played_s[robot] = begin_s + len(reference) * sample_time_s
@@ -162,8 +170,8 @@ class LiveView:
                 axis=self._plan.axis,
                 unit=self._unit,
                 target=self._plan.target,
-                robots=tuple(self._tones),
-                tones=self._tones.get(robot, ()),
+                robots=tuple(self._tests),
+                tones=tones.get(self._plan.axis, ()),
                 sample_time_s=sample_time_s,
                 reference=reference,
                 response=response,

@@ -14,9 +14,11 @@ class OutputFeedback:
     """A model of the loop, and a filter of what it does not explain, for each axis."""
 
     responses: tuple[FloatArray, ...]
-    """Impulse response of each axis: the output 1, 2, … samples after the reference acted."""
+    """Impulse response of each axis: the output 1, 2, … samples after the reference acted, shape
+    (memory,), without unit."""
     taps: tuple[FloatArray, ...]
-    """Weights in the correction of what was measured beyond the expected 1, 2, … samples ago."""
+    """Weights in the correction of what was measured beyond the expected 1, 2, … samples ago, shape
+    (taps,), without unit."""
 
 
 class FeedbackLoop:

@@ -337,7 +337,8 @@ def lost_result(known: LedgerGoal) -> GoalResult:
     """
     if known.plan is None:
         raise ValueError(f"goal {known.goal.goal_id} is not running")
-    nothing = np.empty(0) if isinstance(known.plan, ExcitationPlan) else np.empty((0, 0))
+    plan = known.plan
+    nothing = np.empty((0, *plan.columns) if isinstance(plan, ExcitationPlan) else (0, 0))
     return GoalResult(
         goal_id=known.goal.goal_id,
         boot_id=known.boot_id,

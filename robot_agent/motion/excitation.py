@@ -9,7 +9,8 @@ import numpy as np
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RefusedError
 from nufleet.shared.frequency_test.duration import timing
-from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
+from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan, PlannedTones
+from nufleet.shared.robots.joint_limits import joint_share
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
 HEADROOM = 0.8
@@ -31,47 +32,65 @@ def plan_excitation(excitation: Excitation, spec: RobotSpec, robot: str) -> Exci
 
     Raises:
         RefusedError: The reference would break a limit, which it is never clipped to; the code is
-            `unknown-axis`, `omega-out-of-band`, `duration`, `amplitude`, `velocity` or
-            `acceleration`.
+            `unknown-axis`, `omega-out-of-band`, `duration`, `amplitude`, `velocity`,
+            `acceleration`, or `together` where the axes break one only together.
     """
-    axis = _axis_of(excitation, spec, robot)
+    axes = [_axis_of(one.axis, spec, robot) for one in excitation.played]
+    _check_together(axes, robot)
     _check_band(excitation, spec, robot)
     plan = _timed(excitation, spec, robot)
-    unit_reference = reference_of(plan)
-    velocity, acceleration = peak_velocity_and_acceleration(unit_reference, spec.sample_time_s)
-    if excitation.amplitude is None:
-        limits = (
-            axis.amplitude_max,
-            axis.velocity_max / velocity,
-            axis.acceleration_max / acceleration,
+    step_s = spec.sample_time_s
+    unit_references = reference_of(plan).reshape(plan.samples, len(axes))
+    peaks = [peak_velocity_and_acceleration(one, step_s) for one in unit_references.T]
+    amplitudes = [
+        min(axis.amplitude_max, axis.velocity_max / velocity, axis.acceleration_max / acceleration)
+        if wanted.amplitude is None
+        else wanted.amplitude
+        for wanted, axis, (velocity, acceleration) in zip(
+            excitation.played, axes, peaks, strict=True
         )
-        return plan.model_copy(update={"amplitude": HEADROOM * min(limits)})
-    amplitude = excitation.amplitude
-    _check_motion(amplitude, amplitude * velocity, amplitude * acceleration, axis, robot)
-    return plan.model_copy(update={"amplitude": amplitude})
+    ]
+    share = joint_share(*_differences(unit_references * amplitudes, step_s), axes)
+    if excitation.amplitude is None:
+        amplitudes = [HEADROOM * (share * amplitude) for amplitude in amplitudes]
+    else:
+        for amplitude, (velocity, acceleration), axis in zip(amplitudes, peaks, axes, strict=True):
+            _check_motion(amplitude, amplitude * velocity, amplitude * acceleration, axis, robot)
+        _check_share(share, axes, robot)
+    also = tuple(
+        one.model_copy(update={"amplitude": amplitude})
+        for one, amplitude in zip(plan.also, amplitudes[1:], strict=True)
+    )
+    return plan.model_copy(update={"amplitude": amplitudes[0], "also": also})
 
 
 def reference_of(plan: ExcitationPlan) -> FloatArray:
     """Return the reference of a plan.
 
-    It is A e(k) s(k) / max|s| with the amplitude A, the envelope e that ramps from 0 to 1 and back,
-    and the sum of tones s(k) = Σ w_i sin(ω_i k T + φ_i), w_i relative to the largest weight. Its
-    first and last samples are 0, and no sample exceeds the amplitude.
+    That of each axis is A e(k) s(k) / max|s| with the amplitude A, the envelope e that ramps from 0
+    to 1 and back, and the sum of tones s(k) = Σ w_i sin(ω_i k T + φ_i), w_i relative to the largest
+    weight. Its first and last samples are 0, and no sample exceeds the amplitude.
 
     Args:
         plan: Plan of the frequency test.
 
     Returns:
-        The reference, shape (samples,), in the axis's unit.
+        The reference in the axes' units, shape (samples,), or (samples, axes) for a test of several
+        axes in the order of `plan.played`.
     """
+    references = [_reference_of(one, plan) for one in plan.played]
+    return references[0] if len(references) == 1 else np.stack(references, axis=1)
+
+
+def _reference_of(played: PlannedTones, plan: ExcitationPlan) -> FloatArray:
     times_s = np.arange(plan.samples) * plan.sample_time_s
-    heaviest = max(tone.weight for tone in plan.tones)
+    heaviest = max(tone.weight for tone in played.tones)
     total = np.zeros(plan.samples)
-    for tone in plan.tones:
+    for tone in played.tones:
         share = tone.weight / heaviest
         total += share * np.sin(tone.omega_rad_s * times_s + tone.phase_rad)
     shape: FloatArray = _envelope(plan) * (total / np.max(np.abs(total)))
-    return plan.amplitude * shape
+    return played.amplitude * shape
 
 
 def peak_velocity_and_acceleration(
@@ -86,12 +105,39 @@ def peak_velocity_and_acceleration(
     Returns:
         The peak velocity in unit/s and the peak acceleration in unit/s².
     """
+    velocity, acceleration = _differences(reference[:, None], sample_time_s)
+    return float(np.max(np.abs(velocity))), float(np.max(np.abs(acceleration)))
+
+
+def _differences(references: FloatArray, sample_time_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return velocities and accelerations, shape (samples + 3 or + 2, axes), of (samples, axes)."""
     # Two zeros on either side, since the robot rests at 0 before the first and after the last
     # sample and the steps from and to rest count too.
-    padded = np.concatenate([[0.0, 0.0], reference, [0.0, 0.0]])
-    velocity = np.diff(padded) / sample_time_s
-    acceleration = np.diff(velocity) / sample_time_s
-    return float(np.max(np.abs(velocity))), float(np.max(np.abs(acceleration)))
+    padded = np.pad(references, ((2, 2), (0, 0)))
+    velocity = np.diff(padded, axis=0) / sample_time_s
+    return velocity, np.diff(velocity, axis=0) / sample_time_s
+
+
+def _check_together(axes: list[AxisSpec], robot: str) -> None:
+    alone = [axis.name for axis in axes if not axis.together]
+    if len(axes) > 1 and alone:
+        raise RefusedError(
+            "together",
+            f"axis {alone[0]} may not move at the same time as another; request a test of it alone",
+            robot,
+        )
+
+
+def _check_share(share: float, axes: list[AxisSpec], robot: str) -> None:
+    if share < 1:
+        names = " and ".join(axis.name for axis in axes)
+        raise RefusedError(
+            "together",
+            f"the references of axes {names} together would reach {1 / share:.4g} times what their "
+            "limits on velocity and acceleration allow; omit the amplitudes to let the robot "
+            "choose them",
+            robot,
+        )
 
 
 def _envelope(plan: ExcitationPlan) -> FloatArray:
@@ -102,16 +148,15 @@ def _envelope(plan: ExcitationPlan) -> FloatArray:
     return np.concatenate([ramp, flat, ramp[::-1]])
 
 
-def _axis_of(excitation: Excitation, spec: RobotSpec, robot: str) -> AxisSpec:
+def _axis_of(name: str, spec: RobotSpec, robot: str) -> AxisSpec:
     try:
-        return spec.axis(excitation.axis)
+        return spec.axis(name)
     except KeyError as error:
         raise RefusedError("unknown-axis", str(error.args[0]), robot) from error
 
 
 def _check_band(excitation: Excitation, spec: RobotSpec, robot: str) -> None:
-    for tone in excitation.tones:
-        omega = tone.omega_rad_s
+    for omega in excitation.omega_rad_s:
         if omega < spec.omega_min_rad_s:
             raise RefusedError(
                 "omega-out-of-band",
@@ -140,6 +185,9 @@ def _timed(excitation: Excitation, spec: RobotSpec, robot: str) -> ExcitationPla
         axis=excitation.axis,
         tones=excitation.tones,
         amplitude=1.0,
+        also=tuple(
+            PlannedTones(axis=one.axis, tones=one.tones, amplitude=1.0) for one in excitation.also
+        ),
         sample_time_s=spec.sample_time_s,
         ramp_samples=ramp_samples,
         settle_samples=settle_samples,

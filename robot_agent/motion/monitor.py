@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nufleet.robot_agent.motion.lag_watch import LagWatch
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import OutsideLimitsError, RobotError
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
@@ -214,6 +215,7 @@ class _AxisMonitor:
         self._lowest: deque[tuple[int, float]] = deque([(0, 0.0)])
         self._highest: deque[tuple[int, float]] = deque([(0, 0.0)])
         self._sample = 0
+        self._lag = LagWatch(rests_at, span, self._past)
         self._offset = rest_error_max(spec, axis) + axis.amplitude_max / 4
         self._offset += NOISE_DEVIATIONS / 2 * noise
         self._furthest = 0.0
@@ -226,7 +228,11 @@ class _AxisMonitor:
             return None
         pairs = zip(references.tolist(), outputs.tolist(), strict=True)
         for k, (reference, output) in enumerate(pairs):
-            reason = self._frozen(reference, output) or self._implausible(reference, output)
+            reason = (
+                self._frozen(reference, output)
+                or self._implausible(reference, output)
+                or self._late(reference, output)
+            )
             if reason is not None:
                 return Failure(k, reason)
             if self._last_is_outside:
@@ -244,6 +250,8 @@ class _AxisMonitor:
         if not (steps <= self._leap).all() or not steps.all():
             return False
         if outputs.min() < self._low or outputs.max() > self._high:
+            return False
+        if not self._lag.none_in(outputs):
             return False
         self._good = self._last = float(outputs[-1])
         self._bad = max(0.0, self._bad - GOOD_SAMPLE * len(outputs))
@@ -288,6 +296,16 @@ class _AxisMonitor:
         return (
             f"the output of axis {name}, {output:.4g} {unit}, does not follow its reference: it is "
             "far from every reference of the last settling time"
+        )
+
+    def _late(self, reference: float, output: float) -> str | None:
+        samples = self._lag.take(reference, output)
+        if samples is None:
+            return None
+        return (
+            f"the output of axis {self._axis.name} begins to move {samples} samples after its "
+            "reference, long after the robot should have settled: its sensor lags, or its settling "
+            "time is stated much too short"
         )
 
     @property

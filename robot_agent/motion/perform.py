@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Protocol
@@ -31,12 +31,15 @@ OBSERVE_RUN = 3
 _log = logging.getLogger(__name__)
 
 OnSamples = Callable[[int, FloatArray, FloatArray], None]
-"""Callback for a batch: index of its first sample, references and outputs, both (samples,)."""
+"""Callback for a batch: index of its first sample, its references and outputs (see `Samples`)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """The samples of a motion: (samples,) for a test of one axis, else (samples, axes)."""
+    """The samples of a motion: (samples,) for a test of one axis, else (samples, axes).
+
+    Those of a test of several axes are the axes that play, in the order of the plan.
+    """
 
     reference: FloatArray
     """References played, in the axes' units."""
@@ -47,15 +50,15 @@ class Samples:
     details: FlightDetails | None = None
     """Other signals of a flight; None for a motion that has none."""
 
-    column: int | None = None
-    """Index of the axis that a test moves; None for a flight."""
+    columns: tuple[int, ...] | None = None
+    """Indices of the axes that a test moves; None for a flight."""
 
     timing: Timing | None = None
     """Times of a test's samples, for a robot that records them."""
 
     states: FloatArray | None = None
-    """All states of the axis that a test moves, shape (samples, states), NaN where they were not
-    observed; None for a flight, and for a robot that measures its output alone."""
+    """All states of the axes that a test moves, shape (samples, axes, states), NaN where they were
+    not observed; None for a flight, and for a robot that measures its output alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +124,7 @@ def performed(
     samples = performance.measured()
     try:
         on_resting()
-        if not down and samples.column is not None:
+        if not down and samples.columns is not None:
             samples = yield partial(_recorded, robot, samples)
     except Exception as error:  # noqa: BLE001 - as above
         outcome, reason, down, also = _failed(error, reason)
@@ -164,16 +167,17 @@ def _recorded(robot: Robot, samples: Samples) -> Samples:
     if record is None:
         return samples
     outputs, timing = outputs_at_samples(record, len(samples.reference), robot.spec)
-    return replace(samples, response=outputs[:, samples.column], timing=timing)
+    played = outputs[:, samples.columns].reshape(samples.reference.shape)
+    return replace(samples, response=played, timing=timing)
 
 
 class AxisMotion:
-    """A motion that follows a reference known ahead on one axis; the other axes hold zero."""
+    """A motion that follows references known ahead on some axes; the other axes hold zero."""
 
     def __init__(
         self,
         robot: Robot,
-        axis: str,
+        axes: Sequence[str],
         reference: FloatArray,
         *,
         realtime: float | None,
@@ -184,48 +188,51 @@ class AxisMotion:
 
         Args:
             robot: The robot, connected and at rest.
-            axis: Name of the axis that follows the reference.
-            reference: Reference of that axis, shape (samples,), in the axis's unit.
+            axes: Names of the axes that follow the reference.
+            reference: Reference in the axes' units, shape (samples,) for one axis, else
+                (samples, axes).
             realtime: Multiple of real time at which a simulated robot is paced; None lets it play
                 as fast as it can. A real robot paces itself, one sample at a time.
             switch: Switch that ends the motion early.
             on_samples: Callback that receives each batch: the index of its first sample, and its
-                references and outputs, both of shape (samples,).
+                references and outputs, both shaped like the reference.
         """
         self._robot, self._reference = robot, reference
-        self._column = [known.name for known in robot.spec.axes].index(axis)
+        names = [known.name for known in robot.spec.axes]
+        self._columns = tuple(names.index(axis) for axis in axes)
         self._switch, self._on_samples = switch, on_samples
         self._pace = Pace(robot.spec, realtime, switch)
         self._response = np.empty_like(reference)
         states = len(robot.state_names)
-        self._states = np.full((len(reference), states), np.nan) if states > 1 else None
+        shape = (len(reference), len(axes), states)
+        self._states = np.full(shape, np.nan) if states > 1 else None
         self._done = 0
 
     def measured(self) -> Samples:
-        """Return the samples measured until now; both arrays have shape (samples,)."""
+        """Return the samples measured until now; both arrays are shaped like the reference."""
         done = slice(0, self._done)
         states = None if self._states is None else self._states[done].copy()
         return Samples(
             self._reference[done].copy(),
             self._response[done].copy(),
-            column=self._column,
+            columns=self._columns,
             states=states,
         )
 
     def play(self) -> tuple[Outcome, str]:
         """Play the reference to its end, or until the switch is thrown."""
-        column = self._column
+        columns = self._columns
         if self._switch.order is not None:
             return self._switch.order
         whole = np.zeros((len(self._reference), len(self._robot.spec.axes)))
-        whole[:, column] = self._reference
+        whole[:, columns] = self._reference.reshape(len(whole), len(columns))
         _, monitor = begun(self._robot, whole, flight=False)
         for start, stop in self._batches():
             if self._switch.order is not None:
                 return self._switch.order
             references = whole[start:stop]
             if self._states is not None and start % OBSERVE_SAMPLES < OBSERVE_RUN:
-                self._states[start] = self._robot.observe()[column]
+                self._states[start] = self._robot.observe()[columns, :]
             measured = (
                 self._robot.run(references)
                 if stop - start > 1
@@ -233,7 +240,8 @@ class AxisMotion:
             )
             failure = monitor.check(references, measured)
             good = stop - start if failure is None else failure.good
-            self._response[start : start + good] = measured[:good, column]
+            played = measured[:good, columns]
+            self._response[start : start + good] = played.reshape(good, *self._response.shape[1:])
             self._done = start + good
             self._on_samples(
                 start, self._reference[start : self._done], self._response[start : self._done]

@@ -98,11 +98,10 @@ class Sortie:
         Raises:
             RobotError: It cannot be connected.
         """
-        if released():
-            try:
-                yield self._robot.disconnect
-            except RobotError as error:
-                _log.warning("a robot with a fault could not be disconnected: %s", error)
+        try:
+            yield self._robot.disconnect
+        except RobotError as error:
+            _log.warning("a robot with a fault could not be disconnected: %s", error)
         if released():
             yield self._robot.connect
             self.begun = False

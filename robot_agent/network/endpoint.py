@@ -20,7 +20,8 @@ from nufleet.shared.errors import MalformedMessageError, RefusedError, Transport
 from nufleet.shared.wire.codec import Message, encode
 from nufleet.shared.wire.keys import FleetKeys, attributed
 from nufleet.shared.wire.messages import Refusal
-from nufleet.shared.wire.transport import Request, Session
+from nufleet.shared.wire.requests import Request
+from nufleet.shared.wire.session import Session
 
 MAX_REQUEST_BYTES = 64 * 1024
 """Largest size of an ordinary request."""
@@ -190,4 +191,4 @@ def _send(request: Request, answer: Message) -> None:
     try:
         request.answer(payload)
     except TransportError as error:
-        _log.warning("the reply on %s was lost: %s", request.key, error)
+        _log.warning("the reply on %r was lost: %s", request.key, error)

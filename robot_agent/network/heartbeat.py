@@ -10,7 +10,7 @@ from collections.abc import Callable
 from nufleet.shared.errors import NufleetError
 from nufleet.shared.wire.codec import encode
 from nufleet.shared.wire.messages import RobotState
-from nufleet.shared.wire.transport import Publisher
+from nufleet.shared.wire.requests import Publisher
 
 HEARTBEAT_S = 0.5
 """Interval between two states while nothing changes."""

@@ -10,7 +10,7 @@ import numpy as np
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import TransportError
 from nufleet.shared.wire.codec import Message, encode
-from nufleet.shared.wire.transport import Publisher
+from nufleet.shared.wire.requests import Publisher
 
 PERIOD_S = 0.1
 """Shortest interval between two batches."""

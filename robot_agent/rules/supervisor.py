@@ -10,9 +10,6 @@ from dataclasses import dataclass, replace
 
 from nufleet.shared.wire.messages import Outcome, Refusal
 
-STOPPED_MEANWHILE = "it was stopped while it was being reconnected"
-"""Fault of a robot that has not been released since, and whose motors may have been cut."""
-
 
 @dataclass(frozen=True)
 class StopOrder:
@@ -141,8 +138,7 @@ def supervise(state: Supervision, event: Event) -> tuple[Supervision, Halt | Non
         case MotionEnded(fault):
             return replace(state, motion_owner=None, fault=state.fault or fault), None
         case Reconnected(fault):
-            also = None if state.stop is None else STOPPED_MEANWHILE
-            return replace(state, fault=fault or also), None
+            return replace(state, fault=fault), None
         case FaultFound(fault):
             return replace(state, fault=state.fault or fault), _halt_if_moving(state, fault)
         case HealthReported(unfit):

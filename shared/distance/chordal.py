@@ -50,6 +50,32 @@ def chordal_distance(z_1: ComplexArray, z_2: ComplexArray) -> FloatArray:
     return np.minimum(np.where(pole_1 | pole_2, to_pole, between), 1.0)
 
 
+def matrix_chordal_distance(z_1: ComplexArray, z_2: ComplexArray) -> FloatArray:
+    """Return ψ of two matrices, σ_max[(I + Z₂Z₂*)^(−1/2) (Z₂ − Z₁) (I + Z₁*Z₁)^(−1/2)].
+
+    It is the sine of the largest angle between the graphs of the responses, at one frequency the
+    quantity whose largest value is the ν-gap (Vinnicombe, IEEE Trans. Autom. Control 38, 1993), and
+    |z₁ − z₂| / (√(1 + |z₁|²) √(1 + |z₂|²)) for numbers.
+
+    Args:
+        z_1: Responses, outputs over inputs, shape (…, p, m), finite.
+        z_2: Responses of the same shape.
+
+    Returns:
+        Distances in [0, 1], shape (…).
+    """
+
+    def adjoint(z: ComplexArray) -> ComplexArray:
+        return np.asarray(np.swapaxes(z, -1, -2).conj())
+
+    # Any factors L with LL* = I + ZZ* differ from the roots by rotations, which keep σ_max.
+    left = np.linalg.inv(np.linalg.cholesky(np.eye(z_2.shape[-2]) + z_2 @ adjoint(z_2)))
+    right = np.linalg.inv(np.linalg.cholesky(np.eye(z_1.shape[-1]) + adjoint(z_1) @ z_1))
+    between = left @ (z_2 - z_1) @ adjoint(np.asarray(right, dtype=np.complex128))
+    largest = np.linalg.svd(between, compute_uv=False)[..., 0]
+    return np.asarray(np.minimum(largest, 1.0))
+
+
 def riemann_sphere(z: ComplexArray) -> FloatArray:
     """Return the stereographic projections (x, y, height) of z, shape (…, 3).
 

@@ -1,8 +1,8 @@
 """Arithmetic with polynomials of one variable, for the ν-gap of two transfer functions.
 
-A polynomial is an array of coefficients, ordered from the constant up. The functions are written
-for one number at a time, so that numba can compile them too
-(`nufleet.shared.distance.rational_gap.compiled`).
+A polynomial of degree d is an array of coefficients of shape (d + 1,), ordered from the constant
+up, without unit. The functions are written for one number at a time, so that numba can compile them
+too (`nufleet.shared.distance.rational_gap.compiled`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _EPSILON = float(np.finfo(np.float64).eps)
 
 
 def value_at(p: FloatArray, s: complex) -> complex:
-    """Return p(s) by Horner's rule; coefficients are ordered from the constant up."""
+    """Return p(s) by Horner's rule."""
     value = complex(p[-1])
     for k in range(len(p) - 2, -1, -1):
         value = value * s + p[k]
@@ -25,7 +25,7 @@ def value_at(p: FloatArray, s: complex) -> complex:
 
 
 def product_of(p: FloatArray, q: FloatArray) -> FloatArray:
-    """Return p · q."""
+    """Return p · q, whose degree is the sum of the two, shape (len(p) + len(q) − 1,)."""
     product = np.zeros(len(p) + len(q) - 1)
     for i in range(len(p)):
         for j in range(len(q)):
@@ -34,7 +34,7 @@ def product_of(p: FloatArray, q: FloatArray) -> FloatArray:
 
 
 def sum_of(p: FloatArray, factor: float, q: FloatArray) -> FloatArray:
-    """Return p + factor · q, of one length."""
+    """Return p + factor · q for a q no longer than p, shape (len(p),)."""
     total = p.copy()
     for k in range(len(q)):
         total[k] += factor * q[k]
@@ -42,7 +42,7 @@ def sum_of(p: FloatArray, factor: float, q: FloatArray) -> FloatArray:
 
 
 def mirror_of(p: FloatArray) -> FloatArray:
-    """Return p~(s) = p(−s)."""
+    """Return p~(s) = p(−s), shape (len(p),)."""
     mirrored = p.copy()
     for k in range(1, len(p), 2):
         mirrored[k] = -p[k]
@@ -50,7 +50,7 @@ def mirror_of(p: FloatArray) -> FloatArray:
 
 
 def power_on_axis(p: FloatArray) -> FloatArray:
-    """Return |p(jω)|² as a polynomial of x = ω², of p's degree."""
+    """Return |p(jω)|² as a polynomial of x = ω², shape (len(p),)."""
     degree = len(p) - 1
     power = np.zeros(degree + 1)
     for i in range(degree + 1):
@@ -61,7 +61,10 @@ def power_on_axis(p: FloatArray) -> FloatArray:
 
 
 def in_half_plane(p: FloatArray, degree: int, discrete: bool) -> FloatArray:
-    """Return p from the constant up and, in discrete time, (1 − s)ᵈ p((1 + s)/(1 − s))."""
+    """Return p from the constant up and, in discrete time, (1 − s)ᵈ p((1 + s)/(1 − s)).
+
+    Here p is ordered from its highest power down; the result has shape (degree + 1,).
+    """
     ascending = np.zeros(degree + 1)
     for k in range(len(p)):
         ascending[k] = p[len(p) - 1 - k]
@@ -125,7 +128,7 @@ def _first_guess(p: FloatArray) -> ComplexArray:
 
 
 def roots_of(p: FloatArray) -> tuple[bool, ComplexArray]:
-    """Return True on success, and all finite nonzero roots, found by Aberth's method."""
+    """Return True on success, and all finite nonzero roots, shape (roots,), by Aberth's method."""
     first, last = 0, len(p) - 1
     while first < last and p[first] == 0.0:
         first += 1

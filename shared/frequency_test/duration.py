@@ -1,5 +1,6 @@
 """The durations of the parts of a frequency test, known before the test is requested.
 
+The tones of all axes of a test count alike, since the output of every axis may contain them all.
 The segments of several tones together hold one period of the slowest of them, and
 `RESOLUTION_PERIODS` beats of the two closest; a segment of a single tone holds a period of its own.
 No segment is shorter than `segment_min_s`.
@@ -67,7 +68,7 @@ def timing(excitation: Excitation, spec: RobotSpec) -> Timing:
         excitation: Request for the test.
         spec: Description of the robot that will perform it.
     """
-    omegas = sorted(tone.omega_rad_s for tone in excitation.tones)
+    omegas = excitation.omega_rad_s
     period_s = 2 * math.pi / omegas[0]
     measure_s = excitation.segments * period_s
     if len(omegas) > 1:

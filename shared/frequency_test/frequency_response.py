@@ -1,44 +1,38 @@
 """The response z(ω) of a robot from one frequency test, with its uncertainty and a verdict.
 
 z(ω) = A(ω) e^{jθ(ω)} is the paper's eq. (5): amplitude gain A and phase shift θ from reference to
-output.
+output. Where a test plays on several axes, z_ij(ω) leads from the reference of axis j to the output
+of axis i, and is estimated at the tones of axis j (Pintelon and Schoukens, System Identification,
+2nd ed., Wiley 2012, chapter 2).
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nufleet.shared.arrays import ComplexArray, FloatArray
-from nufleet.shared.distance.chordal import geodesic_radius
 from nufleet.shared.frequency_test.excitation import ExcitationPlan
-from nufleet.shared.frequency_test.nonlinearity import (
-    harmonic_distortion,
-    nonlinear,
-    power_distortion,
-)
+from nufleet.shared.frequency_test.matrix_response import MatrixResponse, error_correlation
 from nufleet.shared.frequency_test.quality import (
-    NO_RESPONSE_SIGNIFICANCE,
-    SILENCE,
+    BoolArray,
     Finding,
     Quality,
-    changed,
-    disturbed,
-    f_quantile,
-    stopped,
-    uncertain,
-    unexplained,
-    unsettled,
+    uncertainty_radius,
     verdict,
 )
-from nufleet.shared.frequency_test.ring_down import RingDown, ring_down, still_ringing
-from nufleet.shared.frequency_test.sensor_faults import sensor_faults
+from nufleet.shared.frequency_test.response_findings import Estimates, Samples, findings_of
+from nufleet.shared.frequency_test.ring_down import (
+    RingDown,
+    ring_down,
+    still_ringing,
+)
 from nufleet.shared.frequency_test.sinusoid_fit import (
     SinusoidFit,
     UnresolvableError,
-    complex_median,
     fit_sinusoids,
     resolvable_harmonics,
     sum_of_tones,
@@ -88,6 +82,9 @@ class FrequencyResponse:
     """Peak of the reference in the axis's unit; None if unknown."""
     flight: Flight | None = None
     """The flight that measured it; None for a test."""
+    matrix: MatrixResponse | None = None
+    """All entries of a test of several axes, of which this is the first axis's own; None for a test
+    of one axis."""
 
     @property
     def degrees_of_freedom(self) -> FloatArray:
@@ -108,25 +105,6 @@ class FrequencyResponse:
         return uncertainty_radius(self.variance, self.degrees_of_freedom, alpha)
 
 
-def uncertainty_radius(
-    variance: FloatArray, degrees: FloatArray, alpha: float = 0.05
-) -> FloatArray:
-    """Return the radius ρ of each estimate's confidence disc.
-
-    ρ² = s² F, where F is the 1 − α quantile of the F distribution with 2 and `degrees` degrees of
-    freedom (real and imaginary part have half the variance each).
-
-    Args:
-        variance: Variance s² of each estimate, any shape.
-        degrees: Degrees of freedom of each variance, the same shape.
-        alpha: Probability α that a disc misses z.
-
-    Returns:
-        Radii in the complex plane, the same shape.
-    """
-    return np.sqrt(variance * f_quantile(alpha, degrees / 2))
-
-
 def estimate_frequency_response(
     reference: FloatArray, response: FloatArray, plan: ExcitationPlan
 ) -> FrequencyResponse:
@@ -138,88 +116,152 @@ def estimate_frequency_response(
     looks like a sine.) Faults in the samples lead to a verdict, never to an exception.
 
     Args:
-        reference: Reference of the tested axis, shape (samples,), in the axis's unit.
-        response: Output measured at the same times, shape (samples,), in the axis's unit.
+        reference: Reference of the tested axis, shape (samples,), in the axis's unit, or those of
+            all tested axes, shape (samples, axes), in the order of `plan.played`.
+        response: Output measured at the same times, in the same shape and units.
         plan: Excitation that the robot played.
+
+    Returns:
+        The response of the first axis that played to its own reference; for a test of several axes,
+        its `matrix` has all entries, and its verdict is that on all axes.
     """
-    omegas = np.array([tone.omega_rad_s for tone in plan.tones])
+    references, outputs = (
+        signal if signal.ndim == 2 else signal[:, None] for signal in (reference, response)
+    )
+    matrix = _matrix(references, outputs, plan)
+    if len(matrix.axes) == 1:
+        return matrix.rows[0]
+    return replace(matrix.entry(0, 0), quality=matrix.quality, matrix=matrix)
+
+
+def _matrix(references: FloatArray, outputs: FloatArray, plan: ExcitationPlan) -> MatrixResponse:
+    """Estimate all entries; references and outputs have shape (samples, axes)."""
+    tested = _Tested.of(plan)
     first = plan.first_measured_sample
     end = first + plan.segments * plan.segment_samples
-    if min(len(reference), len(response)) < end:
-        text = f"the test ended early: {len(response)} samples, but measuring ends at sample {end}"
-        return _failed(omegas, plan, "ended-early", text)
-    u, y = reference[first:end], response[first:end]
-    for name, signal in (("reference", u), ("output", y)):
-        bad = np.flatnonzero(~np.isfinite(signal))
+    if min(len(references), len(outputs)) < end:
+        text = f"the test ended early: {len(outputs)} samples, but measuring ends at sample {end}"
+        return tested.failed("ended-early", text)
+    for name, signals in (("reference", references), ("output", outputs)):
+        bad = np.flatnonzero(~np.isfinite(signals[first:end]).all(axis=1))
         if len(bad):
             text = f"the {name} contains {len(bad)} samples that are not finite"
-            return _failed(omegas, plan, "not-finite", text)
+            return tested.failed("not-finite", text)
+    # The axes' tones differ, so that the sum of all references contains each of them once. In its
+    # sum each reference counts in the first one's unit, by the ratio of their amplitudes.
+    reference = (references / tested.scale).sum(axis=1)
     # Scaled to 1, so that no square overflows, however far the robot has moved.
-    u_scale, y_scale = float(np.max(np.abs(u))), float(np.max(np.abs(y)))
+    u_scale = float(np.max(np.abs(reference[first:end])))
     if u_scale == 0.0:
-        return _failed(omegas, plan, "no-reference", "the reference is zero throughout")
-    if y_scale > GAIN_MAX * u_scale:
-        text = f"the output reaches {y_scale:.2g} with a reference of {u_scale:.2g}: it ran away"
-        return _failed(omegas, plan, "unexplained", text)
+        return tested.failed("no-reference", "the reference is zero throughout")
     begin = plan.ramp_samples
-    before = np.stack([reference[begin:first], response[begin:first]])
-    if not np.all(np.isfinite(before)) or np.max(np.abs(before), initial=0.0) > GAIN_MAX * u_scale:
-        begin = first
-    settled = _Samples(
-        reference[begin:end] / u_scale, response[begin:end] / (y_scale or 1.0), u_scale, y_scale
-    )
-    return _estimate(settled, first - begin, omegas, plan)
+    between = []
+    for output, scale in zip(outputs.T, tested.scale.tolist(), strict=True):
+        own_scale, y_scale = u_scale * scale, float(np.max(np.abs(output[first:end])))
+        if y_scale > GAIN_MAX * own_scale:
+            text = f"the output reaches {y_scale:.2g} with a reference of {own_scale:.2g}"
+            return tested.failed("unexplained", f"{text}: it ran away")
+        before = np.stack([reference[plan.ramp_samples : first], output[plan.ramp_samples : first]])
+        most = GAIN_MAX * own_scale
+        if not np.all(np.isfinite(before)) or np.max(np.abs(before), initial=0.0) > most:
+            begin = first
+        between.append(Samples(reference / u_scale, output / (y_scale or 1.0), own_scale, y_scale))
+    return _estimate([one[begin:end] for one in between], first - begin, tested)
 
 
 @dataclass(frozen=True)
-class _Samples:
-    """A part of a test, scaled so that the largest measured sample of each signal is 1."""
+class _Tested:
+    """What a plan tests: its tones, and which axis plays each of them."""
 
-    u: FloatArray
-    """Scaled reference, shape (samples,)."""
-    y: FloatArray
-    """Scaled output, shape (samples,)."""
-    u_scale: float
-    """Largest magnitude of the reference, in the axis's unit."""
-    y_scale: float
-    """Largest magnitude of the output, in the axis's unit."""
+    plan: ExcitationPlan
+    omega_rad_s: FloatArray
+    """Frequencies of all tones, axis by axis, shape (tones,)."""
+    played_by: NDArray[np.intp]
+    """Place of the axis that plays each tone, shape (tones,)."""
+    scale: FloatArray
+    """Amplitude of each axis, as a multiple of the first one's, shape (axes,)."""
+
+    @staticmethod
+    def of(plan: ExcitationPlan) -> _Tested:
+        counts = [len(one.tones) for one in plan.played]
+        omegas = [tone.omega_rad_s for one in plan.played for tone in one.tones]
+        amplitudes = np.array([one.amplitude for one in plan.played])
+        played_by = np.repeat(np.arange(len(counts)), counts)
+        return _Tested(plan, np.array(omegas), played_by, amplitudes / plan.amplitude)
+
+    def matrix(
+        self, rows: Sequence[FrequencyResponse], correlation: ComplexArray
+    ) -> MatrixResponse:
+        axes = tuple(one.axis for one in self.plan.played)
+        return MatrixResponse(axes, self.played_by, tuple(rows), correlation)
+
+    def failed(self, code: str, text: str) -> MatrixResponse:
+        omegas, plan = self.omega_rad_s, self.plan
+        rows = [
+            FrequencyResponse(
+                omega_rad_s=omegas,
+                z=np.full(len(omegas), complex(np.nan, np.nan)),
+                variance=np.full(len(omegas), np.inf),
+                segments=plan.segments,
+                quality=Quality(reasons=(Finding(code=code, text=text),)),
+                amplitude=one.amplitude,
+            )
+            for one in plan.played
+        ]
+        return self.matrix(rows, np.eye(len(rows), dtype=np.complex128))
 
 
-@dataclass(frozen=True)
-class _Estimates:
-    """The estimates of z from single segments, and the variance of their mean."""
+def _estimate(between: Sequence[Samples], settle_samples: int, asked: _Tested) -> MatrixResponse:
+    """Estimate z from what a robot did between the ramps, of which it was to settle first.
 
-    segment_z: ComplexArray
-    """Estimate of z from each segment, shape (segments, tones)."""
-    variance: FloatArray
-    """Variance of their mean, shape (tones,)."""
-    degrees: FloatArray
-    """Degrees of freedom of that variance, shape (tones,)."""
-
-
-def _estimate(
-    between: _Samples, settle_samples: int, omegas: FloatArray, plan: ExcitationPlan
-) -> FrequencyResponse:
-    """Estimate z from what a robot did between the ramps, of which it was to settle first."""
+    Args:
+        between: Reference and output of each axis.
+        settle_samples: Number of samples before the measuring part.
+        asked: The tones.
+    """
+    plan, omegas = asked.plan, asked.omega_rad_s
     tones, step_s = len(omegas), plan.sample_time_s
     extra = resolvable_harmonics(omegas, step_s, plan.segments * plan.segment_samples * step_s)
     every_omega = np.concatenate([omegas, extra])
-    ringing = ring_down(between.y, every_omega, float(omegas.max()), step_s, settle_samples)
-    start, transient = settle_samples, None
-    if ringing.lasting.any():
-        # A transient is known best where it is largest, so that all of it is fitted.
-        start = len(between.y) % plan.segments
-        transient = ringing.columns(len(between.y), step_s)[start:]
-    samples = replace(between, u=between.u[start:], y=between.y[start:])
-    try:
-        input_fit, output_fit = fit_sinusoids(
-            [samples.u, samples.y], every_omega, step_s, plan.segments, transient
-        )
-    except UnresolvableError as error:
-        return _failed(omegas, plan, "unresolvable", str(error))
+    rows, left = [], []
+    for axis, one in enumerate(between):
+        ringing = ring_down(one.y, every_omega, float(omegas.max()), step_s, settle_samples)
+        start, transient = settle_samples, None
+        if ringing.lasting.any():
+            # A transient is known best where it is largest, so that all of it is fitted.
+            start = len(one.y) % plan.segments
+            transient = ringing.columns(len(one.y), step_s)[start:]
+        samples = one[start:]
+        try:
+            input_fit, output_fit = fit_sinusoids(
+                [samples.u, samples.y], every_omega, step_s, plan.segments, transient
+            )
+        except UnresolvableError as error:
+            return asked.failed("unresolvable", str(error))
+        if np.min(np.abs(input_fit.phasors[:tones])) < REFERENCE_TONE_MIN:
+            return asked.failed("no-reference", "a tone is missing from the reference")
+        own = asked.played_by == axis
+        row = _row(samples, ringing, input_fit, output_fit, own, settle_samples, asked)
+        # z was relative to a reference that counts in the unit of this output.
+        unit = asked.scale[axis] / asked.scale[asked.played_by]
+        rows.append(replace(row, z=row.z * unit, variance=row.variance * unit**2))
+        left.append((samples.y - output_fit.fitted)[settle_samples - start :])
+    return asked.matrix(rows, error_correlation(np.array(left), float(omegas.max()), step_s))
+
+
+def _row(
+    samples: Samples,
+    ringing: RingDown,
+    input_fit: SinusoidFit,
+    output_fit: SinusoidFit,
+    own: BoolArray,
+    settle_samples: int,
+    asked: _Tested,
+) -> FrequencyResponse:
+    """Return the responses of one output to all tones."""
+    plan, omegas, step_s = asked.plan, asked.omega_rad_s, asked.plan.sample_time_s
+    tones = len(omegas)
     input_tones = input_fit.phasors[:tones]
-    if np.min(np.abs(input_tones)) < REFERENCE_TONE_MIN:
-        return _failed(omegas, plan, "no-reference", "a tone is missing from the reference")
     scaled_z = output_fit.phasors[:tones] / input_tones
     # z of each segment to first order, z + (Y_p − z U_p)/U: dividing by the segment's own U_p would
     # be biased if the reference scattered too.
@@ -241,8 +283,8 @@ def _estimate(
     for suspicion in suspected:
         variance += (gain * suspicion.phasor_error / np.abs(input_tones)) ** 2
     degrees = output_fit.scatter_degrees[:tones]
-    estimates = _Estimates(gain * segment_z, variance, degrees)
-    findings = _findings(tested, samples, ringing, input_fit, output_fit, estimates, plan)
+    estimates = Estimates(gain * segment_z, variance, degrees)
+    findings = findings_of(tested, samples, ringing, input_fit, output_fit, estimates, own, plan)
     findings.append(still_ringing(ringing, settle_samples * step_s))
     return FrequencyResponse(
         omega_rad_s=omegas,
@@ -251,73 +293,5 @@ def _estimate(
         segments=plan.segments,
         quality=verdict([*findings, *(suspicion.finding for suspicion in suspected)]),
         degrees=degrees,
-        amplitude=plan.amplitude,
-    )
-
-
-def _findings(
-    tested: Tested,
-    samples: _Samples,
-    ringing: RingDown,
-    input_fit: SinusoidFit,
-    output_fit: SinusoidFit,
-    estimates: _Estimates,
-    plan: ExcitationPlan,
-) -> list[Finding | None]:
-    omegas, segments, step_s = tested.omega_rad_s, plan.segments, plan.sample_time_s
-    segment_z, variance, degrees = estimates.segment_z, estimates.variance, estimates.degrees
-    tones, z = len(omegas), segment_z.mean(axis=0)
-    moved, residual = tested.tones, tested.residual
-    played, usual = (
-        sum_of_tones(phasors, omegas, step_s, len(samples.y))
-        for phasors in (
-            input_fit.phasors[:tones],
-            # The median is robust to one bad segment; the mean would spread its error over all.
-            complex_median(output_fit.segment_phasors[:, :tones]),
-        )
-    )
-    silent = (tested.amplitudes <= SILENCE) | (
-        np.abs(z) <= uncertainty_radius(variance, degrees, NO_RESPONSE_SIGNIFICANCE)
-    )
-    # Converted to the scaled output's unit; an output of zeros was not scaled.
-    reference_rms = float(np.std(samples.u)) * samples.u_scale / (samples.y_scale or math.inf)
-    findings: list[Finding | None] = [
-        *sensor_faults(samples.y, moved, samples.y_scale),
-        unexplained(reference_rms, samples.y, residual),
-        *uncertain(omegas, silent, geodesic_radius(z, uncertainty_radius(variance, degrees))),
-    ]
-    if silent.all():
-        return [
-            *findings,
-            stopped(ringing.unexplained, residual),
-            disturbed(residual, moved, segments),
-        ]
-    distortion = harmonic_distortion(output_fit, tones, residual)
-    # For a single tone the powers contain nothing but harmonics, which were tested above.
-    if tones > 1:
-        powers = power_distortion(residual, (moved, played), omegas, step_s, segments)
-        distortion = max(distortion, powers)
-    gain = samples.y_scale / samples.u_scale
-    # A change dY of the output's phasor moves z by dY/U, and its point on the Riemann sphere by
-    # |dz| / (1 + |z|²), the metric that the chordal distance has for close points.
-    on_the_sphere = gain / np.abs(input_fit.phasors[:tones]) / (1 + np.abs(z) ** 2)
-    settling = unsettled(segment_z, omegas)
-    if settling is None or settling.code != "unsettled":
-        findings.append(changed(residual, on_the_sphere, omegas, step_s))
-    return [
-        *findings,
-        disturbed(residual + moved - usual, moved, segments),
-        settling,
-        nonlinear(distortion),
-    ]
-
-
-def _failed(omegas: FloatArray, plan: ExcitationPlan, code: str, text: str) -> FrequencyResponse:
-    return FrequencyResponse(
-        omega_rad_s=omegas,
-        z=np.full(len(omegas), complex(np.nan, np.nan)),
-        variance=np.full(len(omegas), np.inf),
-        segments=plan.segments,
-        quality=Quality(reasons=(Finding(code=code, text=text),)),
-        amplitude=plan.amplitude,
+        amplitude=plan.played[int(asked.played_by[own][0])].amplitude,
     )

@@ -310,6 +310,25 @@ def f_quantile(alpha: float, pairs: ArrayLike) -> FloatArray:
     return np.asarray(halves * np.expm1(-math.log(alpha) / halves))
 
 
+def uncertainty_radius(
+    variance: FloatArray, degrees: FloatArray, alpha: float = 0.05
+) -> FloatArray:
+    """Return the radius ρ of each estimate's confidence disc.
+
+    ρ² = s² F, where F is the 1 − α quantile of the F distribution with 2 and `degrees` degrees of
+    freedom (real and imaginary part have half the variance each).
+
+    Args:
+        variance: Variance s² of each estimate, any shape.
+        degrees: Degrees of freedom of each variance, the same shape.
+        alpha: Probability α that a disc misses z.
+
+    Returns:
+        Radii in the complex plane, the same shape.
+    """
+    return np.sqrt(variance * f_quantile(alpha, degrees / 2))
+
+
 def _half_periods(samples: int, phase_per_sample: float) -> NDArray[np.intp]:
     """Return the edges of at most `WINDOWS_MAX` windows of whole half-periods, (windows + 1,).
 

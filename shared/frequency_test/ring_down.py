@@ -17,6 +17,7 @@ from scipy.ndimage import uniform_filter1d
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.quality import BoolArray, Finding
+from nufleet.shared.frequency_test.sinusoid_fit import exponentials
 
 RATIO_MIN = 30.0
 """Power of a transient over that of the noise at its frequency from which it is believed. Noise
@@ -56,6 +57,11 @@ HIGHER = 1.2
 
 NOISE_RATIO = 2.0
 """Power of what tones leave over that of white noise from which there is more to explain."""
+
+DEGENERATE = 1e-9
+TINY = 1e-300
+"""Share of a product of two columns' energies below which the columns are one, and the least energy
+that is divided by."""
 
 REAL = 0.1
 """Ratio of frequency and decay rate below which a part does not oscillate."""
@@ -160,8 +166,8 @@ def ring_down(
     size = float(np.std(y))
     if size == 0.0:
         return nothing
-    phase = np.outer(times_s, omega_rad_s)
-    steady = [np.cos(phase), np.sin(phase), np.ones((count, 1)), times_s[:, None] / times_s[-1]]
+    turning = exponentials(times_s[1] * omega_rad_s, count)
+    steady = [turning.real, turning.imag, np.ones((count, 1)), times_s[:, None] / times_s[-1]]
     basis = np.linalg.qr(np.concatenate(steady, axis=1))[0]
     # White noise, from what neighbouring samples differ by.
     noise = float(np.mean(np.diff(output, 2) ** 2)) / (6 * block)
@@ -208,9 +214,9 @@ def _uneven(left: FloatArray, slight: float) -> bool:
 
 
 def _decaying(times_s: FloatArray, decay_1_s: FloatArray, omega_rad_s: FloatArray) -> FloatArray:
-    envelope = np.exp(-np.outer(times_s, decay_1_s))
-    phase = np.outer(times_s, omega_rad_s)
-    return np.concatenate([envelope * np.cos(phase), envelope * np.sin(phase)], axis=1)
+    step_s = times_s[1]
+    ringing = exponentials(step_s * omega_rad_s, len(times_s), decay=step_s * decay_1_s)
+    return np.concatenate([ringing.real, ringing.imag], axis=1)
 
 
 def _loudest(left: FloatArray, times_s: FloatArray, top_rad_s: float) -> tuple[float, float] | None:
@@ -219,19 +225,17 @@ def _loudest(left: FloatArray, times_s: FloatArray, top_rad_s: float) -> tuple[f
     bins = np.fft.rfftfreq(2 * len(left), step_s) * 2 * np.pi
     heard = bins <= top_rad_s
     white = float(np.var(left[len(left) // 2 :]))
-    best, start = RATIO_MIN, None
-    for decay in np.geomspace(1 / times_s[-1], max(top_rad_s, 2 / times_s[-1]), DECAYS):
-        envelope = np.exp(-decay * times_s)
-        energy = float(np.sum(envelope**2))
-        forwards, backwards = (
-            np.abs(np.fft.rfft(envelope * signal, 2 * len(left))) ** 2 / energy
-            for signal in (left, left[::-1])
-        )
-        noise = np.maximum(uniform_filter1d(backwards, NEIGHBOURS, mode="nearest"), white)
-        ratio = (forwards / np.maximum(noise, np.finfo(float).tiny))[heard]
-        if ratio.max() > best:
-            best, start = float(ratio.max()), (float(decay), float(bins[np.argmax(ratio)]))
-    return start
+    decays = np.geomspace(1 / times_s[-1], max(top_rad_s, 2 / times_s[-1]), DECAYS)
+    envelopes = np.exp(-np.outer(decays, times_s))
+    power = np.sum(envelopes**2, axis=1)
+    both = np.stack([left, left[::-1]])[:, None] * envelopes / np.sqrt(power)[:, None]
+    forwards, backwards = np.abs(np.fft.rfft(both, 2 * len(left))) ** 2
+    noise = np.maximum(uniform_filter1d(backwards, NEIGHBOURS, mode="nearest"), white)
+    ratio = (forwards / np.maximum(noise, np.finfo(float).tiny))[:, heard]
+    slow, at = np.unravel_index(np.argmax(ratio), ratio.shape)
+    if ratio[slow, at] <= RATIO_MIN:
+        return None
+    return float(decays[slow]), float(bins[at])
 
 
 def _most(
@@ -252,8 +256,8 @@ def _most(
         (a, b), c = np.sum(part**2, axis=0), np.sum(part[:, 0] * part[:, 1], axis=0)
         u, v = np.tensordot(left, part, 1)
         # The energy that two columns explain, uᵀS⁻¹u with S = [[a, c], [c, b]].
-        determinant = np.maximum(a * b - c**2, 1e-9 * a * b)
-        gain = (b * u**2 - 2 * c * u * v + a * v**2) / np.maximum(determinant, 1e-300)
+        determinant = np.maximum(a * b - c**2, DEGENERATE * a * b)
+        gain = (b * u**2 - 2 * c * u * v + a * v**2) / np.maximum(determinant, TINY)
         if gain.max() > best:
             best, start = float(gain.max()), (float(decay), float(omega[np.argmax(gain)]))
     return start
@@ -268,9 +272,15 @@ def _refined(
         # Slower than this is not told from offset and drift, faster not from a single block.
         decay = float(np.clip(np.exp(place[0]), 0.3 / times_s[-1], 1 / times_s[1]))
         part = _decaying(times_s, np.array([decay]), np.array([abs(place[1])]))
-        part = part - basis @ (basis.T @ part)
-        weights = np.linalg.lstsq(part, left, rcond=1e-9)[0]
-        return float(np.sum((left - part @ weights) ** 2))
+        along = basis.T @ part
+        gram = part.T @ part - along.T @ along
+        a, c, b = float(gram[0, 0]), float(gram[0, 1]), float(gram[1, 1])
+        u, v = float(left @ part[:, 0]), float(left @ part[:, 1])
+        # As in `_most`; the sine of a part that does not oscillate is zero.
+        determinant = a * b - c**2
+        if determinant <= DEGENERATE * a * b or b <= DEGENERATE * a:
+            return -max(u**2 / max(a, TINY), v**2 / b if b > DEGENERATE * a else 0.0)
+        return -(b * u**2 - 2 * c * u * v + a * v**2) / determinant
 
     width = max(start[0], 2 * np.pi / times_s[-1])
     corner = np.array([np.log(start[0]), start[1]])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -177,11 +178,29 @@ def sum_of_tones(
     Returns:
         The sum in the phasors' unit, shape (samples,).
     """
-    total = np.zeros(samples)
-    times_s = np.arange(samples) * sample_time_s
-    for phasor, omega in zip(phasors, omega_rad_s, strict=True):
-        total += np.real(phasor * np.exp(1j * omega * times_s))
-    return total
+    turning = exponentials(sample_time_s * omega_rad_s, samples)
+    return np.asarray((turning @ phasors).real)
+
+
+def exponentials(
+    phase_rad: FloatArray, samples: int, first: int = 0, decay: FloatArray | float = 0.0
+) -> ComplexArray:
+    """Return e^{(−decay + j phase) k} at k = first, first + 1, …, shape (samples, rates).
+
+    k = first + Ba + b makes each of them a product of two factors, of which there are only about
+    2√samples; a product takes a tenth of the time of an exponential.
+
+    Args:
+        phase_rad: Phases per sample in rad, shape (rates,).
+        samples: Number of samples.
+        first: Index of the first sample.
+        decay: Decays per sample, not negative, shape (rates,).
+    """
+    rates: ComplexArray = np.asarray(1j * phase_rad - decay, dtype=np.complex128)
+    block = max(1, math.isqrt(samples))
+    coarse = np.exp(np.outer(first + block * np.arange(-(-samples // block)), rates))
+    fine = np.exp(np.outer(np.arange(block), rates))
+    return np.asarray((coarse[:, None] * fine).reshape(-1, len(rates))[:samples])
 
 
 def resolvable_harmonics(
@@ -268,10 +287,10 @@ class _Columns:
 
     def __call__(self, block: slice) -> FloatArray:
         index = np.arange(block.start, block.stop)
-        phase = np.outer(index * self.sample_time_s, self.omega_rad_s)
+        turning = exponentials(self.sample_time_s * self.omega_rad_s, len(index), block.start)
         drift = (2.0 * index - (self.samples - 1)) / self.samples
         more = [] if self.transient is None else [self.transient[block]]
-        return np.column_stack([np.cos(phase), np.sin(phase), np.ones(len(index)), drift, *more])
+        return np.column_stack([turning.real, turning.imag, np.ones(len(index)), drift, *more])
 
 
 def _phasors(theta: FloatArray, frequencies: int) -> ComplexArray:

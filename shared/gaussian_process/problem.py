@@ -158,7 +158,7 @@ class Batch:
 
     @property
     def columns(self) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int64]]:
-        """All four arrays, in the order in which the compiled core takes them."""
+        """All four arrays of this class, in the order in which the compiled core takes them."""
         return self.inputs, self.targets, self.known_noise_variance, self.offsets
 
     @classmethod

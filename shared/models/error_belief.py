@@ -91,7 +91,11 @@ class ErrorBelief:
         return np.concatenate([columns @ self.mean for columns in blocks])
 
     def impulse_response(self) -> FloatArray:
-        """Return the mean output 1, 2, … samples after a unit impulse of the reference."""
+        """Return the mean output 1, 2, … samples after a unit impulse of the reference.
+
+        Returns:
+            The impulse response, shape (samples of the loop's memory,), without unit.
+        """
         last = int(self.basis.nodes[-1]) + 1
         steps = 1.0 - self.error(np.ones(last + 1), 0.0)
         return np.diff(steps)

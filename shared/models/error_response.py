@@ -77,7 +77,15 @@ class ErrorBasis:
         return np.concatenate(list(self.blocks(reference, before)))
 
     def blocks(self, reference: FloatArray, before: float) -> Iterator[FloatArray]:
-        """Yield the rows of `columns` in blocks, since a long record's matrix may be large."""
+        """Yield the rows of `columns` in blocks, since a long record's matrix may be large.
+
+        Args:
+            reference: Reference u, shape (samples,), in the axis's unit.
+            before: Reference at which the robot rested before the first sample.
+
+        Yields:
+            Some of the rows, shape (rows, size), in the axis's unit.
+        """
         nodes, samples = self.nodes, len(reference)
         last = int(nodes[-1]) + 1
         known = np.concatenate([np.full(last, before), reference])
@@ -119,7 +127,7 @@ def dirichlet(turn: FloatArray, terms: int) -> FloatArray:
     """Return the periodic sinc function sin(n θ / 2) / (n sin(θ / 2)), and its limit ±1 at 2π k.
 
     Args:
-        turn: Angles θ in rad.
+        turn: Angles θ in rad, of any shape, which the result has too.
         terms: Number n of the terms e^{jkθ} of which this is the mean about their centre.
     """
     half = turn / 2

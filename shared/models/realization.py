@@ -28,9 +28,9 @@ class TransferFunction(StateSpace):
     """A model with one input and one output that is realised from the fraction num/den."""
 
     num: FloatArray
-    """Coefficients of the numerator, from the highest power of s or z down."""
+    """Coefficients of the numerator, from the highest power of s or z down, shape (degree + 1,)."""
     den: FloatArray
-    """Coefficients of the denominator, in the same order."""
+    """Coefficients of the denominator, in the same order, shape (degree + 1,)."""
 
 
 def transfer_function(num: Polynomial, den: Polynomial, dt_s: float = 0.0) -> TransferFunction:

@@ -36,6 +36,8 @@ class AxisSpec(Strict):
     output_max: float | None = None
     """Limits on the *measured* output (a geofence), in the axis's unit, around 0; None for none. A
     motion that leaves them ends, and the robot has a fault."""
+    together: bool = True
+    """Whether the axis may move at the same time as another in a test."""
     model: LinearModel | None = None
     """Exact model of the axis, known only for linear simulations; used to check estimates."""
 

@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from nufleet.shared.wire.identity import Identity
 
 TIMEOUT_S = 3.0
-ALERT_S = 0.5
+ALERT_S = 2.0
 """Time that a router has to object after its side of the handshake is complete: in TLS 1.3 the
 client has finished before its certificate is judged."""
 

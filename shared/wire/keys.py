@@ -25,6 +25,9 @@ releases are given in the same way."""
 DEFAULT_PRINCIPAL = "orchestrator"
 """Principal of a sender without an identity, in a fleet that is open."""
 
+ADMITTED = "@/*/router"
+"""Key expression of what a router says about itself; it answers each principal in its list."""
+
 
 def principal_of(sender: str) -> str:
     """Return the principal that an orchestrator's id names: the part before its first dot."""

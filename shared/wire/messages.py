@@ -193,10 +193,10 @@ class AcknowledgeRequest(Message):
 class GoalResult(Message):
     """The outcome of a goal and its measurements.
 
-    Reference and response have the same shape: (samples,) for a frequency test, which moves one
-    axis, and (samples, axes) for a flight. Sample k was taken at k × `plan.sample_time_s` on the
-    robot's own clock. The result of a goal that ended early holds the samples up to its end; that
-    of a completed goal holds all samples of its plan.
+    Reference and response have the same shape: (samples,) for a frequency test of one axis,
+    (samples, axes played) for one of several, and (samples, axes) for a flight. Sample k was taken
+    at k × `plan.sample_time_s` on the robot's own clock. The result of a goal that ended early
+    holds the samples up to its end; that of a completed goal holds all samples of its plan.
     """
 
     goal_id: Identifier
@@ -221,8 +221,13 @@ class GoalResult(Message):
     @model_validator(mode="after")
     def _samples_agree(self) -> GoalResult:
         samples = _samples(self.reference, self.response)
-        if (self.reference.ndim == 1) != isinstance(self.plan, ExcitationPlan):
-            raise ValueError("a test has one-dimensional samples, a flight one column per axis")
+        columns = self.plan.columns if isinstance(self.plan, ExcitationPlan) else None
+        if columns is None and self.reference.ndim != 2:
+            raise ValueError("a flight has one column of samples per axis")
+        if columns is not None and self.reference.shape[1:] != columns:
+            raise ValueError(
+                "a test of one axis has one-dimensional samples, one of several a column for each"
+            )
         whole = self.plan.samples
         if samples > whole or (self.outcome is Outcome.COMPLETED and samples != whole):
             raise ValueError(f"{samples} samples do not fit a {self.outcome} plan of {whole}")

@@ -217,7 +217,14 @@ class TrackingDetails(Strict):
 
 
 def check_weights(experts: tuple[str, ...], weights: FloatArray | None, samples: int) -> None:
-    """Raise ValueError unless there is a weight per sample for every expert and for none."""
+    """Raise ValueError unless there is a weight per sample for every expert and for none.
+
+    Args:
+        experts: Names of the experts of a mixture; empty without one.
+        weights: Their weights and that of none, shape (samples, experts + 1); None without a
+            mixture.
+        samples: Number of samples of the flight.
+    """
     shape = None if weights is None else weights.shape
     if shape != ((samples, len(experts) + 1) if experts else None):
         raise ValueError(

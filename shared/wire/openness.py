@@ -21,16 +21,25 @@ OPEN_VARIABLE = "NUFLEET_OPEN"
 PLAIN_PROTOCOLS = ("tcp", "udp", "ws")
 """Protocols that prove neither side to the other."""
 
+PROVING_PROTOCOLS = ("tls", "quic")
+"""Protocols that prove a router to those who connect, and also those to the router if it asks."""
+
 HOW_TO_CLOSE = (
     "close the fleet with `nufleet fleet init INVENTORY` and give each machine an identity "
     "(docs/security.md), or accept this with --open on a network of the fleet's own"
 )
 
 
-def is_open(endpoint: str) -> bool:
-    """Return whether an endpoint admits other machines without proof of who they are."""
+def is_open(endpoint: str, *, anonymous: bool = False) -> bool:
+    """Return whether an endpoint admits other machines without proof of who they are.
+
+    Args:
+        endpoint: Endpoint to listen on or to connect to.
+        anonymous: Whether a router listens there that asks for no certificates.
+    """
     protocol, _, address = endpoint.partition("/")
-    if protocol not in PLAIN_PROTOCOLS:
+    asks = not anonymous or "enable_mtls=true" in address.partition("#")[2].split(";")
+    if protocol not in PLAIN_PROTOCOLS and (asks or protocol not in PROVING_PROTOCOLS):
         return False
     host = address.partition("#")[0].partition("?")[0].rpartition(":")[0]
     return not is_this_machine(host.strip("[]"))
@@ -46,17 +55,18 @@ def is_this_machine(host: str) -> bool:
         return False
 
 
-def check_closed(endpoint: str, *, allow_open: bool) -> str:
+def check_closed(endpoint: str, *, allow_open: bool, anonymous: bool = False) -> str:
     """Return an endpoint that may be used.
 
     Args:
         endpoint: Endpoint to listen on or to connect to.
         allow_open: Whether the user accepts an open fleet.
+        anonymous: Whether a router listens there that asks for no certificates.
 
     Raises:
         InvalidInputError: The endpoint is open and this was not accepted.
     """
-    if allow_open or not is_open(endpoint):
+    if allow_open or not is_open(endpoint, anonymous=anonymous):
         return endpoint
     raise InvalidInputError(
         f"{without_secrets(endpoint)} is open: every machine that reaches it could command the "

@@ -19,7 +19,8 @@ from nufleet.shared.errors import NoReplyError, RobotLostError
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
 from nufleet.shared.wire.codec import encode
 from nufleet.shared.wire.messages import GoalRequest, Outcome, RobotStatus
-from nufleet.shared.wire.transport import Request, open_client
+from nufleet.shared.wire.requests import Request
+from nufleet.shared.wire.transport import open_client
 
 SHORT = Excitation(axis="x", tones=(Tone(omega_rad_s=20.0),), settle_s=0.5)
 LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=60.0)

@@ -54,7 +54,7 @@ class Typed:
 
     def __call__(self, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         self._capfd.readouterr()
-        before = signal.getsignal(signal.SIGTERM)
+        before = {n: signal.getsignal(n) for n in (signal.SIGTERM, signal.SIGHUP)}
         try:
             with self._monkeypatch.context() as patched:
                 patched.chdir(cwd)
@@ -62,7 +62,8 @@ class Typed:
                 with pytest.raises(SystemExit) as ended:
                     command_line.main()
         finally:
-            signal.signal(signal.SIGTERM, before)
+            for number, handler in before.items():
+                signal.signal(number, handler)
         out, said = self._capfd.readouterr()
         assert isinstance(ended.value.code, int)
         return subprocess.CompletedProcess(arguments, ended.value.code, out, said)

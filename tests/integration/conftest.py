@@ -13,7 +13,8 @@ from command_processes import Typed
 from fleet_lab import Lab, Orchestrator, double_integrator
 from polling import wait_until
 
-from nufleet.shared.wire.transport import Session, open_router
+from nufleet.shared.wire.session import Session
+from nufleet.shared.wire.transport import open_router
 
 
 @pytest.fixture(autouse=True)

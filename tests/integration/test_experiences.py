@@ -26,7 +26,7 @@ from nufleet.shared.experience.layout import Architecture, InverseLayout
 from nufleet.shared.frequency_test.multitone import multitone
 from nufleet.shared.paths.trajectories import travel
 from nufleet.shared.wire.messages import GoalRequest, Outcome
-from nufleet.shared.wire.motions import Tracking
+from nufleet.shared.wire.motions import Tracking, Way
 from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 PATH = travel(np.array([[0.0], [0.9], [-0.5], [0.6], [0.0]]), 0.8, 1.5, 0.015)
@@ -189,9 +189,9 @@ def flown(fleet: Fleet, path: FloatArray = PATH) -> dict[str, float]:
     prior = fleet.describe("target").prior
     assert prior is not None
     flights = [
-        pilot.baseline("target", path, "baseline"),
-        pilot.zero_prior("target", path, "none", PREVIEW),
-        pilot.with_prior("target", path, "prior", prior.sha256),
+        pilot.along("target", Way(inverse="baseline"), path, "baseline"),
+        pilot.along("target", Way(inverse="zero-prior", layout=PREVIEW), path, "none"),
+        pilot.along("target", Way(inverse="prior", prior_sha256=prior.sha256), path, "prior"),
     ]
     assert [flight.failure for flight in flights] == [None] * 3
     return {flight.label: flight.rms_error for flight in flights}
@@ -217,14 +217,14 @@ def test_one_test_is_all_that_a_guard_and_a_robots_own_inverse_need(
 ) -> None:
     """As after a ranking: the first flights, and no flight of minutes before them."""
     fleet = orchestrator.fleet
-    tones = multitone(2 * np.pi / 10.0, (3, 5, 7, 11, 15), np.ones(5))
+    (tones,) = multitone(2 * np.pi / 10.0, [(3, 5, 7, 11, 15)], [np.ones(5)])
     assert orchestrator.run("target", "test", tones=tones).outcome is Outcome.COMPLETED
     assert fleet.describe("target").own_flight_s["x"] > 10.0
     pilot = Pilot(fleet, "run")
     sha256 = install(fleet, "target", "prior", experience(gain=-4.0)).sha256
-    harmful = pilot.with_prior("target", PATH, "harmful", sha256)
-    own = pilot.own("target", PATH, "own")
-    baseline = pilot.baseline("target", PATH, "baseline")
+    harmful = pilot.along("target", Way(inverse="prior", prior_sha256=sha256), PATH, "harmful")
+    own = pilot.along("target", Way(inverse="own"), PATH, "own")
+    baseline = pilot.along("target", Way(inverse="baseline"), PATH, "baseline")
     assert harmful.details.taken_back is not None
     assert harmful.rms_error <= 1.1 * baseline.rms_error
     assert own.rms_error < 0.1 * baseline.rms_error
@@ -235,15 +235,15 @@ def test_one_test_is_all_that_a_guard_and_a_robots_own_inverse_need(
 
 def test_a_robot_that_knows_nothing_of_itself_flies_no_inverse_of_it(fleet: Fleet) -> None:
     pilot = Pilot(fleet, "run")
-    assert refusal(lambda: pilot.own("target", PATH, "own")) == "no-own-model"
+    assert refusal(lambda: pilot.along("target", Way(inverse="own"), PATH, "own")) == "no-own-model"
 
 
 def test_a_harmful_prior_is_taken_back_and_the_result_says_when_and_why(fleet: Fleet) -> None:
     sha256 = install(fleet, "target", "prior", experience(gain=-4.0)).sha256
     pilot = Pilot(fleet, "run")
     pilot.rich("target", duration_s=60.0, seed=0)
-    baseline = pilot.baseline("target", PATH, "baseline")
-    flight = pilot.with_prior("target", PATH, "prior", sha256)
+    baseline = pilot.along("target", Way(inverse="baseline"), PATH, "baseline")
+    flight = pilot.along("target", Way(inverse="prior", prior_sha256=sha256), PATH, "prior")
     event = flight.details.taken_back
     assert event is not None
     assert "baseline" in event.reason
@@ -254,12 +254,12 @@ def test_a_harmful_prior_is_taken_back_and_the_result_says_when_and_why(fleet: F
 def test_a_guarded_flight_needs_a_baseline_that_is_known(fleet: Fleet) -> None:
     install(fleet, "target", "prior", experience())
     pilot = Pilot(fleet, "run")
-    sha256 = digest(experience())
-    assert refusal(lambda: pilot.with_prior("target", PATH, "prior", sha256)) == "no-baseline"
-    other = "0" * 64
-    assert refusal(lambda: pilot.with_prior("target", PATH, "prior", other)) == "other-prior"
+    way = Way(inverse="prior", prior_sha256=digest(experience()))
+    other = Way(inverse="prior", prior_sha256="0" * 64)
+    assert refusal(lambda: pilot.along("target", way, PATH, "prior")) == "no-baseline"
+    assert refusal(lambda: pilot.along("target", other, PATH, "prior")) == "other-prior"
     fleet.remove_prior("target")
-    assert refusal(lambda: pilot.with_prior("target", PATH, "prior", sha256)) == "no-prior"
+    assert refusal(lambda: pilot.along("target", way, PATH, "prior")) == "no-prior"
 
 
 @pytest.mark.parametrize(
@@ -274,8 +274,9 @@ def test_a_guarded_flight_needs_a_baseline_that_is_known(fleet: Fleet) -> None:
 def test_a_path_that_the_robot_may_not_fly_is_refused_before_it_moves(
     orchestrator: Orchestrator, desired: FloatArray, reason: str
 ) -> None:
+    pilot = Pilot(orchestrator.fleet, "run")
     with pytest.raises(Exception, match=reason):
-        Pilot(orchestrator.fleet, "run").baseline("target", desired, "baseline")
+        pilot.along("target", Way(inverse="baseline"), desired, "baseline")
     assert_never_moved(orchestrator, "target")
 
 

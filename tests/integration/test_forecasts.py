@@ -21,6 +21,7 @@ from nufleet.shared.experience.file import digest
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.paths.trajectories import travel
 from nufleet.shared.wire.messages import ForeseenWay, RobotStatus
+from nufleet.shared.wire.motions import Way
 
 PATH = travel(np.array([[0.0, 0.0], [0.3, 0.2], [0.0, 0.0]]), 0.5, 1.0, 0.02)
 LONG = travel(np.array([[0.0, 0.0], [0.3, 0.2], [0.0, 0.0]]), 0.01, 1.0, 0.02)
@@ -38,7 +39,7 @@ def orchestrator(lab: Lab) -> Orchestrator:
     """One whose robot has flown a path, and so knows itself."""
     lab.agent("a", LaggedRobot(noise_std_m=1e-3))
     orchestrator = lab.orchestrator()
-    Pilot(orchestrator.fleet, "run").baseline("a", PATH, "first")
+    Pilot(orchestrator.fleet, "run").along("a", Way(inverse="baseline"), PATH, "first")
     return orchestrator
 
 
@@ -56,7 +57,7 @@ def test_every_way_is_predicted_and_flown_as_predicted(orchestrator: Orchestrato
     baseline, none, own, later = (one for one in found if one is not None)
     assert later.high <= 1.1 * own.high
     assert motions(fleet) == before
-    flight = pilot.zero_prior("a", PATH, "none", LAYOUT)
+    flight = pilot.along("a", Way(inverse="zero-prior", layout=LAYOUT), PATH, "none")
     assert flight.details.predicted == none
     assert none.low <= flight.rms_error <= none.high < baseline.low
 
@@ -78,7 +79,7 @@ def test_a_held_prior_is_rehearsed(orchestrator: Orchestrator) -> None:
     install(orchestrator.fleet, "a", "prior", payload)
     prior = ForeseenWay(inverse="prior", prior_sha256=digest(payload))
     (found,) = orchestrator.fleet.forecast("a", PATH, (prior,))
-    flight = Pilot(orchestrator.fleet, "run-2").with_prior("a", PATH, "p", digest(payload))
+    flight = Pilot(orchestrator.fleet, "run-2").along("a", prior, PATH, "p")
     assert found.predicted is not None
     assert found.predicted.low <= flight.rms_error <= found.predicted.high
 
@@ -106,7 +107,7 @@ def test_a_motion_ends_a_forecast(lab: Lab) -> None:
     # In real time, so that the motion still lasts when the forecast is asked for again.
     lab.agent("a", LaggedRobot(noise_std_m=1e-3), realtime=1.0)
     orchestrator, ended = lab.orchestrator(), threading.Event()
-    Pilot(orchestrator.fleet, "run").baseline("a", PATH, "first")
+    Pilot(orchestrator.fleet, "run").along("a", Way(inverse="baseline"), PATH, "first")
 
     def ask() -> None:
         assert refusal(lambda: orchestrator.fleet.forecast("a", LONG, (NONE,))) == "busy"
@@ -152,7 +153,7 @@ def test_a_robot_rehearses_for_one_at_a_time(orchestrator: Orchestrator, lab: La
 def test_an_agent_that_ends_leaves_no_rehearsal(lab: Lab) -> None:
     agent = lab.agent("a", LaggedRobot(noise_std_m=1e-3))
     fleet = lab.orchestrator().fleet
-    Pilot(fleet, "run").baseline("a", PATH, "first")
+    Pilot(fleet, "run").along("a", Way(inverse="baseline"), PATH, "first")
 
     def leave(done: int) -> None:
         raise KeyboardInterrupt

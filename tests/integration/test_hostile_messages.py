@@ -29,7 +29,7 @@ from nufleet.shared.wire.messages import (
     RobotStatus,
     StopRequest,
 )
-from nufleet.shared.wire.transport import Session
+from nufleet.shared.wire.session import Session
 
 SERVED = ("describe", "goal", "cancel", "result", "acknowledge", "release", "stop")
 NOT_SERVED = ("state", "alive", "telemetry/motion", "result/g", "Goal", "goal/x", "x" * 3000)

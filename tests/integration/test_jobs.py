@@ -91,15 +91,16 @@ def test_an_interrupted_ranking_goes_on_and_nothing_is_read_or_described_twice(
     counted: Counted, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = find_fleet_file("paper_linear")
+    command = RankCommand(runs_root=tmp_path, fleet_file=file, draws=False, rehearses=False)
     with monkeypatch.context() as patched:
         patched.setattr(study_job, "run_study", cut)
         with pytest.raises(NufleetError, match="cable"):
-            rank(RankCommand(runs_root=tmp_path, fleet_file=file, draws=False), QUIET)
+            rank(command, QUIET)
     counted.files = 0
     counted.descriptions.clear()
-    record = resume_run(ResumeCommand(runs_root=tmp_path, draws=False), QUIET)
+    record = resume_run(ResumeCommand(runs_root=tmp_path, draws=False, rehearses=False), QUIET)
     assert record.result.selected == "source-2"
-    assert counted == Counted(1, Counter(LEARNING))
+    assert counted == Counted(1, Counter(ONCE))
 
 
 def test_the_demo_reads_its_fleet_file_once_and_describes_each_robot_once_before_anything_moves(

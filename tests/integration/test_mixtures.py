@@ -25,7 +25,7 @@ from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.file import digest
 from nufleet.shared.paths.trajectories import travel
 from nufleet.shared.wire.messages import TrackingTelemetry
-from nufleet.shared.wire.motions import Weighted
+from nufleet.shared.wire.motions import Way, Weighted
 
 PATH = travel(np.array([[0.0], [0.9], [-0.5], [0.0]]), 0.4, 1.5, 0.015)
 SOURCES = [
@@ -82,8 +82,9 @@ def test_the_weights_of_a_mixture_are_streamed_and_kept(fleet: Fleet) -> None:
             ended.set()
 
     fleet.observe_tracking(on_telemetry)
-    pilot.baseline("target", PATH, "baseline")  # from which its guard knows the baseline
-    flight = pilot.with_mixture("target", PATH, "mixture", mixture)
+    # From this flight its guard knows the baseline.
+    pilot.along("target", Way(inverse="baseline"), PATH, "baseline")
+    flight = pilot.along("target", Way(inverse="mixture", mixture=mixture), PATH, "mixture")
     assert flight.failure is None
     assert flight.details.experts == ("source-1", "source-2", "source-3")
     assert flight.details.weights is not None
@@ -111,7 +112,8 @@ def test_an_evaluation_flies_every_way_and_its_own_model_again_after_more_flying
     before = experience("somebody", seed=9)
     install(sources, "target", "prior", before)
     pilot, target = Pilot(sources, "run"), sources.describe("target")
-    pilot.baseline("target", PATH, "baseline")  # from which its guard knows the baseline
+    # From this flight its guard knows the baseline.
+    pilot.along("target", Way(inverse="baseline"), PATH, "baseline")
     names = ("source-1", "source-2", "source-3")
     psi = {"source-1": 0.1, "source-2": 0.2, "source-3": 0.4}
     flights = fly_target(
@@ -148,11 +150,11 @@ def test_an_evaluation_flies_every_way_and_its_own_model_again_after_more_flying
 
 def test_a_robot_forgets_what_it_knows_of_itself(fleet: Fleet) -> None:
     pilot = Pilot(fleet, "run")
-    pilot.baseline("target", PATH, "baseline")
+    pilot.along("target", Way(inverse="baseline"), PATH, "baseline")
     assert fleet.describe("target").baseline_known
     fleet.forget_own_model("target")
     assert not fleet.describe("target").baseline_known
-    assert refusal(lambda: pilot.own("target", PATH, "own")) == "no-own-model"
+    assert refusal(lambda: pilot.along("target", Way(inverse="own"), PATH, "own")) == "no-own-model"
 
 
 def transferred(lab: Lab, runs_root: Path, source: str) -> TransferResult:

@@ -21,7 +21,7 @@ from nufleet.shared.experience.file import digest
 from nufleet.shared.paths.trajectories import travel
 from nufleet.shared.robots.fleet_file import RobotPolicy
 from nufleet.shared.wire.messages import GoalRequest
-from nufleet.shared.wire.motions import Tracking
+from nufleet.shared.wire.motions import Tracking, Way
 
 PATH = travel(np.array([[0.0], [0.9], [-0.5], [0.0]]), 0.4, 1.5, 0.015)
 OWN, OTHER = experience("source", seed=1), experience("somebody", seed=2)
@@ -89,7 +89,8 @@ def test_ctrl_c_in_flight_brings_the_robot_to_rest_before_its_prior_is_put_back(
         with prior_put_back(fleet, pilot, fleet.describe("slow")):
             install(fleet, "slow", "prior", OTHER)
             ctrl_c.start()
-            pilot.with_prior("slow", path, "prior", digest(OTHER), guarded=False)
+            way = Way(inverse="prior", prior_sha256=digest(OTHER), guarded=False)
+            pilot.along("slow", way, path, "prior")
 
     with pytest.raises(KeyboardInterrupt):
         fly()

@@ -9,7 +9,9 @@ import signal
 import socket
 import subprocess
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from command_processes import NUFLEET, PATIENCE_S, Typed, nufleet, trial_statuse
 from lifeline import started_with
 from polling import wait_until
 
+from nufleet.orchestrator.fleet import connection
 from nufleet.shared.wire.transport import open_client, open_router
 
 ROOT = Path(__file__).parents[2]
@@ -25,14 +28,36 @@ FLEET = ROOT / "sims" / "fleets" / "paper_linear.toml"
 PLAIN = ("--no-rehearsal", "--no-recording")
 
 
-def test_rank_prints_the_documented_json_alone_on_stdout(tmp_path: Path) -> None:
-    done = nufleet(
-        *("rank", "--fleet", str(FLEET), "--target", "target", "--band", "0.05", "10"),
-        *("--algorithm", "paper", "--iterations", "7", "--seed", "3", "--json"),
-        cwd=tmp_path,
-    )
+@dataclass(frozen=True)
+class Ranked:
+    """A ranking that has ended: the folder where it was run, what it printed, and what it said."""
+
+    folder: Path
+    document: dict[str, Any]
+    said: str
+
+    @property
+    def run(self) -> Path:
+        return self.folder / str(self.document["run"])
+
+
+def ranked(folder: Path, *options: str) -> Ranked:
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("NUFLEET_STATE", str(folder / "state"))
+        done = nufleet("rank", "--fleet", str(FLEET), *options, "--json", cwd=folder)
     assert done.returncode == 0, done.stderr
-    document = json.loads(done.stdout)
+    return Ranked(folder, json.loads(done.stdout), done.stderr)
+
+
+@pytest.fixture(scope="module")
+def paper(tmp_path_factory: pytest.TempPathFactory) -> Ranked:
+    """The paper's ranking, rehearsed and recorded."""
+    words = ("--target", "target", "--band", "0.05", "10", "--iterations", "7", "--seed", "0")
+    return ranked(tmp_path_factory.mktemp("paper"), *words, "--algorithm", "paper")
+
+
+def test_rank_prints_the_documented_json_alone_on_stdout(paper: Ranked) -> None:
+    document = paper.document
     assert list(document) == [
         *("schema", "target", "band_rad_s", "selected", "ranking", "iterations", "robot_time_s"),
         *("run", "verdicts", "findings", "ways_path", "ways_unit", "ways", "chosen_way"),
@@ -106,12 +131,10 @@ def test_rank_for_a_trajectory_names_what_leaves_the_smallest_error_on_it(tmp_pa
 
 
 def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(
-    typed: Typed, tmp_path: Path
+    typed: Typed, tmp_path: Path, paper: Ranked
 ) -> None:
-    arguments = ("rank", "--fleet", str(FLEET), *PLAIN, "--json")
-    adaptive = nufleet(*arguments, cwd=tmp_path)
-    assert adaptive.returncode == 0, adaptive.stderr
-    document = json.loads(adaptive.stdout)
+    adaptive = ranked(tmp_path, *PLAIN)
+    document = adaptive.document
     assert list(document) == [
         *("schema", "target", "band_rad_s", "selected", "ranking", "iterations", "robot_time_s"),
         *("run", "confidence", "eliminated", "stopped_because", "verdicts", "findings", "ways"),
@@ -121,47 +144,41 @@ def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(
     assert set(document["eliminated"]) <= {"source-1", "source-3"}
     assert document["stopped_because"].startswith("source-2 is the closest")
     assert set(document["verdicts"]) == {"source-1", "source-2", "source-3"}
-    assert document["stopped_because"] in adaptive.stderr
-    report = (tmp_path / document["run"] / "report.md").read_text(encoding="utf-8")
+    assert document["stopped_because"] in adaptive.said
+    report = (adaptive.run / "report.md").read_text(encoding="utf-8")
     assert f"Probability of a correct selection: {document['confidence']:.3f}: source-2" in report
     assert all(f"- {source}: " in report for source in document["eliminated"])
     drawn = {"plots", "run.rrd"}
-    assert not drawn & {path.name for path in (tmp_path / document["run"]).iterdir()}
+    assert not drawn & {path.name for path in adaptive.run.iterdir()}
     assert not [name for name in drawn if name in report]
-    paper = json.loads(nufleet(*arguments, "--algorithm", "paper", cwd=tmp_path).stdout)
-    assert "confidence" not in paper
-    assert document["robot_time_s"] < paper["robot_time_s"] / 4
-    refused = typed(*arguments, "--algorithm", "paper", "--reuse", cwd=tmp_path)
+    assert "confidence" not in paper.document
+    assert document["robot_time_s"] < paper.document["robot_time_s"] / 4
+    reuse = ("--fleet", str(FLEET), "--algorithm", "paper", "--reuse")
+    refused = typed("rank", *reuse, cwd=tmp_path)
     assert refused.returncode == 2
     assert "--reuse requires --algorithm adaptive" in refused.stderr
-    again = nufleet(*arguments, "--reuse", cwd=tmp_path)
-    reusing = json.loads(again.stdout)
+    again = ranked(tmp_path, *PLAIN, "--reuse")
+    reusing = again.document
     assert set(reusing["stored"]) == {"source-1", "source-2", "source-3"}
-    assert "source-2 needed no first test" in again.stderr
+    assert "source-2 needed no first test" in again.said
     assert reusing["selected"] == "source-2"
     assert reusing["robot_time_s"] < document["robot_time_s"]
 
 
 def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(
-    typed: Typed, tmp_path: Path
+    typed: Typed, paper: Ranked
 ) -> None:
-    done = nufleet(
-        *("rank", "--fleet", str(FLEET), "--algorithm", "paper", "--iterations", "2"),
-        *("--no-rehearsal", "--json"),
-        cwd=tmp_path,
-    )
-    assert done.returncode == 0, done.stderr
-    run = tmp_path / json.loads(done.stdout)["run"]
+    run = paper.run
     assert {path.name for path in run.iterdir()} == {
         *("config.json", "results.json", "telemetry.parquet", "run.rrd", "plots", "report.md"),
         *("report.html", "ranking.csv"),
     }
     assert {path.suffix for path in (run / "plots").iterdir()} == {".png"}
-    listed = json.loads(typed("runs", "list", "--json", cwd=tmp_path).stdout)
+    listed = json.loads(typed("runs", "list", "--json", cwd=paper.folder).stdout)
     assert [Path(entry["run"]).name for entry in listed["runs"]] == [run.name]
-    shown = json.loads(typed("runs", "show", "latest", "--json", cwd=tmp_path).stdout)
-    assert shown["result"] == json.loads(done.stdout)
-    assert len(shown["history"]) == 2
+    shown = json.loads(typed("runs", "show", "latest", "--json", cwd=paper.folder).stdout)
+    assert shown["result"] == paper.document
+    assert len(shown["history"]) == 7
 
 
 def test_the_demo_ranks_as_rank_does_and_shows_what_the_readme_shows(tmp_path: Path) -> None:
@@ -210,9 +227,9 @@ def has_begun(pid: int) -> bool:
 
 
 MOMENTS: dict[str, Callable[[int, Path], bool]] = {
-    "as it begins": lambda pid, runs: has_begun(pid),
-    "as it starts its robots": lambda pid, runs: len(children_of(pid)) > 1,
-    "while they move": lambda pid, runs: "accepted" in trial_statuses(runs / "nufleet.sqlite"),
+    "as it begins": lambda pid, database: has_begun(pid),
+    "as it starts its robots": lambda pid, database: len(children_of(pid)) > 1,
+    "while they move": lambda pid, database: "accepted" in trial_statuses(database),
 }
 
 
@@ -227,14 +244,15 @@ def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, moment: s
         text=True,
         start_new_session=True,
     )
-    wait_until(lambda: MOMENTS[moment](ranking.pid, tmp_path / "runs"))
+    database = tmp_path / "runs" / "nufleet.sqlite"
+    wait_until(lambda: MOMENTS[moment](ranking.pid, database))
     ranking.send_signal(signal.SIGINT)
     _, said = ranking.communicate(timeout=PATIENCE_S)
     # A shell shows 130 for both: CPython ends by the signal itself, after an orderly exit, when the
     # interrupt came while a module was being imported.
     assert ranking.returncode in (130, -signal.SIGINT), said
     assert "Traceback" not in said
-    assert ("all 4 robots are at rest" in said) == (moment == "while they move")
+    assert ("all 4 robots are at rest" in said) == bool(trial_statuses(database))
     assert not started_with("NUFLEET_STATE", state)
 
 
@@ -249,6 +267,9 @@ def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, moment: s
         (["--band", "0", "10"], 2, "period is infinite"),
         (["--band", "0.05", "90"], 2, "exceeds the range in which robot target can be tested"),
         (["--axis", "yaw"], 2, "no axis 'yaw'; it has x"),
+        (["--axis", "x", "--axes", "x,y"], 2, "give either --axis or --axes"),
+        (["--axes", "x,y", "--reuse"], 2, "--axes tests all sources: leave out --reuse"),
+        (["--axes", "x,y", "--algorithm", "paper"], 2, "--axes requires --algorithm adaptive"),
         (["--iterations", "0"], 2, "--iterations"),
         (["--trajectory", "no-such-drawing"], 2, "no such drawing"),
         (["--speed", "0.5"], 2, "--speed requires --trajectory"),
@@ -279,7 +300,10 @@ def test_a_typo_in_a_fleet_file_names_file_field_and_expectation(
     assert "number" in done.stderr
 
 
-def test_no_router_is_an_error_that_says_how_to_start_one(typed: Typed, tmp_path: Path) -> None:
+def test_no_router_is_an_error_that_says_how_to_start_one(
+    typed: Typed, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection, "CONNECT_TIMEOUT_S", 0.2)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import signal
-import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from command_processes import NUFLEET, begun, nufleet
+from command_processes import Typed, begun
 from fleet_lab import Lab, Orchestrator, double_integrator
 from learned_things import experience, layout
 from polling import PATIENCE_S
@@ -35,7 +34,7 @@ from nufleet.orchestrator.repository.tables import EXPERIENCES
 from nufleet.orchestrator.runs.folder import RunFolder
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.file import decode_experience, digest
-from nufleet.shared.wire.transport import Session
+from nufleet.shared.wire.session import Session
 
 FLEET = """
 schema = 1
@@ -89,13 +88,14 @@ def _target(router: Session, endpoint: str, tmp_path: Path) -> Iterator[None]:
 
 @pytest.mark.usefixtures("_target")
 def test_an_experience_is_transferred_and_flown_with_after_its_robot_is_gone(
-    lab: Lab, address: str, tmp_path: Path
+    lab: Lab, address: str, tmp_path: Path, typed: Typed
 ) -> None:
     def command(name: str, runs: str, *words: str) -> tuple[dict[str, object], str]:
-        """Run a command in a process, and so as an orchestrator, of its own."""
+        """Run a command, each of which is an orchestrator of its own."""
         where = ("--connect", lab.endpoint, "--repository", address, "--runs", runs, "--json")
         waits_for_nothing = () if name == "train" else ("--no-rehearsal",)
-        done = nufleet(name, *where, *waits_for_nothing, *words, cwd=tmp_path)
+        waits_for_nothing += ("--no-recording",) if name == "rank" else ()
+        done = typed(name, *where, *waits_for_nothing, *words, cwd=tmp_path)
         assert done.returncode == 0, done.stderr
         return json.loads(done.stdout), done.stderr
 
@@ -205,7 +205,7 @@ def test_an_experience_that_an_evaluation_trains_is_stored(
     orchestrator: Orchestrator, tmp_path: Path
 ) -> None:
     fleet = orchestrator.fleet
-    request = RankRequest("target", ("source",), (0.5, 10.0), iterations=1, seed=0, axis=None)
+    request = RankRequest("target", ("source",), (0.5, 10.0), iterations=1, seed=0, axes=None)
     plan = EvaluationPlan(
         ready=prepare(fleet, request, fleet.robots()),
         legs=(),
@@ -320,18 +320,11 @@ def test_a_damaged_experience_is_not_transferred_until_its_robot_has_learned_aga
 
 
 def test_an_unknown_source_is_refused_by_the_command_with_what_there_is(
-    lab: Lab, address: str, tmp_path: Path
+    lab: Lab, address: str, tmp_path: Path, typed: Typed
 ) -> None:
     lab.agent("target", double_integrator(0.85, 1))
     words = ("transfer", "--target", "target", "--source", "away", "--connect", lab.endpoint)
-    done = subprocess.run(
-        [*NUFLEET, *words, "--repository", address],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
+    done = typed(*words, "--repository", address, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
     assert "no robot 'away' in this fleet; there are target" in done.stderr
     assert "Traceback" not in done.stderr

@@ -192,7 +192,8 @@ class History(RuleBasedStateMachine):
     @precondition(lambda self: self.fault is not None)
     @rule(fault=st.sampled_from([None, "no such port"]))
     def robot_is_connected_anew(self, fault: str | None) -> None:
-        self.fault = self.decisions.reconnected(fault)
+        assert self.decisions.reconnected(fault, stops=self.decisions.stops) == fault
+        self.fault = fault
 
     @rule(goal_ids=st.lists(st.sampled_from(["a", "b", "c", "d"]), max_size=3))
     def acknowledge(self, goal_ids: list[str]) -> None:

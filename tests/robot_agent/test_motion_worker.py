@@ -1,4 +1,4 @@
-"""A driver that hangs between two motions, or before one begins, is reported, and survived."""
+"""What the thread that moves a robot makes of drivers that hang, and of stops as it reconnects."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from nufleet.robot_agent.motion import watched_robot
 from nufleet.robot_agent.motion.watched_robot import SLOW_CALL_MAX_S, WatchedRobot
 from nufleet.robot_agent.motion_worker import MotionWorker
 from nufleet.robot_agent.planner import Planner
+from nufleet.robot_agent.rules.supervisor import StopOrder
 from nufleet.shared.wire.messages import Done, GoalRequest, GoalResult, Outcome, Refusal
 
 
@@ -115,3 +116,33 @@ def test_a_driver_that_returns_from_a_hanging_begin_moves_nothing_and_may_begin_
     assert hanging.puppet.samples == 0
     hanging.begin("two")
     assert hanging.result("two").outcome is Outcome.COMPLETED
+
+
+def stop(hanging: Hanging) -> None:
+    hanging.decisions.stop(StopOrder("alice", "smoke"))
+
+
+def test_a_stop_during_a_reconnection_leaves_a_fault_until_the_next_release(
+    hanging: Hanging,
+) -> None:
+    hanging.decisions.broke("its driver failed")
+    hanging.puppet.on_connect = lambda: stop(hanging)
+    refused = hanging.release()
+    assert isinstance(refused, Refusal)
+    assert refused.reason == "it was stopped while it was being reconnected"
+    hanging.puppet.on_connect = lambda: None
+    assert hanging.decisions.release("bob") is None
+    assert hanging.decisions.fault is not None
+    assert hanging.release() == Done()
+    assert hanging.decisions.fault is None
+
+
+def test_a_release_from_before_a_stop_connects_no_robot(hanging: Hanging) -> None:
+    hanging.decisions.broke("its driver failed")
+    stop(hanging)
+    hanging.puppet.on_connect = hanging.puppet.on_disconnect = lambda: pytest.fail("it is asked")
+    refused = hanging.release()
+    hanging.puppet.on_disconnect = lambda: None
+    assert isinstance(refused, Refusal)
+    assert refused.code == "stopped"
+    assert hanging.decisions.fault == "its driver failed"

@@ -69,6 +69,15 @@ def stored_stop(tmp_path: Path, journal: Journal) -> str | None:
         return None if stop is None else f"{stop.sender}: {stop.reason}"
 
 
+def test_what_a_key_contains_does_not_reach_the_terminal(
+    stops: StopService, caplog: pytest.LogCaptureFixture
+) -> None:
+    stops.heard("nufleet/lab/by/\x1b[31m\nrobot r: all is well/stop", b"no message")
+    assert "malformed stop on" in caplog.text
+    assert "\x1b" not in caplog.text
+    assert "\nrobot r" not in caplog.text
+
+
 def test_a_stop_is_answered_when_it_is_stored(
     stops: StopService, tmp_path: Path, journal: Journal
 ) -> None:

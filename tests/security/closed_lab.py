@@ -12,9 +12,12 @@ from polling import PATIENCE_S
 from ports import free_port
 
 from nufleet.orchestrator.authority.authority import Authority
+from nufleet.orchestrator.authority.certificates import Issuer, read_issuers, read_key
 from nufleet.shared.wire.identity import address_of
 from nufleet.shared.wire.keys import FleetKeys
-from nufleet.shared.wire.transport import Request, Session, open_client, open_configured_router
+from nufleet.shared.wire.requests import Request
+from nufleet.shared.wire.session import Session
+from nufleet.shared.wire.transport import open_client, open_configured_router
 
 KEYS = FleetKeys("lab")
 ROBOT = '[robots.{}]\ndriver = "double_integrator"\nsettings = {{ alpha = 1.0, beta = 0.003 }}\n'
@@ -54,6 +57,13 @@ class ClosedLab:
         if not path.exists():
             self.authority.enroll(name, path.parent)
         return path
+
+    @property
+    def issuer(self) -> Issuer:
+        """What signs for this fleet, with which tests make certificates of their own."""
+        folder = self.authority.folder
+        key = read_key((folder / "authority.key").read_bytes(), "its key")
+        return read_issuers((folder / "authority.pem").read_bytes(), key)[0]
 
     def start_router(self) -> None:
         """Open the router with the configuration as it is now."""

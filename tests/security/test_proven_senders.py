@@ -18,12 +18,9 @@ from puppet_robot import PuppetRobot
 
 from nufleet.orchestrator.authority.access import STATES_HZ, common_name
 from nufleet.orchestrator.authority.certificates import (
-    Issuer,
     certificate_pem,
     key_pem,
     new_key,
-    read_certificate,
-    read_key,
     utc_now,
 )
 from nufleet.orchestrator.fleet.client import Fleet
@@ -37,8 +34,9 @@ from nufleet.shared.frequency_test.excitation import Tone
 from nufleet.shared.private_files import write_privately
 from nufleet.shared.wire.codec import decode, encode
 from nufleet.shared.wire.identity import Identity, address_of, identity_text, read_identity
+from nufleet.shared.wire.limits import MAX_STATE_BYTES
 from nufleet.shared.wire.messages import Outcome, Refusal, RobotStatus, StopRequest
-from nufleet.shared.wire.transport import MAX_STATE_BYTES, _base_config, open_client
+from nufleet.shared.wire.transport import _base_config, open_client
 
 
 @dataclass
@@ -195,11 +193,8 @@ def test_a_robot_that_floods_its_state_is_heard_no_more_often_than_the_router_al
 
 def short_lived(lab: ClosedLab, folder: Path, life: timedelta) -> Identity:
     """An identity of robot b that ends soon."""
-    authority = lab.authority.folder
-    signer = read_key((authority / "authority.key").read_bytes(), "its key")
-    certificate = read_certificate((authority / "authority.pem").read_bytes())
     key, path = new_key(), folder / "b.nufleet"
-    made = Issuer(certificate, signer).issue(common_name("b", 0), key.public_key(), utc_now(), life)
+    made = lab.issuer.issue(common_name("b", 0), key.public_key(), utc_now(), life)
     model = read_identity(lab.identity("b"))
     write_privately(path.with_suffix(".key"), key_pem(key))
     identity = Identity(

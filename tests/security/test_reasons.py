@@ -20,8 +20,6 @@ from nufleet.orchestrator.authority.certificates import (
     certificate_pem,
     key_pem,
     new_key,
-    read_certificate,
-    read_key,
     utc_now,
 )
 from nufleet.shared.errors import InvalidInputError, NoRouterError
@@ -34,6 +32,12 @@ TRIED_S = 0.4
 DAY = timedelta(days=1)
 
 
+@pytest.fixture(autouse=True)
+def _routers_take_their_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(handshake, "TIMEOUT_S", PATIENCE_S)
+    monkeypatch.setattr(handshake, "ALERT_S", PATIENCE_S)
+
+
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ClosedLab]:
     with closed_lab(tmp_path_factory.mktemp("closed")) as lab:
@@ -44,12 +48,6 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ClosedLab]:
 @pytest.fixture(scope="module")
 def desk(lab: ClosedLab) -> Identity:
     return read_identity(lab.identity("desk"))
-
-
-def issuer_of(lab: ClosedLab) -> Issuer:
-    folder = lab.authority.folder
-    certificate = read_certificate((folder / "authority.pem").read_bytes())
-    return Issuer(certificate, read_key((folder / "authority.key").read_bytes(), "its key"))
 
 
 def refused(identity: Identity, folder: Path, words: str, key: bytes | None = None) -> None:
@@ -81,7 +79,7 @@ def test_a_certificate_that_is_over_or_of_tomorrow(
     begins: timedelta, words: str, lab: ClosedLab, desk: Identity, tmp_path: Path
 ) -> None:
     key = new_key()
-    made = issuer_of(lab).issue("desk.1", key.public_key(), utc_now() + begins, 5 * DAY)
+    made = lab.issuer.issue("desk.1", key.public_key(), utc_now() + begins, 5 * DAY)
     refused(replace(desk, certificate=certificate_pem(made)), tmp_path, words, key_pem(key))
 
 
@@ -127,7 +125,7 @@ def test_a_router_whose_certificate_is_over_or_of_tomorrow(
     begins: timedelta, words: str, lab: ClosedLab, desk: Identity, tmp_path: Path
 ) -> None:
     key, now = new_key(), utc_now() + begins
-    made = issuer_of(lab).issue("router", key.public_key(), now, 5 * DAY, serves_at=("127.0.0.1",))
+    made = lab.issuer.issue("router", key.public_key(), now, 5 * DAY, serves_at=("127.0.0.1",))
     with false_router(lab, tmp_path, certificate_pem(made), key_pem(key)) as endpoint:
         refused(replace(desk, router=endpoint), tmp_path, words)
 
@@ -190,7 +188,7 @@ def false_router(lab: ClosedLab, folder: Path, certificate: str, key: bytes) -> 
         yield endpoint
 
 
-def test_a_router_whose_key_others_can_read_or_that_trusts_plain_links_does_not_start(
+def test_a_router_that_others_could_enter_or_whose_key_they_can_read_does_not_start(
     lab: ClosedLab, tmp_path: Path
 ) -> None:
     folder = tmp_path / "router"
@@ -198,9 +196,13 @@ def test_a_router_whose_key_others_can_read_or_that_trusts_plain_links_does_not_
     configuration = folder / "router.json5"
     text = configuration.read_text()
     linked = text.replace('"listen": {', '"connect": {"endpoints": ["tcp/base:7447"]}, "listen": {')
+    everyones = text.replace("tls/127.0.0.1", "tls/0.0.0.0").replace(
+        '"enable_mtls": true', '"enable_mtls": false'
+    )
     for changed, mode, words in (
         (text, 0o640, r"can read or replace the key .*router\.key: chmod 600"),
         (linked, 0o600, "tcp/base:7447 is open"),
+        (everyones, 0o600, "tls/0.0.0.0:.* is open: every machine"),
         (text.replace("router.key", "gone.key"), 0o600, r"gone\.key: cannot be read"),
     ):
         configuration.write_text(changed)

@@ -17,9 +17,7 @@ from polling import PATIENCE_S
 from robots_that_learn import double_integrator
 
 from nufleet.orchestrator.authority.certificates import (
-    Issuer,
     certificate_pem,
-    read_certificate,
     read_key,
     utc_now,
 )
@@ -77,11 +75,8 @@ def signed_by(who: Identity, payload: bytes, at: datetime | None = None) -> byte
 
 def whose_certificate_ended(lab: ClosedLab, who: Identity) -> Identity:
     """The same identity with a certificate of last week for its key."""
-    folder = lab.authority.folder
-    key = read_key((folder / "authority.key").read_bytes(), "its key")
-    issuer = Issuer(read_certificate((folder / "authority.pem").read_bytes()), key)
     public = read_key(who.key.read_bytes(), "its key").public_key()
-    made = issuer.issue(f"{who.principal}.1", public, utc_now() - 7 * DAY, 3 * DAY)
+    made = lab.issuer.issue(f"{who.principal}.1", public, utc_now() - 7 * DAY, 3 * DAY)
     return replace(who, certificate=certificate_pem(made))
 
 

@@ -13,7 +13,8 @@ from polling import PATIENCE_S, wait_until
 
 from nufleet.shared.errors import NoRouterError
 from nufleet.shared.wire.keys import COMMANDS, READS
-from nufleet.shared.wire.transport import Declaration, Session
+from nufleet.shared.wire.requests import Declaration
+from nufleet.shared.wire.session import Session
 
 ROLES = {
     "a": "robot",

@@ -39,7 +39,7 @@ def played(robot: Robot, *omegas_rad_s: float) -> tuple[Played, FrequencyRespons
     switch = HaltSwitch()
     motion = AxisMotion(
         robot,
-        "x",
+        ["x"],
         reference_of(plan),
         realtime=None,
         switch=switch,

@@ -14,7 +14,6 @@ from benchmarks.faults.simulation.robot import BAD_SENSOR
 from benchmarks.faults.simulation.study import RankingStudy, response_of, useless
 from nufleet.orchestrator.conduct.attempts import ATTEMPTS, ATTEMPTS_IN_ALL, Attempts, Settled
 from nufleet.orchestrator.conduct.replay import OpenRound, OpenTest, resume, round_of
-from nufleet.orchestrator.fleet.client import QUERY_TIMEOUT_S, RESULT_TIMEOUT_S
 from nufleet.orchestrator.fleet.goal_events import (
     Accepted,
     Ask,
@@ -30,6 +29,7 @@ from nufleet.orchestrator.fleet.goal_events import (
     Unanswered,
 )
 from nufleet.orchestrator.fleet.goal_pursuit import RETURN_PATIENCE_S, Pursuit
+from nufleet.orchestrator.fleet.requests import QUERY_TIMEOUT_S, RESULT_TIMEOUT_S
 from nufleet.orchestrator.repository.errors import RepositoryError
 from nufleet.orchestrator.repository.records import TrialStatus
 from nufleet.orchestrator.study.outcomes import Failed, Measured, TestOutcome

@@ -9,7 +9,7 @@ from benchmarks.faults.simulation.history import Violation
 from benchmarks.faults.simulation.repository import SimulatedRepository
 from nufleet.orchestrator.conduct import leases as robot_leases
 from nufleet.orchestrator.conduct.leases import RENEW_EVERY_S
-from nufleet.orchestrator.fleet.client import QUERY_TIMEOUT_S
+from nufleet.orchestrator.fleet.requests import QUERY_TIMEOUT_S
 from nufleet.orchestrator.repository.errors import LeaseHeldError, LeaseLostError, RepositoryError
 from nufleet.orchestrator.repository.records import Lease, Renewal
 from nufleet.shared.errors import RobotOwnedError

@@ -196,7 +196,8 @@ class SimulatedAgent:
         self._watched.connect()
         self.motions = MotionThread(self, self._watched, self._driver)
         self._stops = _Stops(self, self._kill)
-        self._health: tuple[Health | None, float] = (None, self.world.now_s)
+        # The product waits for the first answer before it serves the robot.
+        self._health = (_READY, self.world.now_s)
         self.node: Node = robot.network.join("robot", robot.name, self)
         self._beat()
 
@@ -351,7 +352,7 @@ class SimulatedAgent:
             self._health = (_LOCKED if now_s < robot.unready_until_s else _READY, now_s)
         health, reported_s = self._health
         age_s = now_s - reported_s
-        ready = age_s <= fitness.HEALTH_MAX_AGE_S and (health is None or health.ready)
+        ready = age_s <= fitness.HEALTH_MAX_AGE_S and health.ready
         self.decisions.reported(health, fitness.unfit(health, age_s))
         self.history.report(now_s, self.name, ready=ready)
         playing = self.motions.playing

@@ -168,6 +168,17 @@ def _forget_who_waits() -> Patches:
     yield patch.object(ownership, "refusal_to_begin", lambda *asked, **circumstances: None)
 
 
+def _drop_the_unsure() -> Patches:
+    """A refused goal is over, although an earlier copy of it may still arrive."""
+
+    def noted(self: Pursuit, error: Any, now_s: float) -> None:
+        self._unsure = False
+        refused(self, error, now_s)
+
+    refused = Pursuit._note_goal_refused  # noqa: SLF001 - as above
+    yield patch.object(Pursuit, "_note_goal_refused", noted)
+
+
 def _ask_the_killed() -> Patches:
     """A robot whose motors were cut is asked to rest and to land like any other."""
     yield patch.object(WatchedRobot, "kill", RobotAround.kill)
@@ -203,13 +214,12 @@ def _store_no_kill() -> Patches:
 def _cure_everything() -> Patches:
     """A reconnection cures every fault, although motors were cut during it."""
 
-    def supervised(state: Supervision, event: supervisor.Event) -> tuple[Supervision, Any]:
-        if isinstance(event, supervisor.Reconnected):
-            return replace(state, fault=event.fault), None
-        return supervise(state, event)
+    def cured(self: Decisions, fault: str | None, *, stops: int) -> str | None:
+        del stops
+        return reconnected(self, fault, stops=self.stops)
 
-    supervise = supervisor.supervise
-    yield patch.object(supervisor, "supervise", supervised)
+    reconnected = Decisions.reconnected
+    yield patch.object(Decisions, "reconnected", cured)
 
 
 def _accept_unready() -> Patches:
@@ -272,6 +282,7 @@ WITHOUT: Mapping[str, Callable[[], Patches]] = {
     "forgone": _forget_forgone,
     "frozen": _wake_at_once,
     "starved": _forget_who_waits,
+    "unsure": _drop_the_unsure,
     "killed": _ask_the_killed,
     "kill-fault": _trust_the_killed,
     "kill-stored": _store_no_kill,

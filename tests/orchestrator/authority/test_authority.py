@@ -13,7 +13,6 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import NameOID
 
 from nufleet.orchestrator.authority.authority import Authority
-from nufleet.orchestrator.authority.certificates import read_certificate
 from nufleet.orchestrator.authority.key_files import make_request
 from nufleet.shared.errors import FleetFileError, InvalidInputError
 from nufleet.shared.wire.identity import read_identity
@@ -44,7 +43,7 @@ def authority(inventory: Path, tmp_path: Path) -> Authority:
 
 
 def common_name(identity: Path) -> str:
-    certificate = read_certificate(read_identity(identity).certificate.encode())
+    certificate = x509.load_pem_x509_certificate(read_identity(identity).certificate.encode())
     return str(certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value)
 
 
@@ -223,8 +222,9 @@ def test_a_replacement_that_was_cut_off_before_its_key_was_written_can_be_begun_
     enrolled = again.enroll("desk", tmp_path)
     again.finish_replacing()
     assert not Authority(authority.folder).replaced
-    trusted = read_certificate((authority.folder / "router" / "authority.pem").read_bytes())
-    made = read_certificate(read_identity(enrolled.identity).certificate.encode())
+    pem = (authority.folder / "router" / "authority.pem").read_bytes()
+    trusted = x509.load_pem_x509_certificate(pem)
+    made = x509.load_pem_x509_certificate(read_identity(enrolled.identity).certificate.encode())
     made.verify_directly_issued_by(trusted)
 
 

@@ -12,6 +12,7 @@ from click.testing import CliRunner, Result
 
 from nufleet.orchestrator.cli.demo import demo
 from nufleet.orchestrator.cli.evaluate import evaluate
+from nufleet.orchestrator.cli.match import match
 from nufleet.orchestrator.cli.rank import rank
 from nufleet.orchestrator.cli.runs import prune, resume
 from nufleet.orchestrator.cli.track import track
@@ -39,14 +40,20 @@ JOBS: dict[str, tuple[click.Command, type[Any]]] = {
     "resume": (resume, ResumeCommand),
     "prune": (prune, PruneCommand),
 }
+COMMANDS = {name: command for name, (command, _) in JOBS.items()} | {"match": match}
 
 
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """What the jobs were asked for, since none of them is done."""
     found: list[Any] = []
-    for name in JOBS:
-        monkeypatch.setattr(f"nufleet.orchestrator.jobs.{name}.{name}_and_print", found.append)
+
+    def asked(command: Any) -> bool:
+        found.append(command)
+        return True
+
+    for name in COMMANDS:
+        monkeypatch.setattr(f"nufleet.orchestrator.jobs.{name}.{name}_and_print", asked)
     for variable in ("NUFLEET_ROUTER", "NUFLEET_IDENTITY", "NUFLEET_RUNS", "NUFLEET_REPOSITORY"):
         monkeypatch.delenv(variable, raising=False)
     monkeypatch.setenv("XDG_CONFIG_HOME", "/nonexistent")
@@ -54,7 +61,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
 
 def typed(name: str, *arguments: str, **environment: str) -> Result:
-    return CliRunner().invoke(JOBS[name][0], arguments, env=environment)
+    return CliRunner().invoke(COMMANDS[name], arguments, env=environment)
 
 
 @pytest.mark.parametrize("name", JOBS)
@@ -168,6 +175,8 @@ FLIGHT = ("--target", "a", "--trajectory", "clover")
         ("rank", ("--fleet", "paper_linear", "--wait", "3"), "effect with --fleet, which starts"),
         ("evaluate", ("--fleet", "paper_linear", "--fleet-name", "lab"), "--fleet-name has no"),
         ("rank", ("--realtime", "1"), "--realtime has no effect without --fleet"),
+        ("match", ("--realtime", "1"), "--realtime has no effect without --fleet"),
+        ("match", ("--band", "1Hz", "10"), "'1Hz' is not a number; give it in rad/s, without the"),
         (
             "rank",
             ("--fleet", "paper_linear", "--plan", "--live"),

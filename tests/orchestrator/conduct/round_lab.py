@@ -23,7 +23,8 @@ from nufleet.robot_agent.agent import Agent
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.keys import FleetKeys
-from nufleet.shared.wire.transport import Session, open_client, open_router
+from nufleet.shared.wire.session import Session
+from nufleet.shared.wire.transport import open_client, open_router
 
 KEYS = FleetKeys("lab")
 ROBOTS = ("r1", "r2", "r3")

@@ -18,6 +18,7 @@ from nufleet.orchestrator.conduct.attempts import (
     Settled,
     retried,
     widened,
+    without_the_expected,
 )
 from nufleet.orchestrator.conduct.replay import OpenTest, goal_id_of
 from nufleet.orchestrator.fleet.goal_events import Ended
@@ -391,3 +392,18 @@ def test_an_unknown_delay_widens_responses_unless_all_robots_are_measured_alike(
     np.testing.assert_allclose(apart.variance, 1e-6 + np.array([0.004, 0.02]) ** 2)
     assert widened(response, "b", {"a": mocap, "b": onboard}) is response
     assert widened(response, "a", {"a": mocap, "b": mocap}) is response
+
+
+@pytest.mark.parametrize(
+    ("rang_s", "codes"), [(1.0, ["nonlinear"]), (9.0, ["ringing", "nonlinear"])]
+)
+def test_a_robot_that_rings_for_as_long_as_it_says_is_not_warned_of(
+    rang_s: float, codes: list[str]
+) -> None:
+    spec = puppet_spec().model_copy(update={"settling_time_s": 4.0})
+    ringing = Finding(code="ringing", text="it rings", value=rang_s)
+    bent = Finding(code="nonlinear", text="it is bent", value=0.02)
+    one = np.ones(1)
+    response = FrequencyResponse(one, one + 0j, one, 3, Quality(warnings=(ringing, bent)))
+    left = without_the_expected(response, spec).quality.warnings
+    assert [finding.code for finding in left] == codes

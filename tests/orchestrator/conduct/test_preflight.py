@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
-from nufleet.orchestrator.conduct.preflight import check_band, check_names, check_plan
+from nufleet.orchestrator.conduct.preflight import (
+    check_band,
+    check_names,
+    check_plan,
+    chosen_axes,
+)
+from nufleet.orchestrator.conduct.rank_run import RankRequest, check_combination
 from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
@@ -93,3 +101,44 @@ def test_names_that_cannot_be_right_are_refused(
 ) -> None:
     with pytest.raises(InvalidInputError, match=words):
         check_names(target, sources, ("a", "b"))
+
+
+def several(robot: str, **units: str) -> Description:
+    one = describe(robot)
+    axes = tuple(
+        one.spec.axes[0].model_copy(update={"name": name, "unit": unit})
+        for name, unit in units.items()
+    )
+    return one.model_copy(update={"spec": one.spec.model_copy(update={"axes": axes})})
+
+
+def test_the_axes_are_those_requested_all_that_the_target_has_or_its_first() -> None:
+    target = several("target", x="m", y="m", yaw="rad")
+    assert chosen_axes(None, target) == ("x",)
+    assert chosen_axes(("all",), target) == ("x", "y", "yaw")
+    assert chosen_axes(("yaw", "x"), target) == ("yaw", "x")
+    with pytest.raises(InvalidInputError, match="twice"):
+        chosen_axes(("x", "x"), target)
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        ({"x": "m"}, "robot source has no axis 'yaw'; it has x"),
+        ({"x": "m", "heading": "rad"}, "robot source has no axis 'yaw'; it has x, heading"),
+        ({"x": "m", "yaw": "m"}, "axis yaw of robot source is in m, that of the target target"),
+    ],
+)
+def test_axes_that_only_some_robots_have_are_refused_by_name(
+    source: dict[str, str], words: str
+) -> None:
+    fleet = {"target": several("target", x="m", yaw="rad"), "source": several("source", **source)}
+    with pytest.raises(InvalidInputError, match=words):
+        check_plan(replace(plan(), also=("yaw",)), fleet)
+
+
+@pytest.mark.parametrize("option", ["precision", "amplitude"])
+def test_what_several_axes_cannot_do_is_refused_by_its_option(option: str) -> None:
+    request = RankRequest("target", None, None, 7, 0, ("x", "y"), **{option: 0.1})
+    with pytest.raises(InvalidInputError, match=f"--{option} requires a single axis"):
+        check_combination(request)

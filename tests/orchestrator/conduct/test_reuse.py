@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from archived_studies import DESCRIPTIONS, PLAN, SPEC, archive, begin, measure
 
-from nufleet.orchestrator.conduct.archive import AWAY, Archive
-from nufleet.orchestrator.conduct.recipe import Recipe, make_study, recipe_of
+from nufleet.orchestrator.conduct.archive import Archive
+from nufleet.orchestrator.conduct.recipe import AWAY, Recipe, make_study, recipe_of
 from nufleet.orchestrator.conduct.replay import round_of
 from nufleet.orchestrator.conduct.reuse import (
     Reuse,

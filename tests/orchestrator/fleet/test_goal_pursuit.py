@@ -175,13 +175,17 @@ def test_any_other_refusal_is_final() -> None:
     assert goal.ended.abandoned == ()
 
 
-def test_a_refusal_after_a_lost_question_leaves_open_whether_the_goal_still_comes() -> None:
+def test_a_goal_refused_after_a_lost_question_is_cancelled_since_it_may_still_arrive() -> None:
     goal = PursuedGoal()
     goal.happens(lost(SEND))
     goal.passes(0.1)
-    goal.happens(refused(SEND, "stopped"))
+    assert goal.happens(refused(SEND, "stopped")) == [CANCEL]
+    assert goal.happens(CancelTaken()) == [FETCH]
+    goal.happens(refused(FETCH, "result-gone"))
     assert goal.ended is not None
-    assert goal.ended.abandoned == (GOAL,)
+    assert isinstance(goal.ended.error, RefusedError)
+    assert goal.ended.error.code == "stopped"
+    assert goal.ended.abandoned == ()
 
 
 def test_a_robot_that_is_busy_with_what_was_abandoned_is_brought_to_rest_first() -> None:

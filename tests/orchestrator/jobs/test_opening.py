@@ -13,6 +13,7 @@ from puppet_robot import PuppetRobot
 from rich.console import Console
 
 from nufleet.orchestrator.conduct.leases import HeldLeases
+from nufleet.orchestrator.fleet import connection
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.jobs.commands import StoredCommand
@@ -25,7 +26,8 @@ from nufleet.orchestrator.viewer.writer import RerunWriter
 from nufleet.robot_agent.agent import Agent
 from nufleet.shared.errors import InvalidInputError, NoRouterError
 from nufleet.shared.wire.keys import FleetKeys
-from nufleet.shared.wire.transport import Session, open_client, open_router
+from nufleet.shared.wire.session import Session
+from nufleet.shared.wire.transport import open_client, open_router
 
 ENDS = {
     "recording": (RerunWriter, "close"),
@@ -146,8 +148,9 @@ def test_a_run_that_fails_keeps_its_folder_once_it_is_configured_and_praises_no_
 
 
 def test_a_fleet_that_cannot_be_reached_leaves_nothing_open(
-    closed: list[str], tmp_path: Path
+    closed: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(connection, "CONNECT_TIMEOUT_S", 0.2)
     nowhere = FleetChoice.running(f"unixsock-stream/{tmp_path}/nobody.sock", "lab")
     with pytest.raises(NoRouterError), opening(tmp_path) as run:
         run.reach(nowhere)

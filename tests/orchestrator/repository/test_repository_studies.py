@@ -44,6 +44,8 @@ from nufleet.orchestrator.repository.records import (
     TrialStatus,
 )
 from nufleet.orchestrator.repository.repository import Repository, open_repository
+from nufleet.shared.frequency_test.excitation import ExcitationPlan, PlannedTones, Tone
+from nufleet.shared.frequency_test.matrix_response import MatrixResponse
 from nufleet.shared.frequency_test.quality import Finding
 from nufleet.shared.wire.messages import Outcome
 
@@ -153,6 +155,42 @@ def test_a_measured_trial_comes_back_bit_for_bit(
     assert back.reference.tobytes() == sent.reference.tobytes()
     assert back.response.tobytes() == sent.response.tobytes()
     assert back.plan == sent.plan
+
+
+def test_a_test_of_several_axes_comes_back_with_every_entry_and_both_columns(
+    begun: Repository, address: str
+) -> None:
+    joint = ExcitationPlan.model_validate(
+        {
+            **PLAN.model_dump(),
+            "also": (PlannedTones(axis="y", tones=(Tone(omega_rad_s=1.0),), amplitude=0.2),),
+        }
+    )
+    rows = (response(), replace(response(UNUSABLE), degrees=np.array([3.0, 6.0]), amplitude=0.2))
+    correlation = np.array([[1.0, 0.1 - 0.2j], [0.1 + 0.2j, 1.0]])
+    matrix = MatrixResponse(("x", "y"), np.array([0, 1]), rows, correlation)
+    measured = replace(matrix.entry(0, 0), matrix=matrix)
+    trial, samples = intent(), np.random.default_rng(5).standard_normal((2, joint.samples, 2))
+    sent = result(trial).model_copy(
+        update={"plan": joint, "reference": samples[0], "response": samples[1]}
+    )
+    begun.studies.intend(trial)
+    end = TrialEnd(TrialStatus.MEASURED, result=sent, response=measured)
+    begun.studies.ended(trial.goal_id, end, epoch=1)
+    with open_repository(address) as other:
+        (record,) = other.studies.trials("run-1")
+        back = other.studies.result(trial.goal_id)
+    assert record.plan == joint
+    assert back.response.tobytes() == sent.response.tobytes()
+    assert record.response is not None
+    assert identical(record.response, measured)
+    kept = record.response.matrix
+    assert kept is not None
+    assert kept.axes == matrix.axes
+    assert kept.played_by.tolist() == [0, 1]
+    assert kept.correlation.tobytes() == correlation.tobytes()
+    for stored, row in zip(kept.rows, rows, strict=True):
+        assert identical(stored, replace(row, degrees=row.degrees_of_freedom))
 
 
 def test_samples_that_are_forgotten_leave_the_response_and_the_samples_of_other_runs(

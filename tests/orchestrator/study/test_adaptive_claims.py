@@ -111,3 +111,22 @@ def test_the_estimate_names_the_largest_distance_that_was_measured() -> None:
         assert BAND[0] <= estimate.measured_omega_rad_s <= BAND[1]
         assert estimate.psi_low - 0.02 < estimate.measured_psi < estimate.psi_high + 0.02
         assert estimate.psi_low <= estimate.psi <= estimate.psi_high
+
+
+def test_a_rival_is_not_asked_below_its_lowest_tone_where_what_was_seen_of_it_is_enough() -> None:
+    fleet = {"target": Loop(3.0), "near": Loop(3.3), "rival": Loop(3.33)}
+    report, asked = last_of(fleet)
+    assert report.selected == "near"
+    assert (report.confidence or 0.0) >= 0.95
+    assert "rival" not in report.eliminated
+    assert sum("rival" in robots for robots in asked) == 1, "unseen, it can only be further away"
+    assert sum("near" in robots for robots in asked) == 2
+
+
+def test_a_doubt_that_no_test_tells_ends_the_study_before_its_rounds_are_used() -> None:
+    fleet = {"target": Loop(3.0), "one": Loop(3.3), "other": Loop(2.7)}
+    report, asked = last_of(fleet, weaker={"target": -0.4, "one": -0.4, "other": -0.4})
+    assert (report.confidence or 0.0) < 0.95
+    assert report.stopped_because is not None
+    assert report.stopped_because.startswith("no further test would help")
+    assert len(asked) < 8

@@ -78,3 +78,15 @@ def test_on_a_trajectory_the_best_leaves_the_smallest_error_even_where_another_i
     assert "its predicted error is 0.157" in found.hopeless("far", 0.05)["near"]
     assert found.decisive_omega_rad_s("near") == 0.2
     assert SelectionBelief.of(omega, target, both).decisive_omega_rad_s("far") == 2.0
+
+
+def test_what_is_not_seen_of_a_source_can_only_make_it_worse() -> None:
+    rng = np.random.default_rng(0)
+    leader, far = rng.normal(0.1, 0.001, 500), rng.normal(0.3, 0.001, 500)
+    # At 1 rad/s each distance is half of that at 2 rad/s.
+    sources = belief(leader=leader, far=far)
+    assert sources.beaten("leader", 0.01, {}) == (1.0, {"far": 0.0})
+    assert sources.beaten("leader", 0.01, {"far": 1.5}) == (1.0, {"far": 0.0})
+    surely, ahead = sources.beaten("leader", 0.01, {"far": 2.5})
+    assert surely == 0.0, "nothing was seen of it"
+    assert ahead == {"far": 1.0}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from fleet_lab import double_integrator
 from puppet_robot import PuppetRobot
 
-from nufleet.robot_agent.driver_kit import check
+from nufleet.robot_agent.driver_kit import check, statements
 from nufleet.robot_agent.driver_kit.check import Report, assert_keeps_contract, check_robot
 from nufleet.robot_agent.driver_kit.statements import STATEMENTS
 from nufleet.robot_agent.robot import Record, Robot, RobotAround
@@ -157,6 +158,21 @@ def test_a_breach_is_found_with_what_was_observed_and_what_to_mend(name: str) ->
     assert any(one in first.observed for one in observed.split("|")), first.observed
     assert first.mend
     assert f"FAIL {first.statement}" in str(report)
+
+
+@pytest.mark.parametrize(("delays_s", "at_once"), [((0.5, 0.0, 0.5), True), ((0.5,) * 3, False)])
+def test_only_a_driver_that_always_takes_its_time_reports_its_health_late(
+    delays_s: tuple[float, ...], at_once: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s, delays = [0.0], iter(delays_s)
+    monkeypatch.setattr(statements, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+
+    def health(_: Robot) -> Health:
+        now_s[0] += next(delays)
+        return Health()
+
+    report = check_robot(breach(health=health), moves=False)
+    assert [one.observed for one in report.failed] == ([] if at_once else ["it took 0.5 s"])
 
 
 def test_swapped_axes_are_named() -> None:

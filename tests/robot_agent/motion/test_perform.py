@@ -48,7 +48,7 @@ def played(
 
     switch = HaltSwitch() if switch is None else switch
     motion = AxisMotion(
-        robot, axis, reference, realtime=realtime, switch=switch, on_samples=on_samples
+        robot, [axis], reference, realtime=realtime, switch=switch, on_samples=on_samples
     )
     result = perform(robot, motion, switch, on_resting=lambda: order.append("resting"))
     done = len(result.samples.reference)
@@ -106,7 +106,7 @@ def test_a_double_integrator_gives_the_same_response_in_any_batches() -> None:
         robot.connect()
         motion = AxisMotion(
             robot,
-            "x",
+            ["x"],
             SINE,
             realtime=realtime,
             switch=HaltSwitch(),

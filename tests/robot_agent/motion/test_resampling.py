@@ -111,7 +111,7 @@ def test_a_tests_response_is_what_its_robot_recorded() -> None:
 
     def played():
         motion = AxisMotion(
-            robot, "y", reference, realtime=None, switch=switch, on_samples=lambda *_: None
+            robot, ["y"], reference, realtime=None, switch=switch, on_samples=lambda *_: None
         )
         return perform(robot, motion, switch, on_resting=lambda: None)
 

@@ -84,13 +84,12 @@ def test_a_process_that_was_frozen_while_its_robot_took_off_begins_no_motion(
     assert (sortie.begun, robot.begun, robot.ended) == (True, 1, 0)
 
 
-@pytest.mark.parametrize("stopped_at", [0, 1, 2])
-def test_a_robot_that_is_stopped_again_is_not_connected(
-    robot: PuppetRobot, stopped_at: int
+@pytest.mark.parametrize("released", [True, False])
+def test_a_robot_that_is_stopped_as_it_is_disconnected_is_not_connected(
+    robot: PuppetRobot, released: bool
 ) -> None:
     calls: list[str] = []
     robot.on_disconnect = lambda: calls.append("disconnect")
     robot.on_connect = lambda: calls.append("connect")
-    released = iter([True] * stopped_at + [False] * 2)
-    make(Sortie(robot).reconnect(lambda: next(released)))
-    assert calls == [[], ["disconnect"], ["disconnect", "connect"]][stopped_at]
+    make(Sortie(robot).reconnect(lambda: released))
+    assert calls == ["disconnect", *["connect"] * released]

@@ -13,7 +13,7 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import TransportError
 from nufleet.shared.wire.codec import decode
 from nufleet.shared.wire.messages import Telemetry
-from nufleet.shared.wire.transport import Publisher
+from nufleet.shared.wire.requests import Publisher
 
 
 @dataclass

@@ -7,7 +7,6 @@ from collections import deque
 import pytest
 
 from nufleet.robot_agent.rules.supervisor import (
-    STOPPED_MEANWHILE,
     Event,
     FaultFound,
     Halt,
@@ -81,9 +80,9 @@ STEPS = [(state, event) for state in STATES for event in EVENTS if can_happen(st
 
 
 def test_all_states_are_looked_at() -> None:
-    # Not stopped, or by alice or bob; fit or not; at rest with no fault or one of four, or moving
+    # Not stopped, or by alice or bob; fit or not; at rest with no fault or one of three, or moving
     # for one of two owners, and then with no fault but one that was found meanwhile.
-    assert len(STATES) == 3 * 2 * (5 + 2 * 2)
+    assert len(STATES) == 3 * 2 * (4 + 2 * 2)
 
 
 @pytest.mark.parametrize("state", STATES, ids=str)
@@ -128,12 +127,6 @@ def test_a_fault_and_a_stop_are_each_undone_by_their_own_act_alone() -> None:
             assert after.stop == state.stop  # the first order stays the one that is shown
         if state.fault is not None and not isinstance(event, Reconnected):
             assert after.fault == state.fault
-
-
-def test_a_robot_that_is_stopped_while_it_is_reconnected_keeps_a_fault() -> None:
-    for state in STATES:
-        after, _ = supervise(state, Reconnected())
-        assert after.fault == (None if state.stop is None else STOPPED_MEANWHILE)
 
 
 def test_a_stop_is_accepted_in_every_state() -> None:

@@ -16,9 +16,11 @@ from nufleet.shared.distance.chordal import (
     chordal_distance,
     chordal_variance,
     geodesic_radius,
+    matrix_chordal_distance,
     riemann_sphere,
     worst_case_chordal_distance,
 )
+from nufleet.shared.distance.graph_angles import sines
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.models.linear_model import LinearModel
 from nufleet.sims.double_integrator import DoubleIntegratorSettings, closed_loop
@@ -233,3 +235,15 @@ def test_a_band_that_is_empty_or_reaches_nyquist_is_refused(band: tuple[float, f
     model = section_v(0.85, 0.003)
     with pytest.raises(InvalidInputError, match="Nyquist"):
         worst_case_chordal_distance(model, model, band)
+
+
+def test_the_distance_of_matrices_is_that_of_their_graphs_and_of_numbers_the_chordal_one() -> None:
+    rng = np.random.default_rng(0)
+    z_1, z_2 = rng.standard_normal((2, 40, 3, 2)) + 1j * rng.standard_normal((2, 40, 3, 2))
+    identity = np.broadcast_to(np.eye(2), (40, 2, 2))
+    graphs = [np.concatenate([identity, z], axis=1) for z in (z_1, z_2)]
+    np.testing.assert_allclose(matrix_chordal_distance(z_1, z_2), sines(*graphs)[:, 0])
+    numbers = z_1[:, :1, :1], z_2[:, :1, :1]
+    expected = chordal_distance(*numbers)[:, 0, 0]
+    np.testing.assert_allclose(matrix_chordal_distance(*numbers), expected)
+    np.testing.assert_allclose(matrix_chordal_distance(z_1, z_1), 0.0, atol=1e-15)

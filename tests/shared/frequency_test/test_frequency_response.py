@@ -15,8 +15,8 @@ from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan,
 from nufleet.shared.frequency_test.frequency_response import (
     FrequencyResponse,
     estimate_frequency_response,
-    uncertainty_radius,
 )
+from nufleet.shared.frequency_test.quality import uncertainty_radius
 from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 

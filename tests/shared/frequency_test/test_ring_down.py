@@ -10,7 +10,7 @@ from scipy.signal import cont2discrete, lfilter
 
 from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
 from nufleet.shared.arrays import ComplexArray, FloatArray
-from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan, Tone
+from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan
 from nufleet.shared.frequency_test.frequency_response import (
     FrequencyResponse,
     estimate_frequency_response,
@@ -54,7 +54,7 @@ def played(robot: Resonant, settle_s: float, noise: float, seed: int) -> Frequen
         settling_time_s=settle_s,
         simulated=False,
     )
-    tones: tuple[Tone, ...] = multitone(0.5, HARMONICS, np.ones(len(HARMONICS)))
+    (tones,) = multitone(0.5, [HARMONICS], [np.ones(len(HARMONICS))])
     plan: ExcitationPlan = plan_excitation(
         Excitation(axis="x", tones=tones, segments=3), spec, "robot"
     )

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pydantic import BaseModel, ValidationError
@@ -378,7 +378,7 @@ def test_there_is_a_strategy_for_every_message_type() -> None:
 
 
 @pytest.mark.parametrize("kind", EVERY_TYPE, ids=lambda kind: kind.__name__)
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=12)
 @given(data=st.data())
 def test_every_message_comes_back_as_it_was_sent(kind: type[Message], data: st.DataObject) -> None:
     message = data.draw(STRATEGIES[kind])
@@ -454,7 +454,7 @@ def test_no_json_raises_anything_but_malformed(
 
 
 @pytest.mark.parametrize("kind", [GoalResult, RobotState, GoalRequest, Description])
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=15)
 @given(data=st.data())
 def test_a_truncated_or_longer_frame_is_refused(kind: type[Message], data: st.DataObject) -> None:
     payload = encode(data.draw(STRATEGIES[kind]))

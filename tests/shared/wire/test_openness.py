@@ -42,6 +42,21 @@ def test_what_every_machine_can_use_has_to_be_accepted(endpoint: str) -> None:
         check_closed(endpoint, allow_open=False)
 
 
+@pytest.mark.parametrize(
+    ("endpoint", "open_to_all"),
+    [
+        ("tls/0.0.0.0:7447", True),
+        ("quic/base:7447#listen_certificate=a.pem;enable_mtls=false", True),
+        ("tls/base:7447#listen_certificate=a.pem;enable_mtls=true", False),
+        ("tls/127.0.0.1:7447", False),
+        ("unixsock-stream//tmp/r.sock", False),
+    ],
+)
+def test_a_router_that_asks_for_no_certificates_is_open(endpoint: str, open_to_all: bool) -> None:
+    assert is_open(endpoint, anonymous=True) == open_to_all
+    assert not is_open(endpoint)  # to those who connect, it proves itself
+
+
 @pytest.fixture
 def mine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The only identity in the user's folder."""

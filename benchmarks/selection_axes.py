@@ -1,0 +1,178 @@
+"""Selection over all axes at once, on random fleets of linear robots whose axes are coupled.
+
+    python -m benchmarks.selection_axes --axes 2 --fleets 50 --noise-mm 2
+
+Every robot has loops with random natural frequencies, damping and inertial coupling, so that its
+Z(ω) is known exactly, and with it the largest distance of the matrices in the band. Right is a
+regret below 0.01 in that distance. The same fleets are ranked by their first axis alone as well.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
+from nufleet.orchestrator.study.axes_study import AxesStudy
+from nufleet.orchestrator.study.interface import Question, Report, Study, StudyPlan
+from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
+from nufleet.shared.distance.nu_gap import chordal_peak_in_band
+from nufleet.shared.frequency_test.frequency_response import (
+    FrequencyResponse,
+    estimate_frequency_response,
+)
+from nufleet.sims.coupled_loops import CoupledLoops, CoupledLoopsSettings
+
+BAND_RAD_S = (0.2, 8.0)
+NAMES = ("x", "y", "z", "w")
+CLAIM = 0.95
+RIGHT_BELOW = 0.01
+ROUNDS = 8
+
+Robots = Mapping[str, CoupledLoops]
+
+
+@dataclass
+class Counts:
+    """What was counted over all fleets."""
+
+    fleets: int = 0
+    claims: int = 0
+    claims_right: int = 0
+    right: int = 0
+    regret: float = 0.0
+    alone_regret: float = 0.0
+    robot_s: float = 0.0
+    alone_s: float = 0.0
+    entries: int = 0
+    inside: int = 0
+    intervals: int = 0
+    intervals_right: int = 0
+    wrong: list[int] = field(default_factory=list)
+
+
+def random_robots(
+    axes: int, sources: int, noise_std_m: float, seed: int
+) -> dict[str, CoupledLoops]:
+    """Return a target and sources whose axes differ from it independently of each other."""
+    rng = np.random.default_rng([seed, axes])
+    base, damping = rng.uniform(2.5, 5.0, axes), rng.uniform(0.5, 0.9, axes)
+    pairs = axes * (axes - 1) // 2
+    robots = {}
+    for name in ("target", *(f"source-{n}" for n in range(1, sources + 1))):
+        rates = base if name == "target" else base * np.exp(rng.normal(0.0, 0.2, axes))
+        settings = CoupledLoopsSettings(
+            natural_frequency_rad_s=tuple(rates.tolist()),
+            damping_ratio=tuple((damping * np.exp(rng.normal(0.0, 0.1, axes))).tolist()),
+            coupling=tuple(rng.uniform(-0.2, 0.2, pairs).tolist()),
+            axes=NAMES[:axes],
+            noise_std_m=noise_std_m,
+        )
+        robots[name] = CoupledLoops(name, settings, rng.spawn(1)[0])
+        robots[name].connect()
+    return robots
+
+
+def played(question: Question, robots: Robots, counts: Counts) -> dict[str, FrequencyResponse]:
+    """Return what the robots measure, and count how often the truth lies in the 95 % regions."""
+    found = {}
+    for name, test in question.tests.items():
+        robot = robots[name]
+        plan = plan_excitation(test, robot.spec, name)
+        reference = reference_of(plan)
+        names = [axis.name for axis in robot.spec.axes]
+        columns = [names.index(one.axis) for one in plan.played]
+        references = np.zeros((len(reference), len(names)))
+        references[:, columns] = reference.reshape(len(reference), -1)
+        output = robot.run(references)[:, columns].reshape(reference.shape)
+        robot.rest()
+        response = estimate_frequency_response(reference, output, plan)
+        if response.matrix is not None:
+            omega = response.matrix.rows[0].omega_rad_s
+            z = robot.model.graph(omega)[:, len(names) :]
+            for column, row in zip(columns, response.matrix.rows, strict=True):
+                at = np.array(columns)[response.matrix.played_by]
+                error = np.abs(row.z - z[np.arange(len(omega)), column, at])
+                counts.inside += int(np.sum(error <= row.radius()))
+                counts.entries += len(omega)
+        if response.quality.usable:
+            found[name] = response
+    return found
+
+
+def follow(study: Study, robots: Robots, counts: Counts) -> tuple[Report, float]:
+    """Follow a study to its end; return its last report and the robot time in s."""
+    robot_s, report = 0.0, None
+    while (question := study.ask()) is not None:
+        robot_s += question.robot_time_s or 0.0
+        answers = played(question, robots, counts)
+        report = study.tell(answers, dict.fromkeys(question.tests, "not usable"))
+    if report is None:
+        raise ValueError("a study asks at least one question")
+    return report, robot_s
+
+
+def rank_fleet(axes: int, sources: int, noise_std_m: float, seed: int, counts: Counts) -> None:
+    """Rank one random fleet by all axes and by the first alone."""
+    robots = random_robots(axes, sources, noise_std_m, seed)
+    specs = {name: robot.spec for name, robot in robots.items()}
+    names = tuple(name for name in robots if name != "target")
+    at_target = robots["target"].model
+    truth = {
+        name: chordal_peak_in_band(at_target, robots[name].model, BAND_RAD_S).value
+        for name in names
+    }
+    best = min(truth.values())
+    plan = StudyPlan("target", names, BAND_RAD_S, ROUNDS, "x", also=NAMES[1:axes])
+    study = AxesStudy(plan, specs, np.random.default_rng(seed))
+    report, robot_s = follow(study, robots, counts)
+    regret = truth[report.selected] - best
+    counts.fleets += 1
+    counts.right += regret < RIGHT_BELOW
+    counts.regret += regret
+    counts.robot_s += robot_s
+    if (report.confidence or 0.0) >= CLAIM:
+        counts.claims += 1
+        counts.claims_right += regret < RIGHT_BELOW
+        if regret >= RIGHT_BELOW:
+            counts.wrong.append(seed)
+    for estimate in report.ranking:
+        counts.intervals += 1
+        counts.intervals_right += estimate.psi_low <= truth[estimate.robot] <= estimate.psi_high
+    one = StudyPlan("target", names, BAND_RAD_S, ROUNDS, "x")
+    alone = AdaptiveStudy(one, specs, np.random.default_rng(seed))
+    report, robot_s = follow(alone, robots, Counts())
+    counts.alone_regret += truth[report.selected] - best
+    counts.alone_s += robot_s
+
+
+def main() -> None:
+    """Rank random fleets and print what was counted."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--axes", type=int, default=2, choices=(2, 3, 4))
+    parser.add_argument("--sources", type=int, default=3)
+    parser.add_argument("--fleets", type=int, default=50)
+    parser.add_argument("--noise-mm", type=float, default=2.0)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    counts = Counts()
+    for seed in range(options.seed, options.seed + options.fleets):
+        rank_fleet(options.axes, options.sources, options.noise_mm / 1000, seed, counts)
+    n = counts.fleets
+    print(f"{n} fleets of {options.sources} sources, {options.axes} axes, {options.noise_mm:g} mm")
+    print(f"right {counts.right}, claims {counts.claims}, of them right {counts.claims_right}")
+    print(f"claims that were wrong: seeds {counts.wrong}")
+    print(f"regret {counts.regret / n:.4f}, by the first axis alone {counts.alone_regret / n:.4f}")
+    print(
+        f"robot time {counts.robot_s / n:.0f} s, of the first axis alone {counts.alone_s / n:.0f}"
+        f" s: {counts.robot_s / counts.alone_s:.2f} times"
+    )
+    print(f"entries inside their 95 % regions: {counts.inside / counts.entries:.3f}")
+    print(f"95 % intervals of ψ* that hold it: {counts.intervals_right / counts.intervals:.3f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,153 @@
+"""The next round of tests: for each robot the one that is worth most per second."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
+from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
+from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
+from nufleet.orchestrator.study.axes_looks import AxesLooks
+from nufleet.orchestrator.study.looks import Looks
+from nufleet.orchestrator.study.selection_belief import SelectionBelief
+from nufleet.orchestrator.study.tone_choice import ToneChoice
+from nufleet.orchestrator.study.value_of_tests import (
+    expected_errors,
+    expected_gain,
+    expected_narrowing,
+)
+from nufleet.shared.arrays import ComplexArray, FloatArray
+
+GAIN_MIN = 1e-4
+"""Value of a test that cannot be told from sampling noise."""
+
+NO_ERROR = 1e-12
+
+Value = Callable[[ComplexArray, FloatArray], float]
+"""Value of a test, from samples of the response at its tones and the variances expected there: the
+share of what is to be decreased by which the test is expected to decrease it."""
+
+
+def settling(belief: SelectionBelief, leader: str, epsilon: float) -> Value:
+    """Return the value of a test that is to settle which source is the best.
+
+    What it is to decrease is the probability of a wrong selection.
+    """
+    n = belief.sources.index(leader)
+    now = max(expected_errors(belief.loss, n, epsilon), NO_ERROR)
+    return lambda z, variance: expected_gain(belief.loss, n, z, variance, epsilon) / now
+
+
+def narrowing(belief: SelectionBelief, leader: str) -> Value:
+    """Return the value of a test that is to narrow the interval of the selected source."""
+    psi_star = belief.psi_star[belief.sources.index(leader)]
+    now = max(float(np.std(psi_star)), NO_ERROR)
+    return lambda z, variance: expected_narrowing(psi_star, z, variance) / now
+
+
+@dataclass(frozen=True)
+class NextRound:
+    """Tests that are worth their time, and robots whose tests would be if they were there."""
+
+    tests: Mapping[str, ToneChoice]
+    """Test of each robot."""
+    missing: tuple[str, ...]
+    """Absent robots whose tests would tell more than any of those."""
+
+
+class NextTests:
+    """Chooses the tests of later rounds."""
+
+    def __init__(
+        self,
+        target: str,
+        omega_rad_s: FloatArray,
+        settings: AdaptiveSettings,
+        robots: Mapping[str, RobotKnowledge | AxesKnowledge],
+        looks: Looks | AxesLooks,
+    ) -> None:
+        """Remember what the tests of a study are chosen from.
+
+        Args:
+            target: Name of the target.
+            omega_rad_s: Frequencies in rad/s at which samples of the belief exist, shape (grid,).
+            settings: Stopping rule and choice of tests.
+            robots: Knowledge of target and sources, by robot.
+            looks: Tests that each robot may play.
+        """
+        self._target, self._grid = target, omega_rad_s
+        self._settings, self._robots, self._looks = settings, robots, looks
+
+    def choose(
+        self,
+        belief: SelectionBelief,
+        draws: Mapping[str, ComplexArray],
+        leader: str,
+        value: Value,
+        *,
+        hopeless: Collection[str],
+        absent: Collection[str],
+    ) -> NextRound:
+        """Return each robot's best test, if its value per second is competitive.
+
+        Args:
+            belief: Samples of all distances.
+            draws: Samples of the responses behind them, by robot.
+            leader: Name of the source that is selected now.
+            value: Value of a test.
+            hopeless: Sources that cannot win.
+            absent: Robots that cannot be tested.
+        """
+        chances = belief.probability_best()
+        rivals = sorted(
+            (s for s in belief.sources if s not in hopeless and s != leader),
+            key=lambda s: -chances[belief.sources.index(s)],
+        )[: self._settings.contenders]
+        # The frequencies that decide the losses of the leader and two rivals.
+        found = [belief.decisive_omega_rad_s(source) for source in (leader, *rivals[:2])]
+        centres_rad_s = tuple(dict.fromkeys(found))
+        contenders = (self._target, leader, *rivals)
+        # Where something is doubted that no test tells, tests that seem worth nothing are so.
+        doubted = any(self._robots[name].doubted for name in contenders)
+        least = self._settings.worth if doubted else 0.0
+        best = {
+            name: one
+            for name in contenders
+            if (one := self._best_test(name, draws[name], centres_rad_s, value)) is not None
+            and one.gain >= least
+        }
+        there = {name: one for name, one in best.items() if name not in absent}
+        missing = tuple(
+            name
+            for name, one in best.items()
+            if name in absent and one.gain >= self._settings.worth
+        )
+        worth = max((one.gain for one in there.values()), default=0.0)
+        if missing and worth < self._settings.worth:
+            return NextRound({}, missing)
+        enough = self._settings.together * max((one.rate for one in there.values()), default=0.0)
+        tests = {name: one.choice for name, one in there.items() if one.rate >= enough}
+        return NextRound(tests, () if tests else missing)
+
+    def _best_test(
+        self, name: str, z: ComplexArray, centres_rad_s: Sequence[float], value: Value
+    ) -> _Candidate | None:
+        robot = self._robots[name]
+        price = self._settings.simulated_cost if robot.spec.simulated else 1.0
+        found = []
+        for choice in self._looks.candidates(name, centres_rad_s):
+            gain = value(*self._looks.expected(name, choice, self._grid, z))
+            # Gains below the floor cannot be told from sampling noise; the cheapest test then wins.
+            rate = max(gain, GAIN_MIN) / (price * self._looks.duration_s(name, choice))
+            found.append(_Candidate(rate, gain, choice))
+        return max(found, key=lambda one: one.rate, default=None)
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    rate: float
+    gain: float
+    choice: ToneChoice

@@ -1,0 +1,66 @@
+"""Notices a sensor that lags: an output that moves long after its reference.
+
+A noisy, slow or lightly damped robot is not late in this sense, nor one with friction or a dead
+zone, which moves before its reference has covered its whole range.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from nufleet.shared.arrays import FloatArray
+
+LAG_SHARE = 0.8
+LAG_SETTLINGS = 2.0
+LAG_RATIO = 10.0
+LAG_SAMPLES = 5
+"""A sensor lags if the output stays at rest until its reference has covered `LAG_SHARE` of its
+range and `LAG_SETTLINGS` settling times have passed, and then moves: `LAG_RATIO` times as far as
+until then, in `LAG_SAMPLES` samples in a row."""
+
+
+class LagWatch:
+    """Watches one axis during one motion."""
+
+    def __init__(self, rests_at: float, span: float, settling: int) -> None:
+        """Begin at rest.
+
+        Args:
+            rests_at: Output at rest.
+            span: Largest minus smallest reference of the motion; 0 for an axis that holds its own.
+            settling: Number of samples in which the robot settles.
+        """
+        self._rests_at = rests_at
+        self._reach = LAG_SHARE * span if span > 0 else math.inf
+        self._left = math.ceil(LAG_SETTLINGS * settling)
+        self._low = self._high = 0.0
+        self._moved = 0.0
+        self._late = 0
+        self._began = -1
+        self._sample = -1
+
+    def none_in(self, outputs: FloatArray) -> bool:
+        """Return whether a batch needs no closer look; if so, it is taken."""
+        if math.isinf(self._reach):
+            return True
+        if self._left > 0 or np.abs(outputs - self._rests_at).max() > LAG_RATIO * self._moved:
+            return False
+        self._late = 0
+        self._sample += len(outputs)
+        return True
+
+    def take(self, reference: float, output: float) -> int | None:
+        """Take a sample; return by how many the output is late, once it is certain that it is."""
+        self._sample += 1
+        self._low, self._high = min(self._low, reference), max(self._high, reference)
+        if self._began < 0 and reference != 0.0:
+            self._began = self._sample
+        away = abs(output - self._rests_at)
+        if self._left > 0:
+            self._moved = max(self._moved, away)
+            self._left -= self._high - self._low >= self._reach
+            return None
+        self._late = self._late + 1 if away > LAG_RATIO * self._moved else 0
+        return self._sample - self._began if self._late == LAG_SAMPLES else None

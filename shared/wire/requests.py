@@ -1,0 +1,112 @@
+"""What arrives on the network and what is declared there; errors of Zenoh become typed ones."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
+from typing import Any
+
+import zenoh
+
+from nufleet.shared.errors import TransportError
+from nufleet.shared.redaction import without_secrets
+
+ANSWER = zenoh.Encoding.APPLICATION_OCTET_STREAM
+"""Encoding that marks an error reply as given by a handler. Zenoh's own error replies, for example
+after a timeout, have another encoding."""
+
+
+class Request:
+    """A query that has arrived; it must be answered exactly once, from any thread."""
+
+    def __init__(self, query: zenoh.Query) -> None:
+        self.key = str(query.key_expr)
+        self._query = query
+
+    @property
+    def is_wildcard(self) -> bool:
+        """True if the query addresses many keys at once."""
+        return "*" in self.key
+
+    @property
+    def size_bytes(self) -> int:
+        """Length of the payload in bytes, available without copying it."""
+        payload = self._query.payload
+        return 0 if payload is None else len(payload)
+
+    @property
+    def payload(self) -> bytes:
+        """A copy of the query's payload; it cannot be read after the query was answered."""
+        payload = self._query.payload
+        return b"" if payload is None else payload.to_bytes()
+
+    def answer(self, payload: bytes) -> None:
+        """Send the reply and end the query.
+
+        A reply to a query on many keys has no single key to be sent on. It is sent as an error
+        reply, which `Session.ask_all` returns like any other.
+
+        Args:
+            payload: Reply, one encoded message.
+
+        Raises:
+            TransportError: the reply cannot be delivered.
+        """
+        with transport_errors(f"replying on {self.key}"), self._query as query:
+            if self.is_wildcard:
+                query.reply_err(payload, encoding=ANSWER)
+            else:
+                query.reply(self.key, payload)
+
+
+class Declaration:
+    """An object declared on a session: a subscriber, a queryable, a token or a publisher."""
+
+    def __init__(self, declared: Any) -> None:
+        self._declared = declared
+
+    def withdraw(self) -> None:
+        """Undeclare the object now rather than when the session closes; idempotent.
+
+        A handler that is already running is not interrupted.
+        """
+        with suppress(zenoh.ZError):  # withdrawn before, or the session is closed
+            self._declared.undeclare()
+
+
+class Publisher(Declaration):
+    """Publishes on one key."""
+
+    def put(self, payload: bytes) -> None:
+        """Send a payload to all current subscribers.
+
+        Raises:
+            TransportError: Zenoh cannot send it.
+        """
+        with transport_errors("publishing"):
+            self._declared.put(payload)
+
+
+@contextmanager
+def transport_errors(doing: str) -> Iterator[None]:
+    """Turn an error of Zenoh into a TransportError that says what was being done."""
+    try:
+        yield
+    except zenoh.ZError as error:
+        raise TransportError(f"{doing}: {cause_of(error)}") from error
+
+
+def declaring(key_expr: str) -> AbstractContextManager[None]:
+    """Turn an error of Zenoh into a TransportError that names what was being declared."""
+    return transport_errors(f"declaring {key_expr}")
+
+
+def cause_of(error: zenoh.ZError) -> str:
+    """Return the cause that the system gave for a Zenoh error, or else the text of the error."""
+    system = re.search(r"\(os error (\d+)\)", str(error))
+    if system is not None:
+        return os.strerror(int(system[1]))
+    # The text refers to Zenoh's source files.
+    return without_secrets(re.sub(r"\s*at \S+\.rs:\d+\.", "", str(error)).rstrip(". "))

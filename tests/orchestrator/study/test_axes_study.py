@@ -1,0 +1,215 @@
+"""The default algorithm on several axes, on loops whose truth is known on each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+from random_loops import BAND, SPEC, Loop
+
+from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
+from nufleet.orchestrator.study.axes_study import AxesStudy
+from nufleet.orchestrator.study.interface import Question, Report, StudyPlan
+from nufleet.shared.arrays import ComplexArray
+from nufleet.shared.distance.chordal import chordal_distance, matrix_chordal_distance
+from nufleet.shared.errors import StudyError
+from nufleet.shared.frequency_test.excitation import Excitation
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.matrix_response import MatrixResponse
+from nufleet.shared.frequency_test.quality import Quality
+from nufleet.shared.robots.spec import RobotSpec
+
+AXES = ("x", "y")
+Loops = Mapping[str, Loop]
+FLEET: dict[str, Loops] = {
+    "target": {"x": Loop(3.0), "y": Loop(3.5)},
+    "alike-on-x": {"x": Loop(3.0), "y": Loop(1.8, delay_s=0.15)},
+    "alike-on-y": {"x": Loop(4.8), "y": Loop(3.5)},
+    "balanced": {"x": Loop(3.4), "y": Loop(3.9)},
+}
+SOURCES = tuple(FLEET)[1:]
+
+
+def spec_of(*alone: str) -> RobotSpec:
+    (axis,) = SPEC.axes
+    axes = tuple(
+        axis.model_copy(update={"name": name, "together": name not in alone}) for name in AXES
+    )
+    return SPEC.model_copy(update={"axes": axes})
+
+
+def answer(
+    loops: Loops, test: Excitation, deviation: float, rng: np.random.Generator, across: float = 0.0
+) -> FrequencyResponse:
+    """Return what a test gives of loops, each of which adds a share of itself to the others."""
+    if not test.also:
+        return loops[test.axis].answer(test, deviation, rng)
+    names = tuple(one.axis for one in test.played)
+    counts = [len(one.tones) for one in test.played]
+    played_by = np.repeat(np.arange(len(names)), counts)
+    omega = np.array([tone.omega_rad_s for one in test.played for tone in one.tones])
+    degrees, rows = 2.0 * (test.segments - 1), []
+    for place, name in enumerate(names):
+        share = np.where(played_by == place, 1.0, across)
+        error = deviation * rng.standard_normal((2, len(omega))) / np.sqrt(2)
+        rows.append(
+            FrequencyResponse(
+                omega_rad_s=omega,
+                z=share * loops[name].z(omega) + error[0] + 1j * error[1],
+                variance=deviation**2 * rng.chisquare(degrees, len(omega)) / degrees,
+                segments=test.segments,
+                quality=Quality(),
+                amplitude=0.1,
+            )
+        )
+    matrix = MatrixResponse(names, played_by, tuple(rows), np.eye(len(names), dtype=complex))
+    first = matrix.entry(0, 0)
+    return FrequencyResponse(**{**vars(first), "matrix": matrix})
+
+
+def begin(spec: RobotSpec, rounds: int = 8, fleet: Mapping[str, Loops] = FLEET) -> AxesStudy:
+    sources = tuple(name for name in fleet if name != "target")
+    plan = StudyPlan("target", sources, BAND, rounds, "x", also=("y",))
+    settings = AdaptiveSettings(samples=200, grid_points=96)
+    specs, rng = dict.fromkeys(fleet, spec), np.random.default_rng(0)
+    return AxesStudy(plan, specs, rng, settings=settings)
+
+
+def to_the_end(
+    study: AxesStudy, deviation: float = 0.01, across: float = 0.0
+) -> tuple[list[Question], list[Report]]:
+    rng = np.random.default_rng(1)
+    questions, reports = [], []
+    while (question := study.ask()) is not None:
+        questions.append(question)
+        answers = {
+            name: answer(FLEET[name], test, deviation, rng, across)
+            for name, test in question.tests.items()
+        }
+        reports.append(study.tell(answers, {}))
+    return questions, reports
+
+
+Ended = tuple[list[Question], list[Report]]
+
+
+@pytest.fixture(scope="module")
+def ended() -> Ended:
+    """The study of robots whose axes do not answer to each other."""
+    return to_the_end(begin(spec_of()))
+
+
+def true_psi_star(source: str, axis: str) -> float:
+    grid = np.linspace(*BAND, 2001)
+    return float(chordal_distance(FLEET["target"][axis].z(grid), FLEET[source][axis].z(grid)).max())
+
+
+def test_the_worst_axis_decides_and_every_estimate_says_which(ended: Ended) -> None:
+    questions, reports = ended
+    last = reports[-1]
+    assert last.selected == "balanced"
+    assert last.confidence is not None
+    assert last.confidence >= 0.95
+    decided = {estimate.robot: estimate.axis for estimate in last.ranking}
+    assert (decided["alike-on-x"], decided["alike-on-y"]) == ("y", "x")
+    for estimate in last.ranking:
+        assert estimate.axes is not None
+        for axis, one in estimate.axes.items():
+            truth = true_psi_star(estimate.robot, axis)
+            assert one.psi_low - 0.01 < truth < one.psi_high + 0.01
+        assert estimate.psi >= max(one.psi for one in estimate.axes.values()) - 1e-3
+    assert all(
+        [one.axis for one in test.played] in (["x", "y"], ["y", "x"])
+        for question in questions
+        for test in question.tests.values()
+    )
+
+
+def test_every_axis_of_the_contenders_reaches_the_lower_end_before_anything_is_claimed(
+    ended: Ended,
+) -> None:
+    questions, reports = ended
+    assert reports[0].confidence is not None
+    assert reports[0].confidence < 0.95
+    lowest = {
+        axis: min(
+            one.tones[0].omega_rad_s
+            for question in questions
+            for one in question.tests["balanced"].played
+            if one.axis == axis
+        )
+        for axis in AXES
+    }
+    assert max(lowest.values()) <= 1.25 * 2 * BAND[0] * 1.001
+    leads = [question.tests["balanced"].axis for question in questions]
+    assert set(leads) == set(AXES)
+
+
+def test_a_second_look_from_the_lower_end_is_played_at_half_the_amplitude(ended: Ended) -> None:
+    questions, _ = ended
+    first, second = (question.tests["balanced"] for question in questions[:2])
+    assert [one.amplitude for one in first.played] == [None, None]
+    assert [one.amplitude for one in second.played] == [0.05, 0.05]
+
+
+def test_an_axis_that_may_not_move_with_others_is_tested_after_them_and_that_is_said() -> None:
+    questions, reports = to_the_end(begin(spec_of("y")))
+    assert all(not test.also for question in questions for test in question.tests.values())
+    assert [{test.axis for test in question.tests.values()} for question in questions[:2]] == [
+        {"x"},
+        {"y"},
+    ]
+    assert questions[1].purpose == "a first look at y, which may not move with the other axes"
+    assert reports[0].confidence is not None
+    assert reports[0].confidence < 0.95
+    last = reports[-1]
+    assert last.selected == "balanced"
+    assert "tested one after the other: y may not move with another axis" in last.findings
+
+
+def test_axes_that_answer_to_each_other_are_reported_and_compared_as_matrices(ended: Ended) -> None:
+    _, apart = ended
+    assert not any(finding.startswith("target: ") for finding in apart[-1].findings)
+    said = "no axis answers to another, so that each is compared by itself"
+    assert said in apart[-1].findings
+    _, coupled = to_the_end(begin(spec_of()), across=0.2)
+    last = coupled[-1]
+    found = [finding for finding in last.findings if finding.startswith("target: ")]
+    assert len(found) == 2
+    assert found[0].startswith("target: x answers to y with 2")
+    assert any("whole response matrices" in finding for finding in last.findings)
+    grid = np.linspace(*BAND, 500)
+
+    def matrices(loops: Loops) -> ComplexArray:
+        own = np.stack([loops[axis].z(grid) for axis in AXES], axis=1)
+        shares = np.where(np.eye(2) > 0, 1.0, 0.2)
+        return np.asarray(shares * own[:, :, None])
+
+    for estimate in last.ranking:
+        at_source = matrices(FLEET[estimate.robot])
+        truth = matrix_chordal_distance(matrices(FLEET["target"]), at_source).max()
+        assert estimate.psi_low - 0.01 < truth < estimate.psi_high + 0.01
+
+
+def test_a_source_whose_tests_fail_is_left_out_and_a_target_ends_the_study() -> None:
+    study, rng = begin(spec_of()), np.random.default_rng(1)
+    question = study.ask()
+    assert question is not None
+    answers = {
+        name: answer(FLEET[name], test, 0.01, rng)
+        for name, test in question.tests.items()
+        if name != "alike-on-y"
+    }
+    report = study.tell(answers, {"alike-on-y": "it fell"})
+    assert report.dropped == {"alike-on-y": "it fell"}
+    study = begin(spec_of())
+    assert study.ask() is not None
+    with pytest.raises(StudyError, match="the target target cannot be tested: it fell"):
+        study.tell({}, {"target": "it fell"})
+
+
+def test_the_same_answers_lead_to_the_same_study(ended: Ended) -> None:
+    questions, reports = to_the_end(begin(spec_of()))
+    assert [question.tests for question in questions] == [one.tests for one in ended[0]]
+    assert reports[-1].ranking == ended[1][-1].ranking

@@ -1,0 +1,133 @@
+"""Axes that play together keep the limits that they have together, or the test is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from nufleet.orchestrator.study.tone_choice import first_look
+from nufleet.robot_agent.motion.excitation import HEADROOM, plan_excitation, reference_of
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RefusedError
+from nufleet.shared.frequency_test.excitation import AxisTones, Excitation, ExcitationPlan, Tone
+from nufleet.shared.frequency_test.multitone import largest_amplitudes
+from nufleet.shared.robots.spec import AxisSpec, RobotSpec
+
+BAND = (0.2, 8.0)
+NAMES = ("x", "y", "yaw")
+limits = st.tuples(st.floats(0.05, 2.0), st.floats(0.1, 4.0), st.floats(0.5, 20.0))
+
+
+def spec_of(*axes: tuple[float, float, float], alone: tuple[str, ...] = ()) -> RobotSpec:
+    return RobotSpec(
+        kind="any",
+        axes=tuple(
+            AxisSpec(
+                name=name,
+                unit="rad" if name == "yaw" else "m",
+                amplitude_max=amplitude,
+                velocity_max=velocity,
+                acceleration_max=acceleration,
+                together=name not in alone,
+            )
+            for name, (amplitude, velocity, acceleration) in zip(NAMES, axes, strict=False)
+        ),
+        sample_time_s=0.02,
+        omega_min_rad_s=0.05,
+        omega_max_rad_s=20.0,
+        duration_max_s=600.0,
+        settling_time_s=2.0,
+        simulated=True,
+    )
+
+
+def request_for(spec: RobotSpec, amplitudes: tuple[float, ...] | None = None) -> Excitation:
+    choice = first_look(BAND, spec, 11, 0.7, tuple(range(len(spec.axes))))
+    return choice.excitation(*NAMES, amplitudes=amplitudes)
+
+
+def used(plan: ExcitationPlan, spec: RobotSpec) -> FloatArray:
+    """Return the largest shares of the limits that a test uses: of each axis, and together."""
+    reference = reference_of(plan)
+    padded = np.pad(reference, ((2, 2), (0, 0)))
+    shares = [np.abs(reference).max(axis=0) / [axis.amplitude_max for axis in spec.axes]]
+    for order, name in ((1, "velocity_max"), (2, "acceleration_max")):
+        moved = np.diff(padded, order, axis=0) / spec.sample_time_s**order
+        most = np.array([getattr(axis, name) for axis in spec.axes])
+        shares.append(np.linalg.norm(moved / most, axis=1).max(keepdims=True))
+    return np.concatenate(shares)
+
+
+@settings(max_examples=20)
+@given(axes=st.lists(limits, min_size=2, max_size=3))
+def test_axes_that_move_together_stay_within_the_ellipsoid_of_their_limits(
+    axes: list[tuple[float, float, float]],
+) -> None:
+    spec = spec_of(*axes)
+    shares = used(plan_excitation(request_for(spec), spec, "robot"), spec)
+    assert shares.max() == pytest.approx(HEADROOM)
+
+
+def test_axes_with_equal_limits_are_together_no_faster_than_one_of_them() -> None:
+    spec = spec_of((1.0, 0.5, 100.0), (1.0, 0.5, 100.0))
+    plan = plan_excitation(request_for(spec), spec, "robot")
+    speed = np.linalg.norm(np.diff(reference_of(plan), axis=0), axis=1) / spec.sample_time_s
+    assert speed.max() == pytest.approx(HEADROOM * 0.5, rel=1e-3)
+
+
+def test_amplitudes_that_only_together_are_too_large_are_refused() -> None:
+    spec = spec_of((1.0, 0.5, 100.0), (1.0, 0.5, 100.0))
+    free = plan_excitation(request_for(spec), spec, "robot")
+    larger = tuple(1.05 / HEADROOM * one.amplitude for one in free.played)
+    with pytest.raises(RefusedError, match=r"axes x and y together would reach 1\.05") as raised:
+        plan_excitation(request_for(spec, larger), spec, "robot")
+    assert raised.value.code == "together"
+    kept = plan_excitation(request_for(spec, tuple(0.5 * a for a in larger)), spec, "robot")
+    assert [one.amplitude for one in kept.played] == [0.5 * a for a in larger]
+
+
+@settings(max_examples=20)
+@given(axes=st.lists(limits, min_size=2, max_size=3))
+def test_the_largest_amplitudes_that_are_foreseen_are_accepted(
+    axes: list[tuple[float, float, float]],
+) -> None:
+    spec = spec_of(*axes)
+    played = [one.tones for one in request_for(spec).played]
+    plan_excitation(request_for(spec, largest_amplitudes(played, spec.axes)), spec, "robot")
+
+
+def test_an_axis_that_may_not_move_with_another_is_tested_alone() -> None:
+    spec = spec_of((1.0, 1.0, 5.0), (1.0, 1.0, 5.0), alone=("y",))
+    with pytest.raises(RefusedError, match="axis y may not move at the same time as another"):
+        plan_excitation(request_for(spec), spec, "robot")
+    alone = first_look(BAND, spec, 11, 0.7, (1,)).excitation(*NAMES)
+    assert plan_excitation(alone, spec, "robot").axis == "y"
+
+
+def test_an_axis_that_the_robot_lacks_is_refused_by_its_name() -> None:
+    spec = spec_of((1.0, 1.0, 5.0), (1.0, 1.0, 5.0))
+    request = first_look(BAND, spec, 11, 0.7, (0, 1)).excitation("x", "height")
+    with pytest.raises(RefusedError, match="height") as raised:
+        plan_excitation(request, spec, "robot")
+    assert raised.value.code == "unknown-axis"
+
+
+TONE, OTHER = (Tone(omega_rad_s=1.0),), (Tone(omega_rad_s=2.0),)
+
+
+@pytest.mark.parametrize(
+    ("also", "words"),
+    [
+        (AxisTones(axis="y", tones=TONE), "different frequencies"),
+        (AxisTones(axis="x", tones=OTHER), "plays once in a test"),
+        (AxisTones(axis="y", tones=OTHER, amplitude=0.1), "of all axes are requested, or of none"),
+    ],
+)
+def test_a_request_whose_axes_cannot_be_told_apart_is_not_valid(
+    also: AxisTones, words: str
+) -> None:
+    with pytest.raises(ValidationError, match=words):
+        Excitation(axis="x", tones=TONE, also=(also,))
