@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, cast
 
 import click
 
@@ -21,11 +21,9 @@ def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:
 
 
 def _commands(context: click.Context) -> Iterator[str]:
-    group = context.command
-    assert isinstance(group, click.Group)
+    group = cast(click.Group, context.command)
     for name in group.list_commands(context):
-        command = group.get_command(context, name)
-        assert command is not None
+        command = cast(click.Command, group.get_command(context, name))
         below = click.Context(
             command,
             parent=context,

@@ -18,6 +18,7 @@ from nufleet.shared.robots.fleet_file import read_fleet_file
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+LOADED = re.compile(r"<(?:script|link|img)[^>]+(?:src|href)=\"?([^\"\s>]+)")
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
 
@@ -49,7 +50,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_pages_are_built_without_a_warning_and_loaded_without_a_network(site: Path) -> None:
     for page in site.glob("*.html"):
-        loaded = re.findall(r"<(?:script|link|img)[^>]+(?:src|href)=\"?([^\"\s>]+)", page.read_text())
+        loaded = LOADED.findall(page.read_text())
         assert not [source for source in loaded if source.startswith(("http", "//"))], page.name
 
 
@@ -62,13 +63,12 @@ def test_every_command_is_on_the_page_of_the_commands(site: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_on_a_page_have_the_options_and_arguments_that_are_typed(page: Path) -> None:
     for words in commands(page):
-        context = click.Context(command_line(), info_name="nufleet")
-        name = ""
+        context, left = click.Context(command_line(), info_name="nufleet"), words
         while isinstance(context.command, click.Group):
-            name, command, words = context.command.resolve_command(context, words)
+            name, command, left = context.command.resolve_command(context, left)
             assert command is not None, name
             context = click.Context(command, parent=context, info_name=name)
-        typed, left, _ = context.command.make_parser(context).parse_args(words)
+        typed, left, _ = context.command.make_parser(context).parse_args(left)
         assert not left, f"{context.command_path} takes no {left}"
         missing = [
             parameter.name

@@ -23,6 +23,7 @@ from nufleet.shared.errors import NufleetError
 from nufleet.shared.redaction import without_secrets
 from nufleet.shared.robots.drivers import ENTRY_POINT_GROUP, load_driver
 from nufleet.shared.robots.installed import installed
+from nufleet.shared.wire.identity import SCHEME, identity_at
 from nufleet.shared.wire.transport import open_router
 
 ROUTER_PORT = 7447
@@ -177,9 +178,15 @@ def _ports() -> Iterator[Finding]:
 
 
 def _fleet(endpoint: str, fleet_name: str | None) -> Finding:
+    name = f"fleet at {without_secrets(endpoint.removeprefix(SCHEME))}"
     try:
+        identity = identity_at(endpoint)
         with running_fleet(endpoint, fleet_name) as connection:
-            found = f"{connection.name}: {', '.join(connection.robots)}"
+            found, robots = connection.name, ", ".join(connection.robots)
     except NufleetError as error:
-        return Finding(f"fleet at {without_secrets(endpoint)}", "note", str(error))
-    return Finding(f"fleet at {without_secrets(endpoint)}", "ok", found)
+        return Finding(name, "note", str(error))
+    if robots:
+        return Finding(name, "ok", f"{found}: {robots}")
+    blind = identity is not None and identity.role == "robot"
+    why = "a robot may not see the others: use the identity of a person" if blind else "no robot"
+    return Finding(name, "note", f"{found}: {why}")

@@ -177,7 +177,7 @@ class AxesStudy:
                 return None
             matrices[name] = known[1]
         self._distance = (
-            "axes answer to each other, so that distances are those of the whole response "
+            "axes answer to each other, so that distances are computed from the whole response "
             "matrices (their largest singular values)"
         )
         others = {name: matrices[name] for name in sources}

@@ -8,7 +8,8 @@ from concurrent.futures import Future
 from concurrent.futures import TimeoutError as TimedOut
 from typing import Literal, TypeVar
 
-from nufleet.robot_agent.driver_kit.statements import STATEMENTS, Statement, Subject
+from nufleet.robot_agent.driver_kit.statements import STATEMENTS, Statement
+from nufleet.robot_agent.driver_kit.subject import Subject
 from nufleet.robot_agent.motion.watched_robot import SLOW_CALL_MAX_S
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.errors import RobotError

@@ -39,7 +39,7 @@ def check(
     statement of the contract does not hold.
     """
     from nufleet.robot_agent.driver_kit.check import check_robot
-    from nufleet.robot_agent.driver_kit.statements import AMPLITUDE_SHARE
+    from nufleet.robot_agent.driver_kit.subject import AMPLITUDE_SHARE
     from nufleet.robot_agent.driver_kit.subject_file import robot_to_check
     from nufleet.shared.errors import InvalidInputError
 

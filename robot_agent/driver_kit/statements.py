@@ -14,18 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nufleet.robot_agent.motion.monitor import rest_error_max, rest_failure, rest_measurements
+from nufleet.robot_agent.driver_kit.subject import HOLD_S, Subject, gentle_hill
+from nufleet.robot_agent.motion.monitor import rest_error_max, rest_failure
 from nufleet.robot_agent.motion.resampling import outputs_at_samples
-from nufleet.robot_agent.robot import Robot
-from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotDownError, RobotError
 from nufleet.shared.robots.health import Health
-
-AMPLITUDE_SHARE = 0.2
-"""Share of an axis's amplitude limit by which the robot is moved."""
-
-GENTLE_SHARE = 0.3
-"""Share of the limits on velocity and acceleration that such a motion needs, at most."""
 
 AT_ONCE_S = 0.2
 """Time in which `health` and `kill` have to return."""
@@ -33,60 +26,11 @@ AT_ONCE_S = 0.2
 PERIOD_ERROR = 0.05
 """Largest relative error of a real robot's sample time."""
 
-HOLD_S = 1.0
-"""Time for which a robot holds reference 0."""
-
 FOLLOWS_MIN = 0.2
 """Least response to a slow reference, as a share of it: its sign and its unit are right."""
 
 NOISE_DEVIATIONS = 6.0
 """Standard deviations of the noise at rest that a single sample may be off."""
-
-
-@dataclass
-class Subject:
-    """A robot under examination, with what is known of it until now."""
-
-    robot: Robot
-    """The robot."""
-
-    noise: FloatArray | None = None
-    """Standard deviation of the output at rest, shape (axes,); None before it was measured."""
-
-    played: int = 0
-    """Number of samples since the robot rested."""
-
-    lasted_s: float = 0.0
-    """Duration of the last motion on the wall clock."""
-
-    def play(self, references: FloatArray) -> FloatArray:
-        """Play references, shape (samples, axes), sample by sample, as an agent would."""
-        spec, outputs = self.robot.spec, np.full(references.shape, np.nan)
-        began_s = time.monotonic()
-        for k, reference in enumerate(references):
-            output = self.robot.step(reference)
-            if np.shape(output) != (len(spec.axes),) or not np.isfinite(output).all():
-                raise RobotError(f"`step` returned {output!r} at sample {k}")
-            outputs[k] = output
-        self.lasted_s = time.monotonic() - began_s
-        self.played += len(references)
-        return outputs
-
-    def hold(self) -> FloatArray:
-        """Play reference 0 for `HOLD_S`; return the outputs, shape (samples, axes)."""
-        spec = self.robot.spec
-        return self.play(np.zeros((math.ceil(HOLD_S / spec.sample_time_s), len(spec.axes))))
-
-    def rest(self) -> None:
-        """Bring the robot to rest."""
-        self.robot.rest()
-        self.played = 0
-
-    def measured(self) -> FloatArray:
-        """Measure the output at rest as often as an agent does, shape (measurements, axes)."""
-        return np.stack(
-            [self.robot.measure_output() for _ in range(rest_measurements(self.robot.spec))]
-        )
 
 
 Check = Callable[[Subject], str | None]
@@ -200,7 +144,7 @@ def _rests_at_zero(subject: Subject) -> str | None:
 def _holds_zero(subject: Subject) -> str | None:
     spec = subject.robot.spec
     outputs = subject.hold()
-    noise = np.maximum(outputs.std(axis=0), _noise_of(subject))
+    noise = np.maximum(outputs.std(axis=0), subject.known_noise)
     subject.noise = noise
     for i, axis in enumerate(spec.axes):
         away = float(np.abs(outputs[:, i]).max())
@@ -239,7 +183,7 @@ def _measures_first(subject: Subject) -> str | None:
         jump[2:, i] = rest_error_max(spec, axis)
         before, _, at = subject.play(jump)[:3, i]
         subject.rest()
-        most = 0.5 * jump[2, i] + NOISE_DEVIATIONS * _noise_of(subject)[i]
+        most = 0.5 * jump[2, i] + NOISE_DEVIATIONS * subject.known_noise[i]
         if abs(at - before) > most:
             return (
                 f"axis {axis.name} was at {before:.3g} {axis.unit}, and at {at:.3g} {axis.unit} in "
@@ -418,26 +362,3 @@ def _can_be_killed(subject: Subject) -> str | None:
         robot.disconnect()
         return None if took_s <= AT_ONCE_S else f"`kill` took {took_s:.2g} s"
     return "`step` still moves it"
-
-
-def gentle_hill(robot: Robot, axis: int) -> FloatArray:
-    """Return a raised cosine from 0 to a small amplitude and back, shape (samples,).
-
-    It stays well below all limits of the axis, and takes twice the robot's settling time.
-    """
-    spec, limits = robot.spec, robot.spec.axes[axis]
-    amplitude = AMPLITUDE_SHARE * limits.amplitude_max
-    # A (1 − cos ω t) / 2 reaches the velocity A ω / 2 and the acceleration A ω² / 2.
-    omega = min(
-        spec.omega_max_rad_s / 2,
-        math.pi / max(spec.settling_time_s, spec.sample_time_s),
-        2 * GENTLE_SHARE * limits.velocity_max / amplitude,
-        math.sqrt(2 * GENTLE_SHARE * limits.acceleration_max / amplitude),
-    )
-    samples = max(8, math.ceil(2 * math.pi / omega / spec.sample_time_s))
-    hill: FloatArray = amplitude * (1 - np.cos(2 * np.pi * np.arange(samples) / samples)) / 2
-    return hill
-
-
-def _noise_of(subject: Subject) -> FloatArray:
-    return np.zeros(len(subject.robot.spec.axes)) if subject.noise is None else subject.noise

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from datetime import datetime, timedelta
 
 from nufleet.shared.wire.handshake import validity
-from nufleet.shared.wire.identity import Identity
+from nufleet.shared.wire.identity import Identity, IdentityError
 from nufleet.shared.wire.messages import Refusal
 
 MARGIN_S = 60.0
@@ -38,8 +38,8 @@ class CertificateWatch:
             now: Function that returns the present time in UTC.
         """
         self._identity, self._now = identity, now
-        begins, self._ends = validity(identity)
-        self._look_at = self._ends - WARN_BELOW * (self._ends - begins)
+        self._begins, self._ends = validity(identity)
+        self._look_at = self._ends - WARN_BELOW * (self._ends - self._begins)
 
     def look(self) -> None:
         """Warn once a day while less than a third of the certificate's life is left.
@@ -50,7 +50,7 @@ class CertificateWatch:
         if now < self._look_at:
             return
         self._look_at = now + WARN_EVERY
-        begins, ends = validity(self._identity.now())
+        begins, ends = self._in_the_file()
         if ends - now <= WARN_BELOW * (ends - begins):
             _log.warning("%s", self.due)
 
@@ -62,10 +62,21 @@ class CertificateWatch:
         """
         if self._now() >= self._ends:
             # The robot is still heard, so it has connected again, with the file as it is now.
-            self._ends = validity(self._identity.now())[1]
+            self._ends = self._in_the_file()[1]
         if (self._ends - self._now()).total_seconds() > duration_s + MARGIN_S:
             return None
         return Refusal(code="certificate", reason=self.due)
+
+    def _in_the_file(self) -> tuple[datetime, datetime]:
+        """Return from and until when the certificate in the identity's file is valid.
+
+        If there is none, this is the one that counts now; the file may be about to be replaced.
+        """
+        try:
+            return validity(self._identity.now())
+        except IdentityError as error:
+            _log.warning("%s", error)
+            return self._begins, self._ends
 
     @property
     def due(self) -> str:
@@ -73,7 +84,7 @@ class CertificateWatch:
         name, path = self._identity.principal, self._identity.path
         ends = f"{self._ends:%Y-%m-%d %H:%M} UTC"
         said = f"the certificate of {name} ends at {ends}, and its link with it"
-        if validity(self._identity.now())[1] > self._ends:
+        if self._in_the_file()[1] > self._ends:
             return f"{said}; {path} is renewed and takes effect then, or when the agent restarts"
         return (
             f"{said}: `nufleet fleet renew {name}` and copy the identity to {path}; the robot then "

@@ -97,7 +97,11 @@ def authority_of(certificate: str, authorities: str) -> str:
     from cryptography.hazmat.primitives.serialization import Encoding
 
     signed = _loaded(certificate)
-    for authority in x509.load_pem_x509_certificates(authorities.encode()):
+    try:
+        trusted = x509.load_pem_x509_certificates(authorities.encode())
+    except ValueError as error:
+        raise UntrustedError("the robot's own identity names no valid authority") from error
+    for authority in trusted:
         try:
             signed.verify_directly_issued_by(authority)
         except (ValueError, TypeError, InvalidSignature, UnsupportedAlgorithm):

@@ -11,7 +11,7 @@ import ssl
 from contextlib import suppress
 from datetime import UTC, datetime
 
-from nufleet.shared.wire.identity import Identity
+from nufleet.shared.wire.identity import Identity, IdentityError
 
 TIMEOUT_S = 3.0
 ALERT_S = 2.0
@@ -30,13 +30,15 @@ def why_refused(identity: Identity) -> str | None:
         identity: Identity that could not connect.
     """
     host, port = _address(identity.router)
-    clock = _clock_problem(identity)
-    if clock is not None:
-        return clock
     try:
+        clock = _clock_problem(identity)
+        if clock is not None:
+            return clock
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         context.load_verify_locations(cadata=identity.authority)
         context.load_cert_chain(identity.path, identity.key)
+    except IdentityError as error:
+        return str(error)
     except (ssl.SSLError, OSError) as error:
         return (
             f"the certificate of {identity.path} does not fit the key {identity.key} ({error}): "
@@ -117,11 +119,20 @@ def _clock_problem(identity: Identity) -> str | None:
 
 
 def validity(identity: Identity) -> tuple[datetime, datetime]:
-    """Return the times from which and until which an identity's certificate is valid, in UTC."""
+    """Return the times from which and until which an identity's certificate is valid, in UTC.
+
+    Raises:
+        IdentityError: The identity holds none.
+    """
     # Loaded only when there is something to explain: it takes a while.
     from cryptography import x509
 
-    certificate = x509.load_pem_x509_certificate(identity.certificate.encode())
+    try:
+        certificate = x509.load_pem_x509_certificate(identity.certificate.encode())
+    except ValueError as error:
+        raise IdentityError(
+            f"{identity.path} holds no valid certificate: copy the file again, or renew it"
+        ) from error
     return certificate.not_valid_before_utc, certificate.not_valid_after_utc
 
 

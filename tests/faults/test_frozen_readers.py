@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -58,22 +60,39 @@ def test_a_stop_behind_one_that_a_full_link_holds_up_arrives_soon_all_the_same(l
     fleet = lab.orchestrator("a")
     goal = GoalRequest(goal_id="g", owner=fleet.orchestrator_id, motion=LONG)
     plan = submitted(fleet, "a", goal).plan
-    with frozen_reader(lab.endpoint), open_client(lab.endpoint, timeout_s=PATIENCE_S) as stopping:
-        fleet.wait_for(("b",), timeout_s=PATIENCE_S)
-        heard = lab.wait_for_state(fleet, "a", lambda state: state.progress > 0)
-        for _ in range(100):
-            stopping._session.put(
-                KEYS.robot("b", "state"),
-                bytes(60_000),
-                priority=zenoh.Priority.REAL_TIME,
-                congestion_control=zenoh.CongestionControl.BLOCK,
-            )
-        # The router serves them in this order.
-        stopping.put_urgent(KEYS.command("b", "me", "stop"), STOP)
-        stopping.put_urgent(KEYS.command("a", "me", "stop"), STOP)
-        lab.wait_for_state(fleet, "a", lambda state: state.last_goal_id == "g")
-        # Its link was full, and the router has given it up for that.
-        wait_until(lambda: fleet.robots() == ("a",))
+    sent, ended = 0, threading.Event()
+
+    def fill() -> None:
+        nonlocal sent
+        with open_client(lab.endpoint, timeout_s=PATIENCE_S) as filling:
+            while not ended.is_set():
+                filling._session.put(
+                    KEYS.robot("b", "state"),
+                    bytes(60_000),
+                    priority=zenoh.Priority.REAL_TIME,
+                    congestion_control=zenoh.CongestionControl.BLOCK,
+                )
+                sent += 1
+
+    filler = threading.Thread(target=fill)
+    with open_client(lab.endpoint, timeout_s=PATIENCE_S) as stopping:
+        with frozen_reader(lab.endpoint):
+            fleet.wait_for(("b",), timeout_s=PATIENCE_S)
+            filler.start()
+            try:
+                before = -1
+                # Until nothing more gets through, or the router has given up the link for that.
+                while fleet.watch("b").alive and (before != sent or sent == 0):
+                    before = sent
+                    time.sleep(0.05)
+                heard = lab.wait_for_state(fleet, "a", lambda state: state.progress > 0)
+                # The router serves them in this order.
+                stopping.put_urgent(KEYS.command("b", "me", "stop"), STOP)
+                stopping.put_urgent(KEYS.command("a", "me", "stop"), STOP)
+                lab.wait_for_state(fleet, "a", lambda state: state.last_goal_id == "g")
+            finally:
+                ended.set()
+        filler.join(PATIENCE_S)
     # In its own time, which passes as slowly as a busy machine lets it.
     played_s = len(fleet.result("a", "g").response) * plan.sample_time_s
     assert played_s - heard.progress * plan.duration_s < 3.0

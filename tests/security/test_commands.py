@@ -80,6 +80,14 @@ def test_a_fleet_is_closed_and_its_principals_are_known_by_their_identities(here
         assert "not known" in asked.output
         assert "does not tell screen who is connected" in str(asked.exception)
 
+        for name, found in (
+            ("ids/desk.nufleet", "lab: a"),
+            ("robot/a.nufleet", "lab: a robot may not see the others"),
+            ("ids/gone.nufleet", "gone.nufleet: cannot be read"),
+        ):
+            said = " ".join(nufleet("doctor", "--identity", name).output.split())
+            assert found in said
+
         config = here / "config" / "nufleet"
         config.mkdir(parents=True)
         for name in ("anna.nufleet", "anna.key"):

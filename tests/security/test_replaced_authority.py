@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import ExitStack
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
@@ -10,8 +12,11 @@ from closed_lab import KEYS, ClosedLab
 from learned_things import experience
 from polling import PATIENCE_S, wait_until
 
+from nufleet.orchestrator.authority.certificates import utc_now
+from nufleet.robot_agent.network.certificate_watch import CertificateWatch
 from nufleet.robot_agent.network.trust import Trust
 from nufleet.shared.robots.fleet_file import RobotPolicy
+from nufleet.shared.wire.handshake import why_refused
 from nufleet.shared.wire.identity import address_of, read_identity
 from nufleet.shared.wire.transport import open_client
 
@@ -66,10 +71,29 @@ def test_a_robot_takes_what_is_signed_under_the_new_authority_without_a_restart(
     assert "signed under another authority" in late.reason
 
 
-def test_an_identity_that_cannot_be_read_any_more_is_used_as_it_was(
+def test_an_agent_lives_with_an_identity_that_was_damaged_and_uses_it_once_it_is_whole(
     lab: ClosedLab, caplog: pytest.LogCaptureFixture
 ) -> None:
     identity = read_identity(lab.identity("a"))
-    identity.path.write_text("half a fi")
-    assert identity.now() == identity
-    assert str(identity.path) in caplog.text
+    signed = Trust("b", RobotPolicy(), read_identity(lab.identity("b")), lambda: ROBOTS).signed(
+        experience("b")
+    )
+    whole = identity.path.read_text()
+    trust = Trust("a", RobotPolicy(), identity, lambda: ROBOTS)
+    # A file that is being copied, and one that was damaged on the way.
+    for text in ("half a fi", re.sub(r"\n[A-Za-z0-9+/]{20}", "\n" + 20 * "A", whole)):
+        watch = CertificateWatch(identity, lambda: utc_now() + timedelta(days=80))
+        identity.path.write_text(text)
+        caplog.clear()
+        watch.look()
+        assert watch.due in caplog.text
+        assert watch.refusal(3600.0) is None
+        assert str(identity.path) in caplog.text
+        assert why_refused(identity.now()) is not None
+    refusal = trust.refusal(signed)
+    assert refusal is not None
+    assert "its own identity names no valid authority" in refusal.reason.replace(
+        "the robot's", "its"
+    )
+    identity.path.write_text(whole)
+    assert trust.refusal(signed) is None

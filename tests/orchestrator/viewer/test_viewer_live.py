@@ -95,7 +95,7 @@ def may_read(live_url: str | None, origin: str) -> bool:
         "Access-Control-Request-Method": "POST",
         "Access-Control-Request-Headers": "content-type,x-grpc-web",
     }
-    with closing(HTTPConnection(data, timeout=10.0)) as connection:
+    with closing(HTTPConnection(data, timeout=PATIENCE_S)) as connection:
         connection.request("OPTIONS", READ_MESSAGES, headers=asked)
         answer = connection.getresponse()
         admitted = answer.getheader("Access-Control-Allow-Origin")
