@@ -29,10 +29,9 @@ from nufleet.shared.wire.motions import PredictedError, Tracking
 DRAWS = 4
 """Number of robots that a flight is rehearsed on; the bounds allow for so few."""
 
-ROUGH = 0.06
+ROUGH = 0.01
 """Least standard deviation of the logarithm of a rehearsed error. Without disturbances all
-rehearsals end alike, and yet no model answers exactly as its robot does: on coupled arms, which no
-model of single axes describes, the error was missed by a tenth in the middle."""
+rehearsals end alike, and yet no model answers exactly as its robot does."""
 
 _SEED = 0  # every way of flying meets the same robots and the same noise, so that they compare
 
@@ -154,7 +153,7 @@ def predicted_from(errors: Sequence[float]) -> PredictedError:
     from scipy.special import stdtrit
 
     logarithms, count = np.log(errors), len(errors)
-    spread = max(float(np.std(logarithms, ddof=1)), ROUGH) * np.sqrt(1 + 1 / count)
+    spread = np.hypot(float(np.std(logarithms, ddof=1)), ROUGH) * np.sqrt(1 + 1 / count)
     reach = float(stdtrit(count - 1, HIGH)) * spread
     middle = float(np.mean(logarithms))
     low, rms, high = np.exp([middle - reach, middle, middle + reach])

@@ -171,5 +171,5 @@ def test_rehearsals_that_all_end_alike_leave_as_much_doubt_as_a_model_does() -> 
     found = predicted_from([0.02] * 4)
     assert found.rms == pytest.approx(0.02)
     assert (found.high / found.rms, found.rms / found.low) == pytest.approx(
-        (1.171, 1.171), abs=1e-3
+        (1.027, 1.027), abs=1e-3
     )
