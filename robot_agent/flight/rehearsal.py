@@ -94,22 +94,16 @@ class Rehearsal:
         if way.inverse == "own":
             return self.forecast.own
         motion, seeds = way.along(self.desired), np.random.SeedSequence(_SEED).spawn(draws)
-        # Nearly every deviation from the model makes an inverse worse, and a drawn robot deviates
-        # at all frequencies at once, also where neither tests nor paths have power and a real robot
-        # is smoother than what is believed of it. So most real robots fly better than all of those
-        # that are drawn, and worse than the mean: the robots here lie at equal steps between both.
-        spreads = np.linspace(0.0, 1.0, draws).tolist()
-        pairs = zip(seeds, spreads, strict=True)
-        return predicted_from([self._flown(motion, seed, spread) for seed, spread in pairs])
+        return predicted_from([self._flown(motion, seed) for seed in seeds])
 
-    def _flown(self, motion: Tracking, seed: np.random.SeedSequence, spread: float) -> float:
+    def _flown(self, motion: Tracking, seed: np.random.SeedSequence) -> float:
         """Return the error of a flight on one robot, drawn with a seed, in the axes' unit."""
         limits = self.spec.tracking
         if limits is None:
             raise RobotError("the robot does not track")
         rng = np.random.default_rng(seed)
         samples = len(self.desired) + len(approach(self.spec, self.desired[0], limits))
-        robot = RehearsedRobot(self.spec, self.states.names, self._draw(samples, rng, spread), rng)
+        robot = RehearsedRobot(self.spec, self.states.names, self._draw(samples, rng), rng)
         equipment = equipment_for(motion, robot, self.memory, self.forecast)
         record = track(
             robot,
@@ -123,10 +117,10 @@ class Rehearsal:
             raise RobotError(f"its rehearsal ended early: {record.failure}")
         return record.rms_error
 
-    def _draw(self, samples: int, rng: np.random.Generator, spread: float) -> LoopDraw:
+    def _draw(self, samples: int, rng: np.random.Generator) -> LoopDraw:
         axes = self.model.axes
-        sizes = np.std(self.desired, axis=0).tolist()
-        drawn = [b.draws(1, rng, size, spread=spread) for b, size in zip(axes, sizes, strict=True)]
+        sizes = np.std(self.desired, axis=0)
+        drawn = [b.draws(1, rng, float(size)) for b, size in zip(axes, sizes, strict=True)]
         responses = np.concatenate(drawn, axis=1)
         # An output that is measured before its reference acts has not answered it, in any draw.
         responses[0] = 1.0

@@ -108,7 +108,6 @@ class ErrorBelief:
         *,
         flown: bool = True,
         alone: bool = False,
-        spread: float = 1.0,
     ) -> FloatArray:
         """Draw parameters x from the belief, shape (size, count).
 
@@ -125,16 +124,14 @@ class ErrorBelief:
             alone: True for the only axis of its robot, on which no other can act. The share of its
                 error that its tests may have hidden then grows with the square of its motion, as
                 that of a cubic nonlinearity does.
-            spread: Factor on all deviations from the mean but that of an error that may not grow;
-                0 draws the mean itself.
         """
-        normal = spread * rng.standard_normal((self.factor.shape[1], count))
+        normal = rng.standard_normal((self.factor.shape[1], count))
         error = np.full(count, self.model_error)
         if not flown:
             hidden = self.model_error * max(1.0, size / max(self.largest, _TINY)) ** 2
             error = MODEL_ERROR * np.exp(rng.standard_normal(count))
             error = np.minimum(error, hidden) if alone else error
-        scale = 1 + spread * error * rng.standard_normal(count)
+        scale = 1 + error * rng.standard_normal(count)
         less = self.open(size)
         if less > 0:
             scale *= 1 - less * (rng.permutation(count) + rng.random(count)) / count

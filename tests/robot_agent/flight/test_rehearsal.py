@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from robots_that_learn import LaggedRobot, double_integrator
@@ -15,10 +13,8 @@ from nufleet.robot_agent.flight.rehearsed_robot import LoopDraw, RehearsedRobot
 from nufleet.robot_agent.motion.pace import HaltSwitch
 from nufleet.robot_agent.motion.perform import perform
 from nufleet.robot_agent.robot import Robot
-from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError, RobotError
 from nufleet.shared.experience.layout import InverseLayout
-from nufleet.shared.models.error_belief import ErrorBelief
 from nufleet.shared.models.error_response import ErrorBasis
 from nufleet.shared.paths.trajectories import travel
 from nufleet.shared.wire.messages import ForeseenWay, Outcome
@@ -106,24 +102,6 @@ def test_states_beside_the_output_are_rehearsed_once_they_were_observed() -> Non
     way = none(robot.state_names, robot.spec.sample_time_s)
     expected = Rehearsal.of(robot.spec, robot.state_names, memory, path).predicted(way)
     assert expected.low <= flown(robot, way.along(path), memory) <= expected.high
-
-
-def test_the_robots_of_a_rehearsal_lie_between_the_model_and_all_that_is_believed(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Drawn robots deviate in so many ways at once that nearly all of them fly worse."""
-    robot, memory = LaggedRobot(noise_std_m=1e-3), Memory(None)
-    flown(robot, Tracking(desired=PATH, inverse="baseline"), memory)
-    rehearsal = Rehearsal.of(robot.spec, robot.state_names, memory, PATH)
-    draws, spreads = ErrorBelief.draws, list[float]()
-
-    def recorded(belief: ErrorBelief, *given: Any, spread: float) -> FloatArray:
-        spreads.append(spread)
-        return draws(belief, *given, spread=spread)
-
-    monkeypatch.setattr(ErrorBelief, "draws", recorded)
-    rehearsal.predicted(none(robot.state_names, robot.spec.sample_time_s), draws=3)
-    assert spreads == [0.0, 0.0, 0.5, 0.5, 1.0, 1.0]
 
 
 def test_the_same_flight_is_expected_to_have_the_same_error_again() -> None:

@@ -213,16 +213,6 @@ def test_a_changed_robot_surprises_and_the_same_one_does_not() -> None:
     assert belief().surprise(evidence(2e-3, 7, SLOWER)) > 2.0
 
 
-def test_draws_deviate_from_the_mean_as_far_as_they_are_to() -> None:
-    other, size = like([belief()]), float(np.std(tones()))
-    drawn = {
-        spread: other.draws(1, np.random.default_rng(0), size, spread=spread)[:, 0] - other.mean
-        for spread in (0.0, 0.5, 1.0)
-    }
-    np.testing.assert_array_equal(drawn[0.0], 0.0)
-    assert 0 < np.linalg.norm(drawn[0.5]) < np.linalg.norm(drawn[1.0])
-
-
 def test_an_axis_that_never_moved_is_like_the_others_and_less_certain() -> None:
     other = like([belief()])
     np.testing.assert_array_equal(other.mean, belief().mean)
