@@ -44,6 +44,8 @@ from nufleet.shared.wire.messages import (
 )
 from nufleet.shared.wire.session import Session
 
+RELEASE_TIMEOUT_S = 65.0
+"""A robot with a fault is reconnected before it confirms its release, which may take a minute."""
 FORECAST_TIMEOUT_S = 20.0
 """A robot that has learned something since may first have to work out what it knows of itself."""
 FORECAST_LOOK_S = 0.3
@@ -312,7 +314,8 @@ class Fleet:
 
     def release(self, robot: str) -> None:
         """Let a stopped robot move again."""
-        self._requests.ask(robot, RELEASE, ReleaseRequest(sender=self.orchestrator_id), Done)
+        request = ReleaseRequest(sender=self.orchestrator_id)
+        self._requests.ask(robot, RELEASE, request, Done, timeout_s=RELEASE_TIMEOUT_S)
 
     # Network threads.
 

@@ -6,8 +6,8 @@ Nothing heavy is imported before the stops are sent, because a person waits for 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import click
 
@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 
 CONNECT_TIMEOUT_S = 5.0
 MOST_AT_ONCE = 64
+
+T = TypeVar("T")
 
 _log = logging.getLogger(__name__)
 
@@ -130,17 +132,18 @@ def release_and_print(endpoint: str, fleet_name: str | None, robots: tuple[str, 
     """
     from nufleet.orchestrator.fleet.connection import running_fleet
 
-    released = True
+    refused: set[str] = set()
+
+    def told(robot: str, why: str | None) -> None:
+        if why is None:
+            click.echo(f"{robot} may move again", err=True)
+        else:
+            refused.add(robot)
+            _print_failure(f"{robot} was not released: {why}")
+
     with running_fleet(endpoint, fleet_name) as connection:
-        for robot in robots:
-            try:
-                connection.fleet.release(robot)
-            except NufleetError as error:
-                released = False
-                _print_failure(f"{robot} was not released: {error}")
-            else:
-                click.echo(f"{robot} may move again", err=True)
-    return released
+        _ask_at_once(robots, connection.fleet.release, told)
+    return not refused
 
 
 def stop_robots(fleet: Fleet, robots: tuple[str, ...], reason: str) -> dict[str, str]:
@@ -239,19 +242,26 @@ def _stop(
     kill: bool = False,
 ) -> None:
     """Stop all robots at once, and report the answer of each as soon as it is known."""
+    _ask_at_once(targets, lambda target: target.fleet.stop(target.robot, reason, kill=kill), told)
+
+
+def _ask_at_once(
+    targets: Sequence[T], ask: Callable[[T], None], told: Callable[[T, str | None], None]
+) -> None:
+    """Ask all targets at once; report why each one failed, or None, as soon as it is known."""
     from concurrent.futures import ThreadPoolExecutor, as_completed
 
-    def stop_one(target: _Target) -> str | None:
+    def ask_one(target: T) -> str | None:
         try:
-            target.fleet.stop(target.robot, reason, kill=kill)
+            ask(target)
         except NufleetError as error:
             return str(error)
         except Exception as error:  # noqa: BLE001 - one robot's trouble must not hide the others'
-            _log.exception("the stop of %r failed", target.robot)
+            _log.exception("asking %r failed", target)
             return f"an unexpected error: {error!r}"
         return None
 
     with ThreadPoolExecutor(max(1, min(MOST_AT_ONCE, len(targets)))) as pool:
-        asked = {pool.submit(stop_one, target): target for target in targets}
+        asked = {pool.submit(ask_one, target): target for target in targets}
         for done in as_completed(asked):
             told(asked[done], done.result())

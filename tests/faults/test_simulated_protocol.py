@@ -11,9 +11,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from benchmarks.faults.simulation.schedule import drawn
-from benchmarks.faults.simulation.simulation import shortened, story, violation
+from benchmarks.faults.simulation.network import Weather
+from benchmarks.faults.simulation.schedule import Fault, Schedule, drawn
+from benchmarks.faults.simulation.simulation import Simulation, shortened, story, violation
 from benchmarks.faults.simulation.without import WITHOUT, without
+from nufleet.orchestrator.repository.records import TrialStatus
 
 SEEDS_AT_ONCE = 300
 
@@ -63,6 +65,26 @@ def test_every_fix_is_missed_when_it_is_taken_out(fix: str) -> None:
     with without(fix):
         assert violation(schedule) is not None
     assert violation(schedule) is None
+
+
+def late_heartbeats(seed: int) -> Simulation:
+    """A study in which each state of both robots arrives up to 5 s late, at random."""
+    late = tuple(Fault(0.1, "late states", robot, 60.0) for robot in (1, 2))
+    duration_max_s, idle_s = (7.0, 60.0)[seed % 2], (None, 3.0)[seed // 2 % 2]
+    simulation = Simulation(Schedule(seed, 2, duration_max_s, Weather(), idle_s, late))
+    simulation.run()
+    return simulation
+
+
+def test_no_robot_is_given_up_in_1000_tests_with_heartbeats_up_to_5_s_late() -> None:
+    tests = 0
+    for simulation in map(late_heartbeats, range(250)):
+        trials = simulation.repository.trials.values()
+        assert {(trial.status, trial.intent.attempt) for trial in trials} == {
+            (TrialStatus.MEASURED, 1)
+        }
+        tests += len(trials)
+    assert tests == 1000
 
 
 def test_a_seed_gives_the_same_story_every_time() -> None:

@@ -13,9 +13,10 @@ from fleet_lab import SLOW, Lab, Orchestrator
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
-from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.fleet.client import RELEASE_TIMEOUT_S, Fleet
 from nufleet.orchestrator.jobs.stop import stop_and_print
 from nufleet.robot_agent.agent import Agent
+from nufleet.robot_agent.motion.watched_robot import SLOW_CALL_MAX_S
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.messages import RobotStatus
 
@@ -138,6 +139,39 @@ def test_one_robot_that_is_not_released_keeps_no_other_from_it(lab: Lab) -> None
     for robot in ("a", "b"):
         assert f"{robot} may move again\n" in done.stderr
         orchestrator.state(robot, lambda s: s.status is RobotStatus.IDLE)
+
+
+def test_a_robot_that_is_reconnected_slowly_is_waited_for_and_delays_the_release_of_no_other(
+    lab: Lab,
+) -> None:
+    slow, connects, others = PuppetRobot(), threading.Event(), threading.Event()
+    lab.agent("slow", slow)
+    lab.agent("b", PuppetRobot())
+    slow.on_kill = lambda: None
+    orchestrator = lab.orchestrator()
+    orchestrator.fleet.stop("slow", "smoke", kill=True)
+    orchestrator.fleet.stop("b", "smoke")
+
+    def connect() -> None:
+        connects.set()
+        assert others.wait(PATIENCE_S)
+
+    slow.on_connect = connect
+    command = subprocess.Popen(
+        [sys.executable, "-m", "nufleet", "release", "slow", "b", "--connect", lab.endpoint],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert connects.wait(PATIENCE_S)
+    orchestrator.state("b", lambda state: state.status is RobotStatus.IDLE)
+    others.set()
+    _, said = command.communicate(timeout=PATIENCE_S)
+    assert command.returncode == 0, said
+    assert {"slow may move again", "b may move again"} <= set(said.splitlines())
+
+
+def test_a_release_waits_for_longer_than_a_driver_may_take_to_connect() -> None:
+    assert RELEASE_TIMEOUT_S > SLOW_CALL_MAX_S
 
 
 def test_a_robot_that_answers_late_delays_the_answer_of_no_other(

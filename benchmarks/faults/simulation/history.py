@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
+from nufleet.orchestrator.fleet.goal_pursuit import REFUSAL_PATIENCE_S
+
 
 class Violation(AssertionError):  # noqa: N818 - it names what it is
     """An invariant does not hold; the message names it, the time and the robot."""
@@ -198,6 +200,6 @@ class History:
         """Record whether a robot is ready, as its agent knows."""
         if ready:
             self.unready.pop(robot, None)
-        else:
-            self.unready.setdefault(robot, now_s)
+        elif now_s > self.unready.setdefault(robot, now_s) + REFUSAL_PATIENCE_S / 2:
+            # Other refusals, before it became unready, count towards the patience as well.
             self.excuses.add((robot, "not-ready"))
