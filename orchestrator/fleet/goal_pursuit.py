@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from typing import NamedTuple
 
 from nufleet.orchestrator.fleet import goal_events as events
 from nufleet.orchestrator.fleet.goal_events import Ask, Ended, Question, Sighting
@@ -40,6 +41,9 @@ ANSWER_TRIES = 10
 REFUSAL_PATIENCE_S = 10.0
 """Time in s for which a refusal is tolerated whose cause is not the goal itself."""
 
+REFUSALS_PATIENCE_S = 30.0
+"""Time in s for which such refusals are tolerated in all, if one cause follows another."""
+
 REST_PATIENCE_S = 90.0
 """Time in s that a robot has to come to rest after a cancel; longer than any driver's `rest`."""
 
@@ -59,6 +63,17 @@ lose its position estimate, or its link, for a moment.
 
 NEVER_BEGINS = frozenset({"goal-ended", "stale-epoch"})
 """Codes of refused cancellations that amount to a confirmation: the goal can no longer move."""
+
+
+class _Refusals(NamedTuple):
+    """Refusals of one question in a row."""
+
+    code: str
+    """Code of the latest refusals."""
+    since_s: float
+    """Time of the first refusal with this code."""
+    first_s: float
+    """Time of the first refusal."""
 
 
 class Pursuit:
@@ -99,7 +114,7 @@ class Pursuit:
         self._open: set[Question] = set()
         self._not_before_s: dict[Question, float] = {}
         self._unanswered: tuple[int, float] | None = None
-        self._refused_since_s: dict[Question, float] = {}
+        self._refusals: dict[Question, _Refusals] = {}
         self._sent = False
         self._unsure = False
         self._taken = taken_before
@@ -203,7 +218,7 @@ class Pursuit:
                 self._not_before_s.pop(Question.RESULT, None)
 
     def _note_cancelled(self, now_s: float) -> None:
-        self._refused_since_s.pop(Question.CANCEL, None)
+        self._refusals.pop(Question.CANCEL, None)
         if self._abandoned:
             self._abandoned.pop(0)
             if self._interrupted:
@@ -216,7 +231,7 @@ class Pursuit:
         match question:
             case Question.CANCEL if error.code in NEVER_BEGINS:
                 self._note_cancelled(now_s)
-            case Question.CANCEL if self._outlasts(question, REFUSAL_PATIENCE_S, now_s):
+            case Question.CANCEL if self._outlasts(question, error.code, REFUSAL_PATIENCE_S, now_s):
                 self._give_up(error)
             case Question.RESULT if error.code == "not-finished":
                 self._fetch = self._cancelled_s is not None
@@ -232,7 +247,7 @@ class Pursuit:
         patience_s = {"busy": self._rest_patience_s}.get(
             error.code, REFUSAL_PATIENCE_S if error.code in PASSING else 0.0
         )
-        if not self._outlasts(Question.GOAL, patience_s, now_s):
+        if not self._outlasts(Question.GOAL, error.code, patience_s, now_s):
             self._not_before_s[Question.GOAL] = now_s + ASK_AGAIN_S
         elif self._unsure:
             # The goal was sent before without an answer, and may still arrive and be accepted.
@@ -240,9 +255,17 @@ class Pursuit:
         else:
             self.ended = Ended(error=error)
 
-    def _outlasts(self, question: Question, patience_s: float, now_s: float) -> bool:
-        """Return whether a question has been refused for at least `patience_s`."""
-        return now_s >= self._refused_since_s.setdefault(question, now_s) + patience_s
+    def _outlasts(self, question: Question, code: str, patience_s: float, now_s: float) -> bool:
+        """Return whether a question has been refused for one reason for at least `patience_s`.
+
+        Another reason is another trouble, which may pass as well; but a robot that finds one reason
+        after another is not asked for ever.
+        """
+        earlier = self._refusals.get(question, _Refusals(code, now_s, now_s))
+        since_s = earlier.since_s if code == earlier.code else now_s
+        self._refusals[question] = _Refusals(code, since_s, earlier.first_s)
+        longest_s = max(patience_s, REFUSALS_PATIENCE_S)
+        return now_s >= min(since_s + patience_s, earlier.first_s + longest_s)
 
     def _note_silence(self, question: Question, error: NufleetError, now_s: float) -> None:
         if question not in self._open:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+from collections.abc import Collection
 from pathlib import Path
 
 from nufleet.shared.errors import EndpointInUseError, InvalidInputError, system_errors_as
@@ -24,12 +25,14 @@ def claim_recording(path: Path) -> Path:
     return path
 
 
-def claim_port(bind_ip: str, port: int) -> int:
+def claim_port(bind_ip: str, port: int, *, apart_from: Collection[int | None] = ()) -> int:
     """Return the port to listen on.
 
     Args:
         bind_ip: Address of the network interface.
         port: Port that is wanted; 0 for any free one.
+        apart_from: Ports that were claimed before and that nothing listens on yet; the system may
+            call them free again.
 
     Raises:
         EndpointInUseError: The port is in use, or may not be listened on.
@@ -45,7 +48,11 @@ def claim_port(bind_ip: str, port: int) -> int:
             raise EndpointInUseError(
                 f"the viewer cannot listen on {bind_ip}:{port}: {reason}; choose another port"
             ) from error
-        return int(probe.getsockname()[1])
+        found = int(probe.getsockname()[1])
+        if port == 0 and found in apart_from:
+            # The probe keeps the port while another one is looked for.
+            return claim_port(bind_ip, 0, apart_from=apart_from)
+        return found
 
 
 def reachable(bind_ip: str) -> str:

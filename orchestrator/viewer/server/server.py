@@ -161,7 +161,8 @@ class ViewerServer:
         if self._web_port is not None:
             self._web_port = claim_port(self._bind_ip, self._web_port)
         if self._source is None or "://" not in self._source:
-            self._data_port = claim_port(self._bind_ip, self._data_port)
+            claimed = [self._web_port]
+            self._data_port = claim_port(self._bind_ip, self._data_port, apart_from=claimed)
             command += ["--port", str(self._data_port), "--server-memory-limit", MEMORY]
             if self._web_port is not None:
                 # Other pages open in the same browser must not read the fleet's data. Rerun always
@@ -171,7 +172,8 @@ class ViewerServer:
         if self._web_port is None:
             command += ["--serve-grpc"]
         else:
-            upstream_port = claim_port(self._bind_ip, 0)
+            claimed = [self._web_port, self._data_port]
+            upstream_port = claim_port(self._bind_ip, 0, apart_from=claimed)
             command += ["--serve-web", "--web-viewer-port", str(upstream_port)]
             expected += [_HOSTING]
             data_port = urlsplit(self.live_url).port or 0

@@ -30,6 +30,7 @@ from nufleet.orchestrator.fleet.goal_pursuit import (
     ANSWER_TRIES,
     PASSING,
     REFUSAL_PATIENCE_S,
+    REFUSALS_PATIENCE_S,
     REST_PATIENCE_S,
     RETURN_PATIENCE_S,
 )
@@ -165,6 +166,22 @@ def test_a_refusal_that_says_nothing_about_the_goal_passes_or_is_final_in_the_en
     assert isinstance(goal.ended.error, RefusedError)
     assert goal.ended.error.code == code
     assert goal.ended.abandoned == ()
+
+
+def test_a_cause_that_passes_leaves_the_next_one_its_time_but_not_for_ever() -> None:
+    goal = PursuedGoal()
+    codes = ("not-ready", "frozen") * 4
+    asked_s = 0.0
+    for code in codes:
+        goal.happens(refused(SEND, code))
+        goal.passes(0.9 * REFUSAL_PATIENCE_S)
+        asked_s += 0.9 * REFUSAL_PATIENCE_S
+        goal.happens(refused(SEND, code))
+        if goal.ended is not None:
+            break
+        assert asked_s < REFUSALS_PATIENCE_S
+    assert asked_s >= REFUSALS_PATIENCE_S
+    assert goal.ended is not None
 
 
 def test_any_other_refusal_is_final() -> None:
