@@ -139,6 +139,21 @@ def submitted(fleet: Fleet, robot: str, request: GoalRequest) -> GoalAccepted:
     return accepted[0]
 
 
+def released(fleet: Fleet, robot: str) -> None:
+    """Release a robot after a stop, of which a second copy may still be on its way."""
+
+    def answered() -> bool:
+        try:
+            fleet.release(robot)
+        except RefusedError as error:
+            if error.code != "stopped":
+                raise
+            return False
+        return True
+
+    wait_until(answered)
+
+
 def assert_never_moved(orchestrator: Orchestrator, robot: str) -> None:
     """Fail when a robot has been given a goal, by a state that it published from now on."""
     heard = orchestrator.state(robot, lambda state: True)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from fleet_lab import KEYS, SLOW, Lab, Orchestrator, refusal
+from fleet_lab import KEYS, SLOW, Lab, Orchestrator, refusal, released
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
@@ -124,7 +124,7 @@ def test_a_fault_does_not_undo_a_stop(lab: Lab) -> None:
     orchestrator.fleet.stop("a", "smoke")
     robot.on_rest = lambda: None
     assert orchestrator.state("a", lambda s: s.status is RobotStatus.FAULT)
-    orchestrator.fleet.release("a")
+    released(orchestrator.fleet, "a")
     assert orchestrator.run("a", "g2").outcome is Outcome.COMPLETED
 
 

@@ -7,7 +7,17 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from fleet_lab import KEYS, SLOW, Gate, Lab, Orchestrator, double_integrator, refusal, submitted
+from fleet_lab import (
+    KEYS,
+    SLOW,
+    Gate,
+    Lab,
+    Orchestrator,
+    double_integrator,
+    refusal,
+    released,
+    submitted,
+)
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot, puppet_spec
 
@@ -205,7 +215,7 @@ def test_a_stop_is_latched_until_a_release(lab: Lab) -> None:
     assert state.reason == "stopped by orchestrator-1: smoke"
     assert refusal(lambda: orchestrator.submit("a", "g2")) == "stopped"
     assert robot.motions == 1
-    fleet.release("a")
+    released(fleet, "a")
     orchestrator.state("a", lambda s: s.status is RobotStatus.IDLE and s.reason == "")
     orchestrator.submit("a", "g2", **SLOW)
     fleet.cancel("a", "g2")
@@ -249,7 +259,7 @@ def test_a_robot_that_comes_to_rest_says_so_and_stays_stoppable(lab: Lab) -> Non
     orchestrator.state("a", lambda s: s.status is RobotStatus.STOPPED)
     # All of it had been measured before the stop.
     assert orchestrator.fleet.result("a", "g1").outcome is Outcome.COMPLETED
-    orchestrator.fleet.release("a")
+    released(orchestrator.fleet, "a")
     assert orchestrator.run("a", "g2").outcome is Outcome.COMPLETED
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from fleet_lab import KEYS, SLOW, Lab, Orchestrator, refusal
+from fleet_lab import KEYS, SLOW, Lab, Orchestrator, refusal, released
 from polling import PATIENCE_S
 from puppet_robot import PuppetRobot
 
@@ -35,7 +35,7 @@ def test_a_stop_outlasts_the_agent_until_it_is_released(lab: Lab, tmp_path: Path
         assert state.status is RobotStatus.STOPPED
         assert state.reason == "stopped by orchestrator-1: smoke"
         assert refusal(lambda: orchestrator.submit("a", "g2")) == "stopped"
-    orchestrator.fleet.release("a")
+    released(orchestrator.fleet, "a")
     agent.close()
     begin_anew(lab, orchestrator, PuppetRobot(), tmp_path / "a")
     assert orchestrator.state("a", lambda s: True).status is RobotStatus.IDLE

@@ -7,7 +7,7 @@ import struct
 import tracemalloc
 
 import pytest
-from fleet_lab import KEYS, Lab, Orchestrator
+from fleet_lab import KEYS, Lab, Orchestrator, released
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from polling import PATIENCE_S, wait_until
@@ -78,7 +78,7 @@ def asked(session: Session, leaf: str, payload: bytes) -> Message:
 
 def assert_well(orchestrator: Orchestrator, robot: PuppetRobot, goal_id: str) -> None:
     """It answers, and after a release it moves: once."""
-    orchestrator.fleet.release("a")
+    released(orchestrator.fleet, "a")
     motions = robot.motions
     assert orchestrator.run("a", goal_id).outcome is Outcome.COMPLETED
     assert robot.motions == motions + 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 
 import pytest
-from fleet_lab import SLOW, Gate, Lab, refusal
+from fleet_lab import SLOW, Gate, Lab, refusal, released
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot, puppet_spec
 
@@ -127,7 +127,7 @@ def test_a_killed_robot_is_asked_for_nothing_until_it_is_connected_again(lab: La
     assert refusal(lambda: orchestrator.submit("a", "two")) == "fault"
     assert True not in asked  # but it may have been coming to rest when it was killed
     cut.clear()
-    orchestrator.fleet.release("a")
+    released(orchestrator.fleet, "a")
     assert orchestrator.run("a", "three").outcome is Outcome.COMPLETED
     assert robot.begun == 2
 

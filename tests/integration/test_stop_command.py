@@ -9,7 +9,7 @@ import threading
 
 import click
 import pytest
-from fleet_lab import SLOW, Lab, Orchestrator
+from fleet_lab import SLOW, Lab, Orchestrator, released
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
@@ -65,7 +65,7 @@ def test_no_reason_keeps_a_robot_from_being_stopped(kind: str, everyone: bool, l
     done = nufleet(lab, "stop", "--all" if everyone else "a", "--reason", given)
     assert (done.returncode, done.stderr) == (0, "a is stopped\n")
     assert kept in stopped(orchestrator, "a")
-    orchestrator.fleet.release("a")
+    released(orchestrator.fleet, "a")
 
 
 def test_a_name_that_cannot_be_one_keeps_no_other_robot_from_being_stopped(lab: Lab) -> None:

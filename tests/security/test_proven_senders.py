@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import zenoh
 from closed_lab import KEYS, ClosedLab, closed_lab
-from fleet_lab import SLOW, Orchestrator
+from fleet_lab import SLOW, Orchestrator, released
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
@@ -107,7 +107,7 @@ def test_a_stop_and_a_release_are_attributed_and_limited(fleet: Fleetlet) -> Non
     assert state.reason.startswith("stopped by anna.")
     with pytest.raises(RefusedError, match="anna may not ask 'release'"):
         anna.fleet.release("a")
-    otto.fleet.release("a")
+    released(otto.fleet, "a")
     otto.state("a", lambda state: state.status is RobotStatus.IDLE)
     assert fleet.audited("anna", "stop").about == "smoke"
     assert fleet.audited("otto", "release").answer == "done"
@@ -122,7 +122,7 @@ def test_a_stop_that_names_another_sender_stops_under_the_name_that_is_proven(
     state = anna.state("a", lambda state: state.status is RobotStatus.STOPPED)
     assert state.reason == "stopped by anna.as-desk.x: a lie"
     assert fleet.audited("anna", "stop").sender == "desk.x"
-    fleet.orchestrator("desk").fleet.release("a")
+    released(fleet.orchestrator("desk").fleet, "a")
 
 
 def test_a_watcher_sees_and_commands_nothing(fleet: Fleetlet) -> None:
