@@ -71,14 +71,17 @@ def test_a_settling_time_that_is_stated_ten_times_too_short_is_measured(
 ) -> None:
     robot = Resonant(omega, damping)
     settling_s = 3 / robot.decay_1_s
-    measured = played(robot, 0.1 * settling_s, 0.003, seed)
-    assert measured.quality.usable, str(measured.quality)
-    found = {finding.code: finding.value for finding in measured.quality.warnings}
+    # Twice as much noise hides the ring of the best damped of these robots.
+    found_in = played(robot, 0.1 * settling_s, 0.0015, seed)
+    found = {finding.code: finding.value for finding in found_in.quality.warnings}
     assert found["ringing"] == pytest.approx(settling_s, rel=0.25)
-    # The estimates are as good as if the robot had settled.
-    off = np.abs(measured.z - robot.z(measured.omega_rad_s))
-    assert np.mean(off <= measured.radius(0.001)) > 0.8
-    assert np.all(off < 0.02 * (1 + np.abs(measured.z) ** 2))
+    for noise in (0.0015, 0.003):
+        measured = played(robot, 0.1 * settling_s, noise, seed)
+        assert measured.quality.usable, str(measured.quality)
+        # Found or hidden, the estimates are as good as if the robot had settled.
+        off = np.abs(measured.z - robot.z(measured.omega_rad_s))
+        assert np.mean(off <= measured.radius(0.001)) > 0.8
+        assert np.all(off < 0.02 * (1 + np.abs(measured.z) ** 2))
 
 
 def test_a_robot_that_settled_is_not_said_to_ring() -> None:
