@@ -8,6 +8,7 @@ a second.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
@@ -22,7 +23,7 @@ RIDGE = 1e-3
 what the samples weigh. It shrinks the reference and the response alike, so that their ratio keeps
 its size."""
 
-STEPS_MAX = 24
+STEPS_MAX = 12
 """Limit on the number of times that are looked at when many samples arrive at once."""
 
 STEP_S = 0.25
@@ -76,9 +77,11 @@ class RunningTest:
         neighbours by a period, or that the reference hardly contains.
         Times must not fall from call to call.
         """
-        for event in self._waiting:
-            self._fit(event, t_s)
-        self._waiting = [event for event in self._waiting if _end_s(event) > t_s]
+        begun = bisect_left(self._waiting, t_s, key=lambda event: event.t_s)
+        if begun:
+            self._fit(self._waiting[:begun], t_s)
+            over = self._waiting[begun - 1]
+            self._waiting = self._waiting[begun - (_end_s(over) > t_s) :]
         self._fitted_s = max(self._fitted_s, min(t_s, self.end_s))
         weight = np.trace(self._gram) / len(self._gram)
         if weight <= 0.0:
@@ -92,14 +95,18 @@ class RunningTest:
         z = phasors[shown, 1] / phasors[shown, 0]
         return dict(zip(self.omega_rad_s[shown].tolist(), z.tolist(), strict=True))
 
-    def _fit(self, event: TestSamplesEvent, until_s: float) -> None:
-        """Count the samples of an event from the last time up to this one."""
-        time_s = event.t_s + event.sample_time_s * np.arange(len(event.reference))
+    def _fit(self, events: Sequence[TestSamplesEvent], until_s: float) -> None:
+        """Count the samples of events, of which there may be thousands, in one step."""
+        time_s = np.concatenate(
+            [e.t_s + e.sample_time_s * np.arange(len(e.reference)) for e in events]
+        )
+        reference = np.concatenate([event.reference for event in events])
+        response = np.concatenate([event.response for event in events])
         new = (time_s >= self._fitted_s - 1e-9) & (time_s < until_s - 1e-9)
         phase = (time_s[new, np.newaxis] - self.begin_s) * self.omega_rad_s
         waves: FloatArray = np.ones((len(phase), len(self._gram)))
         waves[:, 1::2], waves[:, 2::2] = np.cos(phase), np.sin(phase)
-        signals = np.column_stack([event.reference[new], event.response[new]])
+        signals = np.column_stack([reference[new], response[new]])
         # After its tones a reference falls to rest: no sum of tones, which would spoil the fit.
         played = waves @ self._shape
         if (size := float(played @ played)) > 0.0:
