@@ -19,6 +19,9 @@ KEPT = 100_000
 HISTORY_S = 60.0
 """Time before a motion whose messages help to compare the clocks."""
 
+JUMP_MAX_S = 1.0
+"""Time by which a stamp may lie further ahead of the last one than the arrivals are apart."""
+
 AHEAD_MAX_S = 0.02
 """Time by which a synchronised stamp may lie ahead of its arrival."""
 
@@ -174,6 +177,11 @@ class Arrivals:
                 f"the time stamps on {self._topic} went back by {last.stamp_s - stamp_s:.3g} s: "
                 "its clock was set, or two programs publish there"
             )
+        jump_s = 0.0
+        if last is not None:
+            jump_s = stamp_s - last.stamp_s - (arrived_s - last.arrived_s)
+        if jump_s > JUMP_MAX_S:
+            return f"the time stamps on {self._topic} jumped by {jump_s:.3g} s: its clock was set"
         if self._stamps == "synchronised" and stamp_s > arrived_s + AHEAD_MAX_S:
             return (
                 f"the time stamps on {self._topic} are {stamp_s - arrived_s:.3g} s ahead of this "

@@ -80,7 +80,7 @@ class RosNode(Link):
             self._opened = opened.pop_all()
 
     def now_s(self) -> float:
-        """Return the time on the monotonic clock, or on the simulation's."""
+        """Return the time on the monotonic clock, or the time of the simulation."""
         if self._settings.use_sim_time:
             return float(self._node.get_clock().now().nanoseconds) / NS_PER_S
         return time.monotonic()

@@ -140,7 +140,7 @@ class Ros2Robot(Robot):
         link = self._moving()
         period_s = self._spec.sample_time_s
         now_s = link.now_s()
-        # A process that was held up by more than a sample goes on from where it is.
+        # A process that was held up by more than a sample keeps its new pace.
         due_s = now_s if self._due_s is None or now_s > self._due_s + period_s else self._due_s
         link.wait_until(due_s)
         self._moving()
