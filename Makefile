@@ -6,7 +6,8 @@
 # make docs        builds the documentation into site/
 # make test-busy   runs the tests RUNS times, beside processes that keep the machine busy
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
-PIP_INSTALL = .venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+# Most of the 20 000 modules that are installed are never imported; the others are compiled when they are.
+PIP_INSTALL = .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 # Many tests wait for processes; running two at a time takes little more than half the time.
 TEST_PROCESSES ?= 2
 # Tools that the tests need and pip does not install: a software renderer for pictures of recordings,
