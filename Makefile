@@ -61,7 +61,8 @@ lint: .venv/installed-test
 .venv/installed-demo: .venv/bin/python pyproject.toml constraints.txt
 	@echo "== installing nufleet and its dependencies, including torch (once; some minutes)"
 	$(PIP_INSTALL) -e '.[learning]'
-	@echo "== compiling the numerical code (once)"
+	@echo "== compiling the code (once)"
+	.venv/bin/python -m compileall -q orchestrator robot_agent shared sims
 	.venv/bin/python -c 'from nufleet.shared.gaussian_process.exact import warm_up; warm_up()'
 	@touch $@
 
