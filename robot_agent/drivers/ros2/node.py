@@ -98,12 +98,14 @@ class RosNode(Link):
                 raise RobotError("the simulation's clock stands still: nothing comes on /clock")
             time.sleep(0.0005)
 
-    def send(self, point: SetPoint) -> None:
-        """Publish a set-point now."""
+    def send(self, point: SetPoint) -> float:
+        """Publish a set-point now, and return when."""
         now_ns = self._node.get_clock().now().nanoseconds
         command, sample_time_s = self._settings.command, self._settings.sample_time_s
-        self._publisher.publish(message_of(point, command, now_ns, sample_time_s, _new))
-        self._sent_s = time.monotonic()
+        message = message_of(point, command, now_ns, sample_time_s, _new)
+        sent_s, self._sent_s = self.now_s(), time.monotonic()
+        self._publisher.publish(message)
+        return sent_s
 
     def keep_sending(self, resend: Callable[[], None] | None) -> None:
         """Call a function whenever one and a half samples pass without a set-point; None stops."""
