@@ -15,6 +15,9 @@ from typing import Any
 
 import pytest
 
+from nufleet.robot_agent.drivers.ros2 import robot
+from nufleet.robot_agent.motion import resampling
+
 ROOT = Path(__file__).parents[2]
 _numbers = count()
 
@@ -46,13 +49,24 @@ class Plant:
         ready.wait()
         assert self.said == ["ready"]
 
-    def close(self) -> None:
+    def close(self) -> list[str]:
+        """End the robot; return all that it said."""
+        if self._process.returncode is not None:
+            return self.said
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.close()
         self._process.wait()
         self._reader.join()
         self._process.stdout.close()
+        return self.said
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot's process that gets no processor for a while is no robot that is lost."""
+    for module in (robot, resampling):
+        monkeypatch.setattr(module, "LOST_MAX_S", 5.0)
 
 
 @pytest.fixture

@@ -54,14 +54,15 @@ class Arrivals:
         self,
         topic: str,
         components: Sequence[str],
-        stamps: Literal["own-clock", "synchronised", "arrival"],
+        stamps: Literal["own-clock", "synchronised", "arrival", "simulated"],
     ) -> None:
         """Begin without a measurement.
 
         Args:
             topic: Name of the topic, for messages.
             components: Components or joints that are needed.
-            stamps: What time stamps mean, as in `MeasurementTopic`.
+            stamps: What time stamps mean, as in `MeasurementTopic`; `simulated` ones are of the
+                clock that the driver follows, and may come before the clock's own message.
         """
         self._topic, self._components, self._stamps = topic, tuple(components), stamps
         self._changed = threading.Condition()
@@ -74,8 +75,8 @@ class Arrivals:
         """Take a measurement; repetitions and messages about other joints alone are passed over.
 
         Args:
-            stamp_s: Its time stamp, on the driver's clock if the clocks are synchronised; None if
-                it has none.
+            stamp_s: Its time stamp, on the driver's clock if it is synchronised or simulated; None
+                if it has none.
             arrived_s: When it arrived, on the driver's clock.
             values: Value of each component or joint.
         """

@@ -69,7 +69,7 @@ class RosNode(Link):
         self.arrivals = Arrivals(
             settings.full(settings.measurement.topic),
             settings.measured,
-            "synchronised" if settings.use_sim_time else settings.measurement.stamps,
+            "simulated" if settings.use_sim_time else settings.measurement.stamps,
         )
         with ExitStack() as opened:
             self._open(name, opened)
@@ -228,7 +228,8 @@ class RosNode(Link):
             resend is not None
             and time.monotonic() - self._sent_s > 1.5 * self._settings.sample_time_s
         ):
-            resend()
+            with suppress(RobotError):  # its motors were cut just now, as every other call says
+                resend()
 
     def _await_graph(self) -> None:
         """Wait until all topics and services are as they should be, and have been for a while."""
@@ -351,9 +352,14 @@ def _profile(qos: Qos) -> Any:
 def _endpoints(found: Sequence[Any]) -> list[Endpoint]:
     from rclpy.qos import ReliabilityPolicy
 
+    def name(one: Any) -> str:
+        # An endpoint may be found before the name of its node.
+        full = f"{one.node_namespace.rstrip('/')}/{one.node_name}"
+        return "a node whose name is unknown" if "_NODE_NAME_UNKNOWN_" in full else full
+
     return [
         Endpoint(
-            f"{one.node_namespace.rstrip('/')}/{one.node_name}",
+            name(one),
             one.topic_type,
             (
                 "best_effort"

@@ -24,6 +24,9 @@ CATCH_UP_MAX_S = 0.1
 """Delay of a sample that the next ones make up for, so that frequencies are exact; a process that
 was held up for longer keeps its pace, since the reference would jump."""
 
+CATCH_UP_SHARE = 0.25
+"""Shortest time between two samples that catch up, as a share of the sample time."""
+
 KILL_MAX_S = 0.8
 """Time in which the service that cuts the motors has to answer."""
 
@@ -147,7 +150,8 @@ class Ros2Robot(Robot):
         due_s = self._due_s
         if due_s is None or now_s > due_s + CATCH_UP_MAX_S:
             due_s = now_s
-        link.wait_until(due_s)
+        apart_s = self._sent_s[-1] + CATCH_UP_SHARE * period_s if self._sent_s else due_s
+        link.wait_until(max(due_s, apart_s))
         self._moving()
         output = self._places.output(self._here())
         self._sent_s.append(self._send(self._places.at(reference)))

@@ -32,6 +32,12 @@ def test_a_foreign_clock_is_read_through_the_messages_that_travelled_fastest(
     assert (found_s <= arrived_s + 1e-6).all()
 
 
+def test_simulated_stamps_may_come_before_the_clock_that_they_are_of() -> None:
+    kept = arrivals("simulated")
+    kept.take(7.1, 7.0, PLACE)
+    assert kept.since(7.0)[0].tolist() == [7.1]
+
+
 def test_few_messages_tell_an_offset_and_no_drift() -> None:
     found_s = on_receiving_clock(np.array([7.0, 7.01, 7.02]), np.array([1.005, 1.02, 1.023]))
     assert found_s == pytest.approx([1.003, 1.013, 1.023])
