@@ -19,6 +19,9 @@ KEPT = 100_000
 HISTORY_S = 60.0
 """Time before a motion whose messages help to compare the clocks."""
 
+SPACING_MIN = 0.4
+"""Shortest time between two measurements that are used, as a share of their usual one."""
+
 JUMP_MAX_S = 1.0
 """Time by which a stamp may lie further ahead of the last one than the arrivals are apart."""
 
@@ -133,6 +136,8 @@ class Arrivals:
     def since(self, begin_s: float) -> tuple[FloatArray, FloatArray]:
         """Return the measurements taken since a time, and the last one before it.
 
+        Of a burst that a publisher made up for a delay with, only the first is returned.
+
         Args:
             begin_s: The time, on the driver's clock.
 
@@ -147,8 +152,9 @@ class Arrivals:
         if self._stamps == "own-clock" and kept:
             stamp_s = on_receiving_clock(stamp_s, arrived_s)
         first = max(0, int(np.searchsorted(stamp_s, begin_s)) - 1)
-        values = [[one.values[name] for name in self._components] for one in kept[first:]]
-        return stamp_s[first:], np.array(values).reshape(-1, len(self._components))
+        apart = [first + i for i in spaced(stamp_s[first:])]
+        values = [[kept[i].values[name] for name in self._components] for i in apart]
+        return stamp_s[apart], np.array(values).reshape(-1, len(self._components))
 
     def _wrong(
         self,
@@ -189,6 +195,25 @@ class Arrivals:
                 'computer\'s clock: synchronise them with chrony, or state stamps = "own-clock"'
             )
         return None
+
+
+def spaced(times_s: FloatArray) -> list[int]:
+    """Return the indices of times that are not much closer than usual to the last one returned.
+
+    A curve through two noisy measurements at nearly the same time is steep, and far off beside
+    them.
+
+    Args:
+        times_s: Times, shape (measurements,), increasing.
+    """
+    if len(times_s) < 3:
+        return list(range(len(times_s)))
+    least_s = SPACING_MIN * float(np.median(np.diff(times_s)))
+    chosen = [0]
+    for i in range(1, len(times_s)):
+        if times_s[i] - times_s[chosen[-1]] >= least_s:
+            chosen.append(i)
+    return chosen
 
 
 def on_receiving_clock(stamp_s: FloatArray, arrived_s: FloatArray) -> FloatArray:

@@ -66,6 +66,13 @@ def test_a_motions_measurements_begin_with_the_last_one_before_it() -> None:
     assert arrivals().since(0.0)[1].shape == (0, 2)
 
 
+def test_of_a_burst_after_a_delay_the_first_measurement_counts() -> None:
+    kept = arrivals("arrival")
+    for at_s in (1.0, 1.01, 1.02, 1.06, 1.0601, 1.0602, 1.07):
+        kept.take(None, at_s, PLACE)
+    assert kept.since(1.0)[0] == pytest.approx([1.0, 1.01, 1.02, 1.06, 1.07])
+
+
 def test_a_repetition_is_passed_over() -> None:
     kept = arrivals()
     kept.take(7.0, 1.0, PLACE)

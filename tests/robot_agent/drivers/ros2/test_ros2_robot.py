@@ -76,7 +76,7 @@ def test_references_count_from_the_origin_at_exact_times() -> None:
 
 
 @pytest.mark.parametrize(
-    ("held_up_s", "then_s"), [(0.06, [0.06, 0.005, 0.005, 0.01]), (0.2, [0.2, 0.02, 0.02, 0.02])]
+    ("held_up_s", "then_s"), [(0.06, [0.06, 0.01, 0.01, 0.01]), (0.2, [0.2, 0.02, 0.02, 0.02])]
 )
 def test_a_process_that_was_held_up_catches_up_unless_the_reference_would_jump(
     held_up_s: float, then_s: list[float]
