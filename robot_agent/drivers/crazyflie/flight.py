@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -33,6 +34,12 @@ STILL_M_S = 0.08
 
 COS_TILT_MIN = 0.36
 """Cosine of the tilt, 69 degrees, beyond which a motion ends."""
+
+AGAIN_S = 0.5
+"""Time after which a command that shows no effect is given again."""
+
+STARTS_WITH_M = 0.05
+"""Change of height that shows that a climb or a landing has begun."""
 
 ARRIVES_WITHIN_M = 0.1
 """Distance from a commanded height within which the drone has arrived there."""
@@ -128,8 +135,7 @@ class Flight:
         self._arm()
         self.airborne = self._guarded = True
         height_m, takes_s = self._settings.origin_m[2], self._settings.takeoff_s
-        self._link.take_off(height_m, takes_s)
-        self._wait_until_at(height_m, takes_s, "did not reach its height")
+        self._climb_to(height_m, takes_s, lambda: self._link.take_off(height_m, takes_s))
         self.offset, self.velocity = self.offset_of(self.newest()), np.zeros(3)
 
     def land(self) -> None:
@@ -143,10 +149,8 @@ class Flight:
         takes_s = self._settings.landing_s
         with self._sending:
             self._setpoint_m = None
-            self._link.land(self._ground_m, takes_s)
-        self._wait_until_at(self._ground_m, takes_s, "did not reach the ground")
-        self._link.stop_motors()
-        self._link.arm(armed=False)
+        self._climb_to(self._ground_m, takes_s, lambda: self._link.land(self._ground_m, takes_s))
+        self._disarm()
         self.airborne = False
 
     def send(self, offset: FloatArray, velocity: FloatArray) -> float:
@@ -277,35 +281,75 @@ class Flight:
             )
         self._ground_m = float(stands_m[2])
 
-    def _arm(self) -> None:
-        def says(*bits: Supervisor) -> bool:
-            status = self._telemetry.status
-            return status is not None and all(status.supervisor & bit for bit in bits)
+    def _says(self, bits: Supervisor) -> bool:
+        status = self._telemetry.status
+        return status is not None and status.supervisor & bits == bits
 
-        if not says(Supervisor.ARMS_ITSELF):
-            self._link.arm(armed=True)
-        ready = (Supervisor.ARMED, Supervisor.CAN_FLY)
-        if not self._telemetry.wait_for(lambda: says(*ready), ARMING_MAX_S):
+    def _arm(self) -> None:
+        def arm() -> None:
+            if not self._says(Supervisor.ARMS_ITSELF):
+                self._link.arm(armed=True)
+
+        ready = Supervisor.ARMED | Supervisor.CAN_FLY
+        if not self._insist(arm, lambda: self._says(ready), ARMING_MAX_S, AGAIN_S):
             status = self._telemetry.status
             info = "nothing" if status is None else f"{Supervisor(status.supervisor)!r}"
             raise RobotError(f"{self._name} does not arm: its supervisor says {info}")
 
-    def _wait_until_at(self, height_m: float, takes_s: float, failure: str) -> None:
-        telemetry, due_s = self._telemetry, time.monotonic() + takes_s
+    def _disarm(self) -> None:
+        def disarm() -> None:
+            self._link.stop_motors()
+            self._link.arm(armed=False)
+
+        def off() -> bool:
+            return not self._says(Supervisor.ARMED) or self._says(Supervisor.ARMS_ITSELF)
+
+        if not self._insist(disarm, off, ARMING_MAX_S, AGAIN_S):
+            raise RobotError(f"{self._name} has landed and does not disarm: keep away from it")
+
+    def _climb_to(self, height_m: float, takes_s: float, command: Callable[[], None]) -> None:
+        telemetry = self._telemetry
+        from_m = self.newest().position_m[2]
+
+        def height() -> float:
+            newest = telemetry.newest
+            return float("nan") if newest is None else float(newest.position_m[2])
+
+        def moved() -> bool:
+            return self.down is not None or abs(height() - from_m) > STARTS_WITH_M
 
         def there() -> bool:
-            newest = telemetry.newest
-            at = newest is not None and abs(newest.position_m[2] - height_m) < ARRIVES_WITHIN_M
-            return self.down is not None or (at and time.monotonic() >= due_s)
+            return self.down is not None or abs(height() - height_m) < ARRIVES_WITHIN_M
 
-        arrived = telemetry.wait_for(there, takes_s + PATIENCE_S)
+        far = abs(height_m - from_m) > ARRIVES_WITHIN_M
+        again_s = max(AGAIN_S, 0.6 * takes_s)
+        began_s = time.monotonic()
+        arrived = self._insist(command, moved if far else there, takes_s + PATIENCE_S, again_s)
+        arrived = arrived and telemetry.wait_for(there, takes_s + PATIENCE_S)
+        # It is there when it is near, and the firmware has finished with it.
+        time.sleep(max(0.0, began_s + takes_s - time.monotonic()) if arrived else 0.0)
         self.raise_if_down()
         if not arrived:
-            at_m = self.newest().position_m[2]
             raise RobotError(
-                f"{self._name} {failure}, {height_m:.2f} m, but is {at_m:.2f} m high after "
-                f"{takes_s + PATIENCE_S:.0f} s"
+                telemetry.fault
+                or f"{self._name} does not reach a height of {height_m:.2f} m, but is at "
+                f"{height():.2f} m"
             )
+
+    def _insist(
+        self,
+        command: Callable[[], None],
+        condition: Callable[[], bool],
+        timeout_s: float,
+        again_s: float,
+    ) -> bool:
+        """Give a command, again and again since it may get lost; return whether it is obeyed."""
+        deadline_s = time.monotonic() + timeout_s
+        while (left_s := deadline_s - time.monotonic()) > 0 and self._telemetry.fault is None:
+            command()
+            if self._telemetry.wait_for(condition, min(again_s, left_s)):
+                return True
+        return False
 
     def _unmeasured(self) -> str:
         return self._telemetry.fault or (
