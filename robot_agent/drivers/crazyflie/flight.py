@@ -19,6 +19,9 @@ UNMEASURED_MAX_S = 0.3
 """Time without a measurement after which a motion ends. The firmware levels out when it hears
 nothing for 0.5 s, and stops the motors after 2 s."""
 
+GRACE_S = 0.1
+"""Time in which a measurement that is already on this machine is taken up."""
+
 HOLD_INTERVAL_S = 0.1
 """Time without a set-point after which the last one is sent again."""
 
@@ -106,10 +109,16 @@ class Flight:
         Raises:
             RobotError: There is none that is new enough.
         """
+
+        def fresh() -> bool:
+            newest = self._telemetry.newest
+            return newest is not None and time.monotonic() - newest.arrived_s < UNMEASURED_MAX_S
+
+        # After a freeze of this process, the thread that receives them may not have run yet.
         newest = self._telemetry.newest
-        if newest is None or time.monotonic() - newest.arrived_s > UNMEASURED_MAX_S:
+        if newest is None or not (fresh() or self._telemetry.wait_for(fresh, GRACE_S)):
             raise RobotError(self._unmeasured())
-        return newest
+        return self._telemetry.newest or newest
 
     def next(self) -> Measurement:
         """Wait for the next measurement and return it.
@@ -123,6 +132,21 @@ class Flight:
         if not telemetry.wait_for(lambda: telemetry.newest is not before, UNMEASURED_MAX_S):
             raise RobotError(self._unmeasured())
         return self.newest()
+
+    def reset_estimator(self, timeout_s: float) -> bool:
+        """Have it find out on the ground where it is; return whether it has in time."""
+        settings, telemetry, link = self._settings, self._telemetry, self._link
+        if settings.estimator not in ("kalman", "ukf"):
+            return True
+        if settings.start is not None:
+            names = ("kalman.initialX", "kalman.initialY", "kalman.initialZ")
+            for name, value in zip(names, settings.start.position_m, strict=True):
+                link.set_parameter(name, value)
+            link.set_parameter("kalman.initialYaw", settings.start.yaw_rad)
+        link.set_parameter("kalman.resetEstimation", 1)
+        link.set_parameter("kalman.resetEstimation", 0)
+        telemetry.forget_variances()
+        return telemetry.wait_for(lambda: telemetry.steady, timeout_s)
 
     def take_off(self) -> None:
         """Find out where it is, arm, and climb to the height of its origin.
@@ -253,23 +277,14 @@ class Flight:
                     self._link.feed_watchdog()
 
     def _find_position(self) -> None:
-        settings, telemetry, link = self._settings, self._telemetry, self._link
-        if settings.estimator in ("kalman", "ukf"):
-            if settings.start is not None:
-                names = ("kalman.initialX", "kalman.initialY", "kalman.initialZ")
-                for name, value in zip(names, settings.start.position_m, strict=True):
-                    link.set_parameter(name, value)
-                link.set_parameter("kalman.initialYaw", settings.start.yaw_rad)
-            link.set_parameter("kalman.resetEstimation", 1)
-            link.set_parameter("kalman.resetEstimation", 0)
-            telemetry.forget_variances()
-            if not telemetry.wait_for(lambda: telemetry.steady, PATIENCE_S):
-                raise RobotError(
-                    telemetry.fault
-                    or f"{self._name} does not find out where it is: the variance of its position "
-                    f"has not settled within {PATIENCE_S:g} s. Does it see its base stations, or "
-                    "the motion capture system it?"
-                )
+        settings, telemetry = self._settings, self._telemetry
+        if not self.reset_estimator(PATIENCE_S):
+            raise RobotError(
+                telemetry.fault
+                or f"{self._name} does not find out where it is: the variance of its position has "
+                f"not settled within {PATIENCE_S:g} s. Does it see its base stations, or the "
+                "motion capture system it?"
+            )
         stands_m = self.next().position_m
         away_m = float(np.hypot(*(stands_m - self.origin_m)[:2]))
         if away_m > settings.start_within_m:
@@ -294,7 +309,9 @@ class Flight:
         if not self._insist(arm, lambda: self._says(ready), ARMING_MAX_S, AGAIN_S):
             status = self._telemetry.status
             info = "nothing" if status is None else f"{Supervisor(status.supervisor)!r}"
-            raise RobotError(f"{self._name} does not arm: its supervisor says {info}")
+            raise RobotError(
+                self._telemetry.fault or f"{self._name} does not arm: its supervisor says {info}"
+            )
 
     def _disarm(self) -> None:
         def disarm() -> None:

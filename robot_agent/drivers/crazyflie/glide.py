@@ -8,7 +8,7 @@ import numpy as np
 
 from nufleet.shared.arrays import FloatArray
 
-SHORTEST_S = 0.5
+SHORTEST_S = 0.1
 
 
 def glide(

@@ -217,6 +217,8 @@ class Link:
 
         if not crtp.CLASSES:
             crtp.init_drivers()
+            # It warns twice per connection that it keeps no tables of contents.
+            logging.getLogger("cflib.crazyflie.toccache").setLevel(logging.ERROR)
         self._connected, self.lost = False, None
         self._heard_s = time.monotonic()
         self._cf = cf = Crazyflie()

@@ -19,13 +19,16 @@ from nufleet.shared.errors import RobotError
 from nufleet.shared.robots.health import Health
 from nufleet.shared.robots.spec import RobotSpec
 
+FIRST_TAKEN = 10
+"""Number of measurements that show whether they can be those of one drone."""
+
 STATE_NAMES = ("position", "velocity", "tilt")
 
 LATE_MAX_S = 0.25
 """Longest delay that the following samples make up for."""
 
 FIRST_MAX_S = 3.0
-"""Time in which the first measurements arrive."""
+"""Time in which the first measurements arrive, and the position should be known."""
 
 
 class Crazyflie(Robot):
@@ -74,7 +77,9 @@ class Crazyflie(Robot):
             if self._sighting is not None:
                 self._sighting.begin(link.send_position, link.send_pose)
             self._wait_for_first()
-            self._flight = Flight(self._name, self._settings, link, telemetry)
+            self._flight = flight = Flight(self._name, self._settings, link, telemetry)
+            # Whether it knows is in its health; it may be carried to where it does.
+            flight.reset_estimator(FIRST_MAX_S)
         except BaseException:
             self.disconnect()
             raise
@@ -189,7 +194,7 @@ class Crazyflie(Robot):
     def _wait_for_first(self) -> None:
         telemetry = self._telemetry
         if not telemetry.wait_for(
-            lambda: telemetry.newest is not None and telemetry.status is not None, FIRST_MAX_S
+            lambda: telemetry.taken >= FIRST_TAKEN and telemetry.status is not None, FIRST_MAX_S
         ):
             raise RobotError(telemetry.fault or f"{self._name} answers, but logs nothing")
 

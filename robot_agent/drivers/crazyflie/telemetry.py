@@ -90,6 +90,8 @@ class Telemetry:
         self._variances: deque[float] = deque(maxlen=STEADY_STATUSES)
         self.newest: Measurement | None = None
         """The newest measurement."""
+        self.taken = 0
+        """Number of measurements."""
         self.status: Status | None = None
         """The newest status."""
 
@@ -106,6 +108,7 @@ class Telemetry:
             if device_s is not None and np.isfinite(row).all():
                 taken = _measurement(device_s, arrived_s, row)
                 self._measured.append(taken)
+                self.taken += 1
                 if self.newest is None or device_s > self.newest.device_s:
                     self.newest = taken
                 if not self._recording:
