@@ -66,6 +66,8 @@ class Found:
     omega_rad_s: float
     error: float
     """|ẑ − z|."""
+    z: tuple[float, float]
+    truth: tuple[float, float]
     radius: float
     """Radius of the disc that holds z with 95 % by the test's variance."""
     radius_with_delay: float
@@ -148,6 +150,8 @@ def test(bench: Bench, seed: int) -> Iterator[Found]:
         yield Found(
             omega_rad_s=float(omega),
             error=float(abs(z - truth)),
+            z=(float(z.real), float(z.imag)),
+            truth=(truth.real, truth.imag),
             radius=float(radius),
             radius_with_delay=float(np.hypot(radius, delayed)),
             period_ms=1e3 * timing.period_s,

@@ -117,23 +117,23 @@ class Firmware:
         self._climb: Climb | None = None
         self._tables = {LOG: Table(LOGGED, LOG_CODES), PARAM: Table(PARAMETERS, PARAMETER_CODES)}
 
-    def advance(self, now_s: float) -> list[bytes]:
-        """Fly until a time; return the packets that are due by then, in order."""
-        packets: list[bytes] = []
+    def advance(self, now_s: float) -> list[tuple[float, bytes]]:
+        """Fly until a time; return the packets that it has sent by then, with their times."""
+        packets: list[tuple[float, bytes]] = []
         while self._tick_s + TICK_S <= now_s:
             self._tick_s += TICK_S
             self._fly_until(self._tick_s)
             self._supervise()
-            packets += self._logged()
+            packets += ((self._tick_s, packet) for packet in self._logged())
         self._fly_until(now_s)
         return packets
 
-    def take(self, packet: bytes, now_s: float) -> list[bytes]:
-        """Take a packet that arrives now; return the answers, after what was due before."""
+    def take(self, packet: bytes, now_s: float) -> list[tuple[float, bytes]]:
+        """Take a packet that arrives now; return the answer, after what was sent before."""
         before = self.advance(now_s)
         port, channel, data = packet[0] >> 4, packet[0] & 3, packet[1:]
         answer = self._answer(port, channel, data) if data else None
-        return before if answer is None else [*before, packet[:1] + answer]
+        return before if answer is None else [*before, (now_s, packet[:1] + answer)]
 
     @property
     def info(self) -> int:

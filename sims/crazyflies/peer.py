@@ -20,6 +20,9 @@ from nufleet.sims.crazyflies.firmware import TICK_S, Firmware
 ARRIVAL = 35
 """Linux's SO_TIMESTAMPNS: the kernel dates datagrams as they arrive."""
 
+READ_AT_ONCE_S = 20e-6
+"""Longest time between two readings of clocks that count as taken at once."""
+
 
 class Air(Strict):
     """What the link does to packets."""
@@ -98,7 +101,7 @@ class Peer:
             self._deliver()
 
     def _receive(self) -> None:
-        offset_s = time.monotonic() - time.time()
+        offset_s = _clock_offset_s()
         while True:
             try:
                 packet, ancillary, _, self._client = self._socket.recvmsg(64, 64)
@@ -115,12 +118,11 @@ class Peer:
                 self._reached_s[port] = max(self._reached_s[port], at_s + delay_s)
                 heapq.heappush(self._up, (self._reached_s[port], next(self._count), packet))
 
-    def _send(self, packets: list[bytes]) -> None:
-        now_s = time.monotonic()
-        for packet in packets:
+    def _send(self, packets: list[tuple[float, bytes]]) -> None:
+        for sent_s, packet in packets:
             delay_s = self.air.jitter_s * self._rng.exponential()
-            if not self._is_lost(now_s):
-                heapq.heappush(self._down, (now_s + delay_s, next(self._count), packet))
+            if not self._is_lost(sent_s):
+                heapq.heappush(self._down, (sent_s + delay_s, next(self._count), packet))
 
     def _deliver(self) -> None:
         now_s = time.monotonic()
@@ -134,3 +136,13 @@ class Peer:
 
     def _is_lost(self, now_s: float) -> bool:
         return now_s < self._silent_until_s or self._rng.random() < self.air.loss
+
+
+def _clock_offset_s() -> float:
+    """Return what the monotonic clock shows more than the wall clock, read between two ticks."""
+    while True:
+        before_s = time.monotonic()
+        wall_s = time.time()
+        after_s = time.monotonic()
+        if after_s - before_s < READ_AT_ONCE_S:
+            return (before_s + after_s) / 2 - wall_s

@@ -14,6 +14,11 @@ STAMP_MS = 1 << 24
 DISORDER_MAX_S = 1.0
 """How far the stamp of a measurement may lie before the newest one, or ahead of this machine."""
 
+ODD_MAX = 5
+"""Measurements in a row of `ODD_OF` that may lie further off before the stamps count as those of
+more than one clock. Single ones are dropped: a machine that was frozen lets some pass very late."""
+ODD_OF = 20
+
 KEPT_S = 120
 """How long the least delayed measurement of each second is kept."""
 
@@ -33,6 +38,7 @@ class DeviceClock:
     def __init__(self) -> None:
         self._newest_ms: int | None = None
         self._least: deque[tuple[float, float]] = deque(maxlen=KEPT_S)
+        self._odd: deque[bool] = deque(maxlen=ODD_OF)
         self.fault: str | None = None
         """Why the stamps cannot be those of one clock; None while they can."""
 
@@ -44,8 +50,8 @@ class DeviceClock:
             arrived_s: When it arrived, on the clock of this machine.
 
         Returns:
-            The device's time in s, which no longer begins again; None if it cannot be told, with
-            the reason in `fault`.
+            The device's time in s, which no longer begins again; None if it cannot be told. Where
+            that happens often, `fault` says why.
         """
         if self._newest_ms is None:
             self._newest_ms = stamp_ms
@@ -53,17 +59,21 @@ class DeviceClock:
         device_s = 1e-3 * (self._newest_ms + step_ms)
         delay_s = arrived_s - device_s
         least_s = min((one for _, one in self._least), default=delay_s)
+        odd = None
         if -1e-3 * step_ms > DISORDER_MAX_S:
-            self.fault = (
+            odd = (
                 f"the time stamps go back by {-1e-3 * step_ms:.2f} s: it was restarted, or two "
                 "drones have its address"
             )
-            return None
-        if least_s - delay_s > DISORDER_MAX_S:
-            self.fault = (
+        elif least_s - delay_s > DISORDER_MAX_S:
+            odd = (
                 f"the time stamps jump ahead by {least_s - delay_s:.2f} s: two drones may have its "
                 "address"
             )
+        self._odd.append(odd is not None)
+        if odd is not None:
+            if sum(self._odd) > ODD_MAX:
+                self.fault = odd
             return None
         self._newest_ms += max(0, step_ms)
         if self._least and int(device_s) == int(self._least[-1][0]):

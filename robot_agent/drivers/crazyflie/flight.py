@@ -41,6 +41,9 @@ COS_TILT_MIN = 0.36
 AGAIN_S = 0.5
 """Time after which a command that shows no effect is given again."""
 
+BLIND_S = 1.0
+"""Time that a drone which is not measured has in addition to land."""
+
 STARTS_WITH_M = 0.05
 """Change of height that shows that a climb or a landing has begun."""
 
@@ -166,13 +169,15 @@ class Flight:
         """Land where it is, and disarm.
 
         Raises:
-            RobotError: It does not reach the ground.
+            RobotError: It does not reach the ground, or cannot be measured on its way.
             RobotDownError: It obeys no more.
         """
         self.raise_if_down()
         takes_s = self._settings.landing_s
         with self._sending:
             self._setpoint_m = None
+        if self._telemetry.fault is not None:
+            self._land_blind(takes_s)
         self._climb_to(self._ground_m, takes_s, lambda: self._link.land(self._ground_m, takes_s))
         self._disarm()
         self.airborne = False
@@ -219,7 +224,8 @@ class Flight:
             away_m = self.offset_of(self.newest())
             where = ", ".join(f"{AXES[k]} at {away_m[k]:.3g} m" for k in self._columns)
             raise RobotError(
-                f"{self._name} does not come to rest within {settings.rest_within_m:g} m of "
+                telemetry.fault
+                or f"{self._name} does not come to rest within {settings.rest_within_m:g} m of "
                 f"reference 0 (rest_within_m): {where}"
             )
 
@@ -295,6 +301,16 @@ class Flight:
                 "correct origin_m"
             )
         self._ground_m = float(stands_m[2])
+
+    def _land_blind(self, takes_s: float) -> None:
+        """Land a drone that is not measured any more, by the clock alone; it ends as an error."""
+        ends_s = time.monotonic() + takes_s + BLIND_S
+        self._link.land(self._ground_m, takes_s)
+        time.sleep(max(0.0, ends_s - time.monotonic()))
+        self._link.stop_motors()
+        self._link.arm(armed=False)
+        self.airborne = False
+        raise RobotError(f"{self._name} was landed unseen: {self._telemetry.fault}")
 
     def _says(self, bits: Supervisor) -> bool:
         status = self._telemetry.status

@@ -64,7 +64,7 @@ class Crazyflie(Robot):
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Names of the states on each axis; the tilt is that of the thrust towards the axis."""
+        """Names of the states on each axis; the tilt is the thrust's, towards the axis."""
         return STATE_NAMES
 
     def connect(self) -> None:

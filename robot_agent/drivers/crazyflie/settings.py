@@ -49,7 +49,7 @@ class StartPose(Strict):
 
 
 class Battery(Strict):
-    """What voltages mean. The defaults are those of the Crazyflie's single lithium cell."""
+    """What voltages mean. The defaults suit the Crazyflie's single lithium cell."""
 
     full_v: Positive = 4.1
     """Voltage of a full battery, in flight."""

@@ -54,13 +54,15 @@ def test_packets_that_overtake_each_other_are_dated_all_the_same() -> None:
 
 @pytest.mark.parametrize(
     ("jump_ms", "says"),
-    [(-5000, "go back by 4.99 s"), (5000, "jump ahead by"), (-2_000_000, "go back")],
+    [(-5000, "go back by 4.94 s"), (5000, "jump ahead by"), (-2_000_000, "go back")],
 )
 def test_a_clock_that_jumps_is_no_clock(jump_ms: int, says: str) -> None:
     clock = DeviceClock()
     for k in range(10):
         assert clock.take(5_000_000 + 10 * k, 0.01 * k) is not None
-    assert clock.take((5_000_100 + jump_ms) % STAMP_MS, 0.1) is None
+    for k in range(6):  # a few may be packets that were held up
+        assert clock.fault is None
+        assert clock.take((5_000_100 + jump_ms + 10 * k) % STAMP_MS, 0.1 + 0.01 * k) is None
     assert clock.fault is not None
     assert says in clock.fault
 
