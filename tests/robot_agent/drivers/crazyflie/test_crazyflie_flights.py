@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
@@ -9,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from crazyflie_bench import LOOP, Bench, bench
 from polling import wait_until
 
@@ -21,6 +25,7 @@ from nufleet.robot_agent.drivers.crazyflie.settings import (
     MotionCaptureSettings,
 )
 from nufleet.robot_agent.motion.resampling import outputs_at_samples
+from nufleet.shared.command_line import command_line
 from nufleet.shared.errors import OutsideLimitsError, RobotDownError, RobotError
 from nufleet.sims.crazyflies.peer import Air
 
@@ -290,3 +295,27 @@ def test_a_connection_that_loses_packets_is_made_all_the_same() -> None:
     with bench(air=Air(loss=0.04)) as lab:
         lab.robot.connect()
         assert lab.robot.health().battery is not None
+
+
+PLAY = "python -m nufleet.sims.crazyflies --port 19850"
+CHECK = """nufleet robot check crazyflie --settings 'uri = "udp://127.0.0.1:19850"' --still"""
+
+
+def test_the_commands_of_the_page_check_a_simulated_drone() -> None:
+    words = shlex.split(PLAY.replace("19850", "0"))
+    with subprocess.Popen(
+        [sys.executable, *words[1:]], stderr=subprocess.PIPE, text=True
+    ) as played:
+        assert played.stderr is not None
+        uri = played.stderr.readline().split()[-1]
+        try:
+            words = shlex.split(CHECK.replace("udp://127.0.0.1:19850", uri))
+            checked = CliRunner().invoke(command_line(), words[1:])
+        finally:
+            played.terminate()
+            played.communicate()
+    assert checked.exit_code == 0, checked.output
+    assert (
+        "ok   It connects, and a robot that was connected before connects again." in checked.output
+    )
+    assert "not checked, since the robot is not to be moved" in checked.output
