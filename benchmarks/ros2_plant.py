@@ -81,39 +81,6 @@ class Loop:
         self._v = decay * (self._v * c - (sigma * b + turned * e) * s)
 
 
-def response(settings: PlantSettings, omega: np.ndarray, period_s: float) -> np.ndarray:
-    """Return the mean response from references to outputs, sampled when references are sent.
-
-    Set-points travel for an evenly distributed time of less than a sample; one that is lost leaves
-    the one before in force.
-
-    Args:
-        settings: The robot.
-        omega: Frequencies in rad/s, shape (tones,).
-        period_s: Sample time.
-    """
-    w, zeta = settings.omega_0_rad_s, settings.damping
-    sigma, turned = zeta * w, w * math.sqrt(1 - zeta**2)
-    n = np.arange(math.ceil(20 / sigma / period_s) + 1)
-
-    def step(t: np.ndarray) -> np.ndarray:
-        late = np.maximum(t, 0)
-        value = 1 - np.exp(-sigma * late) * (
-            np.cos(turned * late) + sigma / turned * np.sin(turned * late)
-        )
-        return np.where(t > 0, value, 0.0)
-
-    nodes, weights = np.polynomial.legendre.leggauss(12)
-    gains = np.zeros(len(n))
-    for late_s, weight in zip(settings.jitter_s * (1 + nodes), weights / 2, strict=True):
-        since_s = n * period_s - settings.delay_s - late_s
-        gains += weight * (step(since_s) - step(since_s - period_s))
-    held = np.exp(-1j * np.outer(omega, n) * period_s) @ gains
-    p = settings.loss
-    held *= (1 - p) / (1 - p * np.exp(-1j * omega * period_s))
-    return held
-
-
 class Plant:
     """The node. A heap holds what is on its way, so that one thread does everything."""
 
