@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -23,7 +24,7 @@ SPACING_MIN = 0.4
 """Shortest time between two measurements that are used, as a share of their usual one."""
 
 JUMP_MAX_S = 1.0
-"""Time by which a stamp may lie further ahead of the last one than the arrivals are apart."""
+"""Time by which a message may be faster than the fastest one before it."""
 
 AHEAD_MAX_S = 0.02
 """Time by which a synchronised stamp may lie ahead of its arrival."""
@@ -72,6 +73,7 @@ class Arrivals:
         self._kept: deque[Arrived] = deque(maxlen=KEPT)
         self._count = 0
         self._problem: str | None = None
+        self._least_delay_s = math.inf
         self._others: frozenset[str] = frozenset()
 
     def take(self, stamp_s: float | None, arrived_s: float, values: Mapping[str, float]) -> None:
@@ -184,10 +186,10 @@ class Arrivals:
                 f"the time stamps on {self._topic} went back by {last.stamp_s - stamp_s:.3g} s: "
                 "its clock was set, or two programs publish there"
             )
-        jump_s = 0.0
-        if last is not None:
-            jump_s = stamp_s - last.stamp_s - (arrived_s - last.arrived_s)
-        if jump_s > JUMP_MAX_S:
+        # A message that waited arrives late, and none arrives early.
+        jump_s = self._least_delay_s - (arrived_s - stamp_s)
+        self._least_delay_s = min(self._least_delay_s, arrived_s - stamp_s)
+        if JUMP_MAX_S < jump_s < math.inf:
             return f"the time stamps on {self._topic} jumped by {jump_s:.3g} s: its clock was set"
         if self._stamps == "synchronised" and stamp_s > arrived_s + AHEAD_MAX_S:
             return (

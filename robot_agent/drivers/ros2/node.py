@@ -37,6 +37,12 @@ SETTLED_S = 1.0
 FIRST_WITHIN_S = 3.0
 """Time in which the first measurement has to come."""
 
+SPIN_S = 0.1
+"""Longest time for which the node's thread waits for a message before it looks whether to end."""
+
+QUEUED_MAX_S = 10.0
+"""Longest time for which a message that the middleware has received waits for the node's thread."""
+
 STANDSTILL_MAX_S = 2.0
 """Longest time for which the clock of a simulation may stand still."""
 
@@ -142,7 +148,7 @@ class RosNode(Link):
         with _ros():
             import rclpy
             from rclpy.context import Context
-            from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+            from rclpy.executors import SingleThreadedExecutor
             from rclpy.node import Node
             from rclpy.parameter import Parameter
             from rclpy.signals import SignalHandlerOptions
@@ -190,14 +196,17 @@ class RosNode(Link):
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
 
-        def spin() -> None:
-            with suppress(ExternalShutdownException):
-                executor.spin()
+        closing = threading.Event()
 
+        def spin() -> None:  # the executor is shut down only after its last turn
+            while not closing.is_set():
+                executor.spin_once(timeout_sec=SPIN_S)
+
+        opened.callback(executor.shutdown)
         thread = threading.Thread(target=spin, name=f"{name}-ros2", daemon=True)
         thread.start()
         opened.callback(thread.join)
-        opened.callback(executor.shutdown)
+        opened.callback(closing.set)
 
     def _received(self, message: Any, info: Any) -> None:
         """Take a measurement, on the node's thread."""
@@ -210,7 +219,7 @@ class RosNode(Link):
         now_s, now_ns = time.monotonic(), time.time_ns()
         # The middleware has received it a little earlier; some of them do not say when.
         waited_s = (now_ns - info["received_timestamp"]) / NS_PER_S
-        arrived_s = now_s - waited_s if 0 <= waited_s < 1 else now_s
+        arrived_s = now_s - waited_s if 0 <= waited_s < QUEUED_MAX_S else now_s
         stamp_s = said.stamp_s
         if stamp_s is not None and self._settings.measurement.stamps == "synchronised":
             stamp_s += now_s - now_ns / NS_PER_S
