@@ -25,7 +25,7 @@ from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.interface import Question, Report, Responses, StudyPlan
 from nufleet.orchestrator.study.looks import Looks
 from nufleet.orchestrator.study.next_tests import NextTests, narrowing, settling
-from nufleet.orchestrator.study.ranking import INTERVAL, curves_of, ranking_of, sampled_psi
+from nufleet.orchestrator.study.ranking import curves_of, ranking_of, sampled_psi
 from nufleet.orchestrator.study.selection_belief import SelectionBelief
 from nufleet.orchestrator.study.tone_choice import ToneChoice
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum
@@ -260,7 +260,7 @@ class AdaptiveStudy:
             why = f"the lower end of the band was not tested on {', '.join(contenders)}"
             return _Verdict(confidence, why=f"{why}; P(correct selection) = {confidence:.3f}")
         claim = self._claim(belief, leader, confidence)
-        low, _, high = np.quantile(belief.psi_star[belief.sources.index(leader)], INTERVAL)
+        low, _, high = belief.interval(leader)
         wanted = self._plan.precision
         if wanted is None or high - low <= wanted:
             return _Verdict(confidence, why=claim)
