@@ -146,7 +146,13 @@ class ResponseModel:
     ) -> ComplexArray:
         """Draw samples of what the measurements say, without the error that all of them share.
 
-        Args and result are those of `draw`.
+        Args:
+            omega_rad_s: Frequencies in rad/s, shape (frequencies,).
+            count: Number of samples.
+            rng: Generator that draws them.
+
+        Returns:
+            Samples of z, in random order, shape (count, frequencies).
         """
         chosen = np.sort(rng.choice(len(self._weights), size=count, p=self._weights))
         # A weight's flat index is index × per_component + 1 + mode, with mode −1 for no other mode.
