@@ -247,6 +247,7 @@ def track(
         rich_flight_s=rich_flight_s,
         live=live,
         rehearses=rehearses,
+        yes=True,
         runs_root=Path(runs_root),
         repository=repository,
     )

@@ -11,6 +11,7 @@ from nufleet.orchestrator.cli.options import (
     connect_options,
     fleet_option,
     live_option,
+    moving_options,
     realtime_option,
     recording_option,
     refuse_in_vain,
@@ -19,7 +20,6 @@ from nufleet.orchestrator.cli.options import (
     storage_options,
     typed_options,
     wait_option,
-    yes_option,
 )
 from nufleet.orchestrator.cli.types import DrawingName, Names, Number, PositiveNumber, RobotName
 
@@ -108,13 +108,7 @@ from nufleet.orchestrator.cli.types import DrawingName, Names, Number, PositiveN
     help="With --trajectory: largest speed on it.  [default: what the target's axis allows]",
 )
 @realtime_option
-@click.option(
-    "--plan",
-    "plans",
-    is_flag=True,
-    help="Print what each robot would do first (how long, how far, how fast), and move none.",
-)
-@yes_option
+@moving_options
 @rehearsal_option
 @live_option
 @recording_option
@@ -145,8 +139,6 @@ def rank(resume: str | None, **options: Any) -> None:
         return
     if options["fleet_file"] is None:
         refuse_in_vain("without --fleet", "realtime")
-    if options["plans"]:
-        refuse_in_vain("with --plan, which moves no robot", "live", "draws", "rehearses", "yes")
     from nufleet.orchestrator.jobs.rank import RankCommand, rank_and_print
 
     rank_and_print(RankCommand(**options))
