@@ -58,6 +58,8 @@ FORECAST_LOOK_S = 0.3
 TELEMETRY_MAX_BYTES = 4 * 2**20
 """Largest batch: the samples that an unpaced simulated robot plays in a tenth of a second."""
 
+_A = {"robot": "a robot", "operator": "an operator", "watcher": "a watcher"}
+
 _log = logging.getLogger(__name__)
 R = TypeVar("R", bound=Message)
 
@@ -110,7 +112,7 @@ class Fleet:
         if identity is not None and identity.role != "orchestrator":
             raise InvalidInputError(
                 f"{identity.principal} may not ask robots of fleet {identity.fleet} to move, nor "
-                f"change what they fly with, because it is a {identity.role} in the inventory: "
+                f"change what they fly with, because it is {_A[identity.role]} in the inventory: "
                 "choose the identity of an orchestrator with --identity"
             )
 
