@@ -125,8 +125,9 @@ def assert_keeps_contract(robot: Robot | str, **settings: Any) -> None:
     if isinstance(robot, str):
         driver = load_driver(robot)
         built = {robot: driver.settings(**settings)}
-        robot = driver.build(built, np.random.default_rng(0))[robot]
-    report = check_robot(robot)
+        report = check_robot(driver.build(built, np.random.default_rng(0))[robot], name=robot)
+    else:
+        report = check_robot(robot)
     assert not report.failed, f"the driver breaks its contract:\n{report}"  # noqa: S101
 
 
