@@ -21,7 +21,14 @@ from nufleet.orchestrator.cli.options import (
     typed_options,
     wait_option,
 )
-from nufleet.orchestrator.cli.types import DrawingName, Names, Number, PositiveNumber, RobotName
+from nufleet.orchestrator.cli.types import (
+    AlgorithmName,
+    DrawingName,
+    Names,
+    Number,
+    PositiveNumber,
+    RobotName,
+)
 
 
 @click.command()
@@ -74,12 +81,14 @@ from nufleet.orchestrator.cli.types import DrawingName, Names, Number, PositiveN
 @seed_option("Seed of the random choices, such as the first test.")
 @click.option(
     "--algorithm",
-    type=click.Choice(["adaptive", "paper"]),
+    type=AlgorithmName(),
+    metavar="NAME",
     default="adaptive",
     show_default=True,
     help=(
         "`adaptive` plays many tones per test and stops when the choice is sure; `paper` is the "
-        "paper's Algorithm 1, with one tone per test and --iterations tests."
+        "paper's Algorithm 1, with one tone per test and --iterations tests. Packages may install "
+        "others."
     ),
 )
 @click.option(

@@ -159,6 +159,30 @@ class NewPicture(click.ParamType[Path]):
         return path
 
 
+class AlgorithmName(click.ParamType[str]):
+    """An algorithm that selects tests: one of our own, or one that a package installs."""
+
+    name = "algorithm"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> str:
+        """Return the name; an unknown one raises click's usage error."""
+        from nufleet.orchestrator.study.algorithms import algorithm_names
+
+        if value not in algorithm_names():
+            self.fail(f"{value} is none of {', '.join(algorithm_names())}", param, ctx)
+        return str(value)
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Return the algorithms."""
+        from nufleet.orchestrator.study.algorithms import algorithm_names
+
+        return _beginning(incomplete, algorithm_names())
+
+
 class RunName(click.ParamType[str]):
     """A run, given by its folder, by its name in the folder of all runs, or as `latest`."""
 

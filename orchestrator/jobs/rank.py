@@ -14,7 +14,6 @@ from nufleet.orchestrator.conduct.desired_motion import TimedPath, read_motion
 from nufleet.orchestrator.conduct.first_round import outlook
 from nufleet.orchestrator.conduct.preflight import check_band, check_names
 from nufleet.orchestrator.conduct.rank_run import (
-    Algorithm,
     RankRequest,
     ReadyStudy,
     configuration,
@@ -30,6 +29,7 @@ from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.study import show_study
 from nufleet.orchestrator.repository.records import StudyRecord
 from nufleet.orchestrator.runs.rank_result import RunRecord
+from nufleet.orchestrator.study.algorithms import OWN, load_algorithm
 from nufleet.shared.errors import InvalidInputError
 
 
@@ -56,7 +56,7 @@ class RankCommand(MovingCommand, AnyFleetCommand):
     """Amplitude of the task in the unit of the axis; None for what each robot chooses."""
     seed: int = 0
     """Seed of the study."""
-    algorithm: Algorithm = "adaptive"
+    algorithm: str = "adaptive"
     """Algorithm that selects the tests."""
     realtime: float | None = None
     """Speed of the simulated robots relative to real time; None for as fast as possible."""
@@ -162,6 +162,8 @@ def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:
     """Return what is requested, checked as far as it can be before a fleet is reached."""
     if command.band_rad_s is not None:
         check_band(command.band_rad_s)
+    if command.algorithm not in (*OWN, "match"):
+        load_algorithm(command.algorithm)
     if command.reuse_days is not None and command.algorithm != "adaptive":
         raise InvalidInputError("--reuse requires --algorithm adaptive")
     if command.axes is not None and command.reuse_days is not None:

@@ -9,6 +9,7 @@ from command_processes import Typed
 from fleet_lab import Lab
 from puppet_robot import PuppetRobot, puppet_spec
 
+from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.shared.robots.health import Health
 from nufleet.shared.robots.spec import TrackingLimits
 
@@ -51,6 +52,8 @@ def test_no_command_moves_a_real_robot_where_no_person_can_be_asked(
         assert "a" in {one["robot"] for one in outlook["motions"]}
         assert all(robot["battery_used"] > 0 for robot in outlook["robots"])
     assert {robot.motions for robot in robots.values()} == {0}
+    with Storage(tmp_path / "runs").open() as repository:
+        assert not repository.studies.studies()
     assert not list(tmp_path.glob("runs/*/")), "a run that did not begin leaves no folder"
 
 

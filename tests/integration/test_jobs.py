@@ -14,7 +14,6 @@ from rich.console import Console
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.jobs import demo as demo_job
 from nufleet.orchestrator.jobs import study as study_job
-from nufleet.orchestrator.jobs.consent import OnlyPlannedError
 from nufleet.orchestrator.jobs.demo import DemoCommand, demo
 from nufleet.orchestrator.jobs.rank import RankCommand, rank
 from nufleet.orchestrator.jobs.resume import ResumeCommand, resume_run
@@ -111,13 +110,3 @@ def test_the_demo_reads_its_fleet_file_once_and_describes_each_robot_once_before
     with pytest.raises(NufleetError, match="cable"):
         demo(DemoCommand(runs_root=tmp_path), QUIET)
     assert counted == Counted(1, Counter((*ROBOTS, "source-4")))
-
-
-def test_a_plan_moves_no_robot_and_leaves_no_run(tmp_path: Path) -> None:
-    file = find_fleet_file("paper_linear")
-    with pytest.raises(OnlyPlannedError) as planned:
-        rank(RankCommand(runs_root=tmp_path, fleet_file=file, plans=True), QUIET)
-    assert [one.robot for one in planned.value.outlook.motions] == list(ROBOTS)
-    with Storage(tmp_path).open() as repository:
-        assert not repository.studies.studies()
-    assert not [path for path in tmp_path.iterdir() if path.is_dir()]
