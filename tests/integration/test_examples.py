@@ -1,91 +1,58 @@
-"""The examples, run as a reader would: real processes, in a folder of their own."""
+"""The examples: a notebook, and the program with which it and the page for Python begin."""
 
 from __future__ import annotations
 
-import ast
-import re
-import subprocess
-import sys
-import tomllib
+import io
+import json
+from collections import Counter
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
+import matplotlib as mpl
+import matplotlib.pyplot as plt
 import pytest
+from counted_fleet import Counted
+from page_blocks import ROOT, blocks, difference
 
-import nufleet
-from nufleet.shared.errors import InvalidInputError
-
-ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
+PAGE = blocks(ROOT / "docs" / "python.md")
+LEARNING = Counter(["target", "source-1", "source-2", "source-3", "target"])
+"""The target is described a second time, since its tests have taught it something of itself."""
 
 
-def test_ten_lines_of_python_rank_a_fleet_and_print_nothing_by_themselves(tmp_path: Path) -> None:
-    example = EXAMPLES / "rank.py"
-    lines = [line for line in example.read_text().splitlines()[1:] if line]
-    assert len(lines) <= 10
-    ran = subprocess.run(
-        [sys.executable, str(example)], capture_output=True, text=True, cwd=tmp_path
-    )
-    assert ran.returncode == 0, ran.stderr
-    assert ran.stderr == ""
-    first, *_, chosen, headline = ran.stdout.splitlines()
-    assert first.startswith("1. source-2: ψ* 0.0")
-    assert chosen.startswith("take source-2's experience")
-    assert "source-2" in headline
+def cells_of(notebook: Path) -> list[str]:
+    """The programs of a notebook, which is kept without their outputs."""
+    cells = [cell for cell in json.loads(notebook.read_text())["cells"] if "outputs" in cell]
+    assert not [cell for cell in cells if cell["outputs"]]
+    return ["".join(cell["source"]) + "\n" for cell in cells]
 
 
-def test_the_program_in_the_readme_is_the_example() -> None:
-    programs = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    assert (EXAMPLES / "rank.py").read_text().partition("\n\n")[2] in programs
+def test_the_program_of_the_page_the_notebook_and_the_example_is_the_same_in_ten_lines() -> None:
+    program = (EXAMPLES / "rank.py").read_text().partition("\n\n")[2]
+    first, *_ = cells_of(EXAMPLES / "ranking.ipynb")
+    assert first == PAGE[0].code == program
+    assert len([line for line in program.splitlines() if line]) <= 10
 
 
-def test_an_algorithm_of_another_package_ranks_a_fleet(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_notebook_runs_prints_nothing_by_itself_and_describes_no_robot_in_vain(
+    counted: Counted, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    package = EXAMPLES / "halving"
-    with pytest.raises(InvalidInputError, match="no algorithm 'halving' is installed; there"):
-        nufleet.rank("paper_linear", algorithm="halving", runs_root=tmp_path / "runs")
-    install(package, tmp_path, monkeypatch)
-    found = nufleet.rank(
-        "paper_linear",
-        algorithm="halving",
-        draws=False,
-        rehearses=False,
-        runs_root=tmp_path / "runs",
-    )
-    assert [one.robot for one in found.ranking] == ["source-2", "source-1", "source-3"]
-    assert [one.tests for one in found.ranking] == [2, 2, 1]  # the furthest was dropped first
-    assert found.selected == "source-2"
-
-
-def install(package: Path, site: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make a package importable, with its entry points, as pip would."""
-    project = tomllib.loads((package / "pyproject.toml").read_text())["project"]
-    metadata = site / f"{project['name'].replace('-', '_')}-1.0.dist-info"
-    metadata.mkdir()
-    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {metadata.name}\n")
-    lines = [
-        line
-        for group, entries in project["entry-points"].items()
-        for line in (f"[{group}]", *(f"{name} = {place}" for name, place in entries.items()))
+    monkeypatch.chdir(tmp_path)
+    mpl.use("Agg")
+    names: dict[str, object] = {}
+    printed, said = list[str](), io.StringIO()
+    for cell in cells_of(EXAMPLES / "ranking.ipynb"):
+        with redirect_stdout(io.StringIO()) as out, redirect_stderr(said):
+            exec(cell, names)  # noqa: S102 - our own
+        printed.append(out.getvalue())
+    assert said.getvalue() == ""
+    assert counted == Counted(1, LEARNING)
+    assert len(plt.get_fignums()) == 2
+    plt.close("all")
+    ranked, certain, _, verdicts, files = printed
+    assert difference(PAGE[1].code, ranked) is None
+    assert certain.splitlines()[-1].startswith("source-2 is the closest")
+    assert [line.split(":")[0] for line in verdicts.splitlines()] == [
+        *("source-2", "source-1", "source-3")
     ]
-    (metadata / "entry_points.txt").write_text("\n".join(lines))
-    for folder in (site, package):
-        monkeypatch.syspath_prepend(folder)
-
-
-@pytest.mark.parametrize("package", ["halving", "rotorpy_drone"])
-def test_packages_of_others_use_what_is_public(package: str) -> None:
-    public = {"nufleet", "nufleet.testing", "nufleet.studies"}
-    for file in (EXAMPLES / package).rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text())):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("nufleet"):
-                assert node.module in public, file
-                names = __import__(node.module, fromlist=["x"]).__all__
-                assert {alias.name for alias in node.names} <= set(names), file
-
-
-def test_a_robot_of_another_simulator_its_fleet_and_its_test_have_fewer_than_80_lines() -> None:
-    package = EXAMPLES / "rotorpy_drone"
-    files = [*package.rglob("*.py"), package / "fleet.toml"]
-    lines = [line for file in files for line in file.read_text().splitlines() if line.strip()]
-    assert len(lines) < 80
+    assert {"report.html", "ranking.csv", "run.rrd"} <= set(files.split())
