@@ -28,9 +28,11 @@ from nufleet.robot_agent.drivers.mavlink.settings import MavlinkAxis, MavlinkSet
 from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
 from nufleet.robot_agent.motion.pace import HaltSwitch
 from nufleet.robot_agent.motion.perform import AxisMotion, perform
+from nufleet.robot_agent.robot import Robot, RobotAround
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
 from nufleet.shared.frequency_test.frequency_response import estimate_frequency_response
+from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.messages import Outcome
 from nufleet.shared.wire.transport import open_client, open_router
@@ -51,11 +53,20 @@ SETTINGS = MavlinkSettings(
 )
 
 
+class Unpaced(RobotAround):
+    """A robot on a virtual clock, which is not watched for gaps in real time."""
+
+    @property
+    def spec(self) -> RobotSpec:
+        """Its description."""
+        return self._robot.spec.model_copy(update={"simulated": True})
+
+
 @dataclass(frozen=True)
 class Bench:
     """A robot, and the exact response of the vehicle behind its link."""
 
-    robot: MavlinkRobot
+    robot: Robot
     loop: LoopSettings
     link: LinkSettings
 
@@ -78,7 +89,7 @@ def bench(loop: LoopSettings, link: LinkSettings, rng: np.random.Generator) -> B
     clock = VirtualClock()
     vehicle = SimulatedVehicle(settings, rng.spawn(1)[0], clock.now_s)
     line = VirtualLine(vehicle, link, rng.spawn(1)[0], clock)
-    return Bench(MavlinkRobot("vehicle", SETTINGS, lambda: line), loop, link)
+    return Bench(Unpaced(MavlinkRobot("vehicle", SETTINGS, lambda: line)), loop, link)
 
 
 def some_loop(rng: np.random.Generator) -> LoopSettings:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from fleet_lab import KEYS, SLOW, Lab, refusal
-from mavlink_air import ROUGH, Air, air
+from mavlink_air import ROUGH, Air, Unpaced, air
 
 import nufleet
 from nufleet.shared.arrays import FloatArray
@@ -43,7 +43,7 @@ def test_a_study_over_a_rough_link_finds_the_distance_of_two_vehicles_and_one_dr
 ) -> None:
     robots = {"target": flown(), "other": flown(OTHER, seed=1)}
     for name, one in robots.items():
-        lab.agent(name, one.robot)
+        lab.agent(name, Unpaced(one.robot))
     orchestrator = lab.orchestrator()
     assert not any(one.vehicle.armed for one in robots.values())
     found = nufleet.rank(
@@ -77,7 +77,7 @@ def test_a_study_over_a_rough_link_finds_the_distance_of_two_vehicles_and_one_dr
 
 def test_a_pilot_who_takes_over_ends_the_goal_and_the_robot_is_left_to_him(lab: Lab) -> None:
     one = flown()
-    agent = lab.agent("a", one.robot)
+    agent = lab.agent("a", Unpaced(one.robot))
     orchestrator = lab.orchestrator()
     assert (
         orchestrator.run("a", "before", tones=(Tone(omega_rad_s=5.0),)).outcome is Outcome.COMPLETED
