@@ -83,13 +83,15 @@ class Bench:
         )
 
 
-def bench(loop: LoopSettings, link: LinkSettings, rng: np.random.Generator) -> Bench:
+def bench(
+    own: MavlinkSettings, loop: LoopSettings, link: LinkSettings, rng: np.random.Generator
+) -> Bench:
     """Build a robot, disconnected."""
     settings = VehicleSettings(loop=loop, clock_drift=float(rng.uniform(-4e-5, 4e-5)))
     clock = VirtualClock()
     vehicle = SimulatedVehicle(settings, rng.spawn(1)[0], clock.now_s)
     line = VirtualLine(vehicle, link, rng.spawn(1)[0], clock)
-    return Bench(Unpaced(MavlinkRobot("vehicle", SETTINGS, lambda: line)), loop, link)
+    return Bench(Unpaced(MavlinkRobot("vehicle", own, lambda: line)), loop, link)
 
 
 def some_loop(rng: np.random.Generator) -> LoopSettings:
@@ -135,10 +137,10 @@ def psi_exact(one: Bench, other: Bench) -> float:
     return float(np.max(np.abs(z - w) / np.sqrt((1 + np.abs(z) ** 2) * (1 + np.abs(w) ** 2))))
 
 
-def study(link: LinkSettings, seed: int) -> tuple[float, float, float]:
+def study(settings: MavlinkSettings, link: LinkSettings, seed: int) -> tuple[float, float, float]:
     """Rank one vehicle against another; return ψ*, its standard deviation, and the truth."""
     rng = np.random.default_rng([7, seed])
-    pair = {name: bench(some_loop(rng), link, rng) for name in ("target", "other")}
+    pair = {name: bench(settings, some_loop(rng), link, rng) for name in ("target", "other")}
     keys = FleetKeys("figures")
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         endpoint = f"unixsock-stream/{folder}/r.sock"
@@ -163,12 +165,12 @@ def study(link: LinkSettings, seed: int) -> tuple[float, float, float]:
     return estimate.psi, sigma, psi_exact(pair["target"], pair["other"])
 
 
-def fly_tests(link: LinkSettings, tests: int, seed: int) -> None:
+def fly_tests(settings: MavlinkSettings, link: LinkSettings, tests: int, seed: int) -> None:
     """Play tests on one loop each, and print how many tones lie in their discs."""
     rows: list[tuple[float, float]] = []
     for number in range(tests):
         rng = np.random.default_rng([seed, number])
-        one = bench(some_loop(rng), link, rng)
+        one = bench(settings, some_loop(rng), link, rng)
         one.robot.connect()
         one.robot.begin()
         rows += tones(one, number)
@@ -189,13 +191,19 @@ def main() -> None:
     parser.add_argument("--jitter", type=float, default=0.008, metavar="S", help="mean of it")
     parser.add_argument("--loss", type=float, default=0.01, help="share of lost packets")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--odometry", action="store_true", help="measure by ODOMETRY, whose stamps are in µs"
+    )
     given = parser.parse_args()
     link = LinkSettings(jitter_s=given.jitter, loss=given.loss)
+    settings = SETTINGS
+    if given.odometry:
+        settings = settings.model_copy(update={"measured_by": "ODOMETRY"})
     if given.tests:
-        fly_tests(link, given.tests, given.seed)
+        fly_tests(settings, link, given.tests, given.seed)
     held = 0
     for number in range(given.seed, given.seed + given.studies):
-        psi, sigma, truth = study(link, number)
+        psi, sigma, truth = study(settings, link, number)
         off = abs(psi - truth) / sigma
         held += off <= 2
         print(
