@@ -76,7 +76,8 @@ class Agent:
         """Prepare the agent; nothing is connected before the context is entered.
 
         Args:
-            session: Session for this robot alone, so that losing it affects no other robot.
+            session: Session of this robot; a real one's serves it alone, so that losing the session
+                affects no other robot.
             keys: Keys of the robot's fleet.
             name: Name of the robot.
             robot: The robot's driver, disconnected.
