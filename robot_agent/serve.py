@@ -6,7 +6,7 @@ import gc
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import click
 import numpy as np
 
 from nufleet.robot_agent.agent import Agent
+from nufleet.robot_agent.motion.promptness import Promptness
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.errors import FleetFileError, NufleetError, RobotError
 from nufleet.shared.interrupts import Interrupts
@@ -108,7 +109,7 @@ def serve(
         ExitStack() as opened,
         closed_together() as agents,
     ):
-        sessions = Sessions(opened, ended)
+        sessions, promptness = Sessions(opened, ended), Promptness()
         try:
             for name, robot in robots.items():
                 own = state_folder / fleet.name / name
@@ -120,6 +121,7 @@ def serve(
                     realtime=realtime,
                     state_folder=own,
                     policy=fleet.robots[name],
+                    prompt=nullcontext if robot.spec.simulated else promptness.motion,
                 )
                 agents.append(agent.__enter__())
             at = ", ".join(sorted({without_secrets(address) for address in addresses.values()}))
