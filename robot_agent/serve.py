@@ -81,9 +81,9 @@ def serve(
     """Serve robots until the process is interrupted or, on request, standard input closes.
 
     Each real robot has a session of its own, so that losing one session affects no other robot.
-    Simulated robots with the same address share one, which costs a third less processor time.
-    Once the shutdown has begun it cannot be interrupted again: it lasts until every robot is at
-    rest, or was found not to come to rest.
+    Simulated robots with the same address share one, since every session has its own cost. Once the
+    shutdown has begun it cannot be interrupted again: it lasts until every robot is at rest, or was
+    found not to come to rest.
 
     Args:
         fleet_file: Path of the fleet file.
