@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
-from nufleet.orchestrator.study.axes_study import AxesStudy
 from nufleet.orchestrator.study.interface import Question, Report, Study, StudyPlan
 from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
 from nufleet.shared.distance.nu_gap import chordal_peak_in_band
@@ -127,7 +126,7 @@ def rank_fleet(axes: int, sources: int, noise_std_m: float, seed: int, counts: C
     }
     best = min(truth.values())
     plan = StudyPlan("target", names, BAND_RAD_S, ROUNDS, "x", also=NAMES[1:axes])
-    study = AxesStudy(plan, specs, np.random.default_rng(seed))
+    study = AdaptiveStudy(plan, specs, np.random.default_rng(seed))
     report, robot_s = follow(study, robots, counts)
     regret = truth[report.selected] - best
     counts.fleets += 1

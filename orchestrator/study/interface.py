@@ -25,12 +25,15 @@ class DesiredMotion:
     omega_rad_s: tuple[float, ...]
     """Frequencies in rad/s, rising."""
     power: tuple[float, ...]
-    """Mean square position at each frequency, in m²; see `spectrum_of`."""
+    """Mean square position at each frequency, in m², of all axes; see `spectrum_of`."""
+    power_by_axis: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """The part of each axis of the target along which it moves; empty in older studies, which
+    compared a single axis."""
 
 
 @dataclass(frozen=True)
 class StudyPlan:
-    """The question of a study: which source's experience is the best for the target on one axis.
+    """The question of a study: which source's experience is the best for the target.
 
     The best source is the closest to the target over the band or, where a `motion` is given, the
     one whose inverse model is expected to leave the smallest error on it.

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from random_loops import BAND, SPEC, Loop
 
+from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
-from nufleet.orchestrator.study.axes_study import AxesStudy
 from nufleet.orchestrator.study.interface import Question, Report, StudyPlan
 from nufleet.shared.arrays import ComplexArray
 from nufleet.shared.distance.chordal import chordal_distance, matrix_chordal_distance
@@ -50,7 +51,7 @@ def answer(
     """Return what a test gives of loops, each of which adds a share of itself to the others."""
     nothing = Quality(warnings=(Finding(code="no-response", text="no response"),))
     if not test.also:
-        return loops[test.axis].answer(test, deviation, rng)
+        return replace(loops[test.axis].answer(test, deviation, rng), axis=test.axis)
     names = tuple(one.axis for one in test.played)
     counts = [len(one.tones) for one in test.played]
     played_by = np.repeat(np.arange(len(names)), counts)
@@ -74,16 +75,16 @@ def answer(
     return FrequencyResponse(**{**vars(first), "matrix": matrix})
 
 
-def begin(spec: RobotSpec, rounds: int = 8, fleet: Mapping[str, Loops] = FLEET) -> AxesStudy:
+def begin(spec: RobotSpec, rounds: int = 8, fleet: Mapping[str, Loops] = FLEET) -> AdaptiveStudy:
     sources = tuple(name for name in fleet if name != "target")
     plan = StudyPlan("target", sources, BAND, rounds, "x", also=("y",))
     settings = AdaptiveSettings(samples=200, grid_points=96)
     specs, rng = dict.fromkeys(fleet, spec), np.random.default_rng(0)
-    return AxesStudy(plan, specs, rng, settings=settings)
+    return AdaptiveStudy(plan, specs, rng, settings=settings)
 
 
 def to_the_end(
-    study: AxesStudy, deviation: float = 0.01, across: float = 0.0, silent: str | None = None
+    study: AdaptiveStudy, deviation: float = 0.01, across: float = 0.0, silent: str | None = None
 ) -> tuple[list[Question], list[Report]]:
     rng = np.random.default_rng(1)
     questions, reports = [], []
@@ -159,7 +160,7 @@ def test_many_robots_are_looked_at_before_the_lower_end_of_the_band_and_few_from
         names = tuple(f"source-{n}" for n in range(sources))
         plan = StudyPlan("target", names, BAND, 8, "x", also=("y",))
         specs = dict.fromkeys(("target", *names), spec_of())
-        question = AxesStudy(plan, specs, np.random.default_rng(0)).ask()
+        question = AdaptiveStudy(plan, specs, np.random.default_rng(0)).ask()
         assert question is not None
         return question.omega_rad_s[0]
 
