@@ -51,6 +51,7 @@ class Counts:
     intervals: int = 0
     intervals_right: int = 0
     wrong: list[int] = field(default_factory=list)
+    missed: list[str] = field(default_factory=list)
 
 
 def random_robots(
@@ -140,7 +141,11 @@ def rank_fleet(axes: int, sources: int, noise_std_m: float, seed: int, counts: C
             counts.wrong.append(seed)
     for estimate in report.ranking:
         counts.intervals += 1
-        counts.intervals_right += estimate.psi_low <= truth[estimate.robot] <= estimate.psi_high
+        psi = truth[estimate.robot]
+        held = estimate.psi_low <= psi <= estimate.psi_high
+        counts.intervals_right += held
+        if not held:
+            counts.missed.append(f"seed {seed}, {estimate.robot}: {psi:.4f}, {estimate.stated}")
     one = StudyPlan("target", names, BAND_RAD_S, ROUNDS, "x")
     alone = AdaptiveStudy(one, specs, np.random.default_rng(seed))
     report, robot_s = follow(alone, robots, Counts())
@@ -170,7 +175,9 @@ def main() -> None:
         f" s: {counts.robot_s / counts.alone_s:.2f} times"
     )
     print(f"entries inside their 95 % regions: {counts.inside / counts.entries:.3f}")
-    print(f"95 % intervals of ψ* that hold it: {counts.intervals_right / counts.intervals:.3f}")
+    held = counts.intervals_right
+    print(f"95 % intervals of ψ* that hold it: {held} of {counts.intervals}; those that do not:")
+    print("\n".join(counts.missed))
 
 
 if __name__ == "__main__":

@@ -67,6 +67,19 @@ def _speed(drawing: TimedPath, spec: RobotSpec, axis: str) -> float:
     return most if spec.tracking is None else min(most, spec.tracking.speed_max)
 
 
+def axes_along(drawing: TimedPath, spec: RobotSpec, axes: Sequence[str]) -> tuple[str, ...]:
+    """Return the axes to test for a drawing: those that fly it, or the first where one is lacking.
+
+    Args:
+        drawing: Drawing to be flown.
+        spec: Spec of the target.
+        axes: Names of all axes that can be compared.
+    """
+    flown = spec.axes[: drawing.points.shape[1]]
+    comparable = all(axis.name in axes and axis.unit == "m" for axis in flown)
+    return tuple(axis.name for axis in flown) if comparable else tuple(axes[:1])
+
+
 def desired_motion(drawing: TimedPath, spec: RobotSpec, axes: Sequence[str]) -> DesiredMotion:
     """Return the spectrum of a drawing's motion when the target flies it.
 
@@ -99,16 +112,14 @@ def desired_motion(drawing: TimedPath, spec: RobotSpec, axes: Sequence[str]) -> 
     limits, speed_m_s = spec.axis(axis), _speed(drawing, spec, axis)
     positions = travel(drawing.points, speed_m_s, limits.acceleration_max, spec.sample_time_s)
     spectrum = spectrum_of(positions, spec.sample_time_s)
+    told_apart = spectrum.by_column if also else None
     return DesiredMotion(
         name=f"{drawing.name} at {speed_m_s:g} m/s",
         omega_rad_s=tuple(spectrum.omega_rad_s.tolist()),
         power=tuple(spectrum.power.tolist()),
-        power_by_axis={
-            name: tuple(power.tolist())
-            for name, power in zip(flown, spectrum.by_column.T, strict=True)
-        }
-        if also
-        else {},
+        power_by_axis={}
+        if told_apart is None
+        else {name: tuple(power.tolist()) for name, power in zip(flown, told_apart.T, strict=True)},
     )
 
 

@@ -68,9 +68,6 @@ class AdaptiveStudy:
                 no first test.
             absent: Sources that cannot be tested, all of which have stored responses.
             settings: Stopping rule and choice of tests; None takes the defaults.
-
-        Raises:
-            InvalidInputError: A robot does not move for as long as a test of all axes takes.
         """
         self._plan = plan
         self._settings = settings or AdaptiveSettings()
@@ -162,7 +159,7 @@ class AdaptiveStudy:
         played = (axis for one in alone.values() for axis in one.axes)
         names = " and ".join(self._plan.axes[place] for place in dict.fromkeys(played))
         if self._asked < self._plan.iterations:
-            why = f"a first look at {names}, which may not move with the other axes"
+            why = f"a first look at {names} alone"
             return _Verdict(min(confidence, self._doubtful), alone, why)
         why = f"all {self._asked} rounds have been used, and {names} was not tested"
         return _Verdict(min(confidence, self._doubtful), why=why)

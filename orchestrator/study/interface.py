@@ -140,7 +140,12 @@ class SourceEstimate:
         if self.axes is None:
             return ""
         each = ", ".join(f"{axis} {one.psi:.4f}" for axis, one in self.axes.items())
-        return f" on {self.axis} ({each})"
+        return f"{self.on_axis} ({each})"
+
+    @property
+    def on_axis(self) -> str:
+        """Which axis decides, in words; empty where one is tested."""
+        return "" if self.axis is None else f" on {self.axis}"
 
     @property
     def stated(self) -> str:

@@ -29,6 +29,7 @@ from nufleet.orchestrator.study.tone_choice import (
     turns_of,
 )
 from nufleet.shared.arrays import ComplexArray, FloatArray
+from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.frequency_test.excitation import Excitation
 from nufleet.shared.frequency_test.multitone import largest_amplitudes
 
@@ -60,7 +61,13 @@ class Looks:
         together = tuple(place for place in range(len(plan.axes)) if place not in alone)
         groups = [group for group in (together, *((place,) for place in alone)) if group]
         self._alone = [plan.axes[place] for place in alone]
-        self._firsts = {name: [self._first(name, group) for group in groups] for name in robots}
+        self._why_alone = " may not move with another axis"
+        try:
+            self._firsts = {name: [self._first(name, group) for group in groups] for name in robots}
+        except InvalidInputError as error:
+            groups = [(place,) for place in range(len(plan.axes))]
+            self._alone, self._why_alone = list(plan.axes), f", since {error}"
+            self._firsts = {name: [self._first(name, group) for group in groups] for name in robots}
         self.lowest = {
             name: tuple(self._lowest_of(name, first) for first in firsts)
             for name, firsts in self._firsts.items()
@@ -79,7 +86,7 @@ class Looks:
         if not self._alone or len(self._plan.axes) == 1:
             return ()
         names = ", ".join(self._alone)
-        return (f"tested one after the other: {names} may not move with another axis",)
+        return (f"tested one after the other: {names}{self._why_alone}",)
 
     def excitation(self, name: str, choice: ToneChoice) -> Excitation:
         """Return the excitation of a test that is to be played now, and count its time."""

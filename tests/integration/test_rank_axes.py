@@ -22,7 +22,6 @@ def test_two_axes_are_ranked_by_the_worse_one_and_the_stored_tests_say_the_same_
         runs_root=tmp_path,
         fleet_file=find_fleet_file("off_centre"),
         sources=("source-1", "source-2"),
-        axes=("x", "y"),
         draws=False,
         rehearses=False,
     )
