@@ -6,7 +6,10 @@
 # make docs        builds the documentation into site/
 # make test-busy   runs the tests RUNS times, beside processes that keep the machine busy
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
-PIP_INSTALL = .venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+# pip would compile the 20 000 modules that are installed one after the other.
+PIP_INSTALL = .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
+# Some packages hold files for other versions of Python, which do not compile; nothing imports those.
+COMPILE_INSTALLED = .venv/bin/python -m compileall -q -j 0 .venv/lib >/dev/null || true
 # Many tests wait for processes; running two at a time takes little more than half the time.
 TEST_PROCESSES ?= 2
 # Tools that the tests need and pip does not install: a software renderer for pictures of recordings,
@@ -60,18 +63,22 @@ lint: .venv/installed-test
 .venv/installed-demo: .venv/bin/python pyproject.toml constraints.txt
 	@echo "== installing nufleet and its dependencies, including torch (once; some minutes)"
 	$(PIP_INSTALL) -e '.[learning]'
-	@echo "== compiling the numerical code (once)"
+	@echo "== compiling the code (once)"
+	$(COMPILE_INSTALLED)
+	.venv/bin/python -m compileall -q orchestrator robot_agent shared sims
 	.venv/bin/python -c 'from nufleet.shared.gaussian_process.exact import warm_up; warm_up()'
 	@touch $@
 
 .venv/installed-test: .venv/installed-demo
 	@echo "== installing the dependencies of the tests, including simulators (once; some minutes)"
 	$(PIP_INSTALL) -e '.[test,quadrotors,arms,learning,repository,logs]'
+	$(COMPILE_INSTALLED)
 	@touch $@
 
 .venv/installed-quadrotors: .venv/installed-demo
 	@echo "== installing the simulator of the quadrotors (once)"
 	$(PIP_INSTALL) -e '.[quadrotors]'
+	$(COMPILE_INSTALLED)
 	@touch $@
 
 system-packages:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 from collections.abc import Generator
 from pathlib import Path
 
@@ -25,6 +26,11 @@ os.environ["NUFLEET_STATE"] = str(_LIFELINE.folder / "state")
 
 # Small matrices, many of them: with threads, BLAS takes ten times as long on a busy machine.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
+# Where Python may not keep what it compiles, as in many containers, every process compiles all of
+# nufleet again, which is a third of what starting an agent costs.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # Started in the background of a script, a process ignores Ctrl-C, and so do all that it starts;
 # tests interrupt some of those.

@@ -3,7 +3,7 @@
 It holds no socket, thread or clock. `take` receives an event and the time, and returns the
 questions to be put to the robot; `wake_s` is the time of its next deadline; `ended` is set once.
 
-Every rule follows from four facts about the network and the robot:
+Every rule follows from five facts about the network and the robot:
 
 - A question may be lost, and so may its answer. Asking again is always safe: a goal id moves its
   robot at most once, and a result is kept until it is acknowledged.
@@ -11,6 +11,8 @@ Every rule follows from four facts about the network and the robot:
   robot's answer decides. A robot that is heard, through any message, is not given up for silence.
 - A goal may arrive long after it was sent. It must therefore be expected to begin until the robot
   has confirmed its cancellation; the robot stores the ids of cancelled goals.
+- A refused goal may arrive a second time, when what spoke against it is gone. A goal that was sent
+  is therefore cancelled also after its final refusal.
 - A robot that was given up may return and still be moving. A goal that ended without the robot's
   confirmation is therefore abandoned, not over: before the next goal is sent, the abandoned one is
   cancelled until the robot confirms.
@@ -116,7 +118,6 @@ class Pursuit:
         self._unanswered: tuple[int, float] | None = None
         self._refusals: dict[Question, _Refusals] = {}
         self._sent = False
-        self._unsure = False
         self._taken = taken_before
         self._fetch = taken_before
         self._over = False
@@ -231,7 +232,9 @@ class Pursuit:
         match question:
             case Question.CANCEL if error.code in NEVER_BEGINS:
                 self._note_cancelled(now_s)
-            case Question.CANCEL if self._outlasts(question, error.code, REFUSAL_PATIENCE_S, now_s):
+            case Question.CANCEL if self._refused_before(error) or self._outlasts(
+                question, error.code, REFUSAL_PATIENCE_S, now_s
+            ):
                 self._give_up(error)
             case Question.RESULT if error.code == "not-finished":
                 self._fetch = self._cancelled_s is not None
@@ -249,11 +252,14 @@ class Pursuit:
         )
         if not self._outlasts(Question.GOAL, error.code, patience_s, now_s):
             self._not_before_s[Question.GOAL] = now_s + ASK_AGAIN_S
-        elif self._unsure:
-            # The goal was sent before without an answer, and may still arrive and be accepted.
-            self._given_up = error
         else:
-            self.ended = Ended(error=error)
+            # A copy of the goal may still be under way, and find the robot willing when it arrives.
+            self._given_up = error
+
+    def _refused_before(self, error: RefusedError) -> bool:
+        """Return whether the goal itself was finally refused for the same reason."""
+        refused = self._given_up
+        return isinstance(refused, RefusedError) and refused.code == error.code
 
     def _outlasts(self, question: Question, code: str, patience_s: float, now_s: float) -> bool:
         """Return whether a question has been refused for one reason for at least `patience_s`.
@@ -271,7 +277,6 @@ class Pursuit:
         if question not in self._open:
             return
         self._open.discard(question)
-        self._unsure |= question is Question.GOAL
         self._not_before_s[question] = now_s + ASK_AGAIN_S
         tries, since_s = self._unanswered or (0, now_s)
         self._unanswered = (tries + 1, since_s)

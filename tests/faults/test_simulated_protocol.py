@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 
@@ -28,8 +29,7 @@ FOUND_AT = {
     "16-in-turn": 112,
     "forgone": 1855,
     "frozen": 4797,
-    "starved": 1_080_956,
-    "unsure": 21_958,
+    "refused": 21_958,
     "killed": 1,
     "kill-fault": 13,
     "kill-stored": 90,
@@ -43,6 +43,10 @@ FOUND_AT = {
     "landed": 11,
 }
 """The first seed that is known to reveal each missing fix; `simulate --without FIX` finds it."""
+
+REVEALING = {fix: drawn(seed) for fix, seed in FOUND_AT.items()}
+# About one drawn schedule in a million reveals this one, and one in 400 of those with such faults.
+REVEALING["starved"] = replace(drawn(1_080_956), seed=354)
 
 
 @pytest.fixture(autouse=True)
@@ -61,7 +65,7 @@ def test_no_schedule_of_faults_breaks_an_invariant(first: int) -> None:
 
 @pytest.mark.parametrize("fix", WITHOUT)
 def test_every_fix_is_missed_when_it_is_taken_out(fix: str) -> None:
-    schedule = drawn(FOUND_AT[fix])
+    schedule = REVEALING[fix]
     with without(fix):
         assert violation(schedule) is not None
     assert violation(schedule) is None

@@ -168,12 +168,13 @@ def _forget_who_waits() -> Patches:
     yield patch.object(ownership, "refusal_to_begin", lambda *asked, **circumstances: None)
 
 
-def _drop_the_unsure() -> Patches:
-    """A refused goal is over, although an earlier copy of it may still arrive."""
+def _drop_the_refused() -> Patches:
+    """A refused goal is over at once, although a copy of it may still arrive."""
 
     def noted(self: Pursuit, error: Any, now_s: float) -> None:
-        self._unsure = False
         refused(self, error, now_s)
+        if self._given_up is error:
+            self.ended = Ended(error=error)
 
     refused = Pursuit._note_goal_refused  # noqa: SLF001 - as above
     yield patch.object(Pursuit, "_note_goal_refused", noted)
@@ -282,7 +283,7 @@ WITHOUT: Mapping[str, Callable[[], Patches]] = {
     "forgone": _forget_forgone,
     "frozen": _wake_at_once,
     "starved": _forget_who_waits,
-    "unsure": _drop_the_unsure,
+    "refused": _drop_the_refused,
     "killed": _ask_the_killed,
     "kill-fault": _trust_the_killed,
     "kill-stored": _store_no_kill,

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from nufleet.robot_agent.audit_command import show, verify
+from nufleet.robot_agent.journal.audit_command import show, verify
 from nufleet.robot_agent.journal.audit_log import AUDIT_LOG, AuditLog, read_audit_log, verified
 from nufleet.robot_agent.journal.ledger import JournalError
 

@@ -1,0 +1,1 @@
+"""Crazyflies, through Bitcraze's cflib, over a Crazyradio, USB or UDP."""
