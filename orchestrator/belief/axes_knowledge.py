@@ -92,8 +92,8 @@ class AxesKnowledge:
         """Learn the usable estimates of a test or flight on all compared axes that it played.
 
         Args:
-            response: Response that it measured; where it does not name its axis, it is that of the
-                only one.
+            response: Response that it measured; where it does not name its axis, there is only
+                one.
             rng: Generator that draws the responses expected from the earlier tests.
             check: Whether to look for contradictions; see `RobotKnowledge.learn`.
 

@@ -13,10 +13,10 @@ from nufleet.orchestrator.evaluation.flight_documents import TRACKING, TrackResu
 from nufleet.orchestrator.evaluation.fly_target import flight_record
 from nufleet.orchestrator.evaluation.results import FlightRecord
 from nufleet.orchestrator.experience.learning import know_itself
-from nufleet.orchestrator.flights.by_axis import way_by_axis
 from nufleet.orchestrator.flights.labels import BASELINE, BY_AXIS, MIXTURE, NO_PRIOR, OWN
 from nufleet.orchestrator.flights.legs import Leg, legs_of, read_drawings
 from nufleet.orchestrator.flights.start_weights import mixture_of
+from nufleet.orchestrator.history.by_axis import way_by_axis
 from nufleet.orchestrator.history.rankings import Ranking, latest_ranking
 from nufleet.orchestrator.jobs.commands import FleetCommand
 from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights

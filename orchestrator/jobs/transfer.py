@@ -18,10 +18,10 @@ from nufleet.orchestrator.experience.transfer import (
     transfer_file,
     transfer_several,
 )
-from nufleet.orchestrator.flights.by_axis import in_words, sources_by_axis, way_by_axis
 from nufleet.orchestrator.flights.labels import BY_AXIS, MIXTURE
 from nufleet.orchestrator.flights.legs import typical_leg
 from nufleet.orchestrator.flights.start_weights import mixture_of
+from nufleet.orchestrator.history.by_axis import in_words, sources_by_axis, way_by_axis
 from nufleet.orchestrator.history.rankings import Ranking, latest_ranking
 from nufleet.orchestrator.jobs.commands import FleetCommand
 from nufleet.orchestrator.jobs.foresight import say_expected

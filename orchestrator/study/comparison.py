@@ -1,8 +1,8 @@
 """What samples of all responses say of the sources: on each axis, and on all axes together.
 
 A source is as far away as on its worst axis, ψ*_n = max over axes i and frequencies of ψ_n,i(ω);
-where axes answer to each other, the distance is that of the matrices of all responses. The mean
-square error on a trajectory adds up over the axes, each with its share of the trajectory's motion.
+where axes answer to each other, the matrices of all responses are compared. The mean square error
+on a trajectory adds up over the axes, each with its share of the trajectory's motion.
 """
 
 from __future__ import annotations

@@ -256,7 +256,7 @@ def test_the_worn_fleet_differs_in_friction_load_and_tuning(
 ) -> None:
     worn: dict[str, ArmSettings] = settings_of(fleet_file("worn_arms"), DRIVER)
     assert len(set(worn.values())) == len(worn) == 5
-    assert worn["source-2"].joint_friction_nm == (0.0, 0.0)
+    assert worn["source-2"].friction_nm == (0.0, 0.0)
     assert worn["target"].joint_friction_nm == worn["source-1"].joint_friction_nm == FRICTION_NM
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from learned_things import experience
 
-from nufleet.orchestrator.flights.by_axis import in_words, sources_by_axis, way_by_axis
+from nufleet.orchestrator.history.by_axis import in_words, sources_by_axis, way_by_axis
 from nufleet.orchestrator.study.interface import AxisEstimate, SourceEstimate
 from nufleet.shared.experience.file import decode_experience, digest
 from nufleet.shared.wire.messages import ExperienceOffer
