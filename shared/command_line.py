@@ -163,12 +163,14 @@ def main() -> NoReturn:
 
 
 def invocation() -> str:
-    """Return the command that started this program, for hints on the command to type next."""
+    """Return how to start nufleet as this program did, for hints on the command to type next."""
     called = Path(sys.argv[0])
-    if called.suffix == ".py":
+    if called.name != "nufleet":  # `python -m nufleet`, or a script or notebook that uses it
         return f"{sys.executable} -m nufleet"
-    found = shutil.which(called.name)
-    return called.name if found and Path(found).samefile(called) else str(called)
+    found = shutil.which("nufleet")
+    # A relative name leads nowhere once the program has changed its folder.
+    here = found and called.exists() and Path(found).samefile(called)
+    return "nufleet" if here else str(called)
 
 
 _HELP = """Find out which robot's experience will help a new robot, before you transfer it.

@@ -12,26 +12,21 @@ from pathlib import Path
 
 import click
 import pytest
+from page_blocks import PAGES, ROOT, blocks
 
 from nufleet.shared.command_line import command_line
 from nufleet.shared.robots.fleet_file import read_fleet_file
 
-ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+NOT_RUN_MAX = 9
+"""Largest number of blocks that no test runs; each states its reason in the page's source."""
 LOADED = re.compile(r"<(?:script|link|img)[^>]+(?:src|href)=\"?([^\"\s>]+)")
-BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
-
-
-def blocks(page: Path, *languages: str) -> list[str]:
-    text = page.read_text(encoding="utf-8")
-    return [code for language, code in BLOCK.findall(text) if language in languages]
+CODE = re.compile(r"`((?:shared|orchestrator|robot_agent|sims)(?:\.\w+)+)`")
 
 
 def commands(page: Path) -> list[list[str]]:
     """The words of every `nufleet …` line in the blocks of a page, without its comment."""
-    lines = [line for code in blocks(page, "", "bash", "sh") for line in code.splitlines()]
-    typed = [shlex.split(line, comments=True) for line in lines if re.match(r"\s*nufleet ", line)]
-    return [words[1:] for words in typed]
+    typed = [shlex.split(command) for block in blocks(page) for command in block.commands]
+    return [words[1:] for words in typed if words[0] == "nufleet"]
 
 
 @pytest.fixture(scope="module")
@@ -80,13 +75,37 @@ def test_commands_on_a_page_have_the_options_and_arguments_that_are_typed(page: 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_fleet_files_on_a_page_are_accepted(page: Path, tmp_path: Path) -> None:
-    for text in blocks(page, "toml"):
-        if "schema" in tomllib.loads(text):
+    for block in blocks(page):
+        if block.language == "toml" and "schema" in tomllib.loads(block.code):
             path = tmp_path / "lab.toml"
-            path.write_text(text)
+            path.write_text(block.code)
             assert read_fleet_file(path).robots
 
 
-def test_the_program_on_the_page_for_python_is_the_example() -> None:
-    program = (ROOT / "examples" / "rank.py").read_text().partition("\n\n")[2]
-    assert program in blocks(ROOT / "docs" / "python.md", "python")
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_a_test_runs_the_blocks_of_a_page_or_the_page_says_why_not(page: Path) -> None:
+    typed = [b for b in blocks(page) if b.commands or b.language == "python"]
+    for block in typed:
+        sources = "".join(test.read_text(encoding="utf-8") for test in block.tests)
+        missing = [command for command in block.commands if command not in sources]
+        assert not block.tests or not missing, f"{missing} is in none of {block.tests}"
+    if any(block.is_run for block in typed):
+        followed = f'follow("{page.relative_to(ROOT)}")'
+        tests = (ROOT / "tests").rglob("test_*.py")
+        assert any(followed in test.read_text(encoding="utf-8") for test in tests), followed
+
+
+def test_few_blocks_are_not_run_and_each_says_why() -> None:
+    reasons = [f"{page.name}: {b.reason}" for page in PAGES for b in blocks(page) if b.reason]
+    print(*reasons, sep="\n")  # noqa: T201 - for `pytest -s`
+    assert len(reasons) <= NOT_RUN_MAX, reasons
+
+
+def test_what_the_method_names_is_in_the_code() -> None:
+    for name in CODE.findall((ROOT / "docs" / "method.md").read_text(encoding="utf-8")):
+        parts, defined = name.split("."), list[str]()
+        while not (file := ROOT.joinpath(*parts).with_suffix(".py")).exists():
+            defined.append(parts.pop())
+            assert parts, f"{name} is no module"
+        code = file.read_text(encoding="utf-8")
+        assert all(re.search(rf"(def|class) {one}\b", code) for one in defined), name

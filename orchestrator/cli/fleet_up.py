@@ -15,9 +15,10 @@ from nufleet.orchestrator.cli.types import FleetPath, PositiveNumber
 @click.option(
     "--listen",
     default="tcp/127.0.0.1:7447",
-    show_default=True,
+    envvar="NUFLEET_LISTEN",
     metavar="ENDPOINT",
-    help="Endpoint of the router, such as tcp/127.0.0.1:7448.",
+    help="Endpoint of the router, such as tcp/127.0.0.1:7448.  "
+    "[env: NUFLEET_LISTEN; default: tcp/127.0.0.1:7447]",
 )
 @open_option
 @click.option("--processes", is_flag=True, help="Give every robot a process of its own.")

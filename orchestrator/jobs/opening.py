@@ -15,6 +15,7 @@ from nufleet.orchestrator.conduct.leases import lease_robots
 from nufleet.orchestrator.fleet.connection import Connection
 from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.jobs.commands import StoredCommand
+from nufleet.orchestrator.jobs.motions_shown import motions_shown
 from nufleet.orchestrator.jobs.rest_report import say_who_rests
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.terminal import results_console
@@ -191,6 +192,8 @@ class Opening:
     ) -> Archive:
         fleet, name, _ = self.connection
         self._stack.enter_context(self._saying_who_rests(tuple(descriptions)))
+        watches = [fleet.watch(robot) for robot in descriptions]
+        self._stack.enter_context(motions_shown(self.console, watches))
         scope = self.choice.reach.lease_scope(name, run_id)
         leases = lease_robots(
             self.repository.leases,

@@ -34,7 +34,11 @@ def results_console(progress: Console, *, as_json: bool) -> Console:
         progress: Console for progress. Results follow it, unless it prints on stderr.
         as_json: Whether stdout is taken by a document, so that people read the results on stderr.
     """
-    return stdout_console() if progress.stderr and not as_json else progress
+    if not progress.stderr or as_json:
+        return progress
+    out = stdout_console()
+    # On one terminal, one console prints both, so that no bar is drawn across a result.
+    return progress if out.is_terminal and progress.is_terminal else out
 
 
 @contextmanager

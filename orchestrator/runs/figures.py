@@ -10,6 +10,7 @@ import numpy as np
 
 from nufleet.orchestrator.flights.colours import WITHOUT_SOURCE, robot_colours
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import InvalidInputError, system_errors_as
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,8 +41,13 @@ def plain(axes: Axes) -> None:
 
 
 def save(figure: Figure, png: Path) -> None:
-    """Write a figure."""
-    figure.savefig(png, dpi=DPI)
+    """Write a figure.
+
+    Raises:
+        InvalidInputError: The file cannot be written.
+    """
+    with system_errors_as(InvalidInputError, f"{png}: cannot be written"):
+        figure.savefig(png, dpi=DPI)
 
 
 def prior_colours(priors: Iterable[str]) -> dict[str, str]:

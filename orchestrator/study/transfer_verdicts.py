@@ -103,6 +103,8 @@ def judge_transfers(
             {axis: predict(source, [axis], spectra[axis]) for axis in plan.axes if plan.also},
         )
     findings = [f for it in known.values() for f in it.findings]
+    if any(one.couplings for one in known.values()):
+        findings.append("the verdicts add up over the axes, and leave out what one does to another")
     findings += [
         finding
         for source in sources

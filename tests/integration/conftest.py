@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from child_processes import children_of
 from command_processes import Typed
+from counted_fleet import Counted
 from fleet_lab import Lab, Orchestrator, double_integrator
 from polling import wait_until
 
@@ -55,6 +56,12 @@ def running_fleet(lab: Lab) -> Orchestrator:
     for k, alpha in enumerate((0.85, 1.0, 0.97)):
         lab.agent(f"r{k}", double_integrator(alpha, seed=k))
     return lab.orchestrator()
+
+
+@pytest.fixture
+def counted(monkeypatch: pytest.MonkeyPatch) -> Counted:
+    """What is read and asked for in this process from now on."""
+    return Counted.begun(monkeypatch)
 
 
 @pytest.fixture

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import io
 from collections import Counter
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import pytest
+from counted_fleet import Counted
 from rich.console import Console
 
-from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.jobs import demo as demo_job
 from nufleet.orchestrator.jobs import study as study_job
 from nufleet.orchestrator.jobs.demo import DemoCommand, demo
@@ -21,57 +20,15 @@ from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.repository.records import StudyStatus
 from nufleet.orchestrator.viewer.writer import RerunWriter
 from nufleet.shared.errors import NufleetError
-from nufleet.shared.robots.fleet_file import FleetFile, find_fleet_file
-from nufleet.shared.wire.messages import Description
+from nufleet.shared.robots.fleet_file import find_fleet_file
 
 ROBOTS = ("target", "source-1", "source-2", "source-3")
 ONCE = dict.fromkeys(ROBOTS, 1)
-LEARNING = {**ONCE, "target": 2}
-"""The target is described a second time, since its tests have taught it something of itself."""
 QUIET = Console(quiet=True)
-
-
-@dataclass
-class Counted:
-    """How often fleet files were read in this process, and each robot was asked to describe itself.
-
-    The robots' own processes read their file themselves, and are not counted.
-    """
-
-    files: int = 0
-    descriptions: Counter[str] = field(default_factory=Counter)
-
-
-@pytest.fixture
-def counted(monkeypatch: pytest.MonkeyPatch) -> Counted:
-    found = Counted()
-    validate, describe = FleetFile.model_validate_json, Fleet.describe
-
-    def validated(text: str) -> FleetFile:
-        found.files += 1
-        return validate(text)
-
-    def described(fleet: Fleet, robot: str) -> Description:
-        found.descriptions[robot] += 1
-        return describe(fleet, robot)
-
-    monkeypatch.setattr(FleetFile, "model_validate_json", validated)
-    monkeypatch.setattr(Fleet, "describe", described)
-    return found
 
 
 def cut(*_: object, **__: object) -> Any:
     raise NufleetError("the cable was cut")
-
-
-def test_a_script_ranks_a_fleet_without_a_word_and_nothing_is_read_or_described_twice(
-    counted: Counted, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    file = find_fleet_file("paper_linear")
-    record = rank(RankCommand(runs_root=tmp_path, fleet_file=file, draws=False), QUIET)
-    assert record.result.selected == "source-2"
-    assert capfd.readouterr() == ("", "")
-    assert counted == Counted(1, Counter(LEARNING))
 
 
 def test_a_ranking_whose_recording_cannot_be_opened_stores_no_study_and_promises_no_resumption(

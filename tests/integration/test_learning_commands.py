@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import signal
-import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +14,9 @@ import psutil
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
-from command_processes import Typed, begun, fleet_that_is_up, nufleet
+from command_processes import Typed, begun, fleet_that_is_up
 from learned_things import experience, layout
+from page_story import Story
 from polling import PATIENCE_S, wait_until
 
 from nufleet.orchestrator.fleet.client import Fleet
@@ -28,21 +28,9 @@ from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.messages import Description, RobotStatus
 from nufleet.shared.wire.transport import open_client
 
-FLEET = """
+SLOWER = """
 schema = 1
-name = "lab"
-
-[robots.target]
-driver = "double_integrator"
-settings = { alpha = 0.85, beta = 0.003 }
-
-[robots.source-1]
-driver = "double_integrator"
-settings = { alpha = 1.0, beta = 0.003 }
-
-[robots.source-2]
-driver = "double_integrator"
-settings = { alpha = 0.97, beta = 0.004 }
+name = "paper-linear"
 
 [robots.slower]
 driver = "double_integrator"
@@ -71,18 +59,27 @@ def drawing(folder: Path, name: str = "circle.csv", points: object = CIRCLE) -> 
 class Workplace:
     """A fleet that is up, and the folder where commands are run."""
 
-    folder: Path
-    endpoint: str
+    story: Story
     name: str
 
-    def run(self, command: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-        return nufleet(command, "--connect", self.endpoint, *arguments, cwd=self.folder)
+    @property
+    def folder(self) -> Path:
+        return self.story.folder
 
-    def json(self, command: str, *arguments: str) -> dict[str, object]:
+    @property
+    def endpoint(self) -> str:
+        return self.story.endpoint
+
+    def json(self, *words: str) -> dict[str, object]:
         """What a command that succeeds prints on stdout, which is one document alone."""
-        done = self.run(command, *arguments, "--json")
-        assert done.returncode == 0, done.stderr
-        document = json.loads(done.stdout)
+        document = json.loads(self.story.nufleet(*words, "--json").out)
+        assert isinstance(document, dict)
+        return document
+
+    def left(self, file: str) -> dict[str, object]:
+        """The document that the only run which leaves such a file has left."""
+        (path,) = self.folder.glob(f"runs/{file}")
+        document = json.loads(path.read_text())
         assert isinstance(document, dict)
         return document
 
@@ -96,18 +93,27 @@ class Workplace:
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workplace]:
-    folder = tmp_path_factory.mktemp("lab")
-    file, endpoint = folder / "lab.toml", f"unixsock-stream/{folder}/r.sock"
-    file.write_text(FLEET)
-    with fleet_that_is_up(file, endpoint, folder):
-        yield Workplace(folder, endpoint, "lab")
+    """The fleet of a reader who did all that the guide tells, and another robot that joined it."""
+    with Story(tmp_path_factory.mktemp("lab")) as story:
+        story.follow("docs/guide.md")
+        (story.folder / "slower.toml").write_text(SLOWER)
+        story.type("nufleet agent slower.toml")
+        yield Workplace(story, "paper-linear")
 
 
 @pytest.fixture(scope="module")
 def training(lab: Workplace) -> dict[str, object]:
     """One robot has learned; the document that said so."""
-    arguments = ("--robot", "source-2", "--architecture", "preview", "--duration", "60")
-    return lab.json("train", *arguments)
+    return lab.left("*-train/train.json")
+
+
+@pytest.fixture(scope="module")
+def tracked(lab: Workplace) -> dict[str, object]:
+    """The target has flown with what that robot has learned; the document that said so."""
+    (first, *_) = sorted(lab.folder.glob("runs/*-track/track.json"))
+    document = json.loads(first.read_text())
+    assert isinstance(document, dict)
+    return document
 
 
 @pytest.fixture
@@ -144,7 +150,8 @@ def assert_the_trained_source_was_rehearsed(ranked: dict[str, object]) -> None:
     """Fail unless a ranking says what its only trained source would leave, and which way to fly."""
     ways = {way["way"]: way for way in reversed(ranked["ways"])}  # type: ignore[call-overload]
     expected = {name: way["predicted_rms_m"] for name, way in ways.items()}
-    assert set(expected) == {"baseline", "none", "own", "source-1", "source-2"}
+    sources = {"source-1", "source-2", "source-3"}
+    assert set(expected) == {"baseline", "none", "own"} | sources
     assert expected["source-1"] is None
     assert "nufleet train --robot source-1" in ways["source-1"]["reason"]
     assert expected["source-2"] < expected["baseline"]
@@ -163,18 +170,15 @@ def test_the_best_source_is_that_of_the_latest_ranking(
     unknown = typed("transfer", *nobody, cwd=lab.folder)
     assert unknown.returncode == 2
     assert "nufleet rank --target slower" in unknown.stderr
-    band = ("--band", "0.5", "10", "--iterations", "1", "--no-recording")
-    before = lab.describe().priors
-    ranked = lab.json("rank", "--target", "target", "--sources", "source-1,source-2", *band)
+    ranked = lab.left("*-paper-linear/results.json")["result"]
+    assert isinstance(ranked, dict)
     assert ranked["selected"] == "source-2"
     assert_the_trained_source_was_rehearsed(ranked)
-    assert lab.describe().priors == before
-    best = ("--target", "target", "--source", "best", "--no-rehearsal")
-    given = lab.json("transfer", *best)
-    assert (given["target"], given["source"]) == ("target", "source-2")
+    # The guide transferred from the best source.
+    (one,) = training["experiences"]  # type: ignore[misc]
     prior = lab.describe().prior
     assert prior is not None
-    assert prior.sha256 == given["sha256"]
+    assert prior.sha256 == one["sha256"]
 
 
 def test_an_experience_is_handed_over_by_name_from_a_file_and_taken_away(
@@ -203,41 +207,36 @@ def test_an_experience_is_handed_over_by_name_from_a_file_and_taken_away(
 # Tracking.
 
 
-def test_a_track_says_and_stores_what_was_flown(
-    lab: Workplace, transferred: dict[str, object]
-) -> None:
-    file = drawing(lab.folder)
-    both = ("--trajectory", "clover", "--trajectory", str(file), "--speed", "0.5")
-    at_once = ("--target", "target", "--no-rehearsal")
-    said = lab.json("track", *at_once, *both)
-    run = lab.folder / str(said["run"])
+def test_a_track_says_and_stores_what_was_flown(lab: Workplace, tracked: dict[str, object]) -> None:
+    run = lab.folder / str(tracked["run"])
     assert {path.name for path in run.iterdir()} == {
         *("config.json", "track.json", "flights.parquet", "run.rrd", "report.html")
     }
-    assert json.loads((run / "track.json").read_text()) == said
-    flights: list[dict[str, object]] = said["flights"]  # type: ignore[assignment]
-    assert [(f["inverse"], f["drawing"]) for f in flights] == [
+    circle = str(drawing(lab.folder))
+    at_once = ("--target", "target", "--no-rehearsal", "--inverse", "baseline")
+    alone = lab.json("track", *at_once, "--trajectory", circle)
+    assert lab.left(f"{Path(str(alone['run'])).name}/track.json") == alone
+    flights: list[dict[str, object]] = tracked["flights"]  # type: ignore[assignment]
+    baselines: list[dict[str, object]] = alone["flights"]  # type: ignore[assignment]
+    assert [(f["inverse"], f["drawing"]) for f in flights + baselines] == [
         ("source-2", "clover"),
-        ("source-2", "circle"),
+        ("baseline", "circle"),
     ]
-    rows = pq.read_table(run / "flights.parquet")
-    for flight in flights:
-        label = f"source-2 · {flight['drawing']} · 0.5 m/s"
+    where = {"source-2": run, "baseline": lab.folder / str(alone["run"])}
+    for flight in flights + baselines:
+        rows = pq.read_table(where[str(flight["inverse"])] / "flights.parquet")
+        label = f"{flight['inverse']} · {flight['drawing']} · 0.6 m/s"
         mine = rows.filter(pc.equal(pc.cast(rows["flight"], "string"), label))
         desired, actual = np.asarray(mine["desired"]), np.asarray(mine["actual"])
         assert len(desired) > 500
         rms_m = float(np.sqrt(np.mean((actual - desired) ** 2)))
         assert flight["rms_m"] == pytest.approx(rms_m)
         speeds = np.abs(np.diff(desired)) / 0.015
-        assert speeds.max() == pytest.approx(0.5, rel=0.05)
+        assert speeds.max() == pytest.approx(0.6, rel=0.05)
         assert (flight["failure"], flight["taken_back"]) == (None, None)
-    assert json.loads((run / "config.json").read_text())["drawings"] == ["clover", str(file)]
-    # And it was better than without.
-    alone = lab.json("track", *at_once, *both[:2], *both[4:], "--inverse", "baseline")
-    (baseline,) = alone["flights"]  # type: ignore[misc]
-    assert baseline["inverse"] == "baseline"
-    assert flights[0]["rms_m"] < 0.2 * baseline["rms_m"]  # type: ignore[operator]
-    # Its reference was fixed in advance, so that the flight is a measurement as well.
+    configured = json.loads((where["baseline"] / "config.json").read_text())
+    assert configured["drawings"] == [circle]
+    # The baseline's reference was fixed in advance, so that its flight is a measurement as well.
     with open_repository(default_url(lab.folder / "runs")) as repository:
         (measured,) = repository.flights.responses(lab.name, "target", "x")
     assert measured.origin is Origin.FLIGHT
@@ -249,28 +248,29 @@ def test_a_robot_that_has_flown_inverts_its_own_loop_and_says_what_to_expect(
 ) -> None:
     """It has never been tested: what its guard has to know takes half a minute, and is said."""
     path = ("--target", "slower", "--trajectory", "clover", "--speed", "0.5")
-    first = lab.run("track", *path, "--inverse", "own", "--json")
-    assert first.returncode == 0, first.stderr
-    assert "slower flies for 30 s first" in first.stderr
-    (own,) = json.loads(first.stdout)["flights"]
+    first = lab.story.nufleet("track", *path, "--inverse", "own", "--json")
+    assert "slower flies for 30 s first" in first.shown
+    (own,) = json.loads(first.out)["flights"]
     (baseline,) = lab.json("track", *path, "--inverse", "baseline")["flights"]  # type: ignore[misc]
     assert own["inverse"] == "own"
     assert own["own_flight_s"] >= 30.0
     assert own["rms_m"] < 0.05 * baseline["rms_m"]
     assert own["predicted_low_m"] <= own["predicted_rms_m"] <= own["predicted_high_m"]
     assert baseline["predicted_rms_m"] == pytest.approx(baseline["rms_m"], rel=0.05)
-    more = lab.run("track", *path, "--inverse", "own", "--rich-flight", "15")
-    assert "slower flies for 15 s first" in more.stderr
+    more = lab.story.nufleet(
+        "track", *path, "--inverse", "own", "--rich-flight", "15", "--no-rehearsal"
+    )
+    assert "slower flies for 15 s first" in more.shown
 
 
 @pytest.fixture(scope="module")
 def slow(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workplace]:
     """A robot in real time."""
     folder = tmp_path_factory.mktemp("slow")
-    file, endpoint = folder / "slow.toml", f"unixsock-stream/{folder}/r.sock"
+    file, story = folder / "slow.toml", Story(folder)
     file.write_text(SLOW)
-    with fleet_that_is_up(file, endpoint, folder, "--realtime", "2"):
-        yield Workplace(folder, endpoint, "slow")
+    with fleet_that_is_up(file, story.endpoint, folder, "--realtime", "2"):
+        yield Workplace(story, "slow")
 
 
 @pytest.mark.parametrize(
@@ -502,16 +502,16 @@ def test_an_experience_of_another_sample_time_is_refused_over_the_network_as_wel
 
 
 def test_a_memory_that_was_altered_on_the_disk_is_not_served(
-    lab: Workplace, transferred: dict[str, object], tmp_path: Path
+    typed: Typed, lab: Workplace, transferred: dict[str, object], tmp_path: Path
 ) -> None:
-    (kept,) = lab.folder.glob("lab/target/learned/prior.*")
-    damaged = tmp_path / "lab" / "target" / "learned" / kept.name
+    (kept,) = lab.folder.glob("state/paper-linear/target/learned/prior.*")
+    damaged = tmp_path / "paper-linear" / "target" / "learned" / kept.name
     damaged.parent.mkdir(parents=True)
     stored = bytearray(kept.read_bytes())
     stored[-9] ^= 1
     damaged.write_bytes(stored)
-    done = nufleet(
-        *("agent", str(lab.folder / "lab.toml"), "--robot", "target", "--state", str(tmp_path)),
+    done = typed(
+        *("agent", "paper_linear", "--robot", "target", "--state", str(tmp_path)),
         *("--connect", lab.endpoint),
         cwd=tmp_path,
     )

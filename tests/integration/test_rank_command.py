@@ -1,10 +1,9 @@
-"""`nufleet rank` and `nufleet demo` as a user and as another program run them: real processes."""
+"""`nufleet rank` and `nufleet demo` as a user and as another program run them."""
 
 from __future__ import annotations
 
 import json
 import os
-import re
 import signal
 import socket
 import subprocess
@@ -18,6 +17,7 @@ import pytest
 from child_processes import children_of
 from command_processes import NUFLEET, PATIENCE_S, Typed, nufleet, trial_statuses
 from lifeline import started_with
+from page_story import Story
 from polling import wait_until
 
 from nufleet.orchestrator.fleet import connection
@@ -41,19 +41,28 @@ class Ranked:
         return self.folder / str(self.document["run"])
 
 
-def ranked(folder: Path, *options: str) -> Ranked:
-    with pytest.MonkeyPatch.context() as environment:
-        environment.setenv("NUFLEET_STATE", str(folder / "state"))
-        done = nufleet("rank", "--fleet", str(FLEET), *options, "--json", cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return Ranked(folder, json.loads(done.stdout), done.stderr)
+def ranked(folder: Path, command: str, *options: str) -> Ranked:
+    """Type a command of a page, with further options."""
+    with Story(folder) as story:
+        printed = story.nufleet(*command.split()[1:], *options, "--json")
+    return Ranked(folder, json.loads(printed.out), printed.shown)
 
 
 @pytest.fixture(scope="module")
 def paper(tmp_path_factory: pytest.TempPathFactory) -> Ranked:
     """The paper's ranking, rehearsed and recorded."""
-    words = ("--target", "target", "--band", "0.05", "10", "--iterations", "7", "--seed", "0")
-    return ranked(tmp_path_factory.mktemp("paper"), *words, "--algorithm", "paper")
+    folder = tmp_path_factory.mktemp("paper")
+    return ranked(folder, "nufleet rank --fleet paper_linear --algorithm paper")
+
+
+@pytest.fixture(scope="module")
+def first_page(tmp_path_factory: pytest.TempPathFactory) -> Ranked:
+    """What a reader of the first page has seen and got."""
+    folder = tmp_path_factory.mktemp("first-page")
+    with Story(folder) as story:
+        shown = story.follow("docs/index.md")
+    (results,) = folder.glob("runs/*/results.json")
+    return Ranked(folder, json.loads(results.read_text())["result"], shown)
 
 
 def test_rank_prints_the_documented_json_alone_on_stdout(paper: Ranked) -> None:
@@ -131,14 +140,9 @@ def test_rank_for_a_trajectory_names_what_leaves_the_smallest_error_on_it(tmp_pa
 
 
 def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(
-    typed: Typed, tmp_path: Path, paper: Ranked
+    typed: Typed, first_page: Ranked, paper: Ranked
 ) -> None:
-    adaptive = ranked(tmp_path, *PLAIN)
-    document = adaptive.document
-    assert list(document) == [
-        *("schema", "target", "band_rad_s", "selected", "ranking", "iterations", "robot_time_s"),
-        *("run", "confidence", "eliminated", "stopped_because", "verdicts", "findings", "ways"),
-    ]
+    adaptive, document = first_page, first_page.document
     assert document["selected"] == "source-2"
     assert document["confidence"] >= 0.95
     assert set(document["eliminated"]) <= {"source-1", "source-3"}
@@ -148,17 +152,23 @@ def test_rank_says_how_sure_it_is_who_was_out_early_and_why_it_stopped(
     report = (adaptive.run / "report.md").read_text(encoding="utf-8")
     assert f"Probability of a correct selection: {document['confidence']:.3f}: source-2" in report
     assert all(f"- {source}: " in report for source in document["eliminated"])
-    drawn = {"plots", "run.rrd"}
-    assert not drawn & {path.name for path in adaptive.run.iterdir()}
-    assert not [name for name in drawn if name in report]
     assert "confidence" not in paper.document
     assert document["robot_time_s"] < paper.document["robot_time_s"] / 4
     reuse = ("--fleet", str(FLEET), "--algorithm", "paper", "--reuse")
-    refused = typed("rank", *reuse, cwd=tmp_path)
+    refused = typed("rank", *reuse, cwd=adaptive.folder)
     assert refused.returncode == 2
     assert "--reuse requires --algorithm adaptive" in refused.stderr
-    again = ranked(tmp_path, *PLAIN, "--reuse")
+    again = ranked(adaptive.folder, "nufleet rank --fleet paper_linear", *PLAIN, "--reuse")
     reusing = again.document
+    assert list(reusing) == [
+        *("schema", "target", "band_rad_s", "selected", "ranking", "iterations", "robot_time_s"),
+        *("run", "confidence", "eliminated", "stopped_because", "verdicts", "findings"),
+        *("stored", "ways"),
+    ]
+    drawn = {"plots", "run.rrd"}
+    assert not drawn & {path.name for path in again.run.iterdir()}
+    report = (again.run / "report.md").read_text(encoding="utf-8")
+    assert not [name for name in drawn if name in report]
     assert set(reusing["stored"]) == {"source-1", "source-2", "source-3"}
     assert "source-2 needed no first test" in again.said
     assert reusing["selected"] == "source-2"
@@ -181,42 +191,28 @@ def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(
     assert len(shown["history"]) == 7
 
 
-def test_the_demo_ranks_as_rank_does_and_shows_what_the_readme_shows(tmp_path: Path) -> None:
-    alone = nufleet("demo", "--json", cwd=tmp_path)
-    together = nufleet(
-        *("rank", "--fleet", "weak_source", "--algorithm", "paper", "--seed", "0"),
-        *(*PLAIN, "--json"),
-        cwd=tmp_path,
-    )
-    assert alone.returncode == 0, alone.stderr
-    first, second = json.loads(alone.stdout), json.loads(together.stdout)
-    assert first["ranking"]["ranking"] == second["ranking"]
-    flights, unguarded = first["flights"], first["unguarded"]
+def test_the_demo_prints_what_the_readme_shows_and_prevents_the_harm_that_it_predicts(
+    tmp_path: Path,
+) -> None:
+    with Story(tmp_path) as story:
+        shown = story.follow("README.md")
+    (run,) = tmp_path.glob("runs/*-demo")
+    document = json.loads((run / "demo.json").read_text())
+    flights, unguarded = document["flights"], document["unguarded"]
     closest, furthest = flights["sources"]
     assert [closest["robot"], furthest["robot"]] == ["source-2", "source-4"]
     baseline = flights["baseline"]["rms_m"]
     assert closest["rms_m"] < baseline
     assert closest["reduction_percent"] == pytest.approx(100 * (1 - closest["rms_m"] / baseline))
     # The harm was predicted, the guard prevented it, and without the guard it is there.
-    assert second["verdicts"]["source-4"]["verdict"] == "do not transfer"
+    assert document["ranking"]["verdicts"]["source-4"]["verdict"] == "do not transfer"
     assert furthest["predicted_rms_m"] > 1.5 * baseline
     assert furthest["taken_back"] == 1
     assert furthest["rms_m"] < baseline < unguarded["rms_m"] < furthest["predicted_rms_m"]
-    run = tmp_path / first["run"]
-    assert json.loads((run / "demo.json").read_text())["flights"]["sources"] == flights["sources"]
     assert {"results.json", "flights.parquet", "run.rrd", "experiences"} <= {
         path.name for path in run.iterdir()
     }
-    assert " view " in alone.stderr
-    shown = (ROOT / "README.md").read_text().split("prints these two tables")[1]
-    # Between the two, it prints the flights one by one.
-    for part in re.split("(?=effect of the transfer)", shown.split("```", 2)[1]):
-        assert without_numbers(part) in without_numbers(alone.stderr)
-
-
-def without_numbers(text: str) -> str:
-    """The words of a text, with `#` in place of each number: README and output wrap differently."""
-    return " ".join(re.sub(r"[<+-]?\d[\d.]*", "#", text).split())
+    assert " view " in shown
 
 
 def has_begun(pid: int) -> bool:

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import click
 import pytest
@@ -35,6 +36,19 @@ def end_of(monkeypatch: pytest.MonkeyPatch, error: OSError) -> int | str | None:
     with pytest.raises(SystemExit) as ended:
         command_line.main()
     return ended.value.code
+
+
+@pytest.mark.parametrize("called", ["bin/pytest", "study.py", "", "-c"])
+def test_a_script_that_changed_its_folder_hints_at_commands_all_the_same(
+    called: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "bin" / "pytest"
+    program.parent.mkdir()
+    program.touch(mode=0o755)
+    monkeypatch.setenv("PATH", str(program.parent))
+    monkeypatch.chdir(tmp_path / "bin")
+    monkeypatch.setattr("sys.argv", [called])
+    assert command_line.invocation() == f"{sys.executable} -m nufleet"
 
 
 def test_a_full_disk_is_one_line_that_names_the_file(

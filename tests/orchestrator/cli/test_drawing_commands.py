@@ -119,6 +119,8 @@ def test_a_drawing_is_shown_as_a_picture() -> None:
     assert picture[..., :3].std() > 0.01
     assert "already exists" in str(run(show, "clover").exception)
     assert "ends with .png" in str(run(show, "clover", "--png", "clover.jpg").exception)
+    nowhere = run(show, "clover", "--png", "missing/clover.png").exception
+    assert "missing/clover.png: cannot be written: No such file" in str(nowhere)
     assert run(show, "heart.svg", "--png", "other.png", "--speed", "0.3").exit_code == 0
     assert Path("other.png").stat().st_size > 10_000
 
