@@ -18,14 +18,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nufleet.orchestrator.belief.amplitude_dependence import AmplitudeDependence
 from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
+from nufleet.orchestrator.belief.shared_doubt import share_doubt
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.comparison import Compared, Comparison
 from nufleet.orchestrator.study.interface import Question, Report, Responses, StudyPlan
 from nufleet.orchestrator.study.looks import Looks
 from nufleet.orchestrator.study.next_tests import NextTests, narrowing, settling
-from nufleet.orchestrator.study.ranking import INTERVAL, curves_of, ranking_of_axes, sampled_psi
+from nufleet.orchestrator.study.ranking import curves_of, ranking_of_axes, sampled_psi
 from nufleet.orchestrator.study.selection_belief import SelectionBelief
 from nufleet.orchestrator.study.tone_choice import ToneChoice
 from nufleet.shared.errors import StudyError
@@ -197,10 +197,13 @@ class AdaptiveStudy:
             )
             if following.tests:
                 return _Verdict(confidence, following.tests, "what is contested")
-            why = f"no further test would help; {chance}"
             if following.missing:
                 why = f"{chance}; to settle it, test again: {', '.join(following.missing)}"
-            return _Verdict(confidence, why=why)
+                return _Verdict(confidence, why=why)
+            contenders = [n for n in (self._plan.target, leader) if n not in self._grounded]
+            if looks := self._looks.due(contenders):
+                return _Verdict(confidence, looks, "what another amplitude does")
+            return _Verdict(confidence, why=f"no further test would help; {chance}")
         if self._robots[leader].flown_only:
             if leader in self._grounded or not rounds_left:
                 why = f"{leader} is known from flights alone, and no test could confirm them"
@@ -241,7 +244,7 @@ class AdaptiveStudy:
             why = f"the lower end of the band was not tested on {', '.join(contenders)}"
             return _Verdict(confidence, why=f"{why}; P(correct selection) = {confidence:.3f}")
         claim = self._claim(belief, leader, confidence)
-        low, _, high = np.quantile(belief.psi_star[belief.sources.index(leader)], INTERVAL)
+        low, _, high = belief.interval(leader)
         wanted = self._plan.precision
         if wanted is None or high - low <= wanted:
             return _Verdict(confidence, why=claim)
@@ -328,18 +331,9 @@ class AdaptiveStudy:
         return tuple(name for name in known if name not in self._grounded)
 
     def _share_doubt(self) -> None:
-        """Extend what is doubted of some robots to the others.
-
-        Robots of one fleet are alike: where the flights of one are no tests, those of the others
-        are not, either; and what the amplitude does to some of a kind, it may do to all of it.
-        """
+        """Extend what is doubted of some robots on an axis to the others."""
         for axis in self._plan.axes:
-            fleet = [robot.axes[axis] for robot in self._robots.values()]
-            doubt = max(robot.flight_doubt for robot in fleet)
-            for robot in fleet:
-                robot.doubt_flights(doubt)
-                kin = [one for one in fleet if one.compared and one.spec.kind == robot.spec.kind]
-                robot.assume(AmplitudeDependence.of_fleet([one.by_amplitude for one in kin]))
+            share_doubt([robot.axes[axis] for robot in self._robots.values()])
 
     def _remaining(self) -> tuple[str, ...]:
         return tuple(source for source in self._plan.sources if source not in self._dropped)

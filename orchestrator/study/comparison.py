@@ -158,9 +158,10 @@ def _together(
     one, *others = by_axis.values()
     if not others:
         return one
-    psi = one.psi
+    psi, likeliest = one.psi, one.likeliest
     for other in others:
         psi = np.maximum(psi, other.psi)
+        likeliest = np.maximum(likeliest, other.likeliest)
     errors = None
     if one.errors is not None:
         moved = sum(float(spectra[axis].power.sum()) for axis in by_axis)
@@ -169,4 +170,4 @@ def _together(
             if belief.errors is not None:
                 parts += belief.errors.parts * (float(spectra[axis].power.sum()) / moved)
         errors = PredictedErrors(one.errors.omega_rad_s, parts)
-    return replace(one, psi=psi, psi_star=psi.max(axis=2), errors=errors)
+    return replace(one, psi=psi, psi_star=psi.max(axis=2), likeliest=likeliest, errors=errors)

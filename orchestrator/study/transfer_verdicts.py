@@ -10,6 +10,7 @@ import numpy as np
 from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
 from nufleet.orchestrator.belief.resting_gain import draw_resting
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
+from nufleet.orchestrator.belief.shared_doubt import share_doubt
 from nufleet.orchestrator.study.interface import SourceEstimate, StudyPlan
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum, joined, spectra_of
 from nufleet.orchestrator.study.verdict import TransferPrediction, predict_transfer
@@ -68,17 +69,10 @@ def judge_transfers(
     flat = Spectrum.flat(plan.band_rad_s, CURVE_POINTS)
     spectra = spectra_of(plan) or dict.fromkeys(plan.axes, flat)
     together = joined(spectra)
-    known: dict[str, AxesKnowledge] = {}
     sources = [estimate.robot for estimate in ranking]
     if plan.motion is None:
         sources = sources[:JUDGED_MAX]
-    for robot in (plan.target, *sources):
-        if responses.get(robot):
-            one = AxesKnowledge(robot, specs[robot], plan.band_rad_s[1], plan.axes)
-            for response in responses[robot]:
-                one.learn(response, rng)
-            if not one.unseen:
-                known[robot] = one
+    known = _learned(plan, sources, specs, responses, rng)
     if plan.target not in known:
         return Judgement({}, ())
     drawn = {robot: _drawn(it, flat, spectra, rng) for robot, it in known.items()}
@@ -113,6 +107,27 @@ def judge_transfers(
         for finding in _gaps(at_source, known[plan.target].axes[axis])
     ]
     return Judgement(verdicts, tuple(dict.fromkeys(findings)))
+
+
+def _learned(
+    plan: StudyPlan,
+    sources: Sequence[str],
+    specs: Mapping[str, RobotSpec],
+    responses: Mapping[str, Sequence[FrequencyResponse]],
+    rng: np.random.Generator,
+) -> dict[str, AxesKnowledge]:
+    """Return what is known of the target and the sources that were tested on all axes."""
+    known = {}
+    for robot in (plan.target, *sources):
+        one = AxesKnowledge(robot, specs[robot], plan.band_rad_s[1], plan.axes)
+        for response in responses.get(robot, ()):
+            one.learn(response, rng)
+        if not one.unseen:
+            known[robot] = one
+    for axis in plan.axes:
+        if known:
+            share_doubt([robot.axes[axis] for robot in known.values()])
+    return known
 
 
 def _drawn(
