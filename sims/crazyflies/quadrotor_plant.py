@@ -14,8 +14,8 @@ class QuadrotorPlant:
     """A vehicle that crazyflow flies in the horizontal plane, sample by sample.
 
     A set-point acts from the next sample of the simulation on, and the position between two samples
-    lies on a straight line. crazyflow holds a height of its own, so that the height which is seen
-    is that of a loop of second order.
+    lies on a straight line. crazyflow holds a height of its own; a loop of second order takes its
+    place here.
     """
 
     def __init__(self, flight: Flight, plant: Plant) -> None:
