@@ -43,7 +43,7 @@ class PlantSettings:
     stamped: bool = True
     services: bool = True
     battery: float | None = 0.9
-    goes_back_after: int | None = None
+    goes_back_every: int | None = None
     falls_silent_after: int | None = None
     refuses: tuple[str, ...] = ()
     publishes_clock: bool = False
@@ -214,7 +214,7 @@ class Plant:
         stamp_ns += round((settings.clock_rate - 1) * (time.monotonic_ns() % 10**12))
         if settings.publishes_clock:
             stamp_ns = time.monotonic_ns()
-        if settings.goes_back_after is not None and count > settings.goes_back_after:
+        if settings.goes_back_every is not None and count // settings.goes_back_every % 2:
             stamp_ns -= 1_000_000_000
         message = _measured(self._new, settings, values, stamp_ns if settings.stamped else 0)
         at_s = self._arrives_s("out", now_s)
