@@ -384,7 +384,9 @@ class RobotKnowledge:
     def _changed(self, new: Tones, miss: _Miss, flight: Flight | None) -> float:
         """Return the variance to add to all tests if a new one contradicts the earlier ones."""
         tests_only = all(one.flight is None for one in self.responses)
-        depends = "on time or on the tones" if tests_only else "on the amplitude or on time"
+        depends = "on the amplitude or on time"
+        if tests_only:
+            depends = "on time or on the tones; if it has changed, test again without --reuse"
         self._find(
             f"its response changed between {self._motions(flight)}, by {miss.worst:.3g} at "
             f"{miss.worst_rad_s:.4g} rad/s: it depends {depends}"
