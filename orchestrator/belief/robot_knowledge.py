@@ -308,13 +308,9 @@ class RobotKnowledge:
                 tones.variance + doubt for tones, doubt in zip(self._tones, doubts, strict=True)
             ]
             # A doubt is the same in every test, so that their number must not average it away.
-            played = [one.flight is None for one in self.responses]
+            played = zip(self._tones, doubts, self.responses, strict=True)
             common = CommonError.of_tests(
-                [
-                    (t.omega_rad_s, doubt)
-                    for t, doubt, of_test in zip(self._tones, doubts, played, strict=True)
-                    if of_test
-                ]
+                [(t.omega_rad_s, doubt) for t, doubt, one in played if one.flight is None]
             )
             tones = Tones(
                 self.omega_rad_s,
