@@ -1,0 +1,1 @@
+"""PX4 and ArduPilot vehicles over MAVLink: a driver that needs pymavlink (extra `mavlink`)."""

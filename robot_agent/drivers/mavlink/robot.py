@@ -1,0 +1,375 @@
+"""A multicopter under PX4 or ArduPilot as a robot: set-points out, measured positions in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as dialect
+
+from nufleet.robot_agent.drivers.mavlink.frames import ned_of_enu, yaw_of_other_frame
+from nufleet.robot_agent.drivers.mavlink.line import Line
+from nufleet.robot_agent.drivers.mavlink.settings import AXES, MavlinkSettings
+from nufleet.robot_agent.drivers.mavlink.vehicle import Vehicle
+from nufleet.robot_agent.motion.monitor import rest_error_max
+from nufleet.robot_agent.robot import Record, Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotDownError, RobotError
+from nufleet.shared.robots.health import Health
+from nufleet.shared.robots.spec import RobotSpec
+
+STATE_NAMES = ("position", "velocity")
+
+USED = 0b1001_1100_0000
+"""Type mask of a set-point of position, velocity and yaw: acceleration and yaw rate are unused."""
+
+VELOCITY_UNUSED = 0b0000_0011_1000
+"""Further bits for a set-point without velocity."""
+
+START_MAX_M = 2.0
+"""Largest distance between the place of take-off and an origin that the settings give."""
+
+STILL_MEASUREMENTS = 10
+"""Number of measurements in a row near reference 0 after which the vehicle rests there."""
+
+STILL_MAX_S = 15.0
+"""Time in which it has to come to rest at the end of its way."""
+
+LANDING_MAX_S = 45.0
+"""Time in which a landing has to end."""
+
+TAKEN_OFF = 0.95
+"""Share of the height at which a take-off by the vehicle itself has ended."""
+
+RE_ANCHOR_S = 0.25
+"""Delay of a sample from which on the following ones keep their distance instead of catching up."""
+
+TAIL_S = 0.25
+"""Time to wait for a measurement after the last sample of a motion."""
+
+
+class MavlinkRobot(Robot):
+    """One vehicle; references and outputs are positions around its origin in m."""
+
+    def __init__(self, name: str, settings: MavlinkSettings, line: Callable[[], Line]) -> None:
+        """Describe a vehicle.
+
+        Args:
+            name: Name of the robot.
+            settings: Settings of the robot.
+            line: Function that returns a new line to the vehicle.
+        """
+        self._name, self._settings, self._new_line = name, settings, line
+        self._spec = settings.spec
+        self._columns = [AXES.index(axis.name) for axis in settings.axes]
+        self._vehicle: Vehicle | None = None
+        self._line: Line | None = None
+        self._next_s = 0.0
+        self._ground: FloatArray | None = None
+        self._origin = np.zeros(3)
+        self._yaw_rad: float | None = None
+        self._sent_s: list[float] = []
+        self._due_s: float | None = None
+        self._seen: FloatArray | None = None
+
+    @property
+    def spec(self) -> RobotSpec:
+        """Description of the vehicle, from its settings."""
+        return self._spec
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """Position and velocity, as the vehicle's estimator measures them."""
+        return STATE_NAMES
+
+    def connect(self) -> None:
+        """Find the vehicle on its address; it stays on the ground."""
+        self.disconnect()
+        self._line = self._new_line()
+        self._vehicle = Vehicle(self._settings, self._line)
+        self._ground = None
+        self._reset()
+        try:
+            self._vehicle.open()
+        except BaseException:
+            self._vehicle.close()
+            self._vehicle = None
+            raise
+
+    def begin(self) -> None:
+        """Arm, take off, and come to rest at reference 0."""
+        vehicle, line = self._connected()
+        health = vehicle.health()
+        if not health.ready:
+            raise RobotError(health.reason)
+        ground = vehicle.measured().position.copy()
+        self._place_origin(ground)
+        self._send(ground, np.zeros(3))
+        vehicle.keeper.hold(self._setpoint(ground, np.zeros(3)), line.now_s())
+        line.wait(line.now_s() + vehicle.profile.stream_s)
+        vehicle.enter(vehicle.profile.obeys)
+        self._ground = ground  # from here on it has to be ended
+        vehicle.arm()
+        vehicle.controlled = True
+        above = ground + np.array([0.0, 0.0, self._settings.height_m])
+        if vehicle.profile.climbs_itself:
+            vehicle.keeper.release()
+            self._climb(above)
+            self._last = above
+        else:
+            self._last = ground
+            self._glide(above)
+        self.rest()
+
+    def end(self) -> None:
+        """Land where it is, and disarm."""
+        vehicle, line = self._connected()
+        self._reset()
+        if self._ground is None or not vehicle.armed:
+            self._ended(vehicle)
+            return
+        vehicle.check_obeys()
+        vehicle.ask("landing", dialect.MAV_CMD_NAV_LAND, 0.0, 0.0, 0.0, math.nan)
+        vehicle.controlled = False  # it lands in a mode of its own
+        vehicle.keeper.release()
+
+        def down() -> bool:
+            return not vehicle.armed or vehicle.telemetry.landed is True
+
+        until_s = line.now_s() + LANDING_MAX_S
+        if not line.wait(until_s, down):
+            raise RobotError(f"{self._name} has not landed after {LANDING_MAX_S:g} s")
+        if not line.wait(line.now_s() + 2.0, lambda: not vehicle.armed):
+            vehicle.ask("disarming", dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
+        self._ended(vehicle)
+
+    def measure_output(self) -> FloatArray:
+        """Wait for the next measurement; return the position, shape (axes,)."""
+        vehicle, line = self._connected()
+        before = vehicle.measured()
+        line.wait(line.now_s() + 1.0, lambda: vehicle.telemetry.newest is not before)
+        return self._output(vehicle.measured().position)
+
+    def observe(self) -> FloatArray:
+        """Wait for the next sample; return position and velocity, shape (axes, 2)."""
+        if self._seen is None:
+            vehicle = self._wait_until_due()
+            newest = vehicle.measured()
+            self._seen = np.stack(
+                [self._output(newest.position), newest.velocity[self._columns]], axis=1
+            )
+        return self._seen.copy()
+
+    def step(self, reference: FloatArray) -> FloatArray:
+        """Send a reference, shape (axes,), when it is due; return the newest position."""
+        if self._ground is None:
+            raise RobotError(f"{self._name} has not taken off: `begin` has to be called first")
+        output: FloatArray = self.observe()[:, 0]
+        self._seen = None
+        place = self._origin.copy()
+        place[self._columns] += reference
+        velocity = np.zeros(3)
+        if self._settings.feed_forward:
+            velocity = (place - self._last) / self._spec.sample_time_s
+        self._sent_s.append(self._send(place, velocity))
+        self._due_s = self._next_s
+        return output
+
+    def record(self) -> Record | None:
+        """Return the measurements since the robot rested, at the vehicle's own times."""
+        vehicle, line = self._connected()
+        if not self._sent_s:
+            return None
+        clock, telemetry = vehicle.telemetry.clock, vehicle.telemetry
+        last_s = self._sent_s[-1]
+
+        def complete() -> bool:
+            newest = telemetry.newest
+            return newest is not None and clock.ours(np.array([newest.vehicle_s]))[0] >= last_s
+
+        line.wait(line.now_s() + TAIL_S, complete)
+        taken = telemetry.recorded()
+        positions = np.array([one.position for one in taken]).reshape(-1, 3)
+        return Record(
+            np.array(self._sent_s),
+            clock.ours(np.array([one.vehicle_s for one in taken])),
+            (positions - self._origin)[:, self._columns],
+        )
+
+    def health(self) -> Health:
+        """Return the battery, the state of the estimator, the link, and whether it obeys."""
+        vehicle = self._vehicle
+        if vehicle is None:
+            return Health(ready=False, reason="it is not connected")
+        return vehicle.health()
+
+    def kill(self) -> None:
+        """Cut the motors."""
+        vehicle = self._vehicle
+        if vehicle is None:
+            raise RobotError(f"{self._name} is not connected")
+        vehicle.cut()
+
+    def rest(self) -> None:
+        """Return to reference 0 on a smooth way, and wait until the vehicle rests there."""
+        vehicle, line = self._connected()
+        self._reset()
+        if self._ground is None:
+            return
+        vehicle.check_obeys()
+        self._glide(self._origin)
+        near = [0.5 * rest_error_max(self._spec, axis) for axis in self._spec.axes]
+        seen: list[bool] = []
+        last = vehicle.telemetry.newest
+
+        def still() -> bool:
+            nonlocal last
+            newest = vehicle.telemetry.newest
+            if newest is not None and newest is not last:
+                last = newest
+                away = np.abs(self._output(newest.position))
+                slow = np.abs(newest.velocity[self._columns]) < self._settings.climb_m_s / 4
+                seen.append(bool((away <= near).all() and slow.all()))
+            vehicle.check_obeys()
+            vehicle.check_in_touch()
+            return len(seen) >= STILL_MEASUREMENTS and all(seen[-STILL_MEASUREMENTS:])
+
+        lasts_s = self._spec.settling_time_s + STILL_MAX_S
+        if not line.wait(line.now_s() + lasts_s, still):
+            away = self._output(vehicle.measured().position)
+            raise RobotError(
+                f"{self._name} has not come to rest at reference 0 within {lasts_s:.0f} s: it is "
+                f"at {np.array2string(away, precision=2)} m"
+            )
+        self._reset()
+
+    def disconnect(self) -> None:
+        """Land if it still flies and obeys, and leave the vehicle alone."""
+        vehicle = self._vehicle
+        if vehicle is None:
+            return
+        try:
+            if self._ground is not None and not vehicle.health().reason:
+                self.end()
+        finally:
+            self._vehicle, self._ground = None, None
+            vehicle.close()
+
+    def _reset(self) -> None:
+        """Forget the last motion."""
+        self._sent_s, self._due_s, self._seen = [], None, None
+        if self._vehicle is not None:
+            self._vehicle.telemetry.forget()
+
+    def _connected(self) -> tuple[Vehicle, Line]:
+        if self._vehicle is None or self._line is None:
+            raise RobotError(f"{self._name} is not connected")
+        if self._vehicle.cut_off:
+            raise RobotDownError("its motors were cut")
+        return self._vehicle, self._line
+
+    def _ended(self, vehicle: Vehicle) -> None:
+        vehicle.controlled = False
+        vehicle.keeper.release()
+        self._ground = None
+
+    def _output(self, position: FloatArray) -> FloatArray:
+        output: FloatArray = (position - self._origin)[self._columns]
+        return output
+
+    def _place_origin(self, ground: FloatArray) -> None:
+        settings = self._settings
+        origin = ground.copy()
+        if settings.origin_m is not None:
+            origin[:2] = settings.origin_m
+            away_m = float(np.linalg.norm(origin - ground))
+            if away_m > START_MAX_M:
+                raise RobotError(
+                    f"{self._name} stands {away_m:.1f} m from its origin_m "
+                    f"{settings.origin_m}, at {ground[0]:.2f} m east and {ground[1]:.2f} m north: "
+                    "put it there, or check that two robots are not exchanged"
+                )
+        origin[2] += settings.height_m
+        self._origin = self._last = origin
+        yaw_deg = settings.yaw_deg
+        self._yaw_rad = None if yaw_deg is None else math.radians(yaw_deg)
+
+    def _climb(self, above: FloatArray) -> None:
+        """Have the vehicle take off by itself, and wait until it is up."""
+        vehicle, line = self._connected()
+        height_m = self._settings.height_m
+        takeoff = dialect.MAV_CMD_NAV_TAKEOFF
+        vehicle.ask("taking off", takeoff, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, height_m)
+        least_m = above[2] - (1 - TAKEN_OFF) * height_m
+
+        def up() -> bool:
+            vehicle.check_obeys()
+            return bool(vehicle.measured().position[2] >= least_m)
+
+        lasts_s = height_m / self._settings.climb_m_s + STILL_MAX_S
+        if not line.wait(line.now_s() + lasts_s, up):
+            words = vehicle.telemetry.words(line.now_s())
+            raise RobotError(f"{self._name} was told to take off, and does not climb{words}")
+
+    def _glide(self, to: FloatArray) -> None:
+        """Lead the set-point to a place along a raised cosine, no faster than `climb_m_s`."""
+        begins = self._last
+        distance_m = float(np.linalg.norm(to - begins))
+        slowest = min([self._settings.climb_m_s, *(a.velocity_max for a in self._spec.axes)])
+        gentlest = min(axis.acceleration_max for axis in self._spec.axes)
+        # d (1 − cos π t / τ) / 2 reaches the speed π d / 2 τ and the acceleration π² d / 2 τ².
+        lasts_s = max(
+            math.pi * distance_m / 2 / slowest,
+            math.pi * math.sqrt(distance_m / 2 / gentlest),
+        )
+        samples = math.ceil(lasts_s / self._spec.sample_time_s)
+        self._due_s = None
+        for k in range(1, samples + 1):
+            place = begins + (to - begins) * (1 - math.cos(math.pi * k / samples)) / 2
+            self._wait_until_due()
+            self._send(place, (place - self._last) / self._spec.sample_time_s)
+            self._due_s = self._next_s
+        self._due_s = None
+
+    def _wait_until_due(self) -> Vehicle:
+        """Wait until the next set-point is due."""
+        vehicle, line = self._connected()
+        now_s, due_s = line.now_s(), self._due_s
+        if due_s is None or now_s - due_s > RE_ANCHOR_S:
+            due_s = now_s
+        line.wait(due_s)
+        vehicle.check_obeys()
+        if not self._sent_s:
+            vehicle.telemetry.record()
+        self._next_s = due_s + self._spec.sample_time_s
+        return vehicle
+
+    def _send(self, place: FloatArray, velocity: FloatArray) -> float:
+        """Send a set-point now; return when."""
+        vehicle, line = self._connected()
+        line.send(self._setpoint(place, velocity))
+        now_s = line.now_s()
+        vehicle.keeper.sent(self._setpoint(place, np.zeros(3)), now_s)
+        self._last = place
+        return now_s
+
+    def _setpoint(self, place: FloatArray, velocity: FloatArray) -> Any:
+        assert self._line is not None  # noqa: S101 - it is connected
+        x, y, z = ned_of_enu(place).tolist()
+        vx, vy, vz = ned_of_enu(velocity).tolist()
+        mask = USED if self._settings.feed_forward else USED | VELOCITY_UNUSED
+        yaw = 0.0
+        if self._yaw_rad is None:
+            mask |= dialect.POSITION_TARGET_TYPEMASK_YAW_IGNORE
+        else:
+            yaw = yaw_of_other_frame(self._yaw_rad)
+        return dialect.MAVLink_set_position_target_local_ned_message(
+            int(1e3 * self._line.now_s()) & 0xFFFF_FFFF,
+            self._settings.system_id,
+            self._settings.component_id,
+            dialect.MAV_FRAME_LOCAL_NED,
+            mask,
+            *(x, y, z, vx, vy, vz, 0.0, 0.0, 0.0, yaw, 0.0),
+        )

@@ -1,0 +1,227 @@
+"""Puts the time stamps of another clock on this computer's, and keeps what arrived with them."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotError
+
+KEPT = 100_000
+"""Measurements kept: more than ten minutes at 100 Hz."""
+
+HISTORY_S = 60.0
+"""Time before a motion whose messages help to compare the clocks."""
+
+JUMP_MAX_S = 1.0
+"""Time by which a stamp may lie further ahead of the last one than the arrivals are apart."""
+
+AHEAD_MAX_S = 0.02
+"""Time by which a synchronised stamp may lie ahead of its arrival."""
+
+DRIFT_MAX = 1e-3
+"""Largest difference in rate between two clocks; more is no clock, but too few messages."""
+
+DRIFT_SPAN_S = 5.0
+"""Shortest span of messages from which a difference in rate is estimated."""
+
+
+@dataclass(frozen=True)
+class Arrived:
+    """One measurement, and when it arrived."""
+
+    stamp_s: float
+    """Its time: its stamp, or its arrival if stamps mean nothing."""
+    arrived_s: float
+    """Time of its arrival, on the driver's clock."""
+    values: Mapping[str, float]
+    """Value of each component or joint."""
+
+
+class Arrivals:
+    """The measurements of a topic; for any threads.
+
+    A stamp that goes backwards is refused, and so is everything after it.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        components: Sequence[str],
+        stamps: Literal["own-clock", "synchronised", "arrival"],
+    ) -> None:
+        """Begin without a measurement.
+
+        Args:
+            topic: Name of the topic, for messages.
+            components: Components or joints that are needed.
+            stamps: What time stamps mean, as in `MeasurementTopic`.
+        """
+        self._topic, self._components, self._stamps = topic, tuple(components), stamps
+        self._changed = threading.Condition()
+        self._kept: deque[Arrived] = deque(maxlen=KEPT)
+        self._count = 0
+        self._problem: str | None = None
+        self._others: frozenset[str] = frozenset()
+
+    def take(self, stamp_s: float | None, arrived_s: float, values: Mapping[str, float]) -> None:
+        """Take a measurement; repetitions and messages about other joints alone are passed over.
+
+        Args:
+            stamp_s: Its time stamp, on the driver's clock if the clocks are synchronised; None if
+                it has none.
+            arrived_s: When it arrived, on the driver's clock.
+            values: Value of each component or joint.
+        """
+        if self._stamps == "arrival":
+            stamp_s = arrived_s
+        with self._changed:
+            if not any(name in values for name in self._components):
+                self._others |= values.keys()
+                return
+            last = self._kept[-1] if self._kept else None
+            if last is not None and stamp_s == last.stamp_s:
+                return
+            problem = self._wrong(stamp_s, arrived_s, values, last)
+            if problem is not None:
+                self._problem = self._problem or problem
+            elif self._problem is None and stamp_s is not None:
+                needed = {name: values[name] for name in self._components}
+                self._kept.append(Arrived(stamp_s, arrived_s, needed))
+                self._count += 1
+            self._changed.notify_all()
+
+    def newest(self) -> Arrived | None:
+        """Return the newest measurement; None before the first.
+
+        Raises:
+            RobotError: A measurement was refused.
+        """
+        with self._changed:
+            if self._problem is not None:
+                raise RobotError(self._problem)
+            return self._kept[-1] if self._kept else None
+
+    def next(self, timeout_s: float) -> Arrived:
+        """Wait for the next measurement.
+
+        Raises:
+            RobotError: None came, or it was refused.
+        """
+        with self._changed:
+            before = self._count
+            self._changed.wait_for(
+                lambda: self._count > before or self._problem is not None, timeout_s
+            )
+            if self._problem is None and self._count == before:
+                others = f"; it has only {', '.join(sorted(self._others))}" if self._others else ""
+                raise RobotError(
+                    f"nothing came of {', '.join(self._components)} on {self._topic} for "
+                    f"{timeout_s:.2g} s{others}"
+                )
+        arrived = self.newest()
+        assert arrived is not None  # noqa: S101 - one has just been counted
+        return arrived
+
+    def since(self, begin_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return the measurements taken since a time, and the last one before it.
+
+        Args:
+            begin_s: The time, on the driver's clock.
+
+        Returns:
+            Their times on the driver's clock, shape (measurements,), and their values, shape
+            (measurements, components).
+        """
+        with self._changed:
+            kept = [one for one in self._kept if one.arrived_s >= begin_s - HISTORY_S]
+        stamp_s = np.array([one.stamp_s for one in kept])
+        arrived_s = np.array([one.arrived_s for one in kept])
+        if self._stamps == "own-clock" and kept:
+            stamp_s = on_receiving_clock(stamp_s, arrived_s)
+        first = max(0, int(np.searchsorted(stamp_s, begin_s)) - 1)
+        values = [[one.values[name] for name in self._components] for one in kept[first:]]
+        return stamp_s[first:], np.array(values).reshape(-1, len(self._components))
+
+    def _wrong(
+        self,
+        stamp_s: float | None,
+        arrived_s: float,
+        values: Mapping[str, float],
+        last: Arrived | None,
+    ) -> str | None:
+        """Return what is wrong with a measurement; None if it is good."""
+        missing = [name for name in self._components if name not in values]
+        if missing:
+            there = ", ".join(sorted(values))
+            return f"{self._topic} has no {', '.join(missing)}; it has {there}"
+        wrong = [name for name in self._components if not np.isfinite(values[name])]
+        if wrong:
+            return (
+                f"{self._topic} reported a {wrong[0]} that is not finite, or an orientation that "
+                "is none: the robot has no position estimate"
+            )
+        if stamp_s is None:
+            return (
+                f"the messages on {self._topic} have no time stamp: have their publisher fill "
+                'header.stamp, or state stamps = "arrival"'
+            )
+        if last is not None and stamp_s < last.stamp_s:
+            return (
+                f"the time stamps on {self._topic} went back by {last.stamp_s - stamp_s:.3g} s: "
+                "its clock was set, or two programs publish there"
+            )
+        jump_s = 0.0
+        if last is not None:
+            jump_s = stamp_s - last.stamp_s - (arrived_s - last.arrived_s)
+        if jump_s > JUMP_MAX_S:
+            return f"the time stamps on {self._topic} jumped by {jump_s:.3g} s: its clock was set"
+        if self._stamps == "synchronised" and stamp_s > arrived_s + AHEAD_MAX_S:
+            return (
+                f"the time stamps on {self._topic} are {stamp_s - arrived_s:.3g} s ahead of this "
+                'computer\'s clock: synchronise them with chrony, or state stamps = "own-clock"'
+            )
+        return None
+
+
+def on_receiving_clock(stamp_s: FloatArray, arrived_s: FloatArray) -> FloatArray:
+    """Return time stamps of another clock as times of the clock that the arrivals are on.
+
+    No message arrives before it was sent. Of all linear relations between the clocks that respect
+    this, the one with the least total delay is taken (Moon, Skelly and Towsley, "Estimation and
+    removal of clock skew from network delay measurements", INFOCOM 1999). What remains unknown is
+    the time that the fastest messages travelled.
+
+    Args:
+        stamp_s: Time stamps, shape (messages,), increasing.
+        arrived_s: Times of arrival, shape (messages,).
+    """
+    origin_s = float(stamp_s.mean())
+    along_s, late_s = stamp_s - origin_s, arrived_s - stamp_s
+    if np.ptp(along_s) < DRIFT_SPAN_S:
+        return stamp_s + float(late_s.min())
+    # The best line lies on the lower convex hull's edge above the mean of the stamps.
+    hull: list[int] = []
+    for i in range(len(along_s)):
+        while len(hull) > 1 and _above(along_s, late_s, hull[-2], hull[-1], i):
+            hull.pop()
+        hull.append(i)
+    right = min(max(1, int(np.searchsorted(along_s[hull], 0.0))), len(hull) - 1)
+    left, end = hull[right - 1], hull[right]
+    rate = (late_s[end] - late_s[left]) / (along_s[end] - along_s[left])
+    rate = float(np.clip(rate, -DRIFT_MAX, DRIFT_MAX))
+    offset_s = float(np.min(late_s - rate * along_s))
+    placed: FloatArray = stamp_s + offset_s + rate * along_s
+    return placed
+
+
+def _above(x: FloatArray, y: FloatArray, first: int, middle: int, last: int) -> bool:
+    """Return whether the middle point lies on or above the line between the others."""
+    rise = (y[last] - y[first]) * (x[middle] - x[first])
+    return bool((y[middle] - y[first]) * (x[last] - x[first]) >= rise)

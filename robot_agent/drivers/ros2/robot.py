@@ -1,0 +1,311 @@
+"""A robot that takes set-points from a ROS 2 topic and reports its position on another one."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Protocol
+
+import numpy as np
+
+from nufleet.robot_agent.drivers.ros2.clocks import Arrivals
+from nufleet.robot_agent.drivers.ros2.messages import SetPoint
+from nufleet.robot_agent.drivers.ros2.setpoints import Places
+from nufleet.robot_agent.drivers.ros2.settings import TWISTS, Ros2Settings
+from nufleet.robot_agent.motion.monitor import LOST_MAX_S
+from nufleet.robot_agent.robot import Record, Robot
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import RobotDownError, RobotError
+from nufleet.shared.robots.health import Health
+from nufleet.shared.robots.spec import RobotSpec
+
+KILL_MAX_S = 0.8
+"""Time in which the service that cuts the motors has to answer."""
+
+LOOK_S = 0.1
+"""Interval at which a wait looks whether the motors were cut."""
+
+
+class Link(Protocol):
+    """What a robot needs of ROS 2. Times are in s on one clock; simulated time if there is one."""
+
+    arrivals: Arrivals
+    """Measurements."""
+
+    def now_s(self) -> float:
+        """Return the time."""
+
+    def wait_until(self, due_s: float) -> None:
+        """Wait; raises RobotError if the clock stands still."""
+
+    def send(self, point: SetPoint) -> None:
+        """Send a set-point now."""
+
+    def keep_sending(self, resend: Callable[[], None] | None) -> None:
+        """Call a function whenever one and a half samples pass without a set-point; None stops."""
+
+    def call(self, role: str, engage: bool, timeout_s: float) -> None:
+        """Call a service by what it does, and wait for its answer; raises RobotError.
+
+        Any thread may call; `engage` is what a SetBool is given.
+        """
+
+    def charge(self) -> float | None:
+        """Return the newest charge of the battery, 0 to 1; None if unknown; raises RobotError."""
+
+    def close(self) -> None:
+        """Leave ROS 2."""
+
+
+class Ros2Robot(Robot):
+    """One robot on ROS 2."""
+
+    def __init__(
+        self, name: str, settings: Ros2Settings, open_link: Callable[[str, Ros2Settings], Link]
+    ) -> None:
+        """Describe the robot, without reaching it.
+
+        Args:
+            name: Name of the robot.
+            settings: Its settings.
+            open_link: Function that reaches it, checks its topics and services, and has received
+                a first measurement; raises RobotError.
+        """
+        self._name, self._settings, self._open = name, settings, open_link
+        self._spec = settings.spec()
+        self._link: Link | None = None
+        self._down: str | None = None
+        self._begun = False
+        self._places = Places(settings)
+        # The last place commanded. A set-point of a motion and a repetition from the link's thread
+        # must not overtake one another.
+        self._place = self._places.rest
+        self._sending = threading.Lock()
+        # Times at which the samples since the last rest were sent, and the next one is due.
+        self._sent_s: list[float] = []
+        self._due_s: float | None = None
+
+    @property
+    def spec(self) -> RobotSpec:
+        """Description of the robot; may be read while disconnected."""
+        return self._spec
+
+    def connect(self) -> None:
+        """Reach the robot's topics and services; nothing is sent yet."""
+        self.disconnect()
+        self._down = None
+        self._places = Places(self._settings)
+        self._forget()
+        self._link = self._open(self._name, self._settings)
+
+    def begin(self) -> None:
+        """Arm and take off by the robot's services, then go to the origin by set-points."""
+        link, services = self._reached(), self._settings.services
+        self._check_fence()
+        if services.arm is not None:
+            link.call("arm", True, services.timeout_s)
+        if services.take_off is not None:
+            link.call("take_off", True, services.timeout_s)
+            self._pause(services.take_off_s)
+        here = self._here()[: len(self._settings.commanded)]
+        self._places.begin(here)
+        # Where the robot is, on the side of the turn from which the way is shortest.
+        self._place = self._places.rest + self._places.away(here)
+        self._begun = True
+        self._send(self._place)
+        link.keep_sending(self._resend)
+        self._go(self._places.rest)
+        self._check_place()
+
+    def end(self) -> None:
+        """Land and disarm by the robot's services, and send no more set-points."""
+        link, services = self._reached(), self._settings.services
+        self._let_stand(link)
+        if services.land is not None:
+            link.call("land", True, services.timeout_s)
+            self._pause(services.land_s)
+        if services.disarm is not None:
+            link.call("disarm", True, services.timeout_s)
+        elif services.arm is not None:
+            link.call("arm", False, services.timeout_s)
+
+    def measure_output(self) -> FloatArray:
+        """Wait for the next measurement, shape (axes,)."""
+        arrived = self._reached().arrivals.next(2 * LOST_MAX_S)
+        return self._places.output(np.array([*arrived.values.values()]))
+
+    def step(self, reference: FloatArray) -> FloatArray:
+        """Send a reference, shape (axes,), when its time has come; return the newest output."""
+        link = self._moving()
+        period_s = self._spec.sample_time_s
+        now_s = link.now_s()
+        # A process that was held up by more than a sample keeps its new pace.
+        due_s = now_s if self._due_s is None or now_s > self._due_s + period_s else self._due_s
+        link.wait_until(due_s)
+        self._moving()
+        output = self._places.output(self._here())
+        self._sent_s.append(link.now_s())
+        self._send(self._places.at(reference))
+        self._due_s = due_s + period_s
+        return output
+
+    def record(self) -> Record:
+        """Return the measurements by their time stamps, on this computer's clock."""
+        link = self._reached()
+        if not self._sent_s:
+            axes = len(self._spec.axes)
+            return Record(np.empty(0), np.empty(0), np.empty((0, axes)))
+        measured_s, here = link.arrivals.since(self._sent_s[0])
+        return Record(np.array(self._sent_s), measured_s, self._places.output(here))
+
+    def rest(self) -> None:
+        """Go to reference 0 from the last one, and wait until the robot has settled."""
+        if not self._begun:
+            self._reached()
+            return
+        self._moving()
+        self._forget()
+        self._go(self._places.rest)
+        self._here()
+
+    def health(self) -> Health:
+        """Return what was reported last of the position and the battery."""
+        link, battery = self._link, self._settings.battery
+        if link is None:
+            return Health(ready=False, reason="its driver is not connected")
+        if self._down is not None:
+            return Health(ready=False, reason=self._down)
+        reason, charge, endurance_s = "", None, None
+        try:
+            self._here()
+            charge = link.charge()
+        except RobotError as error:
+            reason = str(error)
+        if battery is not None and charge is not None:
+            spare = max(0.0, charge - battery.reserve)
+            endurance_s = None if battery.motion_s is None else spare * battery.motion_s
+            if not spare:
+                reason = reason or (
+                    f"its battery is at {charge:.0%}, and {battery.reserve:.0%} are kept for "
+                    "landing: charge it"
+                )
+        return Health(ready=not reason, reason=reason, battery=charge, endurance_s=endurance_s)
+
+    def kill(self) -> None:
+        """Cut the motors by the robot's service."""
+        link = self._link
+        if link is None:
+            raise RobotError(f"the motors of {self._name} cannot be cut: it is not connected")
+        if self._settings.services.kill is None:
+            raise RobotError(
+                f"the fleet file names no service that cuts the motors of {self._name} "
+                "(services.kill)"
+            )
+        link.call("kill", True, KILL_MAX_S)
+        self._down = "its motors were cut"
+        link.keep_sending(None)
+
+    def disconnect(self) -> None:
+        """Leave ROS 2; set-points are no longer sent."""
+        link, self._link = self._link, None
+        if link is not None:
+            self._let_stand(link)
+            link.close()
+
+    def _forget(self) -> None:
+        """Forget the times of a motion's samples."""
+        self._sent_s, self._due_s = [], None
+
+    def _reached(self) -> Link:
+        if self._down is not None:
+            raise RobotDownError(self._down)
+        if self._link is None:
+            raise RobotError(f"{self._name} is not connected")
+        return self._link
+
+    def _moving(self) -> Link:
+        link = self._reached()
+        if not self._begun:
+            raise RobotError(f"{self._name} has not begun: it takes no set-points yet")
+        return link
+
+    def _here(self) -> FloatArray:
+        """Return the newest measured place, shape (measured components,)."""
+        link = self._reached()
+        arrived = link.arrivals.newest()
+        age_s = None if arrived is None else link.now_s() - arrived.arrived_s
+        if arrived is None or age_s is None or age_s > LOST_MAX_S:
+            topic = self._settings.full(self._settings.measurement.topic)
+            since = "" if age_s is None else f" for {age_s:.2g} s"
+            raise RobotError(f"nothing came on {topic}{since}: check its publisher and the network")
+        return np.array([*arrived.values.values()])
+
+    def _send(self, place: FloatArray) -> None:
+        with self._sending:
+            before, self._place = self._place, place
+            self._publish(before)
+
+    def _resend(self) -> None:
+        with self._sending:
+            if self._begun:
+                self._publish(self._place)
+
+    def _publish(self, before: FloatArray) -> None:
+        here = None
+        if self._settings.command.type in TWISTS:
+            with suppress(RobotError):  # a robot that is not measured stands still
+                here = self._here()
+        link = self._link
+        if link is not None:
+            link.send(self._places.set_point(self._place, before, here))
+
+    def _let_stand(self, link: Link) -> None:
+        """Send no more set-points; a robot that is commanded velocities is stopped."""
+        link.keep_sending(None)
+        with self._sending:
+            begun, self._begun = self._begun, False
+            if begun and self._settings.command.type in TWISTS:
+                link.send(self._places.set_point(self._place, self._place, None))
+
+    def _go(self, place: FloatArray) -> None:
+        """Go to a place by set-points, and wait until the robot has settled."""
+        link = self._moving()
+        due_s = link.now_s()
+        for step in self._places.way(self._place, place):
+            due_s = max(due_s + self._spec.sample_time_s, link.now_s() - LOST_MAX_S)
+            link.wait_until(due_s)
+            self._moving()
+            self._send(step)
+        self._pause(self._spec.settling_time_s)
+
+    def _pause(self, lasts_s: float) -> None:
+        """Wait, unless the motors are cut meanwhile."""
+        link = self._reached()
+        until_s = link.now_s() + lasts_s
+        while (now_s := link.now_s()) < until_s:
+            link.wait_until(min(until_s, now_s + LOOK_S))
+            self._reached()
+
+    def _check_fence(self) -> None:
+        """Refuse to go to the origin from outside the limits of the measured output."""
+        outputs = self._places.output(self._here())
+        for axis, output in zip(self._spec.axes, outputs.tolist(), strict=True):
+            below = axis.output_min is not None and output < axis.output_min
+            if below or (axis.output_max is not None and output > axis.output_max):
+                raise RobotError(
+                    f"{self._name} is at {axis.name} = {output:.3g} {axis.unit}, outside its "
+                    f"limits {axis.output_min} to {axis.output_max}: bring it back, or correct "
+                    "its origin in the fleet file"
+                )
+
+    def _check_place(self) -> None:
+        """Refuse to have begun where a held component is not in its place."""
+        names = self._settings.commanded
+        away = self._places.away(self._here()[: len(names)])
+        for i in range(len(self._spec.axes), len(names)):
+            if abs(away[i]) > self._settings.hold_tolerance:
+                raise RobotError(
+                    f"{self._name} has not got to {names[i]} = {self._places.rest[i]:.3g}: it is "
+                    f"{abs(away[i]):.2g} away, more than hold_tolerance"
+                )

@@ -1,0 +1,1 @@
+"""A simulated multicopter that speaks MAVLink, with a position loop of known response."""

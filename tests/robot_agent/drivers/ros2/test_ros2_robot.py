@@ -1,0 +1,262 @@
+"""A robot on ROS 2 keeps the contract, goes slowly, and says what is wrong; in virtual time."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from ros2_lab import ARM, CART, DRONE, FLYING, Lab, settings
+
+from nufleet.robot_agent.driver_kit.check import check_robot
+from nufleet.robot_agent.drivers.ros2.driver import DRIVER
+from nufleet.shared.errors import RobotDownError, RobotError
+
+BATTERY = {"topic": "battery", "motion_s": 400.0}
+
+
+def flying(**start: float) -> Lab:
+    """A drone that has begun."""
+    lab = Lab(settings(services=FLYING, hold={"z": 1.0}, battery=BATTERY), **start)
+    lab.robot.connect()
+    lab.robot.begin()
+    return lab
+
+
+@pytest.mark.parametrize("document", [{**DRONE, "services": {"kill": "kill"}}, ARM, CART])
+def test_every_kind_of_robot_keeps_the_contract(document: dict[str, Any]) -> None:
+    axes = [axis for axis in document["axes"] if axis["name"] != "y"]
+    lab = Lab(settings(document, use_sim_time=True, settling_time_s=1.0, axes=axes))
+    report = check_robot(lab.robot)
+    assert not report.failed, str(report)
+
+
+def test_connecting_sends_nothing() -> None:
+    lab = Lab(settings(services=FLYING))
+    lab.robot.connect()
+    assert (lab.link.sent, lab.link.calls) == ([], [])
+
+
+def test_a_drone_is_armed_takes_off_and_goes_to_its_origin_no_faster_than_it_may() -> None:
+    lab = flying(x=1.5, yaw=3.0)
+    assert lab.link.calls == [("arm", True), ("take_off", True)]
+    x = np.array([point.positions["x"] for point in lab.link.sent])
+    assert (x[0], x[-1]) == (pytest.approx(1.5, abs=1e-6), 0.5)
+    assert np.abs(np.diff(x)).max() <= 0.5 * 0.6 * 0.02 + 1e-9
+    z, yaw = lab.link.sent[-1].positions["z"], lab.link.sent[-1].positions["yaw"]
+    assert (z, yaw) == (1.0, pytest.approx(3.0))
+    assert lab.robot.measure_output() == pytest.approx([0.0, 0.0], abs=1e-3)
+
+
+def test_a_yaw_is_measured_and_reached_the_short_way_round() -> None:
+    yaw = {"name": "yaw", "unit": "rad", "amplitude_max": 0.3, "velocity_max": 0.6}
+    own = settings(axes=[{**yaw, "acceleration_max": 1.6, "origin": -3.0}])
+    lab = Lab(own, yaw=3.0)
+    lab.robot.connect()
+    lab.robot.begin()
+    commanded = [point.positions["yaw"] for point in lab.link.sent]
+    assert commanded[0] == pytest.approx(3.0 - 2 * math.pi)
+    assert np.ptp(commanded) < 0.3
+
+
+def test_references_count_from_the_origin_at_exact_times() -> None:
+    lab = flying()
+    del lab.link.sent[:]
+    began_s = lab.link.time_s
+    for k in range(50):
+        lab.robot.step(np.array([0.01 * k, 0.0]))
+    assert [point.positions["x"] for point in lab.link.sent] == pytest.approx(
+        [0.5 + 0.01 * k for k in range(50)]
+    )
+    record = lab.robot.record()
+    assert np.diff(record.sample_s) == pytest.approx(0.02)
+    assert record.sample_s[0] == pytest.approx(began_s)
+    assert record.measured_s[0] <= record.sample_s[0]
+
+
+def test_a_process_that_was_held_up_keeps_its_new_pace() -> None:
+    lab = flying()
+    lab.robot.step(np.zeros(2))
+    for _ in range(20):
+        lab.link.tick()
+    for _ in range(3):
+        lab.robot.step(np.zeros(2))
+    assert np.diff(lab.robot.record().sample_s) == pytest.approx([0.2, 0.02, 0.02])
+
+
+def test_outputs_are_recorded_at_their_stamps_on_another_clock() -> None:
+    lab = flying()
+    for k in range(100):
+        lab.robot.step(np.array([0.2 * math.sin(0.06 * k), 0.0]))
+    record = lab.robot.record()
+    # The virtual link delivers after 2 ms, which no clock can tell from an offset.
+    assert record.measured_s[-1] == pytest.approx(lab.link.taken_s + 0.002, abs=1e-6)
+    assert record.outputs.shape == (len(record.measured_s), 2)
+
+
+def test_between_motions_the_robot_is_told_its_place_again_and_again() -> None:
+    lab = flying()
+    before = len(lab.link.sent)
+    for _ in range(100):
+        lab.link.tick()
+    again = lab.link.sent[before:]
+    assert len(again) >= 20
+    assert all(point == again[0] for point in again)
+    lab.robot.end()
+    ended = len(lab.link.sent)
+    for _ in range(100):
+        lab.link.tick()
+    assert len(lab.link.sent) == ended
+
+
+def test_it_lands_and_disarms() -> None:
+    lab = flying()
+    lab.robot.end()
+    assert lab.link.calls[2:] == [("land", True), ("arm", False)]
+
+
+def test_arming_by_two_services_disarms_by_the_second() -> None:
+    lab = Lab(settings(services={"arm": "arm", "disarm": "disarm"}))
+    lab.robot.connect()
+    lab.robot.begin()
+    lab.robot.end()
+    assert lab.link.calls == [("arm", True), ("disarm", True)]
+
+
+def test_a_refused_take_off_ends_before_any_set_point() -> None:
+    lab = Lab(settings(services=FLYING))
+    lab.robot.connect()
+    lab.link.refusals["take_off"] = "the battery is low"
+    with pytest.raises(RobotError, match="take_off refused: the battery is low"):
+        lab.robot.begin()
+    assert lab.link.sent == []
+
+
+def test_a_robot_outside_its_limits_is_not_moved() -> None:
+    axes = [{**DRONE["axes"][0], "output_min": -1.0, "output_max": 1.0}]
+    lab = Lab(settings(services=FLYING, axes=axes), x=2.0)
+    lab.robot.connect()
+    with pytest.raises(RobotError, match=r"cf-1 is at x = 1.5 m, outside its limits -1.0 to 1.0"):
+        lab.robot.begin()
+    assert (lab.link.calls, lab.link.sent) == ([], [])
+
+
+def test_a_robot_that_does_not_rise_has_not_begun() -> None:
+    lab = Lab(settings(services=FLYING, hold={"z": 1.0}))
+    lab.robot.connect()
+    lab.link.goal.pop("z")
+    send = lab.link.send
+    lab.link.send = lambda point: (send(point), lab.link.goal.pop("z"))[0]  # type: ignore[method-assign]
+    with pytest.raises(RobotError, match=r"cf-1 has not got to z = 1: it is 1 away"):
+        lab.robot.begin()
+
+
+@pytest.mark.parametrize("call", ["step", "rest"])
+def test_silence_on_the_topic_ends_a_motion_and_its_rest(call: str) -> None:
+    lab = flying()
+    lab.link.silent = True
+    for _ in range(60):
+        lab.link.tick()
+    with pytest.raises(RobotError, match=r"nothing came on /cf1/measured for [\d.]+ s"):
+        lab.robot.step(np.zeros(2)) if call == "step" else lab.robot.rest()
+    lab.robot.end()
+    assert lab.link.calls[-2:] == [("land", True), ("arm", False)]
+
+
+def test_stamps_that_go_backwards_end_a_motion() -> None:
+    lab = flying()
+    lab.robot.step(np.zeros(2))
+    lab.link.stamp_offset_s = 76.0
+    lab.link.tick()
+    with pytest.raises(RobotError, match=r"went back by 0.9[89] s"):
+        lab.robot.step(np.zeros(2))
+    health = lab.robot.health()
+    assert not health.ready
+    assert "went back" in health.reason
+
+
+def test_health_tells_the_charge_and_the_time_that_is_left() -> None:
+    lab = flying()
+    assert lab.robot.health().battery is None
+    lab.link.battery = 0.7
+    assert lab.robot.health().endurance_s == pytest.approx(200.0)
+    lab.link.battery = 0.15
+    health = lab.robot.health()
+    assert (health.ready, health.endurance_s) == (False, 0.0)
+    assert "at 15%, and 20% are kept for landing" in health.reason
+
+
+def test_killed_motors_move_no_more_until_the_next_connection() -> None:
+    lab = flying()
+    lab.robot.step(np.zeros(2))
+    lab.robot.kill()
+    assert lab.link.calls[-1] == ("kill", True)
+    for call in (lab.robot.rest, lab.robot.end, lab.robot.begin, lab.robot.measure_output):
+        with pytest.raises(RobotDownError, match="its motors were cut"):
+            call()
+    assert not lab.robot.health().ready
+    before = len(lab.link.sent)
+    for _ in range(20):
+        lab.link.tick()
+    assert len(lab.link.sent) == before
+    lab.robot.connect()
+    lab.robot.begin()
+
+
+def test_a_kill_interrupts_a_take_off() -> None:
+    lab = Lab(settings(services=FLYING))
+    lab.robot.connect()
+    lab.link.at_call = lambda: lab.robot.kill() if lab.link.calls[-1][0] == "take_off" else None
+    with pytest.raises(RobotDownError):
+        lab.robot.begin()
+    assert lab.link.sent == []
+
+
+def test_without_a_service_that_cuts_motors_kill_says_so() -> None:
+    lab = Lab(settings())
+    lab.robot.connect()
+    with pytest.raises(
+        RobotError, match=r"no service that cuts the motors of cf-1 \(services.kill\)"
+    ):
+        lab.robot.kill()
+
+
+def test_velocities_follow_the_reference_and_correct_the_distance() -> None:
+    lab = Lab(settings(CART), x=0.5, yaw=0.3)
+    lab.robot.connect()
+    lab.robot.begin()
+    lab.robot.step(np.array([0.0, 0.0]))
+    lab.robot.step(np.array([0.01, 0.0]))
+    newest = lab.link.sent[-1]
+    # 10 mm in 20 ms, and three times the distance of 10 mm.
+    assert newest.velocities["x"] == pytest.approx(0.53, abs=1e-6)
+    assert newest.positions["yaw"] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("leaving", ["end", "disconnect", "silence"])
+def test_a_robot_that_is_commanded_velocities_is_never_left_moving(leaving: str) -> None:
+    lab = Lab(settings(CART), x=0.5)
+    lab.robot.connect()
+    lab.robot.begin()
+    lab.robot.step(np.array([0.1, 0.0]))
+    assert lab.link.sent[-1].velocities["x"] > 1.0
+    if leaving == "silence":
+        lab.link.silent = True
+        for _ in range(100):
+            lab.link.tick()
+    else:
+        getattr(lab.robot, leaving)()
+    assert lab.link.sent[-1].velocities == {}
+
+
+def test_the_driver_builds_robots_without_ros() -> None:
+    own = settings()
+    (robot,) = DRIVER.build({"cf-1": own}, np.random.default_rng(0)).values()
+    assert robot.spec == own.spec()
+    with pytest.raises(
+        RobotError, match=r"ROS 2 cannot be imported \(.*\): run `source .*/setup.bash"
+    ):
+        robot.connect()
+    with pytest.raises(RobotError, match="cf-1 is not connected"):
+        robot.step(np.zeros(2))
