@@ -7,6 +7,7 @@ import os
 import signal
 import socket
 import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -192,8 +193,9 @@ def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(
 
 
 def test_the_demo_prints_what_the_readme_shows_and_prevents_the_harm_that_it_predicts(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)  # which `make demo` does not install
     with Story(tmp_path) as story:
         shown = story.follow("README.md")
     (run,) = tmp_path.glob("runs/*-demo")
