@@ -71,7 +71,7 @@ lint: .venv/installed-test
 
 .venv/installed-test: .venv/installed-demo
 	@echo "== installing the dependencies of the tests, including simulators (once; some minutes)"
-	$(PIP_INSTALL) -e '.[test,quadrotors,arms,learning,repository,logs,mavlink]'
+	$(PIP_INSTALL) -e '.[test,quadrotors,arms,learning,repository,logs,crazyflie,mavlink]'
 	$(COMPILE_INSTALLED)
 	@touch $@
 

@@ -19,8 +19,8 @@ from nufleet.shared.errors import FleetFileError, NufleetError, RobotError
 from nufleet.shared.interrupts import Interrupts
 from nufleet.shared.lifeline import when_stdin_closes
 from nufleet.shared.redaction import without_secrets
-from nufleet.shared.robots.drivers import load_driver, shared_thing
-from nufleet.shared.robots.fleet_file import FleetFile, read_fleet_file, validated_settings
+from nufleet.shared.robots.drivers import load_driver, settings_of, shared_thing
+from nufleet.shared.robots.fleet_file import FleetFile, read_fleet_file
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.transport import open_client
 
@@ -57,10 +57,7 @@ def build_robots(fleet: FleetFile, path: Path, names: tuple[str, ...]) -> dict[s
     built: dict[str, Robot] = {}
     for driver_name, members in by_driver.items():
         driver = load_driver(driver_name)
-        settings = {
-            name: validated_settings(driver.settings, path, name, fleet.robots[name].settings)
-            for name in members
-        }
+        settings = settings_of(fleet, path, members, driver)
         groups: dict[str, list[str]] = {}
         for name in members:
             shared = shared_thing(driver, partial(settings.__getitem__, name))

@@ -22,6 +22,8 @@ REACHING_OUT = (
         "nufleet.orchestrator.viewer",
         "nufleet.robot_agent.agent",
     ),
+    "cflib",
+    "nufleet.sims.crazyflies.peer",
     "nufleet.shared.wire.session",
     "nufleet.shared.wire.transport",
 )

@@ -22,7 +22,9 @@ class RobotDriver(Protocol):
     Robots that share a simulator are built together: `build` receives all robots of its kind in one
     process, and `shares_process` requires that process to have all of the fleet's. A driver whose
     robots share something smaller, such as a radio, also has a method `shares(settings)` that
-    returns its name for one robot, or None: robots of equal names run in one process.
+    returns its name for one robot, or None: robots of equal names run in one process. A driver of
+    real robots has a method `address(settings)` that returns where one is reached: two robots of a
+    fleet may not have equal addresses.
     """
 
     @property
@@ -94,12 +96,47 @@ def check_settings(fleet: FleetFile, path: Path) -> None:
     Raises:
         FleetFileError: settings are wrong, or a driver cannot be loaded.
     """
-    models = {
-        driver: load_driver(driver).settings
-        for driver in {entry.driver for entry in fleet.robots.values()}
-    }
+    by_driver: dict[str, list[str]] = {}
     for name, entry in fleet.robots.items():
-        validated_settings(models[entry.driver], path, name, entry.settings)
+        by_driver.setdefault(entry.driver, []).append(name)
+    for driver, names in by_driver.items():
+        settings_of(fleet, path, names, load_driver(driver))
+
+
+def settings_of(
+    fleet: FleetFile, path: Path, names: Iterable[str], driver: RobotDriver
+) -> dict[str, Any]:
+    """Return the validated settings of some robots of one driver, by name.
+
+    Args:
+        fleet: Contents of the fleet file.
+        path: Path of the fleet file, for error messages.
+        names: Names of the robots.
+        driver: Their driver.
+
+    Raises:
+        FleetFileError: Settings are wrong, or another robot of the file has the same address.
+    """
+
+    def validated(name: str) -> Any:
+        return validated_settings(driver.settings, path, name, fleet.robots[name].settings)
+
+    settings = {name: validated(name) for name in names}
+    address: Callable[[Any], str] | None = getattr(driver, "address", None)
+    if address is None or not settings:
+        return settings
+    at = {address(own): name for name, own in settings.items()}
+    own_driver = fleet.robots[next(iter(settings))].driver
+    for other, entry in fleet.robots.items():
+        if entry.driver != own_driver:
+            continue
+        where = address(validated(other))
+        if at.get(where, other) != other:
+            raise FleetFileError(
+                f"{path}: robots {other} and {at[where]} have the same address, {where}: one of "
+                "them would move when the other is meant; give each its own"
+            )
+    return settings
 
 
 def needed_environment(fleet: FleetFile, robots: Iterable[str]) -> dict[str, str]:

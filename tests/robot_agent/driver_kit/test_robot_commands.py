@@ -40,7 +40,7 @@ def test_a_robot_of_a_fleet_file_is_checked_as_json() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["nothing_like_it"], "installed drivers: arm, coupled_loops, double_integrator"),
+        (["nothing_like_it"], "installed drivers: arm, coupled_loops, crazyflie"),
         (["double_integrator"], "alpha: missing"),
         (["double_integrator", "--settings", "alpha"], "is not TOML"),
         (["paper_linear", "--robot", "nobody"], "no robot 'nobody'"),

@@ -1,0 +1,60 @@
+"""Decides from what a Crazyflie logs whether it can move, and for how long."""
+
+from __future__ import annotations
+
+from nufleet.robot_agent.drivers.crazyflie.settings import Battery, CrazyflieSettings
+from nufleet.robot_agent.drivers.crazyflie.telemetry import LOST_M2, STATUS_PERIOD_S, Telemetry
+from nufleet.shared.robots.health import Health
+
+SILENT_MAX_S = 1.0
+"""Time without a status after which the drone counts as silent."""
+
+
+def condition(
+    settings: CrazyflieSettings,
+    telemetry: Telemetry,
+    down: str | None,
+    blind: str | None,
+    now_s: float,
+) -> Health:
+    """Return the condition of a drone.
+
+    Args:
+        settings: Its settings.
+        telemetry: What it has logged.
+        down: Why it obeys no more; None while it does.
+        blind: Why motion capture does not see it; None if it does, or is not used.
+        now_s: The time on the monotonic clock of this machine.
+    """
+    status = telemetry.status
+    why = down or telemetry.fault
+    if why is None and (status is None or now_s - status.arrived_s > SILENT_MAX_S):
+        silent_s = "" if status is None else f" for {now_s - status.arrived_s:.1f} s"
+        why = f"it has sent nothing{silent_s}, instead of every {STATUS_PERIOD_S:g} s"
+    why = why or blind
+    if status is None:
+        return Health(ready=False, reason=why or "it has sent nothing yet")
+    charge = charge_of(settings.battery, status.battery_v)
+    if why is None and status.battery_v < settings.battery.empty_v:
+        why = (
+            f"its battery is empty: {status.battery_v:.2f} V, below {settings.battery.empty_v:g} V "
+            "(battery.empty_v); charge it"
+        )
+    if why is None and status.variance_m2 > LOST_M2 and settings.estimator != "complementary":
+        why = (
+            f"it does not know its position: the variance is {status.variance_m2:.2g} m². Does "
+            "it see its base stations, or the motion capture system it?"
+        )
+    reserve = settings.battery.reserve
+    return Health(
+        ready=why is None,
+        reason=why or "",
+        battery=charge,
+        endurance_s=max(0.0, charge - reserve) * settings.battery.flight_time_s,
+        link=telemetry.arriving,
+    )
+
+
+def charge_of(battery: Battery, voltage_v: float) -> float:
+    """Return the charge that a voltage stands for, by a straight line: 0 if empty, 1 if full."""
+    return min(1.0, max(0.0, (voltage_v - battery.empty_v) / (battery.full_v - battery.empty_v)))

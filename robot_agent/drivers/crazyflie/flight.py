@@ -1,0 +1,390 @@
+"""One connected Crazyflie in the air: arming, taking off, set-points, landing."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from nufleet.robot_agent.drivers.crazyflie.link import Link
+from nufleet.robot_agent.drivers.crazyflie.settings import AXES, CrazyflieSettings
+from nufleet.robot_agent.drivers.crazyflie.supervisor import Supervisor, why_down
+from nufleet.robot_agent.drivers.crazyflie.telemetry import Measurement, Telemetry
+from nufleet.shared.arrays import FloatArray
+from nufleet.shared.errors import OutsideLimitsError, RobotDownError, RobotError
+
+UNMEASURED_MAX_S = 0.3
+"""Time without a measurement after which a motion ends. The firmware levels out when it hears
+nothing for 0.5 s, and stops the motors after 2 s."""
+
+GRACE_S = 0.1
+"""Time in which a measurement that is already on this machine is taken up."""
+
+HOLD_INTERVAL_S = 0.1
+"""Time without a set-point after which the last one is sent again."""
+
+ARMING_MAX_S = 3.0
+"""Time in which the drone arms."""
+
+PATIENCE_S = 10.0
+"""Time beyond what is planned in which the drone settles: its estimate, its height, itself."""
+
+STILL_S = 0.3
+STILL_M_S = 0.08
+"""Time for which it has to stay within `rest_within_m` and below this speed to be at rest."""
+
+COS_TILT_MIN = 0.36
+"""Cosine of the tilt, 69 degrees, beyond which a motion ends."""
+
+AGAIN_S = 0.5
+"""Time after which a command that shows no effect is given again."""
+
+BLIND_S = 1.0
+"""Time that a drone which is not measured has in addition to land."""
+
+STARTS_WITH_M = 0.05
+"""Change of height that shows that a climb or a landing has begun."""
+
+ARRIVES_WITHIN_M = 0.1
+"""Distance from a commanded height within which the drone has arrived there."""
+
+
+class Flight:
+    """Flies one drone for as long as it is connected.
+
+    The firmware's high-level commander takes off and lands. In between the drone follows
+    set-points: those of a motion, or the last one, which a thread repeats. If this process dies or
+    the radio does, the firmware therefore levels out and switches off by itself.
+
+    Offsets are positions relative to the origin, shape (3,), in m.
+    """
+
+    def __init__(
+        self, name: str, settings: CrazyflieSettings, link: Link, telemetry: Telemetry
+    ) -> None:
+        """Watch over a drone that is connected and stands on the ground.
+
+        Args:
+            name: Name of the robot, for errors.
+            settings: Its settings.
+            link: Link to it, open.
+            telemetry: What it logs.
+        """
+        self._name, self._settings = name, settings
+        self._link, self._telemetry = link, telemetry
+        self._columns = [AXES.index(axis) for axis in settings.axes]
+        self.origin_m = np.array(settings.origin_m)
+        """Where it is at reference 0, shape (3,)."""
+        self._ground_m = 0.0
+        self._cut = False
+        self._sending = threading.Lock()
+        self._setpoint_m: FloatArray | None = None
+        self._sent_at_s = 0.0
+        self._guarded = False
+        self._over = threading.Event()
+        self._keeper = threading.Thread(target=self._keep, name=f"{name}-keeper", daemon=True)
+        self._keeper.start()
+        self.airborne = False
+        """Whether it has left the ground, or may have."""
+        self.offset, self.velocity = np.zeros(3), np.zeros(3)
+        """The last set-point, in m and m/s."""
+
+    @property
+    def down(self) -> str | None:
+        """Why it obeys no more; None while it does."""
+        if self._cut:
+            return "its motors were cut"
+        if self._link.lost is not None:
+            return f"the link to it is lost: {self._link.lost.splitlines()[0]}"
+        status = self._telemetry.status
+        return None if status is None else why_down(status.supervisor)
+
+    def offset_of(self, measurement: Measurement) -> FloatArray:
+        """Return where a measurement saw it."""
+        offset: FloatArray = measurement.position_m - self.origin_m
+        return offset
+
+    def newest(self) -> Measurement:
+        """Return the newest measurement.
+
+        Raises:
+            RobotError: There is none that is new enough.
+        """
+
+        def fresh() -> bool:
+            newest = self._telemetry.newest
+            return newest is not None and time.monotonic() - newest.arrived_s < UNMEASURED_MAX_S
+
+        # After a freeze of this process, the thread that receives them may not have run yet.
+        newest = self._telemetry.newest
+        if newest is None or not (fresh() or self._telemetry.wait_for(fresh, GRACE_S)):
+            raise RobotError(self._unmeasured())
+        return self._telemetry.newest or newest
+
+    def next(self) -> Measurement:
+        """Wait for the next measurement and return it.
+
+        Raises:
+            RobotError: None arrives.
+            RobotDownError: The drone obeys no more.
+        """
+        self.raise_if_down()
+        telemetry, before = self._telemetry, self._telemetry.newest
+        if not telemetry.wait_for(lambda: telemetry.newest is not before, UNMEASURED_MAX_S):
+            raise RobotError(self._unmeasured())
+        return self.newest()
+
+    def reset_estimator(self, timeout_s: float) -> bool:
+        """Have it find out on the ground where it is; return whether it has in time."""
+        settings, telemetry, link = self._settings, self._telemetry, self._link
+        if settings.estimator not in ("kalman", "ukf"):
+            return True
+        if settings.start is not None:
+            names = ("kalman.initialX", "kalman.initialY", "kalman.initialZ")
+            for name, value in zip(names, settings.start.position_m, strict=True):
+                link.set_parameter(name, value)
+            link.set_parameter("kalman.initialYaw", settings.start.yaw_rad)
+        link.set_parameter("kalman.resetEstimation", 1)
+        link.set_parameter("kalman.resetEstimation", 0)
+        telemetry.forget_variances()
+        return telemetry.wait_for(lambda: telemetry.steady, timeout_s)
+
+    def take_off(self) -> None:
+        """Find out where it is, arm, and climb to the height of its origin.
+
+        Raises:
+            RobotError: It does not know where it is, stands too far away, or does not get there.
+            RobotDownError: It obeys no more.
+        """
+        self._find_position()
+        self._arm()
+        self.airborne = self._guarded = True
+        height_m, takes_s = self._settings.origin_m[2], self._settings.takeoff_s
+        self._climb_to(height_m, takes_s, lambda: self._link.take_off(height_m, takes_s))
+        self.offset, self.velocity = self.offset_of(self.newest()), np.zeros(3)
+
+    def land(self) -> None:
+        """Land where it is, and disarm.
+
+        Raises:
+            RobotError: It does not reach the ground, or cannot be measured on its way.
+            RobotDownError: It obeys no more.
+        """
+        self.raise_if_down()
+        takes_s = self._settings.landing_s
+        with self._sending:
+            self._setpoint_m = None
+        if self._telemetry.fault is not None:
+            self._land_blind(takes_s)
+        self._climb_to(self._ground_m, takes_s, lambda: self._link.land(self._ground_m, takes_s))
+        self._disarm()
+        self.airborne = False
+
+    def send(self, offset: FloatArray, velocity: FloatArray) -> float:
+        """Send a set-point; return when, on the monotonic clock.
+
+        Raises:
+            RobotDownError: The motors were cut.
+        """
+        with self._sending:
+            if self._cut:
+                raise RobotDownError(f"{self._name}: its motors were cut")
+            sent_s = self._sent_at_s = time.monotonic()
+            self._setpoint_m = self.origin_m + offset
+            self.offset, self.velocity = offset, velocity
+            self._link.send_setpoint(self._setpoint_m, velocity)
+        return sent_s
+
+    def wait_until_still(self) -> None:
+        """Wait until it stays at reference 0.
+
+        Raises:
+            RobotError: It does not come to rest there.
+            RobotDownError: It obeys no more.
+        """
+        telemetry, settings = self._telemetry, self._settings
+        since: list[float] = []
+
+        def still() -> bool:
+            newest = telemetry.newest
+            if self.down is not None or newest is None:
+                return True
+            away_m = np.abs(self.offset_of(newest)[self._columns]).max()
+            if away_m > settings.rest_within_m or np.linalg.norm(newest.velocity_m_s) > STILL_M_S:
+                since.clear()
+            elif not since:
+                since.append(newest.device_s)
+            return bool(since) and newest.device_s - since[0] >= STILL_S
+
+        rested = telemetry.wait_for(still, settings.settling_time_s + PATIENCE_S)
+        self.raise_if_down()
+        if not rested:
+            away_m = self.offset_of(self.newest())
+            where = ", ".join(f"{AXES[k]} at {away_m[k]:.3g} m" for k in self._columns)
+            raise RobotError(
+                telemetry.fault
+                or f"{self._name} does not come to rest within {settings.rest_within_m:g} m of "
+                f"reference 0 (rest_within_m): {where}"
+            )
+
+    def check(self, measured: Measurement) -> None:
+        """Check that it still flies as it should.
+
+        Raises:
+            OutsideLimitsError: It has lost its height.
+            RobotDownError: It obeys no more.
+            RobotError: It tilts too far, or what it logs contradicts itself.
+        """
+        self.raise_if_down()
+        if self._telemetry.fault is not None:
+            raise RobotError(self._telemetry.fault)
+        height_m = self.offset_of(measured)[2]
+        limit_m = self._settings.limits.height_error_m
+        if "z" not in self._settings.axes and abs(height_m) > limit_m:
+            raise OutsideLimitsError(
+                f"{self._name} is {height_m:+.2f} m off its height; {limit_m:g} m are allowed "
+                "(limits.height_error_m)"
+            )
+        if measured.thrust_axis[2] < COS_TILT_MIN:
+            raise RobotError(
+                f"{self._name} tilts to a cosine of {measured.thrust_axis[2]:.2f}: drive it more "
+                "gently"
+            )
+
+    def raise_if_down(self) -> None:
+        """Raise RobotDownError if it obeys no more."""
+        why = self.down
+        if why is not None:
+            raise RobotDownError(f"{self._name}: {why}")
+
+    def cut_motors(self) -> None:
+        """Have the firmware stop the motors: the drone falls."""
+        self._cut = True
+        self._link.cut_motors()
+
+    def release(self) -> None:
+        """Send nothing more."""
+        self._over.set()
+        self._keeper.join()
+
+    def _keep(self) -> None:
+        """Repeat the last set-point where none was sent for a while, and feed the watchdog."""
+        while not self._over.wait(HOLD_INTERVAL_S / 2):
+            with self._sending:
+                if self._cut or self._link.lost is not None:
+                    return
+                held_m, now_s = self._setpoint_m, time.monotonic()
+                if held_m is not None and now_s - self._sent_at_s > HOLD_INTERVAL_S:
+                    self._link.send_setpoint(held_m, np.zeros(3))
+                    self._sent_at_s = now_s
+                if self._settings.watchdog and self._guarded:
+                    self._link.feed_watchdog()
+
+    def _find_position(self) -> None:
+        settings, telemetry = self._settings, self._telemetry
+        if not self.reset_estimator(PATIENCE_S):
+            raise RobotError(
+                telemetry.fault
+                or f"{self._name} does not find out where it is: the variance of its position has "
+                f"not settled within {PATIENCE_S:g} s. Does it see its base stations, or the "
+                "motion capture system it?"
+            )
+        stands_m = self.next().position_m
+        away_m = float(np.hypot(*(stands_m - self.origin_m)[:2]))
+        if away_m > settings.start_within_m:
+            raise RobotError(
+                f"{self._name} stands at ({stands_m[0]:.2f}, {stands_m[1]:.2f}) m, {away_m:.2f} m "
+                f"from its origin ({self.origin_m[0]:g}, {self.origin_m[1]:g}) m; at most "
+                f"{settings.start_within_m:g} m are allowed (start_within_m): carry it there, or "
+                "correct origin_m"
+            )
+        self._ground_m = float(stands_m[2])
+
+    def _land_blind(self, takes_s: float) -> None:
+        """Land a drone that is not measured any more, by the clock alone; it ends as an error."""
+        ends_s = time.monotonic() + takes_s + BLIND_S
+        self._link.land(self._ground_m, takes_s)
+        time.sleep(max(0.0, ends_s - time.monotonic()))
+        self._link.stop_motors()
+        self._link.arm(armed=False)
+        self.airborne = False
+        raise RobotError(f"{self._name} was landed unseen: {self._telemetry.fault}")
+
+    def _says(self, bits: Supervisor) -> bool:
+        status = self._telemetry.status
+        return status is not None and status.supervisor & bits == bits
+
+    def _arm(self) -> None:
+        def arm() -> None:
+            if not self._says(Supervisor.ARMS_ITSELF):
+                self._link.arm(armed=True)
+
+        ready = Supervisor.ARMED | Supervisor.CAN_FLY
+        if not self._insist(arm, lambda: self._says(ready), ARMING_MAX_S, AGAIN_S):
+            status = self._telemetry.status
+            info = "nothing" if status is None else f"{Supervisor(status.supervisor)!r}"
+            raise RobotError(
+                self._telemetry.fault or f"{self._name} does not arm: its supervisor says {info}"
+            )
+
+    def _disarm(self) -> None:
+        def disarm() -> None:
+            self._link.stop_motors()
+            self._link.arm(armed=False)
+
+        def off() -> bool:
+            return not self._says(Supervisor.ARMED) or self._says(Supervisor.ARMS_ITSELF)
+
+        if not self._insist(disarm, off, ARMING_MAX_S, AGAIN_S):
+            raise RobotError(f"{self._name} has landed and does not disarm: keep away from it")
+
+    def _climb_to(self, height_m: float, takes_s: float, command: Callable[[], None]) -> None:
+        telemetry = self._telemetry
+        from_m = self.newest().position_m[2]
+
+        def height() -> float:
+            newest = telemetry.newest
+            return float("nan") if newest is None else float(newest.position_m[2])
+
+        def moved() -> bool:
+            return self.down is not None or abs(height() - from_m) > STARTS_WITH_M
+
+        def there() -> bool:
+            return self.down is not None or abs(height() - height_m) < ARRIVES_WITHIN_M
+
+        far = abs(height_m - from_m) > ARRIVES_WITHIN_M
+        again_s = max(AGAIN_S, 0.6 * takes_s)
+        began_s = time.monotonic()
+        arrived = self._insist(command, moved if far else there, takes_s + PATIENCE_S, again_s)
+        arrived = arrived and telemetry.wait_for(there, takes_s + PATIENCE_S)
+        # It is there when it is near, and the firmware has finished with it.
+        time.sleep(max(0.0, began_s + takes_s - time.monotonic()) if arrived else 0.0)
+        self.raise_if_down()
+        if not arrived:
+            raise RobotError(
+                telemetry.fault
+                or f"{self._name} does not reach a height of {height_m:.2f} m, but is at "
+                f"{height():.2f} m"
+            )
+
+    def _insist(
+        self,
+        command: Callable[[], None],
+        condition: Callable[[], bool],
+        timeout_s: float,
+        again_s: float,
+    ) -> bool:
+        """Give a command, again and again since it may get lost; return whether it is obeyed."""
+        deadline_s = time.monotonic() + timeout_s
+        while (left_s := deadline_s - time.monotonic()) > 0 and self._telemetry.fault is None:
+            command()
+            if self._telemetry.wait_for(condition, min(again_s, left_s)):
+                return True
+        return False
+
+    def _unmeasured(self) -> str:
+        return self._telemetry.fault or (
+            f"{self._name} has sent no measurement for {UNMEASURED_MAX_S:g} s: check the link"
+        )

@@ -1,0 +1,321 @@
+"""A Crazyflie flown through Bitcraze's cflib, against a drone's side of the protocol."""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from crazyflie_bench import LOOP, Bench, bench
+from polling import wait_until
+
+from nufleet.robot_agent.driver_kit.check import check_robot
+from nufleet.robot_agent.drivers.crazyflie import flight
+from nufleet.robot_agent.drivers.crazyflie.motion_capture import MotionCapture, Sighting
+from nufleet.robot_agent.drivers.crazyflie.robot import Crazyflie
+from nufleet.robot_agent.drivers.crazyflie.settings import (
+    CrazyflieSettings,
+    MotionCaptureSettings,
+)
+from nufleet.robot_agent.motion.resampling import outputs_at_samples
+from nufleet.shared.command_line import command_line
+from nufleet.shared.errors import OutsideLimitsError, RobotDownError, RobotError
+from nufleet.sims.crazyflies.peer import Air
+
+cflib = pytest.importorskip("cflib")
+
+
+@pytest.fixture(autouse=True)
+def _nothing_is_left_running() -> Iterator[None]:
+    threads = set(threading.enumerate())
+    yield
+    wait_until(lambda: set(threading.enumerate()) <= threads)
+
+
+def test_the_driver_keeps_the_contract_of_a_robot_to_the_last_statement() -> None:
+    with bench(noise_m=0.0005) as lab:
+        report = check_robot(lab.robot, cuts=True)
+        assert not report.failed, str(report)
+        assert all(one.holds for one in report.examined)
+        assert lab.drone.locked
+        assert lab.drone.parameters["stabilizer.estimator"] == 1
+
+
+def test_a_link_that_is_late_and_lossy_leaves_the_response_right() -> None:
+    omega, samples = 8.0, 200
+    with bench(noise_m=0.0005) as lab:
+        lab.robot.connect()
+        lab.robot.begin()
+        lab.peer.air = Air(jitter_s=0.008, loss=0.01)
+        newest = lab.fly(samples, 0.1, omega)[:, 0]
+        record = lab.robot.record()
+        lab.robot.rest()
+        recorded, timing = outputs_at_samples(record, samples, lab.robot.spec)
+    assert timing is not None
+    sent_s = record.sample_s[:samples]
+    # By the times at which references were really sent, so that a busy machine does no harm.
+    tones = np.exp(-1j * omega * (sent_s - sent_s[0]))[50:]
+    sent = np.sin(omega * 0.02 * np.arange(samples))[50:]
+    truth = LOOP.response(omega, 0.02, 0.008)
+
+    def response(outputs: np.ndarray) -> complex:
+        basis = np.stack([tones.real, tones.imag, np.ones_like(tones.real)], axis=1)
+        fits = np.linalg.lstsq(basis, np.stack([outputs[50:], 0.1 * sent], axis=1), rcond=None)[0]
+        return complex((fits[0, 0] + 1j * fits[1, 0]) / (fits[0, 1] + 1j * fits[1, 1]))
+
+    assert abs(response(recorded[:, 0]) - truth) < 0.04
+    assert abs(response(newest) - truth) > 2 * abs(response(recorded[:, 0]) - truth)
+
+
+def test_set_points_arrive_at_their_rate_and_to_the_nearest_millimetre_until_it_lands() -> None:
+    with bench() as lab:
+        lab.robot.connect()
+        lab.robot.begin()
+        before = lab.drone.setpoints
+        lab.robot.run(np.tile([0.0296, -0.0296], (50, 1)))
+        wait_until(lambda: lab.drone.setpoints >= before + 50)
+        assert lab.drone._target[0] == pytest.approx([0.03, -0.03, 0.5])
+        sent_s = lab.robot.record().sample_s
+        assert len(sent_s) == 50
+        assert np.median(np.diff(sent_s)) == pytest.approx(0.02, abs=0.002)
+        # Between motions the last set-point is repeated, or the firmware would switch off.
+        count = lab.drone.setpoints
+        wait_until(lambda: lab.drone.setpoints > count + 10)
+        assert lab.robot.health().ready
+        lab.drone.ailments.battery_v = 3.1
+        wait_until(lambda: "its battery is empty: 3.10 V" in lab.robot.health().reason)
+        lab.robot.rest()
+        lab.robot.end()
+        assert not lab.drone.armed
+        wait_until(lambda: lab.drone.plant.position_m[2] == 0.0)
+
+
+def test_position_set_points_are_sent_as_they_are() -> None:
+    with bench(setpoint="position", axes=("z", "x")) as lab:
+        lab.robot.connect()
+        lab.robot.begin()
+        lab.robot.run(np.tile([0.0504, 0.0204], (2, 1)))
+        wait_until(lambda: lab.drone._target[0][0] != 0)
+        assert lab.drone._target[0] == pytest.approx([0.0204, 0.0, 0.5504])
+        states = lab.robot.observe()
+        assert states.shape == (2, 3)
+        assert lab.robot.step(np.zeros(2)).tolist() == states[:, 0].tolist()
+
+
+def test_half_a_second_of_silence_ends_the_motion_and_the_drone_rests() -> None:
+    with bench() as lab:
+        lab.robot.connect()
+        lab.robot.begin()
+        lab.peer.fall_silent(0.6)
+        with pytest.raises(
+            RobotError, match=r"no measurement for 0\.3 s: check the link"
+        ) as raised:
+            lab.fly(500)
+        assert not isinstance(raised.value, RobotDownError)
+        lab.robot.rest()
+        assert lab.robot.health().ready
+
+
+def test_two_seconds_of_silence_take_it_down_and_it_says_what_to_do() -> None:
+    with bench() as lab:
+        lab.robot.connect()
+        lab.robot.begin()
+        lab.peer.fall_silent(2.5)
+        with pytest.raises(RobotError):
+            lab.fly(500)
+        wait_until(lambda: lab.drone.locked)
+        wait_until(lambda: "it is locked" in lab.robot.health().reason)
+        for use in (lab.robot.rest, lab.robot.end):
+            with pytest.raises(RobotDownError, match="switch it off and on"):
+                use()
+        lab.robot.connect()  # the link is well
+        with pytest.raises(RobotError, match="does not take off: it is locked"):
+            lab.robot.begin()
+
+
+def test_an_emergency_stop_from_another_thread_cuts_the_motors() -> None:
+    with bench() as lab:
+        lab.robot.connect()
+        lab.robot.begin()
+        killer = threading.Timer(0.1, lab.robot.kill)
+        killer.start()
+        with pytest.raises(RobotDownError, match="its motors were cut"):
+            lab.fly(5000)
+        killer.join()
+        wait_until(lambda: lab.drone.locked and lab.drone.plant.position_m[2] == 0.0)
+        assert lab.robot.health().reason == "its motors were cut"
+
+
+def test_a_drone_that_loses_its_height_lands() -> None:
+    with bench() as lab:
+        lab.robot.connect()
+        lab.robot.begin()
+        lab.drone.plant.position_m = np.array([0.0, 0.0, 1.5])
+        with pytest.raises(OutsideLimitsError, match=r"\+\d\.\d+ m off its height; 0\.3 m"):
+            lab.fly(500)
+        lab.robot.rest()
+        lab.robot.end()
+
+
+def test_the_watchdog_is_fed_from_take_off_until_it_is_disconnected() -> None:
+    with bench(watchdog=True) as lab:
+        lab.robot.connect()
+        assert lab.drone._watched_s is None
+        lab.robot.begin()
+        lab.robot.end()
+        assert lab.drone._watched_s is not None
+        fed_s = lab.drone._watched_s
+        wait_until(lambda: (lab.drone._watched_s or 0.0) > fed_s + 1.0)
+        assert not lab.drone.locked
+
+
+def lose_position(lab: Bench) -> None:
+    lab.drone.ailments.lost = True
+
+
+def be_two(lab: Bench) -> None:
+    """Another drone with the same address, switched on a minute earlier."""
+    count = iter(range(10**9))
+    lab.drone.ailments.stamp_ms = lambda ms: ms + 60_000 * (next(count) % 2)
+
+
+def go_empty(lab: Bench) -> None:
+    lab.drone.ailments.battery_v = 3.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "ail", "says"),
+    [
+        ({}, go_empty, "does not take off: its battery is empty: 3.00 V"),
+        ({"estimator": "kalman"}, lose_position, "it does not know its position"),
+        ({}, be_two, "two drones"),
+        ({"origin_m": (3.0, 0.0, 0.5)}, None, r"stands at \(0\.03, -0\.02\) m, 2\.97 m from its"),
+        ({"parameters": {"posCtlPid.yKp": 2.0}}, None, "no parameter 'posCtlPid.yKp'"),
+    ],
+)
+def test_what_is_wrong_is_said_before_anything_moves(
+    settings: dict[str, Any], ail: Callable[[Bench], None] | None, says: str
+) -> None:
+    with bench(**settings) as lab:
+        if ail is not None:
+            ail(lab)
+
+        def go() -> None:
+            lab.robot.connect()
+            lab.robot.begin()
+
+        with pytest.raises(RobotError, match=says):
+            go()
+        assert not lab.drone.armed
+        assert not lab.drone.thrusting
+
+
+def test_an_estimate_that_does_not_settle_is_said_before_it_arms(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(flight, "PATIENCE_S", 0.3)
+    with bench(estimator="kalman", start={"position_m": (0.1, 0.2, 0.0)}) as lab:
+        lab.robot.connect()
+        wait_until(lambda: lab.robot.health().ready)
+        lab.drone._variance_m2 = lambda: 0.2 * np.random.default_rng().random()  # type: ignore[method-assign]
+        with pytest.raises(RobotError, match="does not find out where it is"):
+            lab.robot.begin()
+        assert not lab.drone.armed
+        names = [f"kalman.initial{axis}" for axis in ("X", "Y", "Z")]
+        assert [lab.drone.parameters[name] for name in names] == pytest.approx([0.1, 0.2, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("uri", "says"),
+    [
+        ("udp://127.0.0.1:9", "udp://127.0.0.1:9: "),
+        ("radio://0/80/2M", "no Crazyradio: .* Plug it in"),
+    ],
+)
+def test_a_drone_that_cannot_be_reached_is_named(uri: str, says: str) -> None:
+    robot = Crazyflie("cf", CrazyflieSettings(uri=uri))
+    with pytest.raises(RobotError, match=says):
+        robot.connect()
+    with pytest.raises(RobotError, match="cf is not connected"):
+        robot.kill()
+    assert robot.health().reason == "it is not connected"
+
+
+def test_motion_capture_tells_the_drone_where_it_is_until_it_is_blind() -> None:
+    frames = threading.Semaphore(0)
+    turned = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
+    seen = {"cf": SimpleNamespace(position=[0.03, -0.02, 0.0], rotation=turned)}
+    system = SimpleNamespace(waitForNextFrame=frames.acquire, rigidBodies=seen)
+    capture = MotionCapture("vicon", "mocap", lambda *_: system)
+    seen_by = MotionCaptureSettings(system="vicon", hostname="mocap", body="cf", rate_hz=200.0)
+    with bench(estimator="kalman", sighting=Sighting(seen_by, capture)) as lab:
+        lab.drone.ailments.needs_poses = True
+        over = threading.Event()
+
+        def film() -> None:
+            while not over.wait(0.01):
+                frames.release()
+
+        filming = threading.Thread(target=film)
+        filming.start()
+        try:
+            lab.robot.connect()
+            wait_until(lambda: lab.robot.health().ready)
+            lab.robot.begin()
+            assert lab.drone.poses[0] == pytest.approx((0.03, -0.02, 0.0))
+            lab.robot.end()
+        finally:
+            over.set()
+            filming.join()
+        wait_until(lambda: "motion capture does not see body 'cf'" in lab.robot.health().reason)
+    frames.release()
+
+
+def test_two_drones_fly_side_by_side_in_one_process() -> None:
+    with bench() as one, bench() as two:
+        for lab in (one, two):
+            lab.robot.connect()
+        flights = [threading.Thread(target=lab.robot.begin) for lab in (one, two)]
+        for take_off in flights:
+            take_off.start()
+        for take_off in flights:
+            take_off.join()
+        one.robot.run(np.tile([0.05, 0.0], (3, 1)))
+        assert two.drone._target[0] == pytest.approx([0.0, 0.0, 0.5])
+
+
+def test_a_connection_that_loses_packets_is_made_all_the_same() -> None:
+    with bench(air=Air(loss=0.04)) as lab:
+        lab.robot.connect()
+        assert lab.robot.health().battery is not None
+
+
+PLAY = "python -m nufleet.sims.crazyflies --port 19850"
+CHECK = """nufleet robot check crazyflie --settings 'uri = "udp://127.0.0.1:19850"' --still"""
+
+
+def test_the_commands_of_the_page_check_a_simulated_drone() -> None:
+    words = shlex.split(PLAY.replace("19850", "0"))
+    with subprocess.Popen(
+        [sys.executable, *words[1:]], stderr=subprocess.PIPE, text=True
+    ) as played:
+        assert played.stderr is not None
+        uri = played.stderr.readline().split()[-1]
+        try:
+            words = shlex.split(CHECK.replace("udp://127.0.0.1:19850", uri))
+            checked = CliRunner().invoke(command_line(), words[1:])
+        finally:
+            played.terminate()
+            played.communicate()
+    assert checked.exit_code == 0, checked.output
+    assert (
+        "ok   It connects, and a robot that was connected before connects again." in checked.output
+    )
+    assert "not checked, since the robot is not to be moved" in checked.output

@@ -1,0 +1,140 @@
+"""What a Crazyflie logs, and what follows of its condition."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nufleet.robot_agent.drivers.crazyflie.condition import condition
+from nufleet.robot_agent.drivers.crazyflie.glide import glide
+from nufleet.robot_agent.drivers.crazyflie.settings import CrazyflieSettings
+from nufleet.robot_agent.drivers.crazyflie.supervisor import Supervisor, why_down
+from nufleet.robot_agent.drivers.crazyflie.telemetry import Telemetry, quaternion_of
+from nufleet.sims.crazyflies.firmware import compressed
+
+SETTINGS = CrazyflieSettings(uri="udp://127.0.0.1:19850")
+STATE = {
+    **{f"stateEstimate.{name}": 0.0 for name in ("x", "y", "z", "vx", "vy", "vz")},
+    "stateEstimateZ.quat": float(compressed([0.0, 0.0, 0.0, 1.0])),
+}
+
+
+def status(volt: float, variance_m2: float = 1e-4) -> Mapping[str, float]:
+    variances = {f"kalman.var{name}": variance_m2 for name in ("PX", "PY", "PZ")}
+    return {"pm.vbat": volt, "supervisor.info": 1.0, **variances}
+
+
+def heard(volt: float = 3.7, variance_m2: float = 1e-4) -> Telemetry:
+    telemetry = Telemetry(0.01)
+    telemetry.take_status(status(volt, variance_m2), 0.0)
+    return telemetry
+
+
+def test_the_charge_and_the_time_in_the_air_follow_from_the_voltage() -> None:
+    health = condition(SETTINGS, heard(3.7), None, None, 0.1)
+    assert health.ready
+    assert health.battery == pytest.approx(0.5)
+    assert health.endurance_s == pytest.approx(300 * (0.5 - 0.15))
+
+
+@pytest.mark.parametrize(
+    ("telemetry", "down", "blind", "now_s", "says"),
+    [
+        (heard(3.2), None, None, 0.1, "its battery is empty: 3.20 V, below 3.3 V"),
+        (heard(3.7, 4.0), None, None, 0.1, "it does not know its position"),
+        (heard(), None, None, 1.5, "it has sent nothing for 1.5 s"),
+        (heard(), None, "motion capture is off", 0.1, "motion capture is off"),
+        (heard(3.2), "it has crashed", None, 0.1, "it has crashed"),
+        (Telemetry(0.01), None, None, 0.1, "it has sent nothing"),
+    ],
+)
+def test_a_drone_that_cannot_fly_says_why(
+    telemetry: Telemetry, down: str | None, blind: str | None, now_s: float, says: str
+) -> None:
+    health = condition(SETTINGS, telemetry, down, blind, now_s)
+    assert not health.ready
+    assert health.reason.startswith(says)
+
+
+def test_the_share_of_measurements_that_arrive_is_counted() -> None:
+    telemetry = heard()
+    assert telemetry.arriving is None
+    for k in range(400):
+        if k % 10:
+            telemetry.take_state(10 * k, STATE, 0.01 * k)
+    assert condition(SETTINGS, telemetry, None, None, 0.1).link == pytest.approx(0.9, abs=0.01)
+
+
+def test_measurements_are_kept_in_the_order_in_which_they_were_taken_and_once() -> None:
+    telemetry = heard()
+    telemetry.begin_recording()
+    for stamp_ms in (0, 20, 10, 30, 30, 40):
+        telemetry.take_state(stamp_ms, {**STATE, "stateEstimate.x": stamp_ms}, 0.001 * stamp_ms)
+    _, positions = telemetry.dated()
+    assert positions[:, 0].tolist() == [0, 10, 20, 30, 40]
+    assert telemetry.newest is not None
+    assert telemetry.newest.position_m[0] == 40
+
+
+def test_a_value_that_is_no_number_is_no_measurement() -> None:
+    telemetry = heard()
+    telemetry.take_state(0, {**STATE, "stateEstimate.x": float("nan")}, 0.0)
+    assert telemetry.newest is None
+
+
+def test_an_estimate_has_settled_when_its_variance_has() -> None:
+    telemetry = Telemetry(0.01)
+    for k in range(30):
+        if k < 20:
+            assert not telemetry.steady
+        telemetry.take_status(status(3.9, 100.0 * 0.5**k), 0.1 * k)
+    assert telemetry.steady
+    for k in range(10):  # it stays put, but far too large
+        telemetry.take_status(status(3.9, 1.0), 3.0 + 0.1 * k)
+    assert not telemetry.steady
+
+
+def test_what_takes_a_drone_down_is_said_in_words() -> None:
+    assert why_down(Supervisor.ARMED | Supervisor.CAN_FLY | Supervisor.FLYING) is None
+    assert "switch it off and on" in str(why_down(Supervisor.LOCKED | Supervisor.TUMBLED))
+
+
+@given(st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.hypot(*q[:2]) > 0.1))
+def test_attitudes_are_unpacked_as_bitcraze_packs_them(values: list[float]) -> None:
+    encoding = pytest.importorskip("cflib.utils.encoding")
+    unit = np.array(values) / np.linalg.norm(values)
+    packed = encoding.compress_quaternion(unit)
+    assert compressed(unit.tolist()) == packed
+    assert np.array(quaternion_of(packed)) == pytest.approx(encoding.decompress_quaternion(packed))
+    assert abs(np.dot(quaternion_of(packed), unit)) == pytest.approx(1.0, abs=1e-4)
+
+
+@given(
+    st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3),
+    st.lists(st.floats(-0.6, 0.6), min_size=3, max_size=3),
+)
+def test_a_glide_joins_the_motion_and_ends_at_rest_without_a_jump(
+    start: list[float], velocity: list[float]
+) -> None:
+    position, speed = glide(
+        np.array(start),
+        np.array(velocity),
+        velocity_max=0.3,
+        acceleration_max=0.8,
+        sample_time_s=0.02,
+    )
+    assert np.abs(position[-1]).max() < 1e-9
+    assert np.abs(speed[-1]).max() < 1e-9
+    whole = np.vstack([start, position])
+    slopes = np.diff(whole, axis=0) / 0.02
+    assert (
+        np.abs(
+            slopes - (np.vstack([velocity, speed])[1:] + np.vstack([velocity, speed])[:-1]) / 2
+        ).max()
+        < 0.02
+    )
+    assert np.linalg.norm(slopes, axis=1).max() < 0.3 + 1.05 * np.linalg.norm(velocity) + 1e-9
