@@ -34,13 +34,14 @@ from nufleet.robot_agent.flight.inverse_model import NetworkInverse
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.online_gp import OnlineGp
 from nufleet.robot_agent.flight.own_model import evidence_in
-from nufleet.robot_agent.flight.rich_flight import fly_record, rich_references
+from nufleet.robot_agent.flight.rich_flight import fly_record
 from nufleet.robot_agent.flight.tracking import Learner, track
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.gaussian_process.exact import warm_up
 from nufleet.shared.paths.files import read_drawing
+from nufleet.shared.paths.references import rich_references
 from nufleet.shared.paths.trajectories import travel
 from nufleet.sims import drawings
 

@@ -15,10 +15,10 @@ from scipy.special import ndtri
 
 from benchmarks.selection_fleets import Fleet, TestedRobot
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
-from nufleet.robot_agent.motion.excitation import HEADROOM
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import chordal_distance
 from nufleet.shared.frequency_test.duration import RAMP_MAX_S, RAMP_MIN_PERIODS
+from nufleet.shared.robots.joint_limits import HEADROOM
 
 PERIODS = 3
 """Number of periods of a measured tone, one for each segment."""

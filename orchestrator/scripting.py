@@ -20,7 +20,6 @@ from nufleet.shared.wire.identity import IDENTITY_VARIABLE
 from nufleet.shared.wire.openness import LOCAL_ENDPOINT, chosen_address, open_is_accepted
 
 if TYPE_CHECKING:
-    from nufleet.orchestrator.conduct.rank_run import Algorithm
     from nufleet.orchestrator.evaluation.flight_documents import TrackResult
     from nufleet.orchestrator.jobs.track import InverseChoice
     from nufleet.orchestrator.jobs.transfer import TransferResult
@@ -42,7 +41,7 @@ def rank(
     precision: float | None = None,
     amplitude: float | None = None,
     seed: int = 0,
-    algorithm: Algorithm = "adaptive",
+    algorithm: str = "adaptive",
     trajectory: str | None = None,
     speed_m_s: float | None = None,
     reuse_days: float | None = None,
@@ -75,7 +74,8 @@ def rank(
         precision: Width of the selected source's 95 % interval to continue to; None for any.
         amplitude: Amplitude of the task in the unit of the axis; None for what each robot chooses.
         seed: Seed of the random choices.
-        algorithm: `adaptive`, or `paper` for the paper's Algorithm 1.
+        algorithm: `adaptive`, `paper` for the paper's Algorithm 1, or the name of one that a
+            package installs; see `nufleet.studies`.
         trajectory: Path or name of the drawing to rank for; None for no particular one.
         speed_m_s: Largest speed on that drawing; None for the default.
         reuse_days: Largest age of stored responses that replace tests, in days; None to test all.
@@ -247,6 +247,7 @@ def track(
         rich_flight_s=rich_flight_s,
         live=live,
         rehearses=rehearses,
+        yes=True,
         runs_root=Path(runs_root),
         repository=repository,
     )

@@ -24,7 +24,7 @@ from typing import Any, NoReturn, TypeVar
 
 import click
 
-from nufleet.shared.errors import NufleetError
+from nufleet.shared.errors import InvalidInputError, NufleetError
 from nufleet.shared.text import printable
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -160,6 +160,25 @@ def main() -> NoReturn:
         sys.exit(NufleetError.exit_code)
     # Without its standalone mode click returns the code of `--help`, `--version` and `Exit`.
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def ask_before(moving: str, *, instead: str) -> None:
+    """Ask the person at the terminal whether robots may move.
+
+    Args:
+        moving: Which robots will do what, in words.
+        instead: Option that moves nothing, and what it is for.
+
+    Raises:
+        InvalidInputError: No person is at the terminal to be asked.
+        click.Abort: The person declined.
+    """
+    if not sys.stdin.isatty():
+        raise InvalidInputError(
+            f"{moving}, and no person is at the terminal to be asked: give --yes to allow it, or "
+            f"{instead}"
+        )
+    click.confirm(f"{moving}. Go on?", abort=True, err=True)
 
 
 def invocation() -> str:

@@ -19,7 +19,7 @@ MODULES = [
     for path in sorted((ROOT / folder).rglob("*.py"))
     if re.search(r"^\s*>>> ", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
 ]
-MODULES.append("nufleet")
+MODULES += ["nufleet", "nufleet.testing"]
 
 
 @pytest.mark.parametrize("module", MODULES)

@@ -10,6 +10,7 @@ from nufleet.orchestrator.cli.options import (
     connect_options,
     fleet_option,
     live_option,
+    moving_options,
     seed_option,
     storage_options,
     unguarded_option,
@@ -105,6 +106,7 @@ from nufleet.orchestrator.cli.types import (
 )
 @unguarded_option
 @seed_option()
+@moving_options
 @live_option
 @storage_options
 def evaluate(**options: Any) -> None:

@@ -10,12 +10,12 @@ from nufleet.orchestrator.cli.options import (
     band_option,
     connect_options,
     fleet_option,
+    moving_options,
     realtime_option,
     refuse_in_vain,
     seed_option,
     storage_options,
     wait_option,
-    yes_option,
 )
 from nufleet.orchestrator.cli.types import Names, PositiveNumber, RobotName
 
@@ -57,7 +57,7 @@ from nufleet.orchestrator.cli.types import Names, PositiveNumber, RobotName
     help="End with exit code 1 if even the best simulator is further from the robot than this.",
 )
 @realtime_option
-@yes_option
+@moving_options
 @seed_option("Seed of the random choices.")
 @storage_options
 def match(**options: Any) -> None:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 import click
 from click.core import ParameterSource
 
-from nufleet.orchestrator.cli.types import FleetPath, Number, PositiveNumber
+from nufleet.orchestrator.cli.types import FleetPath, NewPicture, Number, PositiveNumber
 from nufleet.orchestrator.jobs.environment import (
     REPOSITORY_VARIABLE,
     ROUTER_VARIABLE,
@@ -176,9 +176,45 @@ unguarded_option = click.option(
     help="Never fall back to the baseline; the robot's fleet file must allow this.",
 )
 
-yes_option = click.option(
-    "--yes", is_flag=True, help="Move real robots without asking; scripts need this."
+_consent_options = (
+    click.option(
+        "--plan",
+        "plans",
+        is_flag=True,
+        help="Print what each robot would do (how long, how far, how fast), and move none.",
+    ),
+    click.option(
+        "--picture",
+        type=NewPicture(),
+        metavar="FILE",
+        help="With --plan: draw it, as PNG, SVG or PDF.",
+    ),
+    click.option(
+        "--yes/--confirm",
+        "yes",
+        default=None,
+        help="Move robots without asking, as scripts must, or ask even if all are simulated.  "
+        "[default: ask if a robot is real]",
+    ),
 )
+
+
+def moving_options(command: F) -> F:
+    """Add --plan, --picture, --yes and --confirm to a command that moves robots."""
+
+    @wraps(command)
+    def consistent(*args: Any, **options: Any) -> Any:
+        if options["plans"]:
+            refuse_in_vain("with --plan, which moves no robot", "live", "draws", "rehearses", "yes")
+        else:
+            refuse_in_vain("without --plan", "picture")
+        return command(*args, **options)
+
+    moving: Any = consistent
+    for option in reversed(_consent_options):
+        moving = option(moving)
+    return cast(F, moving)
+
 
 fleet_option = click.option(
     "--fleet",

@@ -11,6 +11,7 @@ from nufleet.orchestrator.cli.options import (
     connect_options,
     fleet_option,
     live_option,
+    moving_options,
     realtime_option,
     recording_option,
     refuse_in_vain,
@@ -19,9 +20,15 @@ from nufleet.orchestrator.cli.options import (
     storage_options,
     typed_options,
     wait_option,
-    yes_option,
 )
-from nufleet.orchestrator.cli.types import DrawingName, Names, Number, PositiveNumber, RobotName
+from nufleet.orchestrator.cli.types import (
+    AlgorithmName,
+    DrawingName,
+    Names,
+    Number,
+    PositiveNumber,
+    RobotName,
+)
 
 
 @click.command()
@@ -74,12 +81,14 @@ from nufleet.orchestrator.cli.types import DrawingName, Names, Number, PositiveN
 @seed_option("Seed of the random choices, such as the first test.")
 @click.option(
     "--algorithm",
-    type=click.Choice(["adaptive", "paper"]),
+    type=AlgorithmName(),
+    metavar="NAME",
     default="adaptive",
     show_default=True,
     help=(
         "`adaptive` plays many tones per test and stops when the choice is sure; `paper` is the "
-        "paper's Algorithm 1, with one tone per test and --iterations tests."
+        "paper's Algorithm 1, with one tone per test and --iterations tests. Packages may install "
+        "others."
     ),
 )
 @click.option(
@@ -108,13 +117,7 @@ from nufleet.orchestrator.cli.types import DrawingName, Names, Number, PositiveN
     help="With --trajectory: largest speed on it.  [default: what the target's axis allows]",
 )
 @realtime_option
-@click.option(
-    "--plan",
-    "plans",
-    is_flag=True,
-    help="Print what each robot would do first (how long, how far, how fast), and move none.",
-)
-@yes_option
+@moving_options
 @rehearsal_option
 @live_option
 @recording_option
@@ -145,8 +148,6 @@ def rank(resume: str | None, **options: Any) -> None:
         return
     if options["fleet_file"] is None:
         refuse_in_vain("without --fleet", "realtime")
-    if options["plans"]:
-        refuse_in_vain("with --plan, which moves no robot", "live", "draws", "rehearses", "yes")
     from nufleet.orchestrator.jobs.rank import RankCommand, rank_and_print
 
     rank_and_print(RankCommand(**options))

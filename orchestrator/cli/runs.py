@@ -10,6 +10,7 @@ import click
 from nufleet.orchestrator.cli.options import (
     json_option,
     live_option,
+    moving_options,
     recording_option,
     rehearsal_option,
     runs_option,
@@ -38,6 +39,7 @@ def list_runs(runs_root: Path, as_json: bool) -> None:
     help="Router of the fleet.  [default: the one that the run used, or its own fleet restarted]",
 )
 @wait_option("How long to wait for the router and the robots.")
+@moving_options
 @rehearsal_option
 @live_option
 @recording_option

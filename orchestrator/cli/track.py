@@ -9,6 +9,7 @@ import click
 from nufleet.orchestrator.cli.options import (
     connect_options,
     live_option,
+    moving_options,
     refuse_in_vain,
     rehearsal_option,
     storage_options,
@@ -83,6 +84,7 @@ from nufleet.orchestrator.cli.types import DrawingName, PositiveNumber
     help="Fly a persistently exciting reference for this long first, to learn more of the robot.",
 )
 @unguarded_option
+@moving_options
 @rehearsal_option
 @live_option
 @storage_options

@@ -6,7 +6,12 @@ from typing import Any
 
 import click
 
-from nufleet.orchestrator.cli.options import connect_options, seed_option, storage_options
+from nufleet.orchestrator.cli.options import (
+    connect_options,
+    moving_options,
+    seed_option,
+    storage_options,
+)
 from nufleet.orchestrator.cli.types import PositiveNumber
 
 
@@ -45,6 +50,7 @@ def _architectures(_context: click.Context, _option: click.Parameter, chosen: st
     help="Duration of the flight that the robot learns from.",
 )
 @seed_option("Seed of the flight and of the network's first weights.")
+@moving_options
 @storage_options
 def train(**options: Any) -> None:
     """Have robots learn an inverse model of themselves, which they then offer to others.

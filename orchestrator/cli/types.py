@@ -141,6 +141,48 @@ class DrawingName(click.ParamType[str]):
         return [*_beginning(incomplete, drawing_names()), CompletionItem(incomplete, "file")]
 
 
+class NewPicture(click.ParamType[Path]):
+    """A file for a picture, which does not exist yet."""
+
+    name = "picture"
+    SUFFIXES = (".png", ".svg", ".pdf")
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> Path:
+        """Return the path; one that is taken, or is no picture's, raises click's usage error."""
+        path = Path(str(value))
+        if path.suffix.lower() not in self.SUFFIXES:
+            self.fail(f"{path} must end in {', '.join(self.SUFFIXES)}", param, ctx)
+        if path.exists():
+            self.fail(f"{path} already exists: choose another file", param, ctx)
+        return path
+
+
+class AlgorithmName(click.ParamType[str]):
+    """An algorithm that selects tests: one of our own, or one that a package installs."""
+
+    name = "algorithm"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> str:
+        """Return the name; an unknown one raises click's usage error."""
+        from nufleet.orchestrator.study.algorithms import algorithm_names
+
+        if value not in algorithm_names():
+            self.fail(f"{value} is none of {', '.join(algorithm_names())}", param, ctx)
+        return str(value)
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Return the algorithms."""
+        from nufleet.orchestrator.study.algorithms import algorithm_names
+
+        return _beginning(incomplete, algorithm_names())
+
+
 class RunName(click.ParamType[str]):
     """A run, given by its folder, by its name in the folder of all runs, or as `latest`."""
 

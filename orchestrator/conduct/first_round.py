@@ -1,141 +1,85 @@
-"""What each robot would do in the first round of a study, from its spec alone: nothing moves."""
+"""What each robot would do in a round of tests, from its spec alone: nothing moves."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 
+from nufleet.orchestrator.flights.planned import Outlook, PlannedMotion, measured_limits, unit_of
 from nufleet.orchestrator.study.interface import Question, StudyPlan
-from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.frequency_test.duration import duration_s
-from nufleet.shared.frequency_test.excitation import AxisTones, Excitation
-from nufleet.shared.robots.health import Health
+from nufleet.shared.frequency_test.excitation import Excitation
+from nufleet.shared.robots.joint_limits import HEADROOM
 from nufleet.shared.robots.spec import RobotSpec
-from nufleet.shared.strict import Document, Fraction, Name, NonNegative, Strict
-
-
-class PlannedMotion(Strict):
-    """One frequency test that a robot would play."""
-
-    robot: Name
-    """Name of the robot."""
-    axis: Name
-    """Name of the axis."""
-    simulated: bool
-    """Whether the robot is simulated."""
-    tones: int
-    """Number of tones."""
-    omega_min_rad_s: NonNegative
-    """Lowest frequency."""
-    omega_max_rad_s: NonNegative
-    """Highest frequency."""
-    duration_s: NonNegative
-    """Duration of the test."""
-    reach: NonNegative
-    """Largest distance of the reference from where the robot rests, in `unit`."""
-    velocity: NonNegative
-    """Largest velocity of the reference, in `unit`/s."""
-    acceleration: NonNegative
-    """Largest acceleration of the reference, in `unit`/s²."""
-    unit: str
-    """Unit of the axis."""
-    measured_min: float | None
-    measured_max: float | None
-    """Limits on what is measured, in `unit`; None for none."""
-    battery: Fraction | None = None
-    """Charge of the battery now; None if unknown."""
-    endurance_s: NonNegative | None = None
-    """Time that the battery lasts; None if unknown."""
-
-
-class StudyOutlook(Document):
-    """The document that `nufleet rank --plan --json` prints."""
-
-    target: Name
-    """Target of the study."""
-    axis: Name
-    """Axis that would be tested."""
-    also: tuple[Name, ...] = ()
-    """Further axes that would be tested."""
-    band_rad_s: tuple[float, float]
-    """Band of the study."""
-    rounds_max: int
-    """Largest number of rounds; later ones depend on what the first shows."""
-    first_round: tuple[PlannedMotion, ...]
-    """Motions of the first round, all at the same time; they begin and end at rest at 0."""
 
 
 def outlook(
     plan: StudyPlan,
     question: Question,
     specs: Mapping[str, RobotSpec],
-    healths: Mapping[str, Health | None],
-) -> StudyOutlook:
-    """Return what a study's first round would have each robot do.
-
-    A robot chooses its amplitude itself, so that the limits of its axis bound reach, velocity and
-    acceleration; it stays below them.
+    robots: Collection[str] | None = None,
+) -> Outlook:
+    """Return what a round of a study would have each robot do.
 
     Args:
         plan: Checked plan of the study.
-        question: First round of the study.
+        question: The round.
         specs: Spec of each robot, by name.
-        healths: Latest health of each robot, by name; None where none is reported.
+        robots: Names of the robots whose tests are still to be done; None for all.
     """
-    return StudyOutlook(
-        target=plan.target,
-        axis=plan.axis,
-        also=plan.also,
-        band_rad_s=plan.band_rad_s,
-        rounds_max=plan.iterations,
-        first_round=tuple(
-            _planned(robot, played, test, specs[robot], healths.get(robot))
+    low, high = plan.band_rad_s
+    axes = f"ax{'e' if plan.also else 'i'}s {', '.join(plan.axes)}"
+    later = "further rounds depend on what this one shows"
+    return Outlook(
+        headline=(
+            f"round {question.iteration} of at most {plan.iterations}, all robots at the same "
+            f"time: {axes}, {low:g} to {high:g} rad/s"
+        ),
+        later=later if question.iteration < plan.iterations else "",
+        motions=tuple(
+            planned_test(robot, test, specs[robot])
             for robot, test in question.tests.items()
-            for played in test.played
+            if robots is None or robot in robots
         ),
     )
 
 
-def check_healths(planned: StudyOutlook, healths: Mapping[str, Health | None]) -> None:
-    """Refuse a study whose robots are not ready or cannot finish the first round.
-
-    Raises:
-        InvalidInputError: A robot is not ready, or its battery does not last; all are named.
-    """
-    wrong = []
-    for motion in planned.first_round:
-        health = healths.get(motion.robot)
-        if health is None:
-            continue
-        if not health.ready:
-            wrong.append(f"{motion.robot} is not ready: {health.reason}")
-        elif health.endurance_s is not None and health.endurance_s < motion.duration_s:
-            wrong.append(
-                f"{motion.robot} would move for {motion.duration_s:.3g} s, and its battery lasts "
-                f"for {health.endurance_s:.3g} s"
-            )
-    if wrong:
-        raise InvalidInputError(f"{'; '.join(dict.fromkeys(wrong))}; nothing has moved")
-
-
-def _planned(
-    robot: str, played: AxisTones, test: Excitation, spec: RobotSpec, health: Health | None
+def planned_test(
+    robot: str, test: Excitation, spec: RobotSpec, *, times: int = 1, what: str | None = None
 ) -> PlannedMotion:
-    axis = spec.axis(played.axis)
-    omegas = [tone.omega_rad_s for tone in played.tones]
+    """Return a frequency test as a motion.
+
+    Where the test leaves the amplitude to the robot, the robot stays below all limits of its axes
+    by the margin `HEADROOM`, so that these bound the motion.
+
+    Args:
+        robot: Name of the robot.
+        test: The test.
+        spec: Spec of the robot.
+        times: How many times it is played.
+        what: What it is, in words; None for its tones.
+    """
+    axes = [spec.axis(played.axis) for played in test.played]
+    share = HEADROOM if test.amplitude is None else 1.0
+    reach = {
+        played.axis: played.amplitude or HEADROOM * spec.axis(played.axis).amplitude_max
+        for played in test.played
+    }
     return PlannedMotion(
         robot=robot,
-        axis=axis.name,
         simulated=spec.simulated,
-        tones=len(omegas),
-        omega_min_rad_s=min(omegas),
-        omega_max_rad_s=max(omegas),
+        what=what or _tones(test.omega_rad_s),
+        times=times,
         duration_s=duration_s(test, spec),
-        reach=axis.amplitude_max,
-        velocity=axis.velocity_max,
-        acceleration=axis.acceleration_max,
-        unit=axis.unit,
-        measured_min=axis.output_min,
-        measured_max=axis.output_max,
-        battery=None if health is None else health.battery,
-        endurance_s=None if health is None else health.endurance_s,
+        unit=unit_of(axes),
+        low={axis: -most for axis, most in reach.items()},
+        high=reach,
+        velocity=share * max(axis.velocity_max for axis in axes),
+        acceleration=share * max(axis.acceleration_max for axis in axes),
+        measured=measured_limits(axes),
     )
+
+
+def _tones(omega_rad_s: Sequence[float]) -> str:
+    if len(omega_rad_s) == 1:
+        return f"tone at {omega_rad_s[0]:.3g} rad/s"
+    return f"{len(omega_rad_s)} tones, {omega_rad_s[0]:.3g} to {omega_rad_s[-1]:.3g} rad/s"

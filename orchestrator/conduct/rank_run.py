@@ -6,7 +6,7 @@ import json
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -45,8 +45,6 @@ from nufleet.shared.distance.chordal import chordal_distance, worst_case_chordal
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Description
-
-Algorithm = Literal["adaptive", "paper", "match"]
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,11 @@ from nufleet.orchestrator.repository.errors import DamagedRecordError
 from nufleet.orchestrator.repository.records import StudyRecord
 from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
+from nufleet.orchestrator.study.algorithms import load_algorithm
 from nufleet.orchestrator.study.axes_study import AxesStudy
 from nufleet.orchestrator.study.interface import Study
 from nufleet.orchestrator.study.paper_algorithm import PaperStudy
+from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.strict import Identifier, Name, Strict, validation_errors_as
 from nufleet.shared.wire.messages import Description
@@ -112,7 +114,12 @@ def make_study(record: StudyRecord, studies: StudyStore) -> Study:
             absent=recipe.untestable,
             settings=settings,
         )
-    raise ResumeError(
-        f"study {record.study_id} uses the algorithm {record.algorithm!r}; resume it with the "
-        "version of nufleet that began it"
-    )
+    try:
+        algorithm = load_algorithm(record.algorithm)
+    except InvalidInputError as error:
+        raise ResumeError(
+            f"study {record.study_id} uses the algorithm {record.algorithm!r}; resume it with the "
+            f"version of nufleet, or the package, that began it: {error}"
+        ) from error
+    study: Study = algorithm(record.plan, recipe.specs, rng)
+    return study

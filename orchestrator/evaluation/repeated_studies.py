@@ -10,7 +10,7 @@ import numpy as np
 from nufleet.orchestrator.conduct.archive import Archive
 from nufleet.orchestrator.conduct.conductor import Conclusion, conduct
 from nufleet.orchestrator.conduct.dispatcher import Dispatcher
-from nufleet.orchestrator.conduct.rank_run import Algorithm, ReadyStudy
+from nufleet.orchestrator.conduct.rank_run import ReadyStudy
 from nufleet.orchestrator.conduct.recipe import make_study
 from nufleet.orchestrator.evaluation.fly_target import Psi
 from nufleet.orchestrator.evaluation.results import StudyEstimates
@@ -124,7 +124,7 @@ def _conducted(
     ready: ReadyStudy,
     seed: int,
     suffix: str,
-    algorithm: Algorithm,
+    algorithm: str,
     run_id: str,
     archive: Archive,
     recorder: _Recorder,

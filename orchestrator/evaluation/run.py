@@ -216,7 +216,7 @@ def prepare_robots(
     """
     with ThreadPoolExecutor(8, thread_name_prefix="describe") as pool:
         there = tuple(pool.map(fleet.describe, robots))
-    lacking = [one for one in there if not _has(one, plan.architecture)]
+    lacking = [one for one in there if not has_experience(one, plan.architecture)]
     if not lacking:
         return
     say(f"{', '.join(one.robot for one in lacking)}: experiences are flown and trained")
@@ -249,7 +249,8 @@ def ranking_line(psi: dict[str, float]) -> str:
     return ", ".join(f"{source} {value:.3f}" for source, value in ordered)
 
 
-def _has(description: Description, architecture: Architecture) -> bool:
+def has_experience(description: Description, architecture: Architecture) -> bool:
+    """Return whether a robot has learned an experience of an architecture."""
     return any(
         offer.manifest.layout.architecture == architecture for offer in description.experiences
     )

@@ -7,7 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from nufleet.orchestrator.experience.horizon import HorizonChoice, candidate_layouts, choose_horizon
+from nufleet.orchestrator.experience.horizon import (
+    CANDIDATES_S,
+    HorizonChoice,
+    candidate_layouts,
+    choose_horizon,
+)
 from nufleet.orchestrator.experience.lesson_record import LearningRecord, pooled_pairs
 from nufleet.orchestrator.experience.prior_custody import install, prior_put_back
 from nufleet.orchestrator.experience.relative_degree import relative_degree
@@ -15,6 +20,7 @@ from nufleet.orchestrator.experience.training import Origin, TrainingData
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.flights.legs import practice_path
 from nufleet.orchestrator.flights.pilot import Pilot
+from nufleet.orchestrator.flights.planned import PlannedMotion, lesson_motions
 from nufleet.shared.errors import InvalidInputError, RobotError, StudyError
 from nufleet.shared.experience.file import Experience, encode_experience
 from nufleet.shared.experience.layout import Architecture
@@ -128,6 +134,24 @@ def fly_lessons(
             data = TrainingData(*pooled_pairs(choice.layout, record, columns))
             lessons.append(Lesson(robot, data, origin, choice))
     return tuple(lessons)
+
+
+def planned_lessons(
+    description: Description,
+    architectures: tuple[Architecture, ...],
+    *,
+    seed: int,
+    duration_s: float = FLIGHT_S,
+) -> tuple[PlannedMotion, ...]:
+    """Return the motions of `fly_lessons`, for the same arguments, before any of them.
+
+    Raises:
+        InvalidInputError: The robot cannot track.
+    """
+    # An inverse of the state may be flown twice with each horizon; see `choose_horizon`.
+    flights = {"state": 2, "preview": 1}
+    trials = sum(flights[architecture] * len(CANDIDATES_S) for architecture in architectures)
+    return lesson_motions(description, duration_s=duration_s, seed=seed, trials=trials)
 
 
 def know_itself(

@@ -13,7 +13,12 @@ from typing import Literal, TypeVar
 from nufleet.orchestrator.fleet.requests import QUERY_TIMEOUT_S, RESULT_TIMEOUT_S, Requests
 from nufleet.orchestrator.fleet.robot_watch import RobotWatch
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.errors import MalformedMessageError, NoReplyError, RobotLostError
+from nufleet.shared.errors import (
+    InvalidInputError,
+    MalformedMessageError,
+    NoReplyError,
+    RobotLostError,
+)
 from nufleet.shared.robots.health import Health
 from nufleet.shared.wire.codec import Message, decode, encode
 from nufleet.shared.wire.keys import RELEASE, STOP, FleetKeys, principal_of
@@ -52,6 +57,8 @@ FORECAST_LOOK_S = 0.3
 """Interval between two requests for the same forecast, well within a robot's patience."""
 TELEMETRY_MAX_BYTES = 4 * 2**20
 """Largest batch: the samples that an unpaced simulated robot plays in a tenth of a second."""
+
+_A = {"robot": "a robot", "operator": "an operator", "watcher": "a watcher"}
 
 _log = logging.getLogger(__name__)
 R = TypeVar("R", bound=Message)
@@ -94,6 +101,20 @@ class Fleet:
     def epoch(self, robot: str) -> int:
         """Return the epoch of the lease under which a robot is commanded; 0 without one."""
         return self._epochs.get(robot, 0)
+
+    def check_may_command(self) -> None:
+        """Refuse before anything begins what the router of a closed fleet would keep from robots.
+
+        Raises:
+            InvalidInputError: The identity is not an orchestrator's.
+        """
+        identity = self._session.identity
+        if identity is not None and identity.role != "orchestrator":
+            raise InvalidInputError(
+                f"{identity.principal} may not ask robots of fleet {identity.fleet} to move, nor "
+                f"change what they fly with, because it is {_A[identity.role]} in the inventory: "
+                "choose the identity of an orchestrator with --identity"
+            )
 
     # Presence and states.
 

@@ -28,6 +28,19 @@ class StoredCommand:
 
 
 @dataclass(frozen=True, kw_only=True)
+class MovingCommand(StoredCommand):
+    """The options of a command that moves robots."""
+
+    plans: bool = False
+    """Whether to print what the robots would do, and move none."""
+    picture: Path | None = None
+    """File for a picture of what they would do; None for no picture."""
+    yes: bool | None = None
+    """Whether the robots may move without asking the person at the terminal: False to ask even if
+    they are simulated, None to ask if one of them is real."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class FleetCommand(StoredCommand):
     """The options of a command for a running fleet."""
 

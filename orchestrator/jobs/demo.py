@@ -16,6 +16,7 @@ from nufleet.orchestrator.experience.training import check_torch
 from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.flights.legs import legs_of, read_drawings
 from nufleet.orchestrator.jobs.commands import StoredCommand
+from nufleet.orchestrator.jobs.consent import only_simulated
 from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
 from nufleet.orchestrator.jobs.study import follow_study
 from nufleet.orchestrator.jobs.terminal import stderr_console
@@ -75,7 +76,7 @@ def demo(command: DemoCommand, console: Console) -> DemoResult:
     with FlyingRun(command, console) as run:
         fleet, _, there = run.reach(choice)
         ready = prepare(fleet, request, there)
-        run.fly("demo", ready.descriptions, live=command.live)
+        run.fly("demo", ready.descriptions, only_simulated, live=command.live)
         run.configure({**configuration(ready, command.seed), "kind": "demo"})
         study = run.archive.begin(
             run.folder.study_id, "paper", ready.plan, command.seed, ready.descriptions

@@ -7,6 +7,7 @@ import shutil
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from rich.console import Console
 from nufleet.orchestrator.conduct.preflight import check_robots
 from nufleet.orchestrator.conduct.rank_run import RankRequest, prepare
 from nufleet.orchestrator.evaluation.pairs import PAIRS, PairsResult, compare_pairs
+from nufleet.orchestrator.evaluation.planned import planned_evaluation
 from nufleet.orchestrator.evaluation.report import (
     evaluation_table,
     pairs_table,
@@ -34,9 +36,9 @@ from nufleet.orchestrator.experience.transfer import check_would_fit
 from nufleet.orchestrator.fleet.reach import REACH, FleetChoice, Reach
 from nufleet.orchestrator.flights.legs import legs_of, read_drawings
 from nufleet.orchestrator.history.catalogue import read_run
-from nufleet.orchestrator.jobs.commands import AnyFleetCommand, StoredCommand
+from nufleet.orchestrator.jobs.commands import AnyFleetCommand, MovingCommand
+from nufleet.orchestrator.jobs.consent import carried_out
 from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
-from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.runs.folder import CONFIGURATION, read_configuration
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
@@ -73,7 +75,7 @@ QUICK_OWN_FLIGHT_S = (0.0, 15.0, 30.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ResumedCommand(StoredCommand):
+class ResumedCommand(MovingCommand):
     """The options of an evaluation that may differ when it is resumed."""
 
     live: bool
@@ -81,7 +83,7 @@ class ResumedCommand(StoredCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class EvaluateCommand(AnyFleetCommand):
+class EvaluateCommand(MovingCommand, AnyFleetCommand):
     """The options of one `nufleet evaluate`."""
 
     target: str | None
@@ -159,8 +161,8 @@ class EvaluateCommand(AnyFleetCommand):
 
 def evaluate_and_print(command: EvaluateCommand) -> None:
     """Evaluate, with progress on stderr and, if wanted, the document on stdout."""
-    result = evaluate(command, stderr_console())
-    if command.as_json:
+    result = carried_out(command, evaluate)
+    if result is not None and command.as_json:
         click.echo(result.document())
 
 
@@ -185,7 +187,8 @@ def evaluate(command: EvaluateCommand, console: Console) -> EvaluationResult | P
             # Its robots remember what they learn, so that the run can be resumed.
             choice = choice.remembering(run.keep(command.kind, choice.name).path / ROBOTS)
         plans, descriptions = _planned(command, run, choice, drawings, one)
-        run.fly(command.kind, descriptions, live=command.live)
+        moves = partial(planned_evaluation, plans)
+        run.fly(command.kind, descriptions, moves, live=command.live)
         files = [find_drawing(drawing).resolve() for drawing in command.chosen_drawings]
         reached = choice.reach.model_copy(update={"fleet_name": run.connection.name})
         run.configure(
@@ -229,7 +232,8 @@ def resume_evaluation(
     with FlyingRun(command, console) as run:
         console.print(f"going on with {path.name}")
         plans, descriptions = _planned(command, run, FleetChoice.again(reach), drawings, one)
-        run.fly_on(path, descriptions, live=command.live)
+        moves = partial(planned_evaluation, plans, resumed=True)
+        run.fly_on(path, descriptions, moves, live=command.live)
         result = _conducted(command, run, plans, descriptions)
     _forget_robots(path)
     return result

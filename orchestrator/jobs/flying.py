@@ -9,6 +9,7 @@ from pathlib import Path
 
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
 from nufleet.orchestrator.flights.table import FlightTable
+from nufleet.orchestrator.jobs.consent import Moves
 from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.viewer.flight_feed import PathView
 from nufleet.shared.robots.spec import RobotSpec
@@ -25,7 +26,9 @@ class FlyingRun(Opening):
     table: FlightTable
     """Table of all samples of these flights; exists after `fly`."""
 
-    def fly(self, kind: str, descriptions: Mapping[str, Description], *, live: bool) -> None:
+    def fly(
+        self, kind: str, descriptions: Mapping[str, Description], moves: Moves, *, live: bool
+    ) -> None:
         """Create the run's folder, unless it was kept before, and open what flights need.
 
         When the command fails or is interrupted afterwards, all flying robots are brought to rest
@@ -34,17 +37,20 @@ class FlyingRun(Opening):
         Args:
             kind: Kind of the run, the last part of its folder's name.
             descriptions: Descriptions of the robots that will fly, by robot.
+            moves: What they are going to do.
             live: Whether to serve the recording to live viewers.
 
         Raises:
-            LeaseHeldError, RobotOwnedError: See `take`.
+            InvalidInputError, OnlyPlannedError, LeaseHeldError, RobotOwnedError: See `take`.
         """
         if not hasattr(self, "folder"):
             self.keep(kind)
-        self.take(descriptions)
+        self.take(descriptions, moves)
         self._open(self.folder.study_id, live=live)
 
-    def fly_on(self, path: Path, descriptions: Mapping[str, Description], *, live: bool) -> None:
+    def fly_on(
+        self, path: Path, descriptions: Mapping[str, Description], moves: Moves, *, live: bool
+    ) -> None:
         """Open the folder of an interrupted run, and what flights need, like `fly`.
 
         Its recording begins with the flights that follow.
@@ -52,12 +58,13 @@ class FlyingRun(Opening):
         Args:
             path: Folder of the run.
             descriptions: Descriptions of the robots that will fly, by robot.
+            moves: What they are going to do.
             live: Whether to serve the recording to live viewers.
 
         Raises:
-            LeaseHeldError, RobotOwnedError: See `go_on`.
+            InvalidInputError, OnlyPlannedError, LeaseHeldError, RobotOwnedError: See `go_on`.
         """
-        self.go_on(path, descriptions)
+        self.go_on(path, descriptions, moves)
         # No goal may have the id of an earlier one.
         self._open(f"{self.folder.study_id}.{secrets.token_hex(4)}", live=live)
 

@@ -10,6 +10,7 @@ from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
+from nufleet.orchestrator.jobs.consent import carried_out
 from nufleet.orchestrator.jobs.rank import RankCommand, rank
 from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.study.simulator_match import SimulatorMatch, match_simulator
@@ -44,8 +45,10 @@ class MatchCommand(RankCommand):
 
 def match_and_print(command: MatchCommand) -> bool:
     """Compare, print the result, and return whether the best simulator is close enough."""
+    result = carried_out(command, match)
+    if result is None:
+        return True
     console = stderr_console()
-    result = match(command, console)
     console.print(match_table(result))
     for one in result.simulators:
         console.print(f"{one.simulator}: {one.words}")

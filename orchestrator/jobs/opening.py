@@ -15,6 +15,7 @@ from nufleet.orchestrator.conduct.leases import lease_robots
 from nufleet.orchestrator.fleet.connection import Connection
 from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.jobs.commands import StoredCommand
+from nufleet.orchestrator.jobs.consent import Moves, agree
 from nufleet.orchestrator.jobs.motions_shown import motions_shown
 from nufleet.orchestrator.jobs.rest_report import say_who_rests
 from nufleet.orchestrator.jobs.storage import Storage
@@ -63,6 +64,7 @@ class Opening:
     """Time axis of the recording; exists after `record`."""
 
     def __init__(self, command: StoredCommand, console: Console) -> None:
+        self._command = command
         self.storage = command.storage
         self.console = console
         self.results = results_console(console, as_json=command.as_json)
@@ -130,19 +132,21 @@ class Opening:
             {**request, "fleet": self.connection.name, **self.storage.document()}
         )
 
-    def take(self, descriptions: Mapping[str, Description]) -> Archive:
-        """Lease robots, so that this command alone moves them.
+    def take(self, descriptions: Mapping[str, Description], moves: Moves) -> Archive:
+        """Lease robots, so that this command alone moves them, if it may move them at all.
 
         Args:
             descriptions: Descriptions of these robots, by robot, as they were just received.
+            moves: What they are going to do; None if they will not move.
 
         Raises:
+            InvalidInputError, OnlyPlannedError, click.Abort: They may not move; see `agree`.
             LeaseHeldError: Another orchestrator holds one of them.
             RobotOwnedError: An orchestrator with another repository commands one of them.
         """
-        return self._lease(descriptions, self._run_id, patient=False)
+        return self._lease(descriptions, moves, self._run_id, patient=False)
 
-    def go_on(self, path: Path, descriptions: Mapping[str, Description]) -> RunFolder:
+    def go_on(self, path: Path, descriptions: Mapping[str, Description], moves: Moves) -> RunFolder:
         """Lease the robots of an interrupted run, and open its folder again.
 
         An owner that no longer renews its leases is waited for until they have run out. The folder
@@ -151,11 +155,13 @@ class Opening:
         Args:
             path: Folder of the run.
             descriptions: Descriptions of these robots, by robot, as they were just received.
+            moves: What they are going to do.
 
         Raises:
+            InvalidInputError, OnlyPlannedError, click.Abort: See `take`.
             LeaseHeldError, RobotOwnedError: See `take`; a holder that is alive is not waited for.
         """
-        self._lease(descriptions, study_id_of(path), patient=True)
+        self._lease(descriptions, moves, study_id_of(path), patient=True)
         again = RunFolder(path.parent, path.name, goes_on=True)
         self.folder = self._stack.enter_context(again)
         self._run_id = again.study_id
@@ -188,9 +194,16 @@ class Opening:
         self._stack.enter_context(self.storage.saying_how_to_resume(self.console, name))
 
     def _lease(
-        self, descriptions: Mapping[str, Description], run_id: str, *, patient: bool
+        self,
+        descriptions: Mapping[str, Description],
+        moves: Moves,
+        run_id: str,
+        *,
+        patient: bool,
     ) -> Archive:
         fleet, name, _ = self.connection
+        fleet.check_may_command()
+        agree(self._command, descriptions.values(), moves, fleet.health, self.console)
         self._stack.enter_context(self._saying_who_rests(tuple(descriptions)))
         watches = [fleet.watch(robot) for robot in descriptions]
         self._stack.enter_context(motions_shown(self.console, watches))

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cache, partial
 
 import click
 from rich.console import Console
 
 from nufleet.orchestrator.conduct.desired_motion import TimedPath, read_motion
-from nufleet.orchestrator.conduct.first_round import StudyOutlook, check_healths, outlook
+from nufleet.orchestrator.conduct.first_round import outlook
 from nufleet.orchestrator.conduct.preflight import check_band, check_names
 from nufleet.orchestrator.conduct.rank_run import (
-    Algorithm,
     RankRequest,
     ReadyStudy,
     configuration,
@@ -22,18 +22,19 @@ from nufleet.orchestrator.conduct.rank_run import (
 from nufleet.orchestrator.conduct.recipe import AWAY, Recipe, make_study
 from nufleet.orchestrator.conduct.reuse import check_absent, find_stored, oldest_reused
 from nufleet.orchestrator.fleet.reach import REACH, FleetChoice
-from nufleet.orchestrator.jobs.commands import AnyFleetCommand
+from nufleet.orchestrator.flights.planned import Outlook
+from nufleet.orchestrator.jobs.commands import AnyFleetCommand, MovingCommand
+from nufleet.orchestrator.jobs.consent import carried_out
 from nufleet.orchestrator.jobs.opening import Opening
-from nufleet.orchestrator.jobs.outlook import ask_consent, outlook_table
 from nufleet.orchestrator.jobs.study import show_study
-from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.repository.records import StudyRecord
 from nufleet.orchestrator.runs.rank_result import RunRecord
+from nufleet.orchestrator.study.algorithms import OWN, load_algorithm
 from nufleet.shared.errors import InvalidInputError
 
 
 @dataclass(frozen=True, kw_only=True)
-class RankCommand(AnyFleetCommand):
+class RankCommand(MovingCommand, AnyFleetCommand):
     """The options of one `nufleet rank`."""
 
     target: str | None = None
@@ -55,7 +56,7 @@ class RankCommand(AnyFleetCommand):
     """Amplitude of the task in the unit of the axis; None for what each robot chooses."""
     seed: int = 0
     """Seed of the study."""
-    algorithm: Algorithm = "adaptive"
+    algorithm: str = "adaptive"
     """Algorithm that selects the tests."""
     realtime: float | None = None
     """Speed of the simulated robots relative to real time; None for as fast as possible."""
@@ -75,10 +76,6 @@ class RankCommand(AnyFleetCommand):
     """Largest speed on that drawing; None for the default."""
     reuse_days: float | None = None
     """Largest age of stored responses that replace tests, in days; None to test all sources."""
-    plans: bool = False
-    """Whether to print what the robots would do, and move none."""
-    yes: bool = False
-    """Whether real robots may move without asking the person at the terminal."""
 
     def fleet(self) -> FleetChoice:
         """Return the chosen fleet, with the content of its file; raises FleetFileError."""
@@ -91,15 +88,8 @@ class RankCommand(AnyFleetCommand):
 
 def rank_and_print(command: RankCommand) -> None:
     """Rank, with progress on stderr and, if wanted, the document on stdout."""
-    console = stderr_console()
-    if command.plans:
-        planned = plan(command, console)
-        console.print(outlook_table(planned))
-        if command.as_json:
-            click.echo(planned.document())
-        return
-    record = rank(command, console)
-    if command.as_json:
+    record = carried_out(command, rank)
+    if record is not None and command.as_json:
         click.echo(record.result.document())
 
 
@@ -109,7 +99,9 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
     A request that cannot be carried out is refused before anything moves.
 
     Raises:
-        InvalidInputError: The options contradict each other, or do not fit the fleet.
+        InvalidInputError: The options contradict each other or do not fit the fleet, or real robots
+            may not move.
+        OnlyPlannedError: The command only plans.
         FleetFileError: The fleet file is not valid.
         LeaseHeldError: A robot belongs to another orchestrator.
         StudyError: The study cannot continue, because the target or every source is gone.
@@ -117,12 +109,16 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
     choice = command.fleet()
     request = _request(command, choice)
     with Opening(command, console) as run:
-        ready, stored, planned = _prepared(command, request, choice, run)
-        if not command.yes:
-            ask_consent(planned, console)
+        # A source whose stored responses are reused need not be there.
+        sources = (command.sources or ()) if command.reuse_days is None else ()
+        run.reach(choice, (request.target, *sources), wait_s=command.wait_s)
+        ready, stored = _ready(command, request, run)
+        moves = cache(partial(_first_round, command, ready, stored, run))
+        if stored:
+            moves()  # raises if stored responses leave nothing to test
         folder = run.keep()
         archive = run.take(
-            {robot: one for robot, one in ready.descriptions.items() if one.boot_id != AWAY}
+            {robot: one for robot, one in ready.descriptions.items() if one.boot_id != AWAY}, moves
         )
         reached = choice.reach.model_copy(update={"fleet_name": run.connection.name})
         run.configure(
@@ -145,43 +141,29 @@ def rank(command: RankCommand, console: Console) -> RunRecord:
         return show_study(run, ready, study, request.drawing, rehearses=command.rehearses)
 
 
-def plan(command: RankCommand, console: Console) -> StudyOutlook:
-    """Return what the robots would do in the first round of a ranking; none of them moves.
-
-    Raises:
-        InvalidInputError, FleetFileError: As for `rank`, and if a robot is not ready.
-    """
-    choice = command.fleet()
-    request = _request(command, choice)
-    with Opening(command, console) as run:
-        return _prepared(command, request, choice, run)[2]
-
-
-def _prepared(
-    command: RankCommand, request: RankRequest, choice: FleetChoice, run: Opening
-) -> tuple[ReadyStudy, Mapping[str, tuple[str, ...]], StudyOutlook]:
-    """Reach the fleet; return the checked study, its stored goals, and its first round."""
-    # A source whose stored responses are reused need not be there.
-    sources = (command.sources or ()) if command.reuse_days is None else ()
-    run.reach(choice, (request.target, *sources), wait_s=command.wait_s)
-    ready, stored = _ready(command, request, run)
-    fleet, name, _ = run.connection
+def _first_round(
+    command: RankCommand,
+    ready: ReadyStudy,
+    stored: Mapping[str, tuple[str, ...]],
+    run: Opening,
+) -> Outlook:
+    """Return what the robots would do first; raises InvalidInputError if no robot has to move."""
+    name = run.connection.name
     parameters = Recipe.of(ready.descriptions, stored).parameters()
     record = StudyRecord("planned", name, command.algorithm, ready.plan, command.seed, parameters)
     question = make_study(record, run.repository.studies).ask()
     if question is None:
         raise InvalidInputError("the stored responses answer the question: no robot has to move")
-    healths = {robot: fleet.health(robot) for robot in question.tests}
     specs = {robot: one.spec for robot, one in ready.descriptions.items()}
-    planned = outlook(ready.plan, question, specs, healths)
-    check_healths(planned, healths)
-    return ready, stored, planned
+    return outlook(ready.plan, question, specs)
 
 
 def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:
     """Return what is requested, checked as far as it can be before a fleet is reached."""
     if command.band_rad_s is not None:
         check_band(command.band_rad_s)
+    if command.algorithm not in (*OWN, "match"):
+        load_algorithm(command.algorithm)
     if command.reuse_days is not None and command.algorithm != "adaptive":
         raise InvalidInputError("--reuse requires --algorithm adaptive")
     if command.axes is not None and command.reuse_days is not None:

@@ -9,15 +9,18 @@ from pathlib import Path
 import click
 from rich.console import Console
 
-from nufleet.orchestrator.conduct.rank_run import prepare_again
-from nufleet.orchestrator.conduct.recipe import recipe_of
+from nufleet.orchestrator.conduct.first_round import outlook
+from nufleet.orchestrator.conduct.rank_run import ReadyStudy, prepare_again
+from nufleet.orchestrator.conduct.recipe import make_study, recipe_of
+from nufleet.orchestrator.conduct.replay import resume as replay
 from nufleet.orchestrator.fleet.reach import REACH, FleetChoice, Reach
+from nufleet.orchestrator.flights.planned import Outlook
 from nufleet.orchestrator.history.catalogue import read_run
-from nufleet.orchestrator.jobs.commands import StoredCommand
+from nufleet.orchestrator.jobs.commands import MovingCommand
+from nufleet.orchestrator.jobs.consent import carried_out
 from nufleet.orchestrator.jobs.evaluate import ResumedCommand, resume_evaluation
 from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.study import show_study
-from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.repository.errors import UnknownRecordError
 from nufleet.orchestrator.repository.records import (
     StudyRecord,
@@ -41,7 +44,7 @@ LATEST = "latest"
 
 
 @dataclass(frozen=True, kw_only=True)
-class ResumeCommand(StoredCommand):
+class ResumeCommand(MovingCommand):
     """The options of one `nufleet runs resume`."""
 
     run: str = LATEST
@@ -60,8 +63,8 @@ class ResumeCommand(StoredCommand):
 
 def resume_and_print(command: ResumeCommand) -> None:
     """Resume a run, with progress on stderr and, if wanted, the document on stdout."""
-    document = resume(command, stderr_console())
-    if command.as_json:
+    document = carried_out(command, resume)
+    if document is not None and command.as_json:
         click.echo(document.document())
 
 
@@ -81,6 +84,9 @@ def resume(command: ResumeCommand, console: Console) -> Document:
         repository=command.repository,
         as_json=command.as_json,
         live=command.live,
+        plans=command.plans,
+        picture=command.picture,
+        yes=command.yes,
     )
     return resume_evaluation(path, _reach(command, path), resumed, console)
 
@@ -98,12 +104,27 @@ def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
         fleet, _, there = run.reach(FleetChoice.again(reach), needed, wait_s=command.wait_s)
         _check_there(needed, there, study)
         ready = prepare_again(fleet, study, gone)
-        run.go_on(path, {robot: ready.descriptions[robot] for robot in needed})
+        run.go_on(
+            path,
+            {robot: ready.descriptions[robot] for robot in needed},
+            lambda: _open_round(study, ready, run.repository),
+        )
         run.say_how_to_resume()
         run.record(live=command.live, draws=command.draws)
         # Read again: the orchestrator that held the robots until now may have ended the study.
         study = _open_study(path, run.repository)
         return show_study(run, ready, study, rehearses=command.rehearses)
+
+
+def _open_round(study: StudyRecord, ready: ReadyStudy, repository: Repository) -> Outlook:
+    """Return what the robots have left to do of the round that was interrupted."""
+    studies = repository.studies
+    at = replay(study.study_id, make_study(study, studies), studies.trials(study.study_id))
+    if at.open is None:
+        return Outlook(headline="all tests of the study are complete", motions=())
+    specs = {robot: one.spec for robot, one in ready.descriptions.items()}
+    missing = {test.robot for test in at.open.tests}
+    return outlook(study.plan, at.open.question, specs, missing)
 
 
 def _reach(command: ResumeCommand, path: Path) -> Reach:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Literal
 
@@ -12,15 +13,16 @@ from nufleet.orchestrator.conduct.preflight import check_robots
 from nufleet.orchestrator.evaluation.flight_documents import TRACKING, TrackResult
 from nufleet.orchestrator.evaluation.fly_target import flight_record
 from nufleet.orchestrator.evaluation.results import FlightRecord
-from nufleet.orchestrator.experience.learning import know_itself
+from nufleet.orchestrator.experience.learning import FIRST_FLIGHT_S, know_itself
 from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 from nufleet.orchestrator.flights.legs import Leg, legs_of, read_drawings
+from nufleet.orchestrator.flights.planned import Outlook, path_motion, rich_motion
 from nufleet.orchestrator.flights.start_weights import mixture_of
 from nufleet.orchestrator.history.rankings import Ranking, latest_ranking
-from nufleet.orchestrator.jobs.commands import FleetCommand
+from nufleet.orchestrator.jobs.commands import FleetCommand, MovingCommand
+from nufleet.orchestrator.jobs.consent import carried_out
 from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
 from nufleet.orchestrator.jobs.foresight import say_expected
-from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.logs.keeping import keep_flight_responses
 from nufleet.shared.errors import InvalidInputError, RobotError
 from nufleet.shared.experience.layout import HORIZON_SAMPLES_MAX, InverseLayout
@@ -31,7 +33,7 @@ InverseChoice = Literal["auto", "prior", "mixture", "own", "zero-prior", "baseli
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrackCommand(FleetCommand):
+class TrackCommand(MovingCommand, FleetCommand):
     """The options of one `nufleet track`."""
 
     target: str
@@ -66,7 +68,9 @@ def track_and_print(command: TrackCommand) -> None:
     Raises:
         RobotError: The robot did not finish a path.
     """
-    result = track(command, stderr_console())
+    result = carried_out(command, track)
+    if result is None:
+        return
     if command.as_json:
         click.echo(result.document())
     failed = next((flight for flight in result.flights if flight.failure is not None), None)
@@ -80,7 +84,9 @@ def track(command: TrackCommand, console: Console) -> TrackResult:
     A path that the robot did not finish is in the result, with the reason.
 
     Raises:
-        InvalidInputError: A drawing cannot be flown, or the robot does not have that inverse.
+        InvalidInputError: A drawing cannot be flown, the robot does not have that inverse, or it is
+            real and may not move.
+        OnlyPlannedError: The command only plans.
         LeaseHeldError: The robot belongs to another orchestrator.
     """
     drawings = read_drawings(command.drawings)
@@ -91,7 +97,12 @@ def track(command: TrackCommand, console: Console) -> TrackResult:
         legs = legs_of(drawings, (command.speed,), target, scale=command.scale)
         ranking = latest_ranking(command.runs_root, run.repository.studies, name, command.target)
         inverse = _inverse(command, target, ranking)
-        run.fly("track", {target.robot: target}, live=command.live)
+        run.fly(
+            "track",
+            {target.robot: target},
+            lambda: _outlook(command, target, inverse, legs),
+            live=command.live,
+        )
         run.configure({"kind": "track", **asdict(command)})
         for leg in legs:
             run.console.print(f"{command.target} will fly {leg.extent_text(target.spec)}")
@@ -134,6 +145,18 @@ def _flown(
     for finding in flight.details.findings:
         run.console.print(f"[yellow]{target.robot}: {finding}[/]")
     return flight_record(flight, inverse.name, leg, known_s)
+
+
+def _outlook(
+    command: TrackCommand, target: Description, inverse: _Inverse, legs: Sequence[Leg]
+) -> Outlook:
+    """Return what the robot is going to fly."""
+    first_s = command.rich_flight_s
+    if first_s is None and inverse.corrects and command.guarded and not target.baseline_known:
+        first_s = FIRST_FLIGHT_S
+    first = () if first_s is None else (rich_motion(target, duration_s=first_s, seed=0),)
+    along = (path_motion(target, leg, corrected=inverse.corrects) for leg in legs)
+    return Outlook(headline=f"{target.robot} flies with {inverse.name}", motions=(*first, *along))
 
 
 def _learn_first(inverse: _Inverse, command: TrackCommand, run: FlyingRun) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
 import click
@@ -9,19 +10,22 @@ from rich.console import Console
 
 from nufleet.orchestrator.conduct.preflight import check_robots
 from nufleet.orchestrator.evaluation.flight_documents import TRAINING, TrainResult
+from nufleet.orchestrator.experience.learning import planned_lessons
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.train import Trained, train_robots
 from nufleet.orchestrator.experience.training import check_torch
 from nufleet.orchestrator.flights.pilot import Pilot
+from nufleet.orchestrator.flights.planned import Outlook
 from nufleet.orchestrator.history.tables import experiences_table
-from nufleet.orchestrator.jobs.commands import FleetCommand
+from nufleet.orchestrator.jobs.commands import FleetCommand, MovingCommand
+from nufleet.orchestrator.jobs.consent import carried_out
 from nufleet.orchestrator.jobs.opening import Opening
-from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.shared.experience.layout import Architecture
+from nufleet.shared.wire.messages import Description
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainCommand(FleetCommand):
+class TrainCommand(MovingCommand, FleetCommand):
     """The options of one `nufleet train`."""
 
     robots: tuple[str, ...]
@@ -36,8 +40,8 @@ class TrainCommand(FleetCommand):
 
 def train_and_print(command: TrainCommand) -> None:
     """Train, with progress on stderr and, if wanted, the document on stdout."""
-    result = train(command, stderr_console())
-    if command.as_json:
+    result = carried_out(command, train)
+    if result is not None and command.as_json:
         click.echo(result.document())
 
 
@@ -45,7 +49,9 @@ def train(command: TrainCommand, console: Console) -> TrainResult:
     """Have robots learn experiences, which they then offer and the repository keeps.
 
     Raises:
-        InvalidInputError: Torch is not installed, or a robot is not there.
+        InvalidInputError: Torch is not installed, or a robot is not there, or is real and may not
+            move.
+        OnlyPlannedError: The command only plans.
         LeaseHeldError: A robot belongs to another orchestrator.
         StudyError: A robot does not respond to steps, or no horizon can be flown on it.
         RobotError: A flight failed.
@@ -58,7 +64,7 @@ def train(command: TrainCommand, console: Console) -> TrainResult:
         check_robots(robots, there)
         descriptions = fleet.describe_all(robots)
         folder = run.keep("train")
-        run.take(descriptions)
+        run.take(descriptions, lambda: _outlook(command, descriptions))
         run.configure({"kind": "train", **asdict(command)})
         pilot = Pilot(fleet, folder.study_id)
         run.guard(pilot.interrupt)
@@ -86,3 +92,20 @@ def train(command: TrainCommand, console: Console) -> TrainResult:
     run.results.print(experiences_table(result))
     console.print(f"files: {folder.path / 'experiences'}")
     return result
+
+
+def _outlook(command: TrainCommand, descriptions: Mapping[str, Description]) -> Outlook:
+    """Return what the robots are going to fly."""
+    return Outlook(
+        headline=f"{len(descriptions)} robots fly to learn, all at the same time",
+        motions=tuple(
+            motion
+            for description in descriptions.values()
+            for motion in planned_lessons(
+                description,
+                command.architectures,
+                seed=command.seed,
+                duration_s=command.duration_s,
+            )
+        ),
+    )

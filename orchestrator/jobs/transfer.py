@@ -111,7 +111,7 @@ def transfer(command: TransferCommand, console: Console) -> TransferResult:
         target = fleet.describe(command.target)
         library = ExperienceLibrary(fleet, run.repository.robots, name)
         sources = () if command.source == "none" else _sources(command, run, there, library)
-        run.take({command.target: target})
+        run.take({command.target: target}, None)  # it only learns what it flies with
         given: tuple[Transferred, ...]
         if payload is not None:
             given = (transfer_file(fleet, payload, target),)

@@ -28,14 +28,14 @@ class ConsoleObserver:
         self._eliminated: set[str] = set()
 
     def asked(self, question: Question) -> None:
-        """Print the tests that the robots play now."""
+        """Print the tests that the robots are asked to play now; they may refuse."""
         played = question.omega_rad_s
         tones = ", ".join(f"{omega:.3f}" for omega in played)
         if len(played) > 3:
             tones = f"{len(played)} tones from {played[0]:.3f} to {played[-1]:.3f}"
         self._console.print(
             f"[bold]iteration {question.iteration}/{self._iterations}[/]  "
-            f"{len(question.robots)} robots play {tones} rad/s{self._motion(question)}"
+            f"{len(question.robots)} robots are asked to play {tones} rad/s{self._motion(question)}"
             f"{_price(question)}"
         )
 

@@ -63,6 +63,20 @@ class PaperSettings:
     """Bounds of the variance of ψ_n beyond the measured uncertainty of the responses."""
 
 
+def slowest_test(plan: StudyPlan) -> Excitation:
+    """Return the longest of the tests that a study may ask for: that of the lowest frequency."""
+    return _test_at(plan.band_rad_s[0], plan)
+
+
+def _test_at(omega_rad_s: float, plan: StudyPlan) -> Excitation:
+    return Excitation(
+        axis=plan.axis,
+        tones=(Tone(omega_rad_s=omega_rad_s),),
+        segments=SEGMENTS,
+        segment_min_s=SEGMENT_MIN_S,
+    )
+
+
 class PaperStudy:
     """A study in progress that follows Algorithm 1."""
 
@@ -100,12 +114,7 @@ class PaperStudy:
         if self._asked == self._plan.iterations:
             return None
         self._asked += 1
-        test = Excitation(
-            axis=self._plan.axis,
-            tones=(Tone(omega_rad_s=self._next_omega),),
-            segments=SEGMENTS,
-            segment_min_s=SEGMENT_MIN_S,
-        )
+        test = _test_at(self._next_omega, self._plan)
         robots = (self._plan.target, *self._remaining())
         self._open = Question(self._asked, dict.fromkeys(robots, test))
         return self._open

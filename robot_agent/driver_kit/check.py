@@ -6,13 +6,16 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as TimedOut
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
+
+import numpy as np
 
 from nufleet.robot_agent.driver_kit.statements import STATEMENTS, Statement
 from nufleet.robot_agent.driver_kit.subject import Subject
 from nufleet.robot_agent.motion.watched_robot import SLOW_CALL_MAX_S
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.errors import RobotError
+from nufleet.shared.robots.drivers import load_driver
 from nufleet.shared.strict import Document, Reason, Strict
 
 T = TypeVar("T")
@@ -108,13 +111,23 @@ def check_robot(
     return Report(robot=name, kind=robot.spec.kind, moved=moves, examined=tuple(examined))
 
 
-def assert_keeps_contract(robot: Robot) -> None:
+def assert_keeps_contract(robot: Robot | str, **settings: Any) -> None:
     """Fail with the report unless a robot keeps the contract; for tests of drivers.
+
+    Args:
+        robot: The robot, disconnected, or the name of an installed driver.
+        **settings: Settings of the driver, other than its defaults.
 
     Raises:
         AssertionError: A statement does not hold.
+        FleetFileError: There is no such driver.
     """
-    report = check_robot(robot)
+    if isinstance(robot, str):
+        driver = load_driver(robot)
+        built = {robot: driver.settings(**settings)}
+        report = check_robot(driver.build(built, np.random.default_rng(0))[robot], name=robot)
+    else:
+        report = check_robot(robot)
     assert not report.failed, f"the driver breaks its contract:\n{report}"  # noqa: S101
 
 

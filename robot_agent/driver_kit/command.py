@@ -41,7 +41,7 @@ def check(
     from nufleet.robot_agent.driver_kit.check import check_robot
     from nufleet.robot_agent.driver_kit.subject import AMPLITUDE_SHARE
     from nufleet.robot_agent.driver_kit.subject_file import robot_to_check
-    from nufleet.shared.errors import InvalidInputError
+    from nufleet.shared.command_line import ask_before
 
     name, needed, build = robot_to_check(target, robot, settings_toml)
     missing = {key: value for key, value in needed.items() if os.environ.get(key) != value}
@@ -50,15 +50,14 @@ def check(
         os.execve(sys.executable, sys.orig_argv, {**os.environ, **missing})
     built = build()
     if not (built.spec.simulated or still or yes):
-        if not sys.stdin.isatty():
-            raise InvalidInputError(
-                f"{name} is a real robot and would move: give --yes, or --still to move nothing"
-            )
         axes = ", ".join(
             f"{AMPLITUDE_SHARE * axis.amplitude_max:.2g} {axis.unit} on {axis.name}"
             for axis in built.spec.axes
         )
-        click.confirm(f"{name} will take off if it flies, and move by {axes}. Go on?", abort=True)
+        ask_before(
+            f"{name} is real: it will take off if it flies, and move by {axes}",
+            instead="--still to move nothing",
+        )
     report = check_robot(built, name=name, moves=not still, cuts=True if kill else None)
     if as_json:
         click.echo(report.document())

@@ -13,10 +13,10 @@ import numpy as np
 
 from nufleet.robot_agent.flight.own_model import OwnModel
 from nufleet.robot_agent.flight.own_way import own_way
-from nufleet.robot_agent.flight.rich_flight import rich_references
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.models.error_belief import ErrorBelief
 from nufleet.shared.models.evidence import Evidence
+from nufleet.shared.paths.references import rich_references
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.motions import PredictedError
 

@@ -13,12 +13,7 @@ from nufleet.robot_agent.flight.learning import learn, learn_unexplained, states
 from nufleet.robot_agent.flight.memory import Memory, MemoryFolderError
 from nufleet.robot_agent.flight.mixture_learner import experts_of
 from nufleet.robot_agent.flight.own_model import check_explained, evidence_in
-from nufleet.robot_agent.flight.rich_flight import (
-    FlightRecord,
-    fly_record,
-    rich_references,
-    step_references,
-)
+from nufleet.robot_agent.flight.rich_flight import FlightRecord, fly_record
 from nufleet.robot_agent.flight.tracking import Watch, track
 from nufleet.robot_agent.flight.tracking_record import STOPPED, TrackingRecord
 from nufleet.robot_agent.motion.monitored_robot import MonitoredRobot
@@ -27,6 +22,7 @@ from nufleet.robot_agent.motion.paced_robot import PacedRobot
 from nufleet.robot_agent.motion.perform import Performance, Samples
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.errors import NufleetError, RobotError
+from nufleet.shared.paths.references import rich_references, step_references
 from nufleet.shared.wire.messages import Outcome
 from nufleet.shared.wire.motions import (
     Flight,

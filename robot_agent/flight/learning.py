@@ -7,11 +7,11 @@ from collections.abc import Mapping
 
 from nufleet.robot_agent.flight.memory import Memory, MemoryFolderError
 from nufleet.robot_agent.flight.own_model import OwnModel, evidence_in, telling, unexplained_in
-from nufleet.robot_agent.flight.rich_flight import top_rad_s
 from nufleet.robot_agent.flight.state_model import StateEvidence, state_evidence
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.paths.references import top_rad_s
 from nufleet.shared.robots.spec import RobotSpec
 
 _log = logging.getLogger(__name__)

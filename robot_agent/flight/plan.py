@@ -7,12 +7,11 @@ import numpy as np
 from nufleet.robot_agent.flight.forecast import forecast_of
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.own_model import basis_of
-from nufleet.robot_agent.flight.rich_flight import rich_references, step_references
-from nufleet.robot_agent.flight.tracking import approach
 from nufleet.shared.errors import InvalidInputError, RefusedError
 from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.experience.layout import InverseLayout
 from nufleet.shared.experience.manifest import misfit
+from nufleet.shared.paths.references import approach, rich_references, step_references
 from nufleet.shared.paths.trajectories import check_trajectory
 from nufleet.shared.robots.spec import RobotSpec, TrackingLimits
 from nufleet.shared.wire.motions import Flight, FlightPlan, RichFlight, StepTest, Tracking

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from nufleet.robot_agent.flight.inverse_model import InverseModel
-from nufleet.robot_agent.flight.rich_flight import rich_references
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.experience.layout import InverseLayout
+from nufleet.shared.paths.references import rich_references
 from nufleet.shared.robots.spec import RobotSpec, TrackingLimits
 
 BOUND_RATIO = 10.0

@@ -19,9 +19,10 @@ from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.own_model import HIGH, OwnModel
 from nufleet.robot_agent.flight.rehearsed_robot import LoopDraw, RehearsedRobot
 from nufleet.robot_agent.flight.state_model import StateModel
-from nufleet.robot_agent.flight.tracking import approach, track
+from nufleet.robot_agent.flight.tracking import track
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
+from nufleet.shared.paths.references import approach
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import ForeseenWay
 from nufleet.shared.wire.motions import PredictedError, Tracking

@@ -6,7 +6,6 @@ adjusts the reference (paper, Fig. 2: the block diagram of the inverse learning 
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,8 +24,9 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError, RobotError
 from nufleet.shared.experience.combined_layout import CombinedLayout
 from nufleet.shared.experience.layout import InverseLayout
-from nufleet.shared.paths.trajectories import check_trajectory, travel
-from nufleet.shared.robots.spec import RobotSpec, TrackingLimits
+from nufleet.shared.paths.references import approach
+from nufleet.shared.paths.trajectories import check_trajectory
+from nufleet.shared.robots.spec import TrackingLimits
 
 PAIR_SPACING_S = 0.12
 """Time between the pairs that the online process learns from.
@@ -145,25 +145,6 @@ def track(
     except RobotError as error:
         failure = str(error)
     return flight.record(failure)
-
-
-def approach(spec: RobotSpec, start: FloatArray, limits: TrackingLimits) -> FloatArray:
-    """Return the references that lead from the origin to a path's start and let the robot settle.
-
-    Args:
-        spec: Description of the robot.
-        start: First point of the path, shape (axes,), in the axes' units.
-        limits: Tracking limits of the robot; the approach uses half of the speed and acceleration.
-
-    Returns:
-        The references, shape (samples, axes), in the axes' units.
-    """
-    settle = np.tile(start, (max(1, math.ceil(spec.settling_time_s / spec.sample_time_s)), 1))
-    if not start.any():
-        return settle
-    line = np.stack([np.zeros_like(start), start])
-    speed, acceleration = limits.speed_max / 2, limits.acceleration_max / 2
-    return np.concatenate([travel(line, speed, acceleration, spec.sample_time_s), settle])
 
 
 class _Flight:

@@ -10,11 +10,8 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RefusedError
 from nufleet.shared.frequency_test.duration import timing
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan, PlannedTones
-from nufleet.shared.robots.joint_limits import joint_share
+from nufleet.shared.robots.joint_limits import HEADROOM, joint_share
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
-
-HEADROOM = 0.8
-"""Share of the tightest limit used when the robot chooses the amplitude itself."""
 
 
 def plan_excitation(excitation: Excitation, spec: RobotSpec, robot: str) -> ExcitationPlan:

@@ -51,6 +51,46 @@ class RobotDriver(Protocol):
         """
 
 
+class SeparateRobots:
+    """A driver of robots that share nothing, so that each can run in a process of its own.
+
+    >>> from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
+    >>> driver = SeparateRobots(DoubleIntegratorSettings, DoubleIntegrator)
+    >>> settings = DoubleIntegratorSettings(alpha=1.0, beta=0.003)
+    >>> [*driver.build({"a": settings}, np.random.default_rng(0))]
+    ['a']
+    """
+
+    shares_process = False
+    """Whether the robots of a fleet have to run in one process."""
+
+    def __init__(
+        self,
+        settings: type[Strict],
+        robot: Callable[[Any, np.random.Generator], Any],
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
+        """Build robots of one class.
+
+        Args:
+            settings: Model of one robot's settings in a fleet file.
+            robot: Class of the robots, or a function that builds one, from its settings and a
+                source of noise of its own.
+            environment: Variables that must be set before a robot's process imports anything.
+        """
+        self.settings = settings
+        self.environment = environment or {}
+        self._robot = robot
+
+    def build(self, settings: Mapping[str, Any], rng: np.random.Generator) -> dict[str, Any]:
+        """Build the robots, disconnected, by name."""
+        streams = rng.spawn(len(settings))
+        return {
+            name: self._robot(own, stream)
+            for (name, own), stream in zip(settings.items(), streams, strict=True)
+        }
+
+
 def shared_thing(driver: RobotDriver, settings: Callable[[], Any]) -> str | None:
     """Return the name of what a robot shares with others of its driver; None if it shares nothing.
 

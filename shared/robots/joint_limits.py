@@ -15,6 +15,9 @@ import numpy as np
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.robots.spec import AxisSpec
 
+HEADROOM = 0.8
+"""Share of the tightest limit used when the robot chooses the amplitude itself."""
+
 
 def joint_share(
     velocities: FloatArray, accelerations: FloatArray, axes: Sequence[AxisSpec]

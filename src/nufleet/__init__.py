@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from nufleet.orchestrator.scripting import load_run, rank, track, transfer
     from nufleet.robot_agent.robot import Record, Robot
     from nufleet.shared.errors import NufleetError, RobotDownError, RobotError
-    from nufleet.shared.robots.drivers import RobotDriver
+    from nufleet.shared.robots.drivers import RobotDriver, SeparateRobots
     from nufleet.shared.robots.health import Health
-    from nufleet.shared.robots.spec import AxisSpec, RobotSpec
+    from nufleet.shared.robots.spec import AxisSpec, RobotSpec, TrackingLimits
     from nufleet.shared.strict import Strict as Settings
 
 __all__ = [
@@ -42,7 +42,9 @@ __all__ = [
     "RobotDriver",
     "RobotError",
     "RobotSpec",
+    "SeparateRobots",
     "Settings",
+    "TrackingLimits",
     "load_run",
     "rank",
     "track",
@@ -59,7 +61,9 @@ _PLACES = {
     "RobotDriver": "nufleet.shared.robots.drivers",
     "RobotError": "nufleet.shared.errors",
     "RobotSpec": "nufleet.shared.robots.spec",
+    "SeparateRobots": "nufleet.shared.robots.drivers",
     "Settings": "nufleet.shared.strict",
+    "TrackingLimits": "nufleet.shared.robots.spec",
     "load_run": "nufleet.orchestrator.scripting",
     "rank": "nufleet.orchestrator.scripting",
     "track": "nufleet.orchestrator.scripting",

@@ -14,7 +14,7 @@ from rich.console import Console
 from nufleet.orchestrator.jobs import demo as demo_job
 from nufleet.orchestrator.jobs import study as study_job
 from nufleet.orchestrator.jobs.demo import DemoCommand, demo
-from nufleet.orchestrator.jobs.rank import RankCommand, plan, rank
+from nufleet.orchestrator.jobs.rank import RankCommand, rank
 from nufleet.orchestrator.jobs.resume import ResumeCommand, resume_run
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.repository.records import StudyStatus
@@ -67,14 +67,3 @@ def test_the_demo_reads_its_fleet_file_once_and_describes_each_robot_once_before
     with pytest.raises(NufleetError, match="cable"):
         demo(DemoCommand(runs_root=tmp_path), QUIET)
     assert counted == Counted(1, Counter((*ROBOTS, "source-4")))
-
-
-def test_a_plan_moves_no_robot_and_leaves_no_run(tmp_path: Path) -> None:
-    command = RankCommand(runs_root=tmp_path, fleet_file=find_fleet_file("paper_linear"))
-    planned = plan(command, QUIET)
-    robots = ["target", "source-1", "source-2", "source-3"]
-    assert [one.robot for one in planned.first_round] == robots
-    assert all(one.duration_s > 0 for one in planned.first_round)
-    with Storage(tmp_path).open() as repository:
-        assert not repository.studies.studies()
-    assert not [path for path in tmp_path.iterdir() if path.is_dir()]

@@ -22,7 +22,7 @@ from nufleet.orchestrator.jobs.transfer import TransferCommand
 from nufleet.shared.errors import InvalidInputError
 
 RENAMED = {"fleet": "fleet_file"}
-ONLY_OF_A_COMMAND = {"as_json", "plans", "processes", "yes"}
+ONLY_OF_A_COMMAND = {"as_json", "picture", "plans", "processes", "yes"}
 """A function returns what `--json` prints, and asks no one; a fleet's processes are a detail."""
 
 

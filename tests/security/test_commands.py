@@ -80,6 +80,15 @@ def test_a_fleet_is_closed_and_its_principals_are_known_by_their_identities(here
         assert "not known" in asked.output
         assert "does not tell screen who is connected" in str(asked.exception)
 
+        for command in (
+            ("train", "--robot", "a"),
+            ("transfer", "--target", "a", "--source", "none"),
+        ):
+            refused = nufleet(*command, "--identity", "ids/anna.nufleet")
+            assert "anna may not ask robots of fleet lab to move" in str(refused.exception)
+            assert "because it is an operator in the inventory" in str(refused.exception)
+            assert "flies" not in refused.output  # nothing is announced that will not happen
+
         for name, found in (
             ("ids/desk.nufleet", "lab: a"),
             ("robot/a.nufleet", "lab: a robot may not see the others"),

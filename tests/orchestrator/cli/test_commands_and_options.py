@@ -26,6 +26,7 @@ from nufleet.orchestrator.jobs.resume import ResumeCommand
 from nufleet.orchestrator.jobs.track import TrackCommand
 from nufleet.orchestrator.jobs.train import TrainCommand
 from nufleet.orchestrator.jobs.transfer import TransferCommand
+from nufleet.shared.command_line import command_line
 from nufleet.shared.errors import FleetFileError
 from nufleet.shared.wire.identity import IdentityError
 from nufleet.sims.fleets import PAPER_LINEAR
@@ -182,6 +183,10 @@ FLIGHT = ("--target", "a", "--trajectory", "clover")
             ("--fleet", "paper_linear", "--plan", "--live"),
             "--live has no effect with --plan",
         ),
+        ("train", ("--plan", "--yes"), "--yes has no effect with --plan"),
+        ("resume", ("--plan", "--no-rehearsal"), "--no-rehearsal has no effect with --plan"),
+        ("match", ("--picture", "plan.png"), "--picture has no effect without --plan"),
+        ("match", ("--plan", "--picture", "plan.jpg"), "plan.jpg must end in .png, .svg, .pdf"),
         ("track", (*FLIGHT, "--horizon", "1"), "--horizon has no effect without --inverse zero"),
         ("track", (*FLIGHT, "--inverse", "own", "--no-learning"), "no effect with --inverse own"),
         ("track", (*FLIGHT, "--inverse", "baseline", "--no-guard"), "--no-guard has no effect"),
@@ -237,3 +242,36 @@ def test_what_the_run_has_set_cannot_be_changed_when_it_is_resumed(asked: list[A
     refused = typed("rank", "--resume", "latest", "--band", "1", "2")
     assert (refused.exit_code, asked) == (2, [])
     assert "--band is already set by the run; omit it with --resume" in refused.output
+
+
+def test_a_plan_is_the_command_that_it_is_of_and_moves_nothing(
+    asked: list[Any], tmp_path: Path
+) -> None:
+    picture = str(tmp_path / "plan.png")
+    words = ("--picture", picture, "track", *FLIGHT, "--speed", "0.3")
+    planned = CliRunner().invoke(command_line(), ["plan", *words])
+    assert planned.exit_code == 0, planned.output
+    (command,) = asked
+    assert (command.target, command.speed) == ("a", 0.3)
+    assert (command.plans, command.picture) == (True, Path(picture))
+    assert CliRunner().invoke(command_line(), ["plan", "runs", "resume", "x"]).exit_code == 0
+    assert (asked[-1].run, asked[-1].plans) == ("x", True)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("doctor",), "`nufleet doctor` moves no robot: there is nothing to plan"),
+        (("runs",), "name one of the commands of `nufleet runs`"),
+        (("rnak",), "did you mean `nufleet rank`"),
+        (("rank", "--live"), "--live has no effect with --plan"),
+        (("rank", "--plan", "--betta"), "No such option"),
+        ((), "Missing argument"),
+    ],
+)
+def test_what_cannot_be_planned_is_refused(
+    words: tuple[str, ...], said: str, asked: list[Any]
+) -> None:
+    refused = CliRunner().invoke(command_line(), ["plan", *words], prog_name="nufleet")
+    assert (refused.exit_code, asked) == (2, [])
+    assert said in refused.output

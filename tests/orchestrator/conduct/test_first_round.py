@@ -1,4 +1,4 @@
-"""What robots would do is told from their specs, and what they cannot do is refused."""
+"""What robots would do in a round is told from their specs."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import pytest
 from puppet_robot import puppet_spec
 from rich.console import Console
 
-from nufleet.orchestrator.conduct.first_round import StudyOutlook, check_healths, outlook
-from nufleet.orchestrator.jobs import outlook as outlook_job
-from nufleet.orchestrator.jobs.outlook import ask_consent, outlook_table
+from nufleet.orchestrator.conduct.first_round import outlook
+from nufleet.orchestrator.flights.planned import Outlook, check_healths
+from nufleet.orchestrator.runs.plan_table import plan_parts
 from nufleet.orchestrator.study.interface import Question, StudyPlan
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.frequency_test.duration import duration_s
-from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.frequency_test.excitation import AxisTones, Excitation, Tone
 from nufleet.shared.robots.health import Health
 
 TEST = Excitation(axis="x", tones=tuple(Tone(omega_rad_s=omega) for omega in (2.0, 5.0)))
@@ -24,18 +24,38 @@ QUESTION = Question(1, {"real": TEST, "sim": TEST})
 HEALTHS = {"real": Health(battery=0.5, endurance_s=100.0), "sim": None}
 
 
-def planned() -> StudyOutlook:
-    return outlook(PLAN, QUESTION, SPECS, HEALTHS)
+def planned() -> Outlook:
+    return outlook(PLAN, QUESTION, SPECS).with_healths(HEALTHS)
 
 
-def test_each_robots_test_is_told_with_its_duration_and_limits() -> None:
-    real, sim = planned().first_round
-    assert (real.robot, real.simulated, real.tones) == ("real", False, 2)
-    assert (real.omega_min_rad_s, real.omega_max_rad_s) == (2.0, 5.0)
+def test_each_robots_test_is_told_with_its_duration_and_the_bounds_that_it_keeps_to() -> None:
+    real, sim = planned().motions
+    assert (real.robot, real.simulated, sim.simulated) == ("real", False, True)
+    assert real.what == "2 tones, 2 to 5 rad/s"
     assert real.duration_s == duration_s(TEST, SPECS["real"])
-    assert (real.reach, real.velocity, real.acceleration) == (1.0, 10.0, 100.0)
-    assert (real.battery, real.endurance_s, sim.battery) == (0.5, 100.0, None)
-    assert StudyOutlook.model_validate_json(planned().document()) == planned()
+    # Robots choose 0.8 of what their limits allow.
+    assert (real.low, real.high) == ({"x": -0.8}, {"x": 0.8})
+    assert (real.velocity, real.acceleration) == (8.0, 80.0)
+    assert Outlook.model_validate_json(planned().document()) == planned()
+
+
+def test_a_test_with_an_amplitude_on_several_axes_is_one_motion_of_all_of_them() -> None:
+    tones = AxisTones(axis="y", tones=(Tone(omega_rad_s=3.0),), amplitude=0.2)
+    test = TEST.model_copy(update={"amplitude": 0.1, "also": (tones,)})
+    (motion,) = outlook(PLAN, Question(1, {"sim": test}), SPECS).motions
+    assert motion.high == {"x": 0.1, "y": 0.2}
+    assert motion.velocity == 10.0  # the limit itself: the robot refuses what exceeds it
+
+
+def test_what_is_left_of_an_interrupted_round_is_told_alone() -> None:
+    (motion,) = outlook(PLAN, QUESTION, SPECS, {"sim"}).motions
+    assert motion.robot == "sim"
+
+
+def test_the_charge_that_a_motion_uses_is_its_share_of_what_the_battery_lasts() -> None:
+    real, sim = planned().robots
+    assert real.battery_used == pytest.approx(0.5 * real.duration_s / 100.0)
+    assert (sim.battery, sim.battery_used) == (None, None)
 
 
 def test_robots_that_cannot_finish_are_all_named() -> None:
@@ -48,18 +68,11 @@ def test_robots_that_cannot_finish_are_all_named() -> None:
         check_healths(planned(), healths)
 
 
-def test_the_table_names_real_robots_and_their_batteries() -> None:
+def test_the_tables_name_real_robots_and_their_batteries() -> None:
     said = io.StringIO()
-    Console(file=said, width=200).print(outlook_table(planned()))
+    console = Console(file=said, width=200)
+    for part in plan_parts(planned()):
+        console.print(part)
     assert "real (real)" in said.getvalue()
-    assert "50%, 100 s" in said.getvalue()
-
-
-def test_real_robots_do_not_move_where_no_person_can_be_asked(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(outlook_job.sys, "stdin", io.StringIO())
-    with pytest.raises(InvalidInputError, match=r"real would really move.*give --yes"):
-        ask_consent(planned(), Console(quiet=True))
-    simulated = {name: puppet_spec() for name in SPECS}
-    ask_consent(outlook(PLAN, QUESTION, simulated, HEALTHS), Console(quiet=True))
+    assert "50%" in said.getvalue()
+    assert "further rounds depend on what this one shows" in said.getvalue()

@@ -20,11 +20,12 @@ from nufleet.orchestrator.experience.lesson_record import LearningRecord
 from nufleet.orchestrator.experience.training import Origin
 from nufleet.robot_agent.flight.inverse_model import NetworkInverse
 from nufleet.robot_agent.flight.online_gp import OnlineGp
-from nufleet.robot_agent.flight.rich_flight import fly_record, rich_references
+from nufleet.robot_agent.flight.rich_flight import fly_record
 from nufleet.robot_agent.flight.tracking import Learner, track
 from nufleet.shared.errors import StudyError
 from nufleet.shared.experience.file import Experience
 from nufleet.shared.experience.layout import Architecture
+from nufleet.shared.paths.references import rich_references
 from nufleet.shared.paths.trajectories import travel
 
 ORIGIN = Origin("source", "double-integrator", ("x",), "m", 1)

@@ -8,9 +8,9 @@ from robots_that_learn import LaggedRobot
 from scipy.signal import lfilter
 
 from nufleet.orchestrator.experience.relative_degree import relative_degree
-from nufleet.robot_agent.flight.rich_flight import step_references
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.errors import StudyError
+from nufleet.shared.paths.references import step_references
 from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 

@@ -77,7 +77,7 @@ def steps(run: Opening, choice: FleetChoice) -> dict[str, Callable[[], object]]:
     return {
         "connection": lambda: run.reach(choice, ("a",), wait_s=PATIENCE_S),
         "folder": lambda: run.keep("test"),
-        "leases": lambda: run.take(run.connection.fleet.describe_all(("a",))),
+        "leases": lambda: run.take(run.connection.fleet.describe_all(("a",)), None),
         "recording": lambda: run.record(live=False),
     }
 
@@ -169,11 +169,11 @@ def test_the_folder_of_a_run_whose_owner_is_alive_is_left_as_it_is(
         heir = stack.enter_context(opening(tmp_path))
         heir.reach(fleet, ("a",), wait_s=PATIENCE_S)
         with pytest.raises(LeaseHeldError):
-            heir.go_on(path, heir.connection.fleet.describe_all(("a",)))
+            heir.go_on(path, heir.connection.fleet.describe_all(("a",)), None)
         assert {file.name for file in path.iterdir()} == before >= {CONFIGURATION, RECORDING}
     with opening(tmp_path) as heir:
         heir.reach(fleet, ("a",), wait_s=PATIENCE_S)
-        assert heir.go_on(path, heir.connection.fleet.describe_all(("a",))).path == path
+        assert heir.go_on(path, heir.connection.fleet.describe_all(("a",)), None).path == path
         assert heir.archive.leases.epochs == {"a": 2}
 
 
@@ -184,5 +184,5 @@ def test_robots_are_leased_by_the_descriptions_that_a_command_has_and_not_descri
         run.reach(fleet, ("a",), wait_s=PATIENCE_S)
         descriptions = run.connection.fleet.describe_all(("a",))
         monkeypatch.delattr(Fleet, "describe")
-        run.take(descriptions)
+        run.take(descriptions, None)
         assert run.connection.fleet.epoch("a") == 1

@@ -27,7 +27,7 @@ def test_a_round_says_how_long_and_how_far_its_robots_move() -> None:
     ConsoleObserver(console, 7, {"a": SPEC, "b": SPEC}).asked(question)
     assert isinstance(console.file, io.StringIO)
     within = f"{duration_s(test, SPEC):.0f} s long and within ±{SPEC.axes[0].amplitude_max:g} m"
-    assert f"2 robots play 2.000 rad/s, {within}" in console.file.getvalue()
+    assert f"2 robots are asked to play 2.000 rad/s, {within}" in console.file.getvalue()
 
 
 def test_a_narrow_terminal_costs_no_digits_and_a_file_has_one_line_per_row(

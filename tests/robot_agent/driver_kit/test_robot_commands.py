@@ -57,7 +57,7 @@ def test_a_real_robot_is_not_moved_without_consent(monkeypatch: pytest.MonkeyPat
     robot = PuppetRobot(puppet_spec(simulated=False))
     monkeypatch.setattr(subject_file, "build_robots", lambda *_: {"target": robot})
     result = run(check, "paper_linear")
-    assert "give --yes, or --still" in str(result.exception)
+    assert "give --yes to allow it, or --still to move nothing" in str(result.exception)
     assert not robot.connected
     run(check, "paper_linear", "--still")
     assert (robot.motions, robot.begun) == (0, 0)

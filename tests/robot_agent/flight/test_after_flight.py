@@ -14,7 +14,7 @@ from nufleet.robot_agent.flight.forecast import forecast_of
 from nufleet.robot_agent.flight.learning import learn
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.own_model import OwnModel
-from nufleet.robot_agent.flight.rich_flight import rich_references
+from nufleet.shared.paths.references import rich_references
 from nufleet.shared.paths.trajectories import travel
 
 PATH = travel(np.array([[0.0, 0.0], [0.5, 0.5], [-0.4, 0.2]]), 0.9, 1.8, 0.02)

@@ -16,12 +16,11 @@ from robots_that_learn import LIMITS, LaggedRobot, double_integrator
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.own_model import evidence_in
 from nufleet.robot_agent.flight.plan import plan_flight
-from nufleet.robot_agent.flight.rich_flight import rich_references, step_references
-from nufleet.robot_agent.flight.tracking import approach
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RefusedError
 from nufleet.shared.experience.file import digest
 from nufleet.shared.experience.layout import InverseLayout
+from nufleet.shared.paths.references import approach, rich_references, step_references
 from nufleet.shared.paths.trajectories import travel
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.motions import (

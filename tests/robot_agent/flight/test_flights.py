@@ -11,13 +11,14 @@ from nufleet.robot_agent.flight.equipment import learner_for
 from nufleet.robot_agent.flight.flights import performance_of
 from nufleet.robot_agent.flight.memory import Memory, MemoryFolderError
 from nufleet.robot_agent.flight.online_gp import Correction
-from nufleet.robot_agent.flight.tracking import Learner, Watch, approach
+from nufleet.robot_agent.flight.tracking import Learner, Watch
 from nufleet.robot_agent.motion.pace import HaltSwitch
 from nufleet.robot_agent.motion.perform import Played, perform
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
 from nufleet.shared.experience.file import digest
+from nufleet.shared.paths.references import approach
 from nufleet.shared.paths.trajectories import travel
 from nufleet.shared.wire.messages import Outcome
 from nufleet.shared.wire.motions import (

@@ -16,11 +16,12 @@ from nufleet.robot_agent.experience_service import ExperienceService
 from nufleet.robot_agent.flight.inverse_model import NetworkInverse
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.prior_bounds import gamma_max, out_of_bounds
-from nufleet.robot_agent.flight.rich_flight import fly_record, rich_references
+from nufleet.robot_agent.flight.rich_flight import fly_record
 from nufleet.robot_agent.network.trust import Trust
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.experience.file import Experience, decode_experience, digest, encode_experience
 from nufleet.shared.experience.layout import Architecture, InverseLayout
+from nufleet.shared.paths.references import rich_references
 from nufleet.shared.robots.fleet_file import RobotPolicy
 from nufleet.shared.wire.codec import Message
 from nufleet.shared.wire.messages import ExperienceOffer, InstallRequest, Refusal

@@ -8,14 +8,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from robots_that_learn import LIMITS, LaggedRobot
 
-from nufleet.robot_agent.flight.rich_flight import (
-    STEPS_UP_MIN,
-    fly_record,
-    rich_references,
-    step_references,
-)
+from nufleet.robot_agent.flight.rich_flight import fly_record
 from nufleet.robot_agent.motion.excitation import peak_velocity_and_acceleration
 from nufleet.shared.errors import RobotError
+from nufleet.shared.paths.references import STEPS_UP_MIN, rich_references, step_references
 from nufleet.shared.paths.trajectories import speeds_and_accelerations
 
 

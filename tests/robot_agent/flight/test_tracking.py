@@ -20,12 +20,13 @@ from nufleet.robot_agent.flight.inverse_model import InverseModel, NetworkInvers
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.online_gp import Correction, OnlineGp
 from nufleet.robot_agent.flight.own_model import evidence_in
-from nufleet.robot_agent.flight.rich_flight import FlightRecord, fly_record, rich_references
+from nufleet.robot_agent.flight.rich_flight import FlightRecord, fly_record
 from nufleet.robot_agent.flight.tracking import Learner, track
 from nufleet.robot_agent.flight.tracking_record import TrackingRecord
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.layout import Architecture, InverseLayout
+from nufleet.shared.paths.references import rich_references
 from nufleet.shared.paths.trajectories import travel
 
 PATH = travel(np.array([[0.0], [0.9], [-0.5], [0.6], [0.0]]), 0.8, 1.8, 0.015)

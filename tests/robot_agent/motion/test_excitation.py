@@ -10,13 +10,13 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from nufleet.robot_agent.motion.excitation import (
-    HEADROOM,
     peak_velocity_and_acceleration,
     plan_excitation,
     reference_of,
 )
 from nufleet.shared.errors import RefusedError
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan, Tone
+from nufleet.shared.robots.joint_limits import HEADROOM
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
 SAMPLE_TIME_S = 0.02

@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from nufleet.orchestrator.study.tone_choice import first_look
-from nufleet.robot_agent.motion.excitation import HEADROOM, plan_excitation, reference_of
+from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RefusedError
 from nufleet.shared.frequency_test.excitation import AxisTones, Excitation, ExcitationPlan, Tone
 from nufleet.shared.frequency_test.multitone import largest_amplitudes
+from nufleet.shared.robots.joint_limits import HEADROOM
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
 BAND = (0.2, 8.0)

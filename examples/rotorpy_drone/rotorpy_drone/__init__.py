@@ -1,0 +1,1 @@
+"""A driver of rotorpy's quadrotors for nufleet."""
