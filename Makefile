@@ -79,8 +79,8 @@ lint: .venv/installed-test
 	$(PYTHON) -m venv .venv
 
 .venv/installed-demo: .venv/bin/python pyproject.toml constraints.txt
-	@echo "== installing nufleet and its dependencies, including torch (once; some minutes)"
-	$(PIP_INSTALL) -e '.[learning]'
+	@echo "== installing nufleet and its dependencies (once; a minute or two)"
+	$(PIP_INSTALL) -e .
 	@echo "== compiling the code (once)"
 	$(COMPILE_INSTALLED)
 	.venv/bin/python -m compileall -q orchestrator robot_agent shared sims
@@ -94,8 +94,8 @@ lint: .venv/installed-test
 	@touch $@
 
 .venv/installed-quadrotors: .venv/installed-demo
-	@echo "== installing the simulator of the quadrotors (once)"
-	$(PIP_INSTALL) -e '.[quadrotors]'
+	@echo "== installing the simulator of the quadrotors, and torch (once; some minutes)"
+	$(PIP_INSTALL) -e '.[quadrotors,learning]'
 	$(COMPILE_INSTALLED)
 	@touch $@
 
