@@ -3,6 +3,7 @@
 # make check       the part of it that takes a minute: lint, format, types, and the tests that start no
 #                  process, open no connection, run no foreign simulator (tests/purity.py) and are not
 #                  marked `thorough`
+# make test-ros2   runs the tests that need ROS 2, in an environment of its own with ROS 2 from PyPI
 # make docs        builds the documentation into site/
 # make test-busy   runs the tests RUNS times, beside processes that keep the machine busy
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
@@ -16,10 +17,14 @@ TEST_PROCESSES ?= 2
 # a real PostgreSQL server, networks that can be cut in two, and clocks that are wrong.
 SYSTEM_PACKAGES = mesa-vulkan-drivers postgresql iproute2 libfaketime
 
+# ROS 2 Kilted from PyPI: rclpy, Fast DDS and the messages that the driver speaks.
+ROS2 = ros-rclpy==9.1.2 ros-rmw-fastrtps-cpp==9.3.3 ros-geometry-msgs==5.5.1 ros-nav-msgs==5.5.1 \
+  ros-rosgraph-msgs==2.3.0 ros-sensor-msgs==5.5.1 ros-std-srvs==5.5.1 ros-trajectory-msgs==5.5.1
+
 RUNS ?= 5
 BURNERS ?= 4
 
-.PHONY: demo docs test test-busy check lint clean system-packages
+.PHONY: demo docs test test-busy test-ros2 check lint clean system-packages
 
 demo: .venv/installed-demo
 	.venv/bin/nufleet demo
@@ -35,6 +40,19 @@ test-busy: .venv/installed-test system-packages
 	  echo "== run $$run of $(RUNS), beside $(BURNERS) busy loops"; \
 	  .venv/bin/pytest -n $(TEST_PROCESSES) --dist loadfile || exit 1; \
 	done
+
+# ROS 2 starts Python again with other library paths, so that it has an environment of its own; no
+# other run of the tests selects those that need it (pyproject.toml).
+test-ros2: .venv-ros2/installed
+	@echo "== tests over ROS 2"
+	.venv-ros2/bin/python -m pytest -m ros2 tests/ros2
+
+.venv-ros2/installed: pyproject.toml constraints.txt
+	@echo "== creating .venv-ros2 with ROS 2 and nufleet (once; some minutes)"
+	$(PYTHON) -m venv .venv-ros2
+	.venv-ros2/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+	  -e . hypothesis psutil pytest $(ROS2)
+	@touch $@
 
 # The documentation, in site/; open site/index.html.
 docs: .venv/installed-test
@@ -91,4 +109,4 @@ system-packages:
 	  apt-get update -qq && apt-get install -y -qq --no-install-recommends $$missing; fi
 
 clean:
-	rm -rf .venv .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-ros2 .mypy_cache .ruff_cache .hypothesis

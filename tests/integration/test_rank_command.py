@@ -267,7 +267,6 @@ def test_ctrl_c_at_any_moment_leaves_no_process_behind(tmp_path: Path, moment: s
         (["--band", "0.05", "90"], 2, "exceeds the range in which robot target can be tested"),
         (["--axis", "yaw"], 2, "no axis 'yaw'; it has x"),
         (["--axis", "x", "--axes", "x,y"], 2, "give either --axis or --axes"),
-        (["--axes", "x,y", "--reuse"], 2, "--axes tests all sources: leave out --reuse"),
         (["--axes", "x,y", "--algorithm", "paper"], 2, "--axes requires --algorithm adaptive"),
         (["--iterations", "0"], 2, "--iterations"),
         (["--trajectory", "no-such-drawing"], 2, "no such drawing"),
