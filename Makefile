@@ -4,6 +4,7 @@
 #                  process, open no connection, run no foreign simulator (tests/purity.py) and are not
 #                  marked `thorough`
 # make docs        builds the documentation into site/
+# make test-rotorpy ranks the robots of examples/rotorpy_drone, as a lab that installs nufleet would
 # make test-busy   runs the tests RUNS times, beside processes that keep the machine busy
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 # pip would compile the 20 000 modules that are installed one after the other.
@@ -19,7 +20,7 @@ SYSTEM_PACKAGES = mesa-vulkan-drivers postgresql iproute2 libfaketime
 RUNS ?= 5
 BURNERS ?= 4
 
-.PHONY: demo docs test test-busy check lint clean system-packages
+.PHONY: demo docs test test-busy test-rotorpy check lint clean system-packages
 
 demo: .venv/installed-demo
 	.venv/bin/nufleet demo
@@ -35,6 +36,20 @@ test-busy: .venv/installed-test system-packages
 	  echo "== run $$run of $(RUNS), beside $(BURNERS) busy loops"; \
 	  .venv/bin/pytest -n $(TEST_PROCESSES) --dist loadfile || exit 1; \
 	done
+
+# In a folder of its own, whose names are those of our packages and of a module of Python. rotorpy
+# brings ten packages and 158 MB, so that it is no dependency of the other tests.
+test-rotorpy:
+	rm -rf build/rotorpy && mkdir -p build/rotorpy/shared && touch build/rotorpy/shared/__init__.py build/rotorpy/types.py
+	$(PYTHON) -m venv build/rotorpy/venv
+	build/rotorpy/venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+	  . ./examples/rotorpy_drone pytest
+	cd build/rotorpy && . venv/bin/activate && export NUFLEET_STATE=state && \
+	  pytest -q -p no:cacheprovider ../../examples/rotorpy_drone && \
+	  nufleet robot check rotorpy_drone && \
+	  nufleet plan rank --fleet ../../examples/rotorpy_drone/fleet.toml && \
+	  nufleet rank --fleet ../../examples/rotorpy_drone/fleet.toml --no-rehearsal --json > ranked.json && \
+	  python -c 'import json; assert json.load(open("ranked.json"))["selected"] == "heavy"'
 
 # The documentation, in site/; open site/index.html.
 docs: .venv/installed-test
