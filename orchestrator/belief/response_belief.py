@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.special import logsumexp
 
+from nufleet.orchestrator.belief.common_error import CommonError
 from nufleet.orchestrator.belief.loop_features import (
     LOOP_PARAMETERS,
     ResponsePrior,
@@ -90,7 +91,11 @@ class ResponseModel:
     """The belief about one robot's response after its tests."""
 
     def __init__(
-        self, tones: Tones, prior: ResponsePrior, settings: ModelSettings | None = None
+        self,
+        tones: Tones,
+        prior: ResponsePrior,
+        settings: ModelSettings | None = None,
+        common: CommonError | None = None,
     ) -> None:
         """Fit all components and compute their weights.
 
@@ -98,8 +103,10 @@ class ResponseModel:
             tones: All measurements of the robot, at least one.
             prior: Belief about the robot before its tests.
             settings: Components of the mixture; None takes the defaults.
+            common: Error that all measurements share; None if their errors are independent.
         """
         self.tones = tones
+        self._common = common
         self._settings = settings or ModelSettings()
         self._prior = prior
         self._grid_omega, self._grid_damping, self._grid_log_weight = prior.mode_grid()
@@ -120,6 +127,24 @@ class ResponseModel:
 
     def draw(self, omega_rad_s: FloatArray, count: int, rng: np.random.Generator) -> ComplexArray:
         """Draw samples of the response.
+
+        Args:
+            omega_rad_s: Frequencies in rad/s, shape (frequencies,).
+            count: Number of samples.
+            rng: Generator that draws them.
+
+        Returns:
+            Samples of z, in random order, shape (count, frequencies).
+        """
+        samples = self.draw_fitted(omega_rad_s, count, rng)
+        if self._common is not None:
+            samples = samples + self._common.draw(omega_rad_s, count, rng)
+        return samples
+
+    def draw_fitted(
+        self, omega_rad_s: FloatArray, count: int, rng: np.random.Generator
+    ) -> ComplexArray:
+        """Draw samples of what the measurements say, without the error that all of them share.
 
         Args:
             omega_rad_s: Frequencies in rad/s, shape (frequencies,).

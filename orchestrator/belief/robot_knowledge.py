@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from nufleet.orchestrator.belief.amplitude_dependence import AmplitudeDependence, differ
+from nufleet.orchestrator.belief.common_error import CommonError
 from nufleet.orchestrator.belief.loop_features import LOOP_PARAMETERS, ResponsePrior
 from nufleet.orchestrator.belief.loop_fit import Tones
 from nufleet.orchestrator.belief.noise_pooling import pooled_variance
@@ -30,6 +31,9 @@ NONLINEAR_ELSEWHERE = 4.0
 """Change of the response in another motion of the same size, as a multiple of the distortion that a
 test shows: about that of backlash and friction in a loop, which hides what is above its bandwidth.
 """
+
+TELLING = 0.05
+"""Standard deviation of a test's estimates up to which it tells that amplitude changes nothing."""
 
 FLIGHT_TEST_STD = 0.02
 """Standard deviation that is expected of a test's estimates while the robot was never tested."""
@@ -123,8 +127,8 @@ class RobotKnowledge:
         amplitude = self.amplitude
         compared = flight is None and differ(amplitude, response.amplitude)
         if compared and not self.compared:
-            # From now on it is known of this robot, and no longer assumed.
-            self.compared, self.by_amplitude, self._model = True, None, None
+            # What others have shown is no longer assumed, if the robot shows it itself.
+            self.by_amplitude, self._model = None, None
         before = self.model if check and not first else None
         self.responses.append(response)
         self._tones.append(new)
@@ -133,6 +137,8 @@ class RobotKnowledge:
         if before is None:
             return
         miss = self._miss(before, new, doubt, rng)
+        if compared and (miss is not None or np.mean(variance + doubt) <= TELLING**2):
+            self.compared = True
         if miss is None:
             return
         self._model = None
@@ -297,17 +303,25 @@ class RobotKnowledge:
     def model(self) -> ResponseModel:
         """The belief after all tests, of which there must be at least one."""
         if self._model is None:
-            # A doubt is the same in every test, so that their number must not average it away.
+            doubts = self._whole_doubts
             variance = [
-                tones.variance + len(self._tones) * doubt
-                for tones, doubt in zip(self._tones, self._whole_doubts, strict=True)
+                tones.variance + doubt for tones, doubt in zip(self._tones, doubts, strict=True)
             ]
+            # A doubt is the same in every test, so that their number must not average it away.
+            played = [one.flight is None for one in self.responses]
+            common = CommonError.of_tests(
+                [
+                    (t.omega_rad_s, doubt)
+                    for t, doubt, of_test in zip(self._tones, doubts, played, strict=True)
+                    if of_test
+                ]
+            )
             tones = Tones(
                 self.omega_rad_s,
                 np.concatenate([each.z for each in self._tones]),
                 np.concatenate(variance),
             )
-            self._model = ResponseModel(tones, self.prior)
+            self._model = ResponseModel(tones, self.prior, common=common)
         return self._model
 
     def expected_variance(self, omega_rad_s: FloatArray, times_as_long: float) -> FloatArray:
@@ -355,7 +369,7 @@ class RobotKnowledge:
         """
         if before.distance(self.model) <= chdtri(2 * len(new.z), CHANGE_SIGNIFICANCE):
             return None
-        expected = before.draw(new.omega_rad_s, CHECK_SAMPLES, rng)
+        expected = before.draw_fitted(new.omega_rad_s, CHECK_SAMPLES, rng)
         squared = np.abs(new.z - expected.mean(axis=0)) ** 2
         usual = new.variance + doubt + np.var(expected, axis=0)
         worst = int(np.argmax(squared / usual))

@@ -17,15 +17,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nufleet.orchestrator.belief.amplitude_dependence import AmplitudeDependence
 from nufleet.orchestrator.belief.response_belief import ResponseModel
 from nufleet.orchestrator.belief.resting_gain import draw_resting
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
+from nufleet.orchestrator.belief.shared_doubt import share_doubt
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.interface import Question, Report, Responses, StudyPlan
 from nufleet.orchestrator.study.looks import Looks
 from nufleet.orchestrator.study.next_tests import NextTests, narrowing, settling
-from nufleet.orchestrator.study.ranking import INTERVAL, curves_of, ranking_of, sampled_psi
+from nufleet.orchestrator.study.ranking import curves_of, ranking_of, sampled_psi
 from nufleet.orchestrator.study.selection_belief import SelectionBelief
 from nufleet.orchestrator.study.tone_choice import ToneChoice
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum
@@ -88,7 +88,7 @@ class AdaptiveStudy:
                 self._robots[name].learn(response, rng)
         self._dropped: dict[str, str] = {}
         self._grounded = dict.fromkeys(absent, "it is not there")
-        self._share_doubt()
+        share_doubt(self._robots.values())
         self._looks = Looks(plan, self._settings, self._robots)
         self._next_tests = NextTests(
             plan.target, self._grid, self._settings, self._robots, self._looks
@@ -132,7 +132,7 @@ class AdaptiveStudy:
                 self._robots[name].learn(responses[name], self._rng)
             else:
                 self._lose(name, failed.get(name, "it returned no response"))
-        self._share_doubt()
+        share_doubt(self._robots.values())
         self._lose_the_silent()
         sources = self._remaining()
         draws = {name: self._draw(name) for name in (self._plan.target, *sources)}
@@ -208,10 +208,13 @@ class AdaptiveStudy:
             )
             if following.tests:
                 return _Verdict(confidence, following.tests, "what is contested")
-            why = f"no further test would help; {chance}"
             if following.missing:
                 why = f"{chance}; to settle it, test again: {', '.join(following.missing)}"
-            return _Verdict(confidence, why=why)
+                return _Verdict(confidence, why=why)
+            contenders = [n for n in (self._plan.target, leader) if n not in self._grounded]
+            if looks := self._looks.due(contenders):
+                return _Verdict(confidence, looks, "what another amplitude does")
+            return _Verdict(confidence, why=f"no further test would help; {chance}")
         if self._robots[leader].flown_only:
             if leader in self._grounded or not rounds_left:
                 why = f"{leader} is known from flights alone, and no test could confirm them"
@@ -257,7 +260,7 @@ class AdaptiveStudy:
             why = f"the lower end of the band was not tested on {', '.join(contenders)}"
             return _Verdict(confidence, why=f"{why}; P(correct selection) = {confidence:.3f}")
         claim = self._claim(belief, leader, confidence)
-        low, _, high = np.quantile(belief.psi_star[belief.sources.index(leader)], INTERVAL)
+        low, _, high = belief.interval(leader)
         wanted = self._plan.precision
         if wanted is None or high - low <= wanted:
             return _Verdict(confidence, why=claim)
@@ -336,22 +339,6 @@ class AdaptiveStudy:
             return ()
         known = [name for name in sources if self._robots[name].flown_only]
         return tuple(name for name in known if name not in self._grounded)
-
-    def _share_doubt(self) -> None:
-        """Extend what is doubted of some robots to the others.
-
-        Robots of one fleet are alike: where the flights of one are no tests, those of the others
-        are not, either; and what the amplitude does to some of a kind, it may do to all of it.
-        """
-        doubt = max(robot.flight_doubt for robot in self._robots.values())
-        for robot in self._robots.values():
-            robot.doubt_flights(doubt)
-            alike = [
-                one.by_amplitude
-                for one in self._robots.values()
-                if one.compared and one.spec.kind == robot.spec.kind
-            ]
-            robot.assume(AmplitudeDependence.of_fleet(alike))
 
     def _remaining(self) -> tuple[str, ...]:
         return tuple(source for source in self._plan.sources if source not in self._dropped)

@@ -337,10 +337,11 @@ class AxesStudy:
 def _worst(by_axis: Mapping[str, SelectionBelief]) -> SelectionBelief:
     """Return the belief about the distance on the worst axis at every frequency."""
     one, *others = by_axis.values()
-    psi = one.psi
+    psi, likeliest = one.psi, one.likeliest
     for other in others:
         psi = np.maximum(psi, other.psi)
-    return replace(one, psi=psi, psi_star=psi.max(axis=2))
+        likeliest = np.maximum(likeliest, other.likeliest)
+    return replace(one, psi=psi, psi_star=psi.max(axis=2), likeliest=likeliest)
 
 
 def _differ(one: ResponseModel, other: ResponseModel) -> bool:

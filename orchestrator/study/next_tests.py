@@ -26,6 +26,9 @@ GAIN_MIN = 1e-4
 
 NO_ERROR = 1e-12
 
+OWED = 0.9
+"""Share of the price of a lowest look that does not count where a claim surely needs it."""
+
 Value = Callable[[ComplexArray, FloatArray], float]
 """Value of a test, from samples of the response at its tones and the variances expected there: the
 share of what is to be decreased by which the test is expected to decrease it."""
@@ -110,13 +113,15 @@ class NextTests:
         found = [belief.decisive_omega_rad_s(source) for source in (leader, *rivals[:2])]
         centres_rad_s = tuple(dict.fromkeys(found))
         contenders = (self._target, leader, *rivals)
+        # A claim needs the lowest looks of the target and of the source that it names.
+        needed = dict(zip(belief.sources, chances.tolist(), strict=True)) | {self._target: 1.0}
         # Where something is doubted that no test tells, tests that seem worth nothing are so.
         doubted = any(self._robots[name].doubted for name in contenders)
         least = self._settings.worth if doubted else 0.0
         best = {
             name: one
             for name in contenders
-            if (one := self._best_test(name, draws[name], centres_rad_s, value)) is not None
+            if (one := self._best_test(name, draws[name], centres_rad_s, value, needed[name]))
             and one.gain >= least
         }
         there = {name: one for name, one in best.items() if name not in absent}
@@ -133,13 +138,20 @@ class NextTests:
         return NextRound(tests, () if tests else missing)
 
     def _best_test(
-        self, name: str, z: ComplexArray, centres_rad_s: Sequence[float], value: Value
+        self,
+        name: str,
+        z: ComplexArray,
+        centres_rad_s: Sequence[float],
+        value: Value,
+        needed: float,
     ) -> _Candidate | None:
         robot = self._robots[name]
-        price = self._settings.simulated_cost if robot.spec.simulated else 1.0
+        each = self._settings.simulated_cost if robot.spec.simulated else 1.0
+        due = self._looks.due([name]).get(name)
         found = []
         for choice in self._looks.candidates(name, centres_rad_s):
             gain = value(*self._looks.expected(name, choice, self._grid, z))
+            price = each * (1.0 - OWED * needed) if choice == due else each
             # Gains below the floor cannot be told from sampling noise; the cheapest test then wins.
             rate = max(gain, GAIN_MIN) / (price * self._looks.duration_s(name, choice))
             found.append(_Candidate(rate, gain, choice))

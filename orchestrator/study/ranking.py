@@ -8,12 +8,9 @@ import numpy as np
 
 from nufleet.orchestrator.study.interface import Curve, Responses, SourceEstimate
 from nufleet.orchestrator.study.measured_distance import largest_measured
-from nufleet.orchestrator.study.selection_belief import SelectionBelief
+from nufleet.orchestrator.study.selection_belief import INTERVAL, SelectionBelief
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
-
-INTERVAL = (0.025, 0.5, 0.975)
-"""Quantiles between which a quantity lies with a probability of 95 %, and its median."""
 
 Known = Mapping[str, Sequence[FrequencyResponse]]
 
@@ -60,7 +57,7 @@ def ranking_of(
     """
     estimates = []
     for n, source in enumerate(belief.sources):
-        low, median, high = np.quantile(belief.psi_star[n], INTERVAL).tolist()
+        low, median, high = belief.interval(source)
         psi, omega = largest_measured(known[target], known[source]) or (None, None)
         estimate = SourceEstimate(
             robot=source,

@@ -14,6 +14,9 @@ from nufleet.orchestrator.study.verdict import error_with_transfer
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import chordal_distance
 
+INTERVAL = (0.025, 0.5, 0.975)
+"""Quantiles between which a quantity lies with a probability of 95 %, and its median."""
+
 
 @dataclass(frozen=True)
 class PredictedErrors:
@@ -47,6 +50,8 @@ class SelectionBelief:
     """Chordal distance ψ_n(ω), shape (sources, samples, frequencies)."""
     psi_star: FloatArray
     """Worst-case distance ψ*_n = max ψ_n(ω) (paper, eq. 6), shape (sources, samples)."""
+    likeliest: FloatArray
+    """Chordal distance between the means of the responses, shape (sources, frequencies)."""
     errors: PredictedErrors | None = None
     """Predicted errors on the trajectory, if one is known."""
 
@@ -70,17 +75,32 @@ class SelectionBelief:
         psi = np.stack(
             [chordal_distance(target[:, :count], z[:, :count]) for z in sources.values()]
         )
+        means = [z[:, :count].mean(axis=0) for z in sources.values()]
+        likeliest = chordal_distance(target[:, :count].mean(axis=0), np.stack(means))
         errors = None
         if spectrum is not None:
             left = [error_with_transfer(z[:, count:], target[:, count:]) for z in sources.values()]
             parts = np.abs(np.stack(left)) ** 2 * spectrum.shares
             errors = PredictedErrors(spectrum.omega_rad_s, parts)
-        return SelectionBelief(tuple(sources), omega_rad_s, psi, psi.max(axis=2), errors)
+        return SelectionBelief(tuple(sources), omega_rad_s, psi, psi.max(axis=2), likeliest, errors)
 
     @cached_property
     def loss(self) -> FloatArray:
         """Quantity that the best source minimises, ψ* or the error, shape (sources, samples)."""
         return self.psi_star if self.errors is None else self.errors.total
+
+    def interval(self, source: str) -> tuple[float, float, float]:
+        """Return the bounds of a source's ψ*, and its median between them.
+
+        What is not known of two responses moves them apart in nearly every sample, so that the
+        samples of their distance lie above that of their means; and what is wrong with the means
+        has moved these apart by as much. The lower bound is therefore that of the samples less
+        twice the difference (the basic bootstrap: Davison and Hinkley, 1997, section 5.2).
+        """
+        n = self.sources.index(source)
+        low, median, high = np.quantile(self.psi_star[n], INTERVAL).tolist()
+        above = max(median - float(self.likeliest[n].max()), 0.0)
+        return max(low - 2.0 * above, 0.0), median, high
 
     def decisive_omega_rad_s(self, source: str) -> float:
         """Return the frequency (rad/s) that dominates a source's loss.

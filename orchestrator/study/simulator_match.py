@@ -24,6 +24,9 @@ TONES_MIN = 5
 DEVIATIONS = 2.0
 """Standard deviations from which a difference is stated."""
 
+LEFT_MAX = 0.5
+"""Share of the distance that delay, gain and stiffness may leave if they are stated in words."""
+
 MODEL_ERROR = 1e-3
 """Share of a response that the interpolation between the simulator's tones may be off."""
 
@@ -96,6 +99,12 @@ class SimulatorMatch(Strict):
             return f"too few tones to tell how they differ: at least {TONES_MIN} are needed"
         if not said:
             return "no delay, gain or stiffness differs by more than its uncertainty"
+        if self.psi_explained is not None and self.psi_explained > LEFT_MAX * self.psi:
+            return (
+                f"the robot differs from {self.simulator} in another way than by a delay, a "
+                f"stiffness and a gain: the closest of these leave ψ {self.psi_explained:.3f} of "
+                f"{self.psi:.3f}"
+            )
         listed = said[0] if len(said) == 1 else f"{', '.join(said[:-1])} and {said[-1]}"
         return f"the robot {listed} than {self.simulator}"
 

@@ -55,9 +55,11 @@ class Spectrum:
 def spectrum_of(positions: FloatArray, sample_time_s: float) -> Spectrum:
     """Return the spectrum of a sampled trajectory.
 
-    The line through both ends is subtracted first, because the transform treats the trajectory as
-    periodic and a jump between its ends would look like fast motion. For a long trajectory,
-    neighbouring frequencies are joined.
+    The transform treats the trajectory as periodic, and a jump from its end to its beginning would
+    look like fast motion. Unless it is closed, its end no further from its beginning than samples
+    are from each other, the line through both is therefore subtracted first. Of a long trajectory,
+    neighbouring frequencies are joined, the more of them the higher they are: slow motions are the
+    largest, and tell robots with low resonances apart.
 
     Args:
         positions: Positions, shape (samples,) or (samples, axes); the power of all axes is summed.
@@ -75,7 +77,9 @@ def spectrum_of(positions: FloatArray, sample_time_s: float) -> Spectrum:
         raise InvalidInputError(
             f"a trajectory needs at least four samples, all finite; its shape is {positions.shape}"
         )
-    line = np.linspace(columns[0], columns[-1], len(columns))
+    steps = np.linalg.norm(np.diff(columns, axis=0), axis=1)
+    closed = float(np.linalg.norm(columns[0] - columns[-1])) <= float(steps.max())
+    line = 0.0 if closed else np.linspace(columns[0], columns[-1], len(columns))
     amplitudes = np.fft.rfft(columns - line, axis=0)[1:] / len(columns)
     # Parseval: bin k > 0 of the one-sided transform X carries the mean square 2 |X_k / samples|².
     power = 2 * np.sum(np.abs(amplitudes) ** 2, axis=1)
@@ -84,8 +88,10 @@ def spectrum_of(positions: FloatArray, sample_time_s: float) -> Spectrum:
     omega = 2 * np.pi * np.arange(1, len(power) + 1) / (len(columns) * sample_time_s)
     motion = np.cumsum(power * omega**2)
     told_apart = int(np.searchsorted(motion, (1 - NEGLIGIBLE) * motion[-1])) + 1
-    # Groups of ceil(told_apart / BINS_MAX) bins, each at its power-weighted mean frequency.
-    starts = np.arange(0, told_apart, -(-told_apart // BINS_MAX))
+    # Groups of bins, each at its power-weighted mean frequency.
+    single = min(told_apart, BINS_MAX // 2)
+    wider = np.geomspace(single, told_apart, min(told_apart - single, BINS_MAX - single) + 1)
+    starts = np.concatenate([np.arange(single), np.unique(np.round(wider[:-1]).astype(int))])
     if told_apart < len(power):
         starts = np.append(starts, told_apart)
     joined = np.add.reduceat(power, starts)

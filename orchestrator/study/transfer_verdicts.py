@@ -9,6 +9,7 @@ import numpy as np
 
 from nufleet.orchestrator.belief.resting_gain import draw_resting
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
+from nufleet.orchestrator.belief.shared_doubt import share_doubt
 from nufleet.orchestrator.study.interface import SourceEstimate, StudyPlan
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum
 from nufleet.orchestrator.study.verdict import TransferPrediction, predict_transfer
@@ -74,6 +75,7 @@ def judge_transfers(
                 known[robot].learn(response, rng)
     if plan.target not in known:
         return Judgement({}, ())
+    share_doubt(known.values())
     drawn = {robot: draw_resting(it.model, omega, SAMPLES, rng) for robot, it in known.items()}
 
     def predict(source: str, part: slice, motion: Spectrum) -> TransferPrediction:

@@ -58,7 +58,9 @@ class Interval:
 
         A norm is never negative, so its samples lie above 0 even where the true vector is 0. Where
         the ball that contains the vector with probability 1 − δ also contains 0, the lower bound is
-        therefore set to 0.
+        therefore set to 0. Elsewhere it is the quantile less twice the difference between the
+        median and the norm of the mean: what is not known lengthens a vector in nearly every
+        sample, and has lengthened the mean by as much.
 
         Args:
             samples: Samples of vectors, shape (samples, ..., components).
@@ -71,7 +73,9 @@ class Interval:
         # Where 0 is the lower bound, only the upper one can be missed: it takes all of δ.
         touching = np.linalg.norm(centre, axis=-1) <= reach
         high = np.where(touching, np.quantile(norm, 1 - delta, axis=0), interval.high)
-        return Interval(np.where(touching, 0.0, interval.low), interval.median, high)
+        above = np.maximum(interval.median - np.linalg.norm(centre, axis=-1), 0.0)
+        low = np.where(touching, 0.0, np.maximum(interval.low - 2.0 * above, 0.0))
+        return Interval(low, interval.median, high)
 
 
 @dataclass(frozen=True)

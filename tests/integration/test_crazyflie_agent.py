@@ -29,7 +29,8 @@ def test_a_test_and_a_drawing_are_flown_and_a_refusal_moves_nothing(lab: Lab) ->
     assert (tested.outcome, tested.reason) == (Outcome.COMPLETED, "")
     response = estimated(tested)
     truth = LOOP.response(response.omega_rad_s[0], 0.02)
-    assert abs(response.z[0] - truth) < 0.06  # a busy machine sends references late
+    # References that a busy machine sends late scatter the response, which its radius contains.
+    assert abs(response.z[0] - truth) < 0.05 + response.radius(1e-4)[0]
     assert tested.timing is not None
 
     small = 0.2 * read_drawing(drawings.PEAR)

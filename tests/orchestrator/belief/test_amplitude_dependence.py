@@ -11,6 +11,7 @@ from random_loops import BAND, SPEC, Loop
 from nufleet.orchestrator.belief.amplitude_dependence import AmplitudeDependence, differ
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.study.tone_choice import first_look
+from nufleet.shared.frequency_test.quality import Finding, Quality
 
 OMEGA = np.array([1.0, 2.0])
 FOUND = AmplitudeDependence(OMEGA, np.array([0.01, 0.04]))
@@ -60,3 +61,18 @@ def test_it_is_assumed_of_a_robot_until_its_own_tests_tell() -> None:
     known.assume(AmplitudeDependence(test_omega, np.full(2, 0.04)))
     assert not known.doubted, "its own responses agreed"
     assert spread() < 1.5 * before
+
+
+def test_a_test_that_is_distorted_does_not_show_that_amplitude_changes_nothing() -> None:
+    """At half the amplitude a dead zone leaves hardly any response, which nothing contradicts."""
+    rng = np.random.default_rng(0)
+    test = first_look(BAND, SPEC, 11, 0.7).excitation("x")
+    bent = Quality(
+        warnings=(Finding(code="nonlinear", text="23 % of it is distortion", value=0.23),)
+    )
+    known = RobotKnowledge("robot", SPEC, BAND[1])
+    known.learn(replace(Loop(3.0).answer(test, 0.01, rng), amplitude=0.2), rng)
+    known.learn(replace(Loop(2.5).answer(test, 0.01, rng), amplitude=0.1, quality=bent), rng)
+    known.assume(FOUND)
+    assert not known.compared
+    assert known.by_amplitude is FOUND

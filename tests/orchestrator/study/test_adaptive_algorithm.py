@@ -181,7 +181,7 @@ def test_a_source_that_was_never_measured_is_dropped_with_its_reason() -> None:
 
 
 def test_a_source_lost_after_its_first_test_is_judged_by_that() -> None:
-    fleet = {"target": Loop(3.0), "one": Loop(3.3), "other": Loop(2.75)}
+    fleet = {"target": Loop(3.0), "one": Loop(3.4), "other": Loop(2.75), "third": Loop(2.7)}
     study = begin(fleet, rounds=6, settings=AdaptiveSettings(delta=1e-6, epsilon=0.0))
     rng = np.random.default_rng(0)
     asked_after_loss = []
@@ -193,7 +193,7 @@ def test_a_source_lost_after_its_first_test_is_judged_by_that() -> None:
             del given["one"]
             lost = True
         report = study.tell(given, {"one": "it crashed"})
-        assert {estimate.robot for estimate in report.ranking} == {"one", "other"}
+        assert {estimate.robot for estimate in report.ranking} == {"one", "other", "third"}
         assert report.dropped == {}
     assert lost
     assert asked_after_loss

@@ -123,6 +123,24 @@ def test_a_rival_is_not_asked_below_its_lowest_tone_where_what_was_seen_of_it_is
     assert sum("near" in robots for robots in asked) == 2
 
 
+def test_a_test_that_a_claim_needs_anyway_comes_before_others_of_what_is_contested() -> None:
+    fleet = {"target": Loop(3.0), "one": Loop(3.3), "other": Loop(2.75)}
+    study = AdaptiveStudy(
+        StudyPlan("target", ("one", "other"), BAND, 8, "x"),
+        dict.fromkeys(fleet, SPEC),
+        np.random.default_rng(0),
+    )
+    rng = np.random.default_rng(0)
+    for purpose in ("a first look", "what is contested"):
+        question = study.ask()
+        assert question is not None
+        assert question.purpose.startswith(purpose)
+        report = study.tell(answers(fleet, question, 0.02, rng), {})
+    assert question.robots == ("target",)
+    assert question.tests["target"].tones[0].omega_rad_s == pytest.approx(2 * BAND[0])
+    assert report.stopped_because is None
+
+
 def test_a_doubt_that_no_test_tells_ends_the_study_before_its_rounds_are_used() -> None:
     fleet = {"target": Loop(3.0), "one": Loop(3.3), "other": Loop(2.7)}
     report, asked = last_of(fleet, weaker={"target": -0.4, "one": -0.4, "other": -0.4})

@@ -7,14 +7,16 @@ import pytest
 
 from nufleet.orchestrator.study.selection_belief import SelectionBelief
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum
-from nufleet.shared.arrays import FloatArray
+from nufleet.shared.arrays import ComplexArray, FloatArray
+from nufleet.shared.distance.chordal import chordal_distance
 
 OMEGA = np.array([1.0, 2.0])
 
 
 def belief(**psi_star: FloatArray) -> SelectionBelief:
     stars = np.stack(list(psi_star.values()))
-    return SelectionBelief(tuple(psi_star), OMEGA, np.stack([0.5 * stars, stars], axis=-1), stars)
+    psi = np.stack([0.5 * stars, stars], axis=-1)
+    return SelectionBelief(tuple(psi_star), OMEGA, psi, stars, psi.mean(axis=1))
 
 
 def test_distances_are_those_of_responses_drawn_together() -> None:
@@ -23,6 +25,28 @@ def test_distances_are_those_of_responses_drawn_together() -> None:
     assert found.psi_star[0].tolist() == [0.0, 0.0]
     oracle = [1 / np.sqrt(2), 2 / np.sqrt(5)]  # ψ(z, 0) = |z| / √(1 + |z|²)
     np.testing.assert_allclose(found.psi_star[1], oracle)
+
+
+def test_the_interval_holds_the_distance_although_what_is_unknown_lengthens_it() -> None:
+    """The quantiles alone hold it in 118 of 200, as three tones are independently off."""
+    rng, deviation, tones = np.random.default_rng(0), 0.1, 3
+
+    def unknown(count: int) -> ComplexArray:
+        shape = (2, count, tones)
+        return np.asarray(deviation * (rng.standard_normal(shape).T @ [1, 1j]).T / np.sqrt(2))
+
+    true_z = np.full(tones, 1.4 + 0j)
+    true_psi = float(chordal_distance(np.ones(tones), true_z).max())
+    held = 0
+    for estimate in true_z + unknown(200):
+        samples = {"source": estimate + unknown(400)}
+        found = SelectionBelief.of(
+            np.arange(1.0, tones + 1), np.ones((400, tones), complex), samples
+        )
+        low, median, high = found.interval("source")
+        assert low <= median <= high
+        held += low <= true_psi <= high
+    assert held >= 0.85 * 200
 
 
 def test_an_error_that_sources_share_does_not_make_their_order_uncertain() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -33,6 +35,18 @@ def test_a_closed_trajectorys_power_is_its_mean_square(samples: int, seed: int) 
     variance = float(np.var(positions, axis=0).sum())
     assert variance * (1 - 1e-9) <= found.power.sum() <= variance * (1 + 8 / samples) + 1e-9
     assert np.all(np.diff(found.omega_rad_s) > 0)
+
+
+@pytest.mark.parametrize("lines", [range(2, 12), (2, 3, 4, 5, 2600)])
+@pytest.mark.parametrize("repeated", [0, 1])
+def test_a_closed_drawing_has_the_lines_of_its_laps(lines: Sequence[int], repeated: int) -> None:
+    """Neither a ramp nor joined lines blur what is slow, where robots may have resonances."""
+    order = np.array(lines)
+    angle = 2 * np.pi * np.arange(6000 + repeated) / 6000
+    found = spectrum_of(np.sin(np.outer(angle, order)) @ (1 / order), 0.02)
+    at = np.searchsorted(found.omega_rad_s, (order[:4] - 0.25) * 2 * np.pi / 120.0)
+    np.testing.assert_allclose(found.omega_rad_s[at], order[:4] * 2 * np.pi / 120.0, rtol=1e-3)
+    np.testing.assert_allclose(found.power[at], 0.5 / order[:4] ** 2, rtol=0.02)
 
 
 def test_what_lies_outside_a_band_is_counted_as_motion() -> None:

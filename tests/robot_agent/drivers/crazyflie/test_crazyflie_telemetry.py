@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 
 import numpy as np
@@ -11,10 +12,18 @@ from hypothesis import strategies as st
 
 from nufleet.robot_agent.drivers.crazyflie.condition import condition
 from nufleet.robot_agent.drivers.crazyflie.glide import glide
-from nufleet.robot_agent.drivers.crazyflie.settings import CrazyflieSettings
+from nufleet.robot_agent.drivers.crazyflie.settings import CrazyflieSettings, spec_of
 from nufleet.robot_agent.drivers.crazyflie.supervisor import Supervisor, why_down
-from nufleet.robot_agent.drivers.crazyflie.telemetry import Telemetry, quaternion_of
-from nufleet.sims.crazyflies.firmware import compressed
+from nufleet.robot_agent.drivers.crazyflie.telemetry import (
+    STATE_VARIABLES,
+    Telemetry,
+    quaternion_of,
+)
+from nufleet.robot_agent.motion.resampling import outputs_at_samples
+from nufleet.robot_agent.robot import Record
+from nufleet.sims.crazyflies.firmware import Firmware, compressed
+from nufleet.sims.crazyflies.plant import KnownLoop, LoopSettings
+from nufleet.sims.crazyflies.tables import LOGGED
 
 SETTINGS = CrazyflieSettings(uri="udp://127.0.0.1:19850")
 STATE = {
@@ -138,3 +147,52 @@ def test_a_glide_joins_the_motion_and_ends_at_rest_without_a_jump(
         < 0.02
     )
     assert np.linalg.norm(slopes, axis=1).max() < 0.3 + 1.05 * np.linalg.norm(velocity) + 1e-9
+
+
+LOOP = LoopSettings(omega_rad_s=8.0, damping_ratio=0.7)
+
+
+def test_late_and_lost_packets_and_irregular_samples_leave_the_response_right() -> None:
+    rng = np.random.default_rng(3)
+    samples, omega = 2000, 4.0
+    drone = Firmware(KnownLoop(LOOP, (0.0, 0.0, 0.5)), rng, now_s=0.0, noise_m=0.001)
+    telemetry = heard()
+    names = list(LOGGED)
+    kinds = ({"float": 7, "FP16": 8, "uint32_t": 3}[kind or ""] for _, kind in STATE_VARIABLES)
+    asked = zip(kinds, (names.index(name) for name, _ in STATE_VARIABLES), strict=True)
+    block = b"".join(struct.pack("<BH", kind, place) for kind, place in asked)
+    packets = [(0.1, b"\x91\x01\x01"), (0.1, b"\x51\x06\x00" + block), (0.2, b"\x51\x03\x00\x01")]
+    sent_s = 1.0 + 0.02 * np.arange(samples) + 0.003 * rng.random(samples)
+    references = 0.1 * np.sin(omega * (sent_s - 1.0))
+    for at_s, reference in zip(sent_s.tolist(), references.tolist(), strict=True):
+        if rng.random() > 0.01:
+            packet = b"\x70\x07" + struct.pack("<ffff", reference, 0.0, 0.5, 0.0)
+            packets.append((at_s + 0.016 * rng.random(), packet))
+    arrivals = []
+    for at_s, packet in packets:
+        for logged_s, logged in drone.take(packet, at_s):
+            if logged[0] == 0x52 and rng.random() > 0.01:
+                values = struct.unpack("<fffeeeI", logged[5:])
+                state = dict(zip((name for name, _ in STATE_VARIABLES), values, strict=True))
+                stamp_ms = int.from_bytes(logged[2:5], "little")
+                arrivals.append((logged_s + rng.exponential(0.008), stamp_ms, state))
+    telemetry.begin_recording()
+    newest, next_sample = np.zeros(samples), 0
+    for arrived_s, stamp_ms, state in sorted(arrivals, key=lambda one: one[0]):
+        while next_sample < samples and sent_s[next_sample] < arrived_s:
+            newest[next_sample] = telemetry.newest.position_m[0] if telemetry.newest else 0.0
+            next_sample += 1
+        telemetry.take_state(stamp_ms, state, arrived_s)
+    measured_s, positions = telemetry.dated()
+    recorded, _ = outputs_at_samples(
+        Record(sent_s, measured_s, positions[:, :2]), samples, spec_of(SETTINGS)
+    )
+    late = [LOOP.response(omega, 0.02, 0.016 * (k + 0.5) / 20) for k in range(20)]
+    truth = np.mean(late) * 0.99 / (1 - 0.01 * np.exp(-1j * omega * 0.02))
+    turns = np.exp(-1j * omega * sent_s)[200:1984]
+    basis = np.stack([turns.real, turns.imag, np.ones(len(turns))], axis=1)
+    signals = np.stack([references, recorded[:, 0], newest], axis=1)[200:1984]
+    cosine, sine, _ = np.linalg.lstsq(basis, signals, rcond=None)[0]
+    _, by_stamps, as_they_come = (cosine + 1j * sine) / (cosine[0] + 1j * sine[0])
+    assert abs(by_stamps - truth) < 0.004
+    assert abs(as_they_come - truth) > 0.03

@@ -1,0 +1,26 @@
+"""What is doubted of some robots of a fleet, extended to the others, which are like them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from nufleet.orchestrator.belief.amplitude_dependence import AmplitudeDependence
+from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
+
+
+def share_doubt(robots: Collection[RobotKnowledge]) -> None:
+    """Extend what is doubted of some robots to the others.
+
+    Where the flights of one are no tests, those of the others are not, either; and what the
+    amplitude does to some of a kind, it may do to all of it.
+
+    Args:
+        robots: What is known of every robot of a fleet, at least one.
+    """
+    doubt = max(robot.flight_doubt for robot in robots)
+    for robot in robots:
+        robot.doubt_flights(doubt)
+        alike = [
+            one.by_amplitude for one in robots if one.compared and one.spec.kind == robot.spec.kind
+        ]
+        robot.assume(AmplitudeDependence.of_fleet(alike))
