@@ -3,6 +3,7 @@
 # make check       the part of it that takes a minute: lint, format, types, and the tests that start no
 #                  process, open no connection, run no foreign simulator (tests/purity.py) and are not
 #                  marked `thorough`
+# make test-ros2   runs the tests that need ROS 2, in an environment of its own with ROS 2 from PyPI
 # make docs        builds the documentation into site/
 # make test-rotorpy ranks the robots of examples/rotorpy_drone, as a lab that installs nufleet would
 # make test-busy   runs the tests RUNS times, beside processes that keep the machine busy
@@ -17,10 +18,14 @@ TEST_PROCESSES ?= 2
 # a real PostgreSQL server, networks that can be cut in two, and clocks that are wrong.
 SYSTEM_PACKAGES = mesa-vulkan-drivers postgresql iproute2 libfaketime
 
+# ROS 2 Kilted from PyPI: rclpy, Fast DDS and the messages that the driver speaks.
+ROS2 = ros-rclpy==9.1.2 ros-rmw-fastrtps-cpp==9.3.3 ros-geometry-msgs==5.5.1 ros-nav-msgs==5.5.1 \
+  ros-rosgraph-msgs==2.3.0 ros-sensor-msgs==5.5.1 ros-std-srvs==5.5.1 ros-trajectory-msgs==5.5.1
+
 RUNS ?= 5
 BURNERS ?= 4
 
-.PHONY: demo docs test test-busy test-rotorpy check lint clean system-packages
+.PHONY: demo docs test test-busy test-ros2 test-rotorpy check lint clean system-packages
 
 demo: .venv/installed-demo
 	.venv/bin/nufleet demo
@@ -51,6 +56,19 @@ test-rotorpy:
 	  nufleet rank --fleet ../../examples/rotorpy_drone/fleet.toml --no-rehearsal --json > ranked.json && \
 	  python -c 'import json; assert json.load(open("ranked.json"))["selected"] == "heavy"'
 
+# ROS 2 starts Python again with other library paths, so that it has an environment of its own; no
+# other run of the tests selects those that need it (pyproject.toml).
+test-ros2: .venv-ros2/installed
+	@echo "== tests over ROS 2"
+	.venv-ros2/bin/python -m pytest -m ros2 tests/ros2
+
+.venv-ros2/installed: pyproject.toml constraints.txt
+	@echo "== creating .venv-ros2 with ROS 2 and nufleet (once; some minutes)"
+	$(PYTHON) -m venv .venv-ros2
+	.venv-ros2/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+	  -e . hypothesis psutil pytest $(ROS2)
+	@touch $@
+
 # The documentation, in site/; open site/index.html.
 docs: .venv/installed-test
 	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
@@ -76,8 +94,8 @@ lint: .venv/installed-test
 	$(PYTHON) -m venv .venv
 
 .venv/installed-demo: .venv/bin/python pyproject.toml constraints.txt
-	@echo "== installing nufleet and its dependencies, including torch (once; some minutes)"
-	$(PIP_INSTALL) -e '.[learning]'
+	@echo "== installing nufleet and its dependencies (once; a minute or two)"
+	$(PIP_INSTALL) -e .
 	@echo "== compiling the code (once)"
 	$(COMPILE_INSTALLED)
 	.venv/bin/python -m compileall -q orchestrator robot_agent shared sims
@@ -91,8 +109,8 @@ lint: .venv/installed-test
 	@touch $@
 
 .venv/installed-quadrotors: .venv/installed-demo
-	@echo "== installing the simulator of the quadrotors (once)"
-	$(PIP_INSTALL) -e '.[quadrotors]'
+	@echo "== installing the simulator of the quadrotors, and torch (once; some minutes)"
+	$(PIP_INSTALL) -e '.[quadrotors,learning]'
 	$(COMPILE_INSTALLED)
 	@touch $@
 
@@ -106,4 +124,4 @@ system-packages:
 	  apt-get update -qq && apt-get install -y -qq --no-install-recommends $$missing; fi
 
 clean:
-	rm -rf .venv .mypy_cache .ruff_cache .hypothesis
+	rm -rf .venv .venv-ros2 .mypy_cache .ruff_cache .hypothesis

@@ -1,8 +1,11 @@
-"""How a ranking grows with the fleet: wall time per iteration, memory per robot, real-time cost.
+"""How a ranking grows with the fleet: processor time per test and at rest, wall time, memory.
 
-Robots are agents of their own session each, dealt to a few processes, tested through a real router.
+The robots are dealt to a few agent processes and tested through a real router. Processor time is
+that of the orchestrator, the agents and the router together, per robot and iteration (a test), and
+per robot and second while nothing moves.
 
-    python -m benchmarks.fleet_scale --robots 8 32 128 256
+    python -m benchmarks.fleet_scale --robots 8 64 256
+    python -m benchmarks.fleet_scale --robots 8 16 32 64 128 256 512 1000 --json scale.json
     python -m benchmarks.fleet_scale --robots 32 --realtime 1 --band 5 10
 """
 
@@ -14,6 +17,7 @@ import os
 import tempfile
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -34,10 +38,31 @@ from nufleet.shared.robots.fleet_file import read_fleet_file
 PROCESSES = 4
 
 
+PROGRAMS = ("orchestrator", "agents", "router")
+
+
+def processor_s() -> dict[str, float]:
+    """Return the processor time that each program of the fleet has used, in s."""
+    used = dict.fromkeys(PROGRAMS, 0.0)
+    for process in (psutil.Process(), *psutil.Process().children(recursive=True)):
+        with suppress(psutil.NoSuchProcess):
+            line, times = process.cmdline(), process.cpu_times()
+            name = "agents" if "agent" in line else "router" if "router" in line else PROGRAMS[0]
+            used[name] += times.user + times.system
+    return used
+
+
+def spent_ms(before: Mapping[str, float], among: float) -> dict[str, float]:
+    """Return the processor time used since a reading by each program, in ms per one of `among`."""
+    now = processor_s()
+    return {name: 1e3 * (now[name] - before[name]) / among for name in PROGRAMS}
+
+
 class Timer:
     """An observer that times the iterations and keeps each one's longest test."""
 
     def __init__(self) -> None:
+        self.first_over = dict.fromkeys(PROGRAMS, 0.0)
         self.asked_s = 0.0
         self.iterations_s: list[float] = []
         self.slowest_test_s: list[float] = []
@@ -57,6 +82,8 @@ class Timer:
         """An iteration ended."""
         del question, report
         self.iterations_s.append(time.perf_counter() - self.asked_s)
+        if len(self.iterations_s) == 1:
+            self.first_over = processor_s()
         tests = [o.result.plan.duration_s for o in outcomes.values() if isinstance(o, Measured)]
         self.slowest_test_s.append(max(tests))
 
@@ -77,7 +104,11 @@ def write_fleet(path: Path, robots: int, rng: np.random.Generator) -> None:
 
 
 def measure(
-    robots: int, iterations: int, band: tuple[float, float], realtime: float | None
+    robots: int,
+    iterations: int,
+    band: tuple[float, float],
+    realtime: float | None,
+    resting_s: float,
 ) -> dict[str, float]:
     """Rank one fleet; return what it cost."""
     with tempfile.TemporaryDirectory() as directory:
@@ -90,9 +121,12 @@ def measure(
             there,
         ):
             started_s = time.perf_counter() - began_s
+            rested = processor_s()
+            time.sleep(resting_s)
+            rest_ms = spent_ms(rested, robots * resting_s)
             request = RankRequest("target", None, band, iterations, 0, None)
             ready = prepare(fleet, request, there)
-            prepared_s = time.perf_counter() - began_s - started_s
+            prepared_s = time.perf_counter() - began_s - started_s - resting_s
             timer = Timer()
             with (
                 open_repository(str(Path(directory) / "nufleet.sqlite")) as repository,
@@ -105,6 +139,7 @@ def measure(
                 dispatcher = Dispatcher(fleet, log, specs, on_attempt_failed=timer.attempt_failed)
                 study = make_study(begun, repository.studies)
                 conclusion = conduct(study, log, dispatcher, timer)
+                test_ms = spent_ms(timer.first_over, robots * (iterations - 1))
             agents = [
                 child
                 for child in psutil.Process().children(recursive=True)
@@ -129,6 +164,9 @@ def measure(
         "agent_mib_per_robot": resident / robots / 2**20,
         "agent_threads_per_robot": threads / robots,
         "orchestrator_mib": own / 2**20,
+        "load": os.getloadavg()[0],
+        **{f"test_{name}_ms": spent for name, spent in test_ms.items()},
+        **{f"rest_{name}_ms_per_s": spent for name, spent in rest_ms.items()},
     }
 
 
@@ -139,19 +177,29 @@ def main() -> None:
     parser.add_argument("--iterations", type=int, default=7)
     parser.add_argument("--band", type=float, nargs=2, default=[0.5, 10.0])
     parser.add_argument("--realtime", type=float)
+    parser.add_argument("--resting", type=float, default=10.0, help="s before anything moves")
     parser.add_argument("--json", type=Path, help="also write the numbers to this file")
     arguments = parser.parse_args()
     print(f"{os.cpu_count()} cores, {PROCESSES} agent processes, band {arguments.band} rad/s")
-    print("robots  start  prepare  iteration median/max  slowest test  MiB/robot  threads/robot")
+    print("processor time of orchestrator + agents + router: per test, and per s at rest")
     rows = []
     for robots in arguments.robots:
-        row = measure(robots, arguments.iterations, tuple(arguments.band), arguments.realtime)
+        band = tuple(arguments.band)
+        row = measure(robots, arguments.iterations, band, arguments.realtime, arguments.resting)
         rows.append(row)
+        test_ms, rest_ms = (
+            [row[f"{kind}_{name}_ms{unit}"] for name in PROGRAMS]
+            for kind, unit in (("test", ""), ("rest", "_per_s"))
+        )
         print(
-            f"{robots:6d} {row['start_s']:5.1f}s {row['prepare_s']:7.2f}s "
-            f"{row['iteration_median_s']:9.3f} / {row['iteration_max_s']:6.3f}s "
-            f"{row['slowest_test_median_s']:11.1f}s {row['agent_mib_per_robot']:10.1f} "
-            f"{row['agent_threads_per_robot']:14.1f}",
+            f"{robots:5d} robots: {sum(test_ms):5.2f} ms ("
+            + " + ".join(f"{ms:.2f}" for ms in test_ms)
+            + f"), {sum(rest_ms):5.3f} ms ("
+            + " + ".join(f"{ms:.3f}" for ms in rest_ms)
+            + f"); start {row['start_s']:.1f} s, prepare {row['prepare_s']:.1f} s, "
+            f"iteration {row['iteration_median_s']:.2f} s, slowest test "
+            f"{row['slowest_test_median_s']:.0f} s; {row['agent_mib_per_robot']:.2f} MiB and "
+            f"{row['agent_threads_per_robot']:.1f} threads per robot; load {row['load']:.1f}",
             flush=True,
         )
     if arguments.realtime:

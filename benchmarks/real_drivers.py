@@ -7,6 +7,7 @@ the driver's spec declares. Takes real time, about a minute for five tones.
 
     python -m benchmarks.real_drivers --driver crazyflie --tests 40
     python -m benchmarks.real_drivers --driver crazyflie --tests 2 --jitter 0 --loss 0
+    .venv-ros2/bin/python -m benchmarks.real_drivers --driver ros2 --tests 8
 
 A driver takes part through an entry in `BENCHES`.
 """
@@ -15,6 +16,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -23,8 +27,11 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.ros2_plant import PlantSettings
 from nufleet.robot_agent.drivers.crazyflie.robot import Crazyflie
 from nufleet.robot_agent.drivers.crazyflie.settings import CrazyflieSettings
+from nufleet.robot_agent.drivers.ros2 import driver as ros2_driver
+from nufleet.robot_agent.drivers.ros2.settings import Ros2Settings
 from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
 from nufleet.robot_agent.motion.pace import HaltSwitch
 from nufleet.robot_agent.motion.perform import AxisMotion, perform
@@ -39,6 +46,25 @@ from nufleet.sims.crazyflies.plant import KnownLoop, LoopSettings
 OMEGAS_RAD_S = (1.0, 2.0, 3.0, 4.0, 5.0)
 SEGMENTS = 4
 ALPHA = 0.05
+ROS2_ROBOT = {
+    "kind": "drone",
+    "command": {"topic": "command", "type": "geometry_msgs/msg/PoseStamped"},
+    "measurement": {"topic": "measured", "type": "nav_msgs/msg/Odometry"},
+    "axes": [
+        {
+            "name": "x",
+            "unit": "m",
+            "amplitude_max": 0.3,
+            "velocity_max": 0.6,
+            "acceleration_max": 1.6,
+        }
+    ],
+    "sample_time_s": 0.02,
+    "omega_min_rad_s": 0.3,
+    "omega_max_rad_s": 10.0,
+    "duration_max_s": 240.0,
+    "settling_time_s": 2.0,
+}
 NORMAL_95 = 1.96
 
 
@@ -92,8 +118,35 @@ def crazyflie(link: Link, loop: LoopSettings, seed: int) -> Iterator[Bench]:
             robot.disconnect()
 
 
+@contextmanager
+def ros2(link: Link, loop: LoopSettings, seed: int) -> Iterator[Bench]:
+    """A robot on ROS 2, in another process; run by .venv-ros2/bin/python (see `make test-ros2`)."""
+    plant = PlantSettings(
+        domain_id=1 + os.getpid() % 100,
+        omega_0_rad_s=loop.omega_rad_s,
+        damping=loop.damping_ratio,
+        delay_s=loop.delay_s,
+        jitter_s=link.jitter_s,
+        loss=link.loss,
+        seed=seed,
+    )
+    given = [sys.executable, "-m", "benchmarks.ros2_plant", json.dumps(asdict(plant))]
+    with subprocess.Popen(given, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL) as running:
+        settings = Ros2Settings.model_validate_json(
+            json.dumps({**ROS2_ROBOT, "domain_id": plant.domain_id})
+        )
+        robot = ros2_driver.DRIVER.build({"drone": settings}, np.random.default_rng(seed))["drone"]
+        try:
+            robot.connect()
+            yield Bench(robot, lambda omega: received(link, loop, omega, settings.sample_time_s))
+        finally:
+            robot.disconnect()
+            running.communicate()
+
+
 BENCHES: dict[str, Callable[[Link, LoopSettings, int], AbstractContextManager[Bench]]] = {
-    "crazyflie": crazyflie
+    "crazyflie": crazyflie,
+    "ros2": ros2,
 }
 
 

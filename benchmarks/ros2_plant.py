@@ -43,7 +43,7 @@ class PlantSettings:
     stamped: bool = True
     services: bool = True
     battery: float | None = 0.9
-    goes_back_after: int | None = None
+    goes_back_every: int | None = None
     falls_silent_after: int | None = None
     refuses: tuple[str, ...] = ()
     publishes_clock: bool = False
@@ -81,38 +81,6 @@ class Loop:
         self._v = decay * (self._v * c - (sigma * b + turned * e) * s)
 
 
-def response(settings: PlantSettings, omega: np.ndarray, period_s: float) -> np.ndarray:
-    """Return the mean response from references to outputs, sampled when references are sent.
-
-    Args:
-        settings: The robot.
-        omega: Frequencies in rad/s, shape (tones,).
-        period_s: Sample time.
-    """
-    w, zeta = settings.omega_0_rad_s, settings.damping
-    sigma, turned = zeta * w, w * math.sqrt(1 - zeta**2)
-    n = np.arange(math.ceil(20 / sigma / period_s) + 1)
-
-    def step(t: np.ndarray) -> np.ndarray:
-        late = np.maximum(t, 0)
-        value = 1 - np.exp(-sigma * late) * (
-            np.cos(turned * late) + sigma / turned * np.sin(turned * late)
-        )
-        return np.where(t > 0, value, 0.0)
-
-    gains = step(n * period_s - settings.delay_s) - step((n - 1) * period_s - settings.delay_s)
-    held = np.exp(-1j * np.outer(omega, n) * period_s) @ gains
-    p = settings.loss
-    held *= (1 - p) / (1 - p * np.exp(-1j * omega * period_s))
-    if settings.jitter_s:
-        # Set-points stay in order, so that one that is overtaken waits.
-        sent_s = period_s * np.arange(400_000)
-        late_s = np.random.default_rng(1).exponential(settings.jitter_s, len(sent_s))
-        late_s = np.maximum.accumulate(sent_s + late_s) - sent_s
-        held *= np.array([np.mean(np.exp(-1j * one * late_s)) for one in omega])
-    return held
-
-
 class Plant:
     """The node. A heap holds what is on its way, so that one thread does everything."""
 
@@ -142,16 +110,15 @@ class Plant:
         }
         self._coming: list[tuple[float, int, Callable[[], None]]] = []
         self._last_s = {"in": 0.0, "out": 0.0}
-        self._count = self._order = 0
+        self._heard = 0
+        self._count = 0
         self._killed = False
-        self.heard: dict[str, int] = {}
-        qos = QoSProfile(depth=10, reliability=ReliabilityPolicy[settings.reliability.upper()])
-        self._node.create_subscription(
-            _type(settings.command),
-            "command",
-            lambda m: self._later("in", lambda: self._hear(m)),
-            qos,
-        )
+        self._speeds: dict[str, float] = {}
+        self._goals = {name: settings.start.get(name, 0.0) for name in settings.components}
+        reliability = ReliabilityPolicy[settings.reliability.upper()]
+        # Deep enough for the set-points that come while this process waits for a processor.
+        qos = QoSProfile(depth=200, reliability=reliability)
+        self._node.create_subscription(_type(settings.command), "command", self._hear, qos)
         self._out = self._node.create_publisher(_type(settings.measurement), "measured", qos)
         self._battery = self._node.create_publisher(
             _type("sensor_msgs/msg/BatteryState"), "battery", 1
@@ -193,38 +160,52 @@ class Plant:
             while self._coming and self._coming[0][0] <= now_s:
                 heapq.heappop(self._coming)[2]()
             if now_s >= due_s:
-                self._measure(now_s)
+                self._take_all()
+                self._measure(time.monotonic())
                 due_s = max(due_s + period_s, now_s - period_s)
         self._executor.shutdown()
         self._node.destroy_node()
         self._context.try_shutdown()
 
-    def _later(self, way: str, act: Callable[[], None]) -> None:
-        """Let the link deliver a message late, in order, or not at all."""
-        settings, now_s = self.settings, time.monotonic()
-        if settings.loss and self._rng.random() < settings.loss:
-            return
-        late_s = self._rng.exponential(settings.jitter_s) if settings.jitter_s else 0.0
-        at_s = self._last_s[way] = max(self._last_s[way], now_s + late_s)
-        if late_s == 0.0:
-            act()
-            return
-        self._order += 1
-        heapq.heappush(self._coming, (at_s, self._order, act))
+    def _take_all(self) -> None:
+        """Take the set-points that have been sent, so that the robot has moved by them."""
+        heard = -1
+        while heard != self._heard:
+            heard = self._heard
+            self._executor.spin_once(timeout_sec=0)
 
-    def _hear(self, message: Any) -> None:
-        if self._killed:
+    def _arrives_s(self, way: str, sent_s: float) -> float | None:
+        """Return when the link delivers a message, in order; None if never."""
+        settings = self.settings
+        if settings.loss and self._rng.random() < settings.loss:
+            return None
+        late_s = 2 * settings.jitter_s * self._rng.random()
+        self._last_s[way] = max(self._last_s[way], sent_s + late_s)
+        return self._last_s[way]
+
+    def _hear(self, message: Any, info: Any) -> None:
+        self._heard += 1
+        # When it was sent, and not when this process got a processor to take it.
+        sent_s = time.monotonic() - 1e-9 * (time.time_ns() - info["source_timestamp"])
+        at_s = self._arrives_s("in", sent_s)
+        if at_s is None or self._killed:
             return
-        now_s = time.monotonic()
+        if self.settings.command.endswith(("/Twist", "/TwistStamped")):
+            twist = getattr(message, "twist", message)
+            self._speeds = {"x": twist.linear.x, "y": twist.linear.y, "yaw": twist.angular.z}
+            return
         for name, value in _commanded(message, self.settings.command).items():
             if name in self._loops:
-                self._loops[name].command(value, now_s)
+                self._loops[name].command(value, at_s)
 
     def _measure(self, now_s: float) -> None:
         self._count += 1
         settings, count = self.settings, self._count
         if settings.falls_silent_after is not None and count > settings.falls_silent_after:
             return
+        for name, speed in self._speeds.items():  # its set-point moves as a Twist says
+            self._goals[name] += speed / settings.rate_hz
+            self._loops[name].command(self._goals[name], now_s)
         values = {
             name: loop.output(now_s) + settings.noise_std * self._rng.standard_normal()
             for name, loop in self._loops.items()
@@ -233,10 +214,12 @@ class Plant:
         stamp_ns += round((settings.clock_rate - 1) * (time.monotonic_ns() % 10**12))
         if settings.publishes_clock:
             stamp_ns = time.monotonic_ns()
-        if settings.goes_back_after is not None and count > settings.goes_back_after:
+        if settings.goes_back_every is not None and count // settings.goes_back_every % 2:
             stamp_ns -= 1_000_000_000
         message = _measured(self._new, settings, values, stamp_ns if settings.stamped else 0)
-        self._later("out", lambda: self._out.publish(message))
+        at_s = self._arrives_s("out", now_s)
+        if at_s is not None:
+            heapq.heappush(self._coming, (at_s, count, lambda: self._out.publish(message)))
         if self._clock is not None:
             tick = self._new("rosgraph_msgs/msg/Clock")
             tick.clock.sec, tick.clock.nanosec = divmod(stamp_ns, 10**9)

@@ -41,12 +41,14 @@ class Setting:
 class Outcome:
     """A method on one fleet, round by round; each of `regret` and `robot_time_s` has one per round.
 
-    `confidence` is what was claimed in the end, None where a method claims nothing.
+    `confidence` is what was claimed in the end, None where a method claims nothing; `held` says of
+    each source whether the interval of its ψ* holds it.
     """
 
     regret: list[float]
     robot_time_s: list[float]
     confidence: float | None
+    held: list[bool]
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,8 @@ class Row:
     claimed_mean: float | None
     claims: int
     claims_right: float | None
+    intervals: int
+    intervals_held: float | None
 
 
 def outcomes_of(
@@ -81,6 +85,7 @@ def outcomes_of(
             regret=[fleet.regret(step.selected) for step in trace.steps],
             robot_time_s=[step.robot_time_s for step in trace.steps],
             confidence=trace.steps[-1].confidence,
+            held=trace.held,
         )
     return found
 
@@ -93,6 +98,7 @@ def rows_of(fleets: Sequence[dict[str, Outcome]]) -> list[Row]:
         outcomes = [fleet[method] for fleet in fleets]
         right, times = _by_round(outcomes)
         last = np.array([outcome.regret[-1] for outcome in outcomes])
+        held = [float(one) for outcome in outcomes for one in outcome.held]
         claimed = [o for o in outcomes if o.confidence is not None]
         sure = [o for o in claimed if o.confidence is not None and o.confidence >= CLAIM]
         rows.append(
@@ -107,6 +113,8 @@ def rows_of(fleets: Sequence[dict[str, Outcome]]) -> list[Row]:
                 claimed_mean=_mean([o.confidence or 0.0 for o in claimed]),
                 claims=len(sure),
                 claims_right=_mean([float(o.regret[-1] < RIGHT_BELOW) for o in sure]),
+                intervals=len(held),
+                intervals_held=_mean(held),
             )
         )
     return rows
@@ -128,9 +136,13 @@ def show(setting: Setting, rows: Sequence[Row], fleets: int) -> None:
             f"  {_time(row.robot_time_as_default_s):>15}   {claimed:>7}  {claims}"
         )
     at = {row.method: row for row in rows}
-    if "oracle" in at:
-        times = at["default"].robot_time_s / at["oracle"].robot_time_s
-        print(f"  the default needs {times:.2f} times the oracle's robot-seconds", flush=True)
+    ours_s, held = at["default"].robot_time_s, at["default"].intervals_held
+    if held is not None:
+        print(f"  {held:.3f} of {at['default'].intervals} intervals of ψ* hold it")
+    for other, called in (("oracle", "the oracle's"), ("long-multitone", "the long test's")):
+        if other in at:
+            times = ours_s / at[other].robot_time_s
+            print(f"  the default needs {times:.2f} times {called} robot-seconds", flush=True)
     if "algorithm-1" not in at:
         return
     ours, paper = at["default"].robot_time_as_default_s, at["algorithm-1"].robot_time_as_default_s

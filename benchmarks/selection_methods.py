@@ -45,6 +45,8 @@ class Trace:
     steps: list[Step] = field(default_factory=list)
     eliminated: int = 0
     stopped_because: str = ""
+    held: list[bool] = field(default_factory=list)
+    """Whether the interval of each source's ψ* holds it, after the last round."""
 
 
 def paper(fleet: Fleet, rng: np.random.Generator) -> Trace:
@@ -86,6 +88,9 @@ def follow(study: Study, fleet: Fleet) -> Trace:
             break
         trace.steps.append(Step(report.selected, report.confidence, robot_time_s))
         trace.eliminated = len(report.eliminated)
+        trace.held = [
+            one.psi_low <= fleet.psi_star[one.robot] <= one.psi_high for one in report.ranking
+        ]
         trace.stopped_because = report.stopped_because or ""
     return trace
 

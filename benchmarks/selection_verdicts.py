@@ -43,7 +43,14 @@ FASTEST_RAD_S = (1.5, 5.0)
 LAPS = 3
 """Number of laps; the last one is measured, when even lightly damped transients have decayed."""
 
-LINEAR = ("second-order", "lightly-damped", "flexible", "gain-and-delay", "low-resonance")
+LINEAR = (
+    "second-order",
+    "lightly-damped",
+    "flexible",
+    "gain-and-delay",
+    "low-resonance",
+    "low-resonance-10-s",
+)
 
 
 @dataclass(frozen=True)

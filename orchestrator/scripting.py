@@ -68,8 +68,9 @@ def rank(
         sources: Names of the robots that have experience; None for all but the target.
         band_rad_s: Lower and upper end of the operating band; None for that of the fleet file, or
             the band that all robots accept.
-        axis: Name of the axis to test; None for the target's first.
-        axes: Names of several axes to test together, or `all` alone; None for `axis`.
+        axis: Name of the only axis to test; None for `axes`.
+        axes: Names of the axes to test together; None for all that the robots have in common, or,
+            with the paper's algorithm, for the target's first.
         iterations: Limit on the number of rounds of tests.
         precision: Width of the selected source's 95 % interval to continue to; None for any.
         amplitude: Amplitude of the task in the unit of the axis; None for what each robot chooses.

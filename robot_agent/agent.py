@@ -12,7 +12,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -72,11 +72,13 @@ class Agent:
         realtime: float | None,
         state_folder: Path | None = None,
         policy: RobotPolicy | None = None,
+        prompt: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
         """Prepare the agent; nothing is connected before the context is entered.
 
         Args:
-            session: Session for this robot alone, so that losing it affects no other robot.
+            session: Session of this robot; a real one's serves it alone, so that losing the session
+                affects no other robot.
             keys: Keys of the robot's fleet.
             name: Name of the robot.
             robot: The robot's driver, disconnected.
@@ -86,6 +88,7 @@ class Agent:
                 models); None to keep nothing.
             policy: What the robot's fleet file lets others have it do; None for what a file says
                 that does not mention it.
+            prompt: Context in which the robot moves, on the thread that moves it.
 
         Raises:
             MemoryFolderError: A learned model in the state folder is damaged.
@@ -97,6 +100,7 @@ class Agent:
         self._realtime = realtime
         self._state_folder = state_folder
         self._policy = policy or RobotPolicy()
+        self._prompt = prompt
         self._boot_id = uuid.uuid4().hex
         self._rivals = Rivals(name, self._boot_id, time.monotonic)
         self._freezes = Freezes(time.monotonic())
@@ -229,6 +233,7 @@ class Agent:
             samples,
             path_samples,
             realtime=self._realtime,
+            prompt=self._prompt,
             foretold=self._forecasts.foretold,
             hindrance=self._frozen,
         )

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 
 import numpy as np
@@ -61,6 +62,7 @@ class MotionWorker:
         tracking: Publisher,
         *,
         realtime: float | None,
+        prompt: Callable[[], AbstractContextManager[None]] = nullcontext,
         foretold: Callable[[Tracking], PredictedError | None] = lambda motion: None,
         hindrance: Callable[[], str | None] = lambda: None,
     ) -> None:
@@ -73,6 +75,8 @@ class MotionWorker:
         self._telemetry = telemetry
         self._tracking = tracking
         self._realtime = realtime
+        self._prompt = prompt
+        self._late_before = 0
         self._jobs: queue.SimpleQueue[Assignment | Future[Message] | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._performing: tuple[Assignment, Performance | None] | None = None
@@ -167,6 +171,7 @@ class MotionWorker:
         with self._lock:
             if self._performing is None:
                 return  # the driver hung before this goal's turn came, which has been reported
+        self._late_before = self._robot.late_samples
         nothing = _nothing(assignment, self._robot)
         steps = partial(self._performed, assignment)
         played = make(self._sortie.move(assignment.switch, self._hindrance, nothing, steps))
@@ -192,6 +197,7 @@ class MotionWorker:
             response=played.samples.response,
             timing=played.samples.timing,
             details=played.samples.details,
+            late_samples=self._robot.late_samples - self._late_before,
         )
         self._decisions.ended(result, played.fault)
 
@@ -201,12 +207,13 @@ class MotionWorker:
         with self._lock:
             if self._performing is not None:  # it is if the driver hung in its `begin`
                 self._performing = (assignment, performance)
-        played = yield from performed(
-            self._robot,
-            performance,
-            assignment.switch,
-            on_resting=self._decisions.resting,
-        )
+        with self._prompt():
+            played = yield from performed(
+                self._robot,
+                performance,
+                assignment.switch,
+                on_resting=self._decisions.resting,
+            )
         telemetry.flush()
         if isinstance(assignment.plan, ExcitationPlan) and played.outcome is Outcome.COMPLETED:
             self._learn_from_test(assignment.plan, played.samples)

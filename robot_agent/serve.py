@@ -6,7 +6,7 @@ import gc
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import click
 import numpy as np
 
 from nufleet.robot_agent.agent import Agent
+from nufleet.robot_agent.motion.promptness import Promptness
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.errors import FleetFileError, NufleetError, RobotError
 from nufleet.shared.interrupts import Interrupts
@@ -22,6 +23,7 @@ from nufleet.shared.redaction import without_secrets
 from nufleet.shared.robots.drivers import load_driver, settings_of, shared_thing
 from nufleet.shared.robots.fleet_file import FleetFile, read_fleet_file
 from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.session import Session
 from nufleet.shared.wire.transport import open_client
 
 LANDING = "landing: the robots are coming to rest, and then this process ends by itself"
@@ -78,7 +80,8 @@ def serve(
 ) -> None:
     """Serve robots until the process is interrupted or, on request, standard input closes.
 
-    Each robot has a session of its own, so that losing one session affects no other robot. Once the
+    Each real robot has a session of its own, so that losing one session affects no other robot.
+    Simulated robots with the same address share one, since every session has its own cost. Once the
     shutdown has begun it cannot be interrupted again: it lasts until every robot is at rest, or was
     found not to come to rest.
 
@@ -100,24 +103,22 @@ def serve(
     keys = FleetKeys(fleet.name)
     with (
         Interrupts(LANDING) as interrupts,
-        ExitStack() as sessions,
+        ExitStack() as opened,
         closed_together() as agents,
     ):
+        sessions, promptness = Sessions(opened, ended), Promptness()
         try:
             for name, robot in robots.items():
-                session = sessions.enter_context(
-                    open_client(addresses[name], timeout_s=None, given_up=ended)
-                )
-                session.check_admitted()
                 own = state_folder / fleet.name / name
                 agent = Agent(
-                    session,
+                    sessions.session(addresses[name], shared=robot.spec.simulated),
                     keys,
                     name,
                     robot,
                     realtime=realtime,
                     state_folder=own,
                     policy=fleet.robots[name],
+                    prompt=nullcontext if robot.spec.simulated else promptness.motion,
                 )
                 agents.append(agent.__enter__())
             at = ", ".join(sorted({without_secrets(address) for address in addresses.values()}))
@@ -128,6 +129,35 @@ def serve(
             ended.wait()
         finally:
             interrupts.hold()
+
+
+class Sessions:
+    """The sessions of one process, opened when the first robot needs them."""
+
+    def __init__(self, opened: ExitStack, given_up: threading.Event) -> None:
+        """Open none yet.
+
+        Args:
+            opened: Stack on which they are closed.
+            given_up: Event that ends the attempts to reach a router.
+        """
+        self._opened, self._given_up = opened, given_up
+        self._shared: dict[str, Session] = {}
+
+    def session(self, address: str, *, shared: bool) -> Session:
+        """Return a session at an address, which all share that may.
+
+        Raises:
+            NoRouterError: No router answers, or it does not list the identity.
+        """
+        if shared and address in self._shared:
+            return self._shared[address]
+        session = open_client(address, timeout_s=None, given_up=self._given_up)
+        entered = self._opened.enter_context(session)
+        entered.check_admitted()
+        if shared:
+            self._shared[address] = entered
+        return entered
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -22,9 +22,22 @@ SETTLED = 1e-3
 """Share to which the slowest mode has decayed when a transient counts as negligible."""
 
 REST = 1e-3
-"""Largest position in m and speed in m/s at rest."""
+"""Largest position in m or rad, and its change per second, at rest."""
 
 Values = Annotated[tuple[Positive, ...], Field(min_length=1, max_length=8)]
+
+
+class AxisLimits(Strict):
+    """Unit of an axis, and its limits on frequency tests."""
+
+    unit: Literal["m", "rad"] = "m"
+    """Unit of its position."""
+    amplitude_max: Positive
+    """Largest amplitude, in its unit."""
+    velocity_max: Positive
+    """Largest velocity of the reference, in its unit per second."""
+    acceleration_max: Positive
+    """Largest acceleration of the reference, in its unit per second squared."""
 
 
 class CoupledLoopsSettings(Strict):
@@ -39,7 +52,10 @@ class CoupledLoopsSettings(Strict):
     coupling: tuple[float, ...] = ()
     """Entries of M above its diagonal, row by row; none for loops that are not coupled."""
     axes: Annotated[tuple[Name, ...], Field(min_length=1, max_length=8)] = ("x", "y")
-    """Names of the axes, which move in m."""
+    """Names of the axes, which move in m unless `limits` says otherwise."""
+    limits: dict[Name, AxisLimits] = {}  # noqa: RUF012 (pydantic copies it)
+    """Unit and limits of single axes, by axis, in place of those below. A robot whose axes differ
+    in their units takes frequency tests only, and no paths."""
     alone: tuple[Name, ...] = ()
     """Axes that may not move at the same time as another in a test."""
     noise_std_m: NonNegative = 0.0
@@ -68,9 +84,23 @@ class CoupledLoopsSettings(Strict):
         pairs = count * (count - 1) // 2
         if len(self.coupling) not in (0, pairs):
             raise ValueError(f"coupling needs {pairs} values, one for each pair of axes")
+        if unknown := set(self.limits) - set(self.axes):
+            raise ValueError(
+                f"limits of {', '.join(sorted(unknown))}, which are not among the axes"
+            )
         if np.linalg.eigvalsh(self.inertia)[0] < 1e-3:
             raise ValueError("the inertia matrix is not positive definite: couple the axes less")
         return self
+
+    @property
+    def axis_limits(self) -> tuple[AxisLimits, ...]:
+        """Unit and limits of every axis."""
+        usual = AxisLimits(
+            amplitude_max=self.amplitude_max_m,
+            velocity_max=self.velocity_max_m_s,
+            acceleration_max=self.acceleration_max_m_s2,
+        )
+        return tuple(self.limits.get(axis, usual) for axis in self.axes)
 
     @property
     def inertia(self) -> FloatArray:
@@ -139,10 +169,10 @@ def _spec_of(settings: CoupledLoopsSettings) -> RobotSpec:
         axes=tuple(
             AxisSpec(
                 name=name,
-                unit="m",
-                amplitude_max=settings.amplitude_max_m,
-                velocity_max=settings.velocity_max_m_s,
-                acceleration_max=settings.acceleration_max_m_s2,
+                unit=limits.unit,
+                amplitude_max=limits.amplitude_max,
+                velocity_max=limits.velocity_max,
+                acceleration_max=limits.acceleration_max,
                 together=name not in settings.alone,
                 model=LinearModel(
                     a=a,
@@ -151,7 +181,9 @@ def _spec_of(settings: CoupledLoopsSettings) -> RobotSpec:
                     sample_time_s=settings.sample_time_s,
                 ),
             )
-            for place, name in enumerate(settings.axes)
+            for place, (name, limits) in enumerate(
+                zip(settings.axes, settings.axis_limits, strict=True)
+            )
         ),
         sample_time_s=settings.sample_time_s,
         omega_min_rad_s=settings.omega_min_rad_s,
@@ -159,7 +191,9 @@ def _spec_of(settings: CoupledLoopsSettings) -> RobotSpec:
         duration_max_s=settings.duration_max_s,
         settling_time_s=math.ceil(math.log(SETTLED) / math.log(slowest)) * settings.sample_time_s,
         simulated=True,
-        tracking=TrackingLimits(
+        tracking=None
+        if len({limits.unit for limits in settings.axis_limits}) > 1
+        else TrackingLimits(
             position_max=2 * settings.amplitude_max_m,
             speed_max=settings.velocity_max_m_s,
             acceleration_max=settings.acceleration_max_m_s2,

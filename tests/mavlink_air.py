@@ -8,6 +8,8 @@ import numpy as np
 
 from nufleet.robot_agent.drivers.mavlink.robot import MavlinkRobot
 from nufleet.robot_agent.drivers.mavlink.settings import MavlinkSettings
+from nufleet.robot_agent.robot import RobotAround
+from nufleet.shared.robots.spec import RobotSpec
 from nufleet.sims.mavlink_vehicle.vehicle import SimulatedVehicle, VehicleSettings
 from nufleet.sims.mavlink_vehicle.virtual_line import LinkSettings, VirtualClock, VirtualLine
 
@@ -24,6 +26,14 @@ def settings(**changes: object) -> MavlinkSettings:
     """A vehicle with the axes x and y."""
     given = {"profile": "px4", "url": "udpin://127.0.0.1:14540", "axes": X_AND_Y, **changes}
     return MavlinkSettings.model_validate(given, strict=False)
+
+
+class Unpaced(RobotAround):
+    """A robot on a virtual clock, which agents need not watch for gaps in real time."""
+
+    @property
+    def spec(self) -> RobotSpec:
+        return self._robot.spec.model_copy(update={"simulated": True})
 
 
 @dataclass

@@ -1,4 +1,4 @@
-"""Knowledge of one robot's response on several axes, each by itself and across."""
+"""Knowledge of one robot's response on all tested axes, each by itself and across."""
 
 from __future__ import annotations
 
@@ -12,10 +12,8 @@ import numpy as np
 from nufleet.orchestrator.belief.cross_response import CrossModel
 from nufleet.orchestrator.belief.loop_fit import Tones
 from nufleet.orchestrator.belief.noise_pooling import pooled_variance
-from nufleet.orchestrator.belief.response_belief import ResponseModel
 from nufleet.orchestrator.belief.robot_knowledge import VARIANCE_MIN, RobotKnowledge
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.frequency_test.excitation import Excitation
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.frequency_test.matrix_response import MatrixResponse
 from nufleet.shared.robots.spec import RobotSpec
@@ -61,7 +59,7 @@ class _Cross:
 
 
 class AxesKnowledge:
-    """The knowledge of one robot that tests of several axes have provided."""
+    """The knowledge of one robot that tests of one or several axes have provided."""
 
     def __init__(
         self, robot: str, spec: RobotSpec, omega_max_rad_s: float, axes: Sequence[str]
@@ -78,7 +76,7 @@ class AxesKnowledge:
         self._omega_max_rad_s = omega_max_rad_s
         self.axes = {
             axis: RobotKnowledge(
-                f"{robot}, axis {axis}",
+                robot if len(axes) == 1 else f"{robot}, axis {axis}",
                 spec.model_copy(update={"axes": (spec.axis(axis),)}),
                 omega_max_rad_s,
             )
@@ -86,40 +84,54 @@ class AxesKnowledge:
         }
         """Knowledge of each axis's response to its own reference, by axis."""
         self.responses: list[FrequencyResponse] = []
-        self._crosses = {pair: _Cross(None, None) for pair in permutations(axes, 2)}
+        self._crosses: dict[tuple[str, str], _Cross] = {}
 
     def learn(
-        self, test: Excitation, response: FrequencyResponse, rng: np.random.Generator
+        self, response: FrequencyResponse, rng: np.random.Generator, *, check: bool = True
     ) -> None:
-        """Learn a test's usable estimates on all axes that it played.
+        """Learn the usable estimates of a test or flight on all compared axes that it played.
 
         Args:
-            test: Excitation that was requested.
-            response: Response that it measured.
+            response: Response that it measured; where it does not name its axis, there is only
+                one.
             rng: Generator that draws the responses expected from the earlier tests.
+            check: Whether to look for contradictions; see `RobotKnowledge.learn`.
+
+        Raises:
+            InvalidInputError: The test has no usable estimate.
         """
         self.responses.append(response)
-        for place, played in enumerate(test.played):
-            matrix = response.matrix
-            own = response if matrix is None else matrix.entry(place, place)
-            self.axes[played.axis].learn(own, rng)
-        if response.matrix is not None:
-            self._crosses = {pair: self._crossed(*pair) for pair in self._crosses}
+        self._crosses.clear()
+        for axis, known in self.axes.items():
+            own = self.own(response, axis)
+            if own is not None:
+                known.learn(own, rng, check=check)
+
+    def own(self, response: FrequencyResponse, axis: str) -> FrequencyResponse | None:
+        """Return what a response of the robot says of one axis; None if it does not play it."""
+        if response.axis is None and response.matrix is None:
+            return response if len(self.axes) == 1 else None
+        return response.own_entries.get(axis)
 
     @property
     def tests(self) -> int:
-        """Number of tests of the robot."""
+        """Number of tests and flights of the robot."""
         return len(self.responses)
+
+    @property
+    def flown_only(self) -> bool:
+        """Whether all that is known of one of its axes comes from flights."""
+        return any(known.flown_only for known in self.axes.values())
+
+    @property
+    def flight_doubt(self) -> float:
+        """Largest variance by which flights missed tests on an axis."""
+        return max(known.flight_doubt for known in self.axes.values())
 
     @property
     def unseen(self) -> tuple[str, ...]:
         """Axes that no test has played."""
         return tuple(axis for axis, known in self.axes.items() if not known.tests)
-
-    @property
-    def model(self) -> tuple[ResponseModel, ...]:
-        """The belief about every axis that was tested, in the order of the axes."""
-        return tuple(known.model for known in self.axes.values() if known.tests)
 
     @property
     def settling_time_s(self) -> float:
@@ -141,7 +153,7 @@ class AxesKnowledge:
         for known in self.axes.values():
             known.forget()
         self.responses = []
-        self._crosses = dict.fromkeys(self._crosses, _Cross(None, None))
+        self._crosses.clear()
 
     @property
     def doubted(self) -> bool:
@@ -161,12 +173,19 @@ class AxesKnowledge:
             output: Axis that answers.
             reference: Axis that is asked.
         """
-        return self._crosses[output, reference].model
+        return self._cross(output, reference).model
 
     @property
     def couplings(self) -> tuple[Coupling, ...]:
         """The strongest answer of each axis to each other one, where it exceeds the noise."""
-        return tuple(one.coupling for one in self._crosses.values() if one.coupling is not None)
+        crosses = [self._cross(*pair) for pair in permutations(self.axes, 2)]
+        return tuple(one.coupling for one in crosses if one.coupling is not None)
+
+    def _cross(self, output: str, reference: str) -> _Cross:
+        pair = output, reference
+        if pair not in self._crosses:
+            self._crosses[pair] = self._crossed(*pair)
+        return self._crosses[pair]
 
     def _crossed(self, output: str, reference: str) -> _Cross:
         tones, significant = [], False

@@ -308,13 +308,9 @@ class RobotKnowledge:
                 tones.variance + doubt for tones, doubt in zip(self._tones, doubts, strict=True)
             ]
             # A doubt is the same in every test, so that their number must not average it away.
-            played = [one.flight is None for one in self.responses]
+            played = zip(self._tones, doubts, self.responses, strict=True)
             common = CommonError.of_tests(
-                [
-                    (t.omega_rad_s, doubt)
-                    for t, doubt, of_test in zip(self._tones, doubts, played, strict=True)
-                    if of_test
-                ]
+                [(t.omega_rad_s, doubt) for t, doubt, one in played if one.flight is None]
             )
             tones = Tones(
                 self.omega_rad_s,
@@ -384,7 +380,9 @@ class RobotKnowledge:
     def _changed(self, new: Tones, miss: _Miss, flight: Flight | None) -> float:
         """Return the variance to add to all tests if a new one contradicts the earlier ones."""
         tests_only = all(one.flight is None for one in self.responses)
-        depends = "on time or on the tones" if tests_only else "on the amplitude or on time"
+        depends = "on the amplitude or on time"
+        if tests_only:
+            depends = "on time or on the tones; if it has changed, test again without --reuse"
         self._find(
             f"its response changed between {self._motions(flight)}, by {miss.worst:.3g} at "
             f"{miss.worst_rad_s:.4g} rad/s: it depends {depends}"

@@ -48,12 +48,15 @@ from nufleet.orchestrator.cli.types import (
     help="Robots that have experience.  [default: all but the target]",
 )
 @band_option("Operating band")
-@click.option("--axis", help="Axis to test.  [default: the target's first]")
+@click.option("--axis", metavar="NAME", help="Only axis to test.")
 @click.option(
     "--axes",
     type=Names(),
     metavar="NAME,NAME",
-    help="Axes to test together, or `all`; sources are compared by their worst axis.",
+    help=(
+        "Axes to test together; sources are compared by their worst axis.  [default: `all` that "
+        "the robots have in common; with --algorithm paper, the target's first]"
+    ),
 )
 @click.option(
     "--iterations",

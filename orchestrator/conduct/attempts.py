@@ -25,7 +25,7 @@ from nufleet.shared.frequency_test.frequency_response import (
     estimate_frequency_response,
 )
 from nufleet.shared.frequency_test.quality import Quality
-from nufleet.shared.frequency_test.timing import timing_findings
+from nufleet.shared.frequency_test.timing import late_findings, timing_findings
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import GoalResult, Outcome
 
@@ -81,9 +81,12 @@ def estimated(result: GoalResult) -> FrequencyResponse:
     """Return the frequency response estimated from the samples of a complete test."""
     plan = result.test_plan
     response = estimate_frequency_response(result.reference, result.response, plan)
-    if result.timing is None:
+    found = [*late_findings(result.late_samples, plan.samples)]
+    if result.timing is not None:
+        found += timing_findings(result.timing, plan.sample_time_s)
+    if not found:
         return response
-    warnings = (*response.quality.warnings, *timing_findings(result.timing, plan.sample_time_s))
+    warnings = (*response.quality.warnings, *found)
     quality = response.quality.model_copy(update={"warnings": warnings})
     return replace(response, quality=quality)
 

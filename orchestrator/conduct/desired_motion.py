@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from nufleet.orchestrator.flights.legs import Leg, legs_of
@@ -66,43 +67,70 @@ def _speed(drawing: TimedPath, spec: RobotSpec, axis: str) -> float:
     return most if spec.tracking is None else min(most, spec.tracking.speed_max)
 
 
-def desired_motion(drawing: TimedPath, spec: RobotSpec, axis: str) -> DesiredMotion:
+def axes_along(drawing: TimedPath, spec: RobotSpec, axes: Sequence[str]) -> tuple[str, ...]:
+    """Return the axes to test for a drawing: those that fly it, or the first where one is lacking.
+
+    Args:
+        drawing: Drawing to be flown.
+        spec: Spec of the target.
+        axes: Names of all axes that can be compared.
+    """
+    flown = spec.axes[: drawing.points.shape[1]]
+    comparable = all(axis.name in axes and axis.unit == "m" for axis in flown)
+    return tuple(axis.name for axis in flown) if comparable else tuple(axes[:1])
+
+
+def desired_motion(drawing: TimedPath, spec: RobotSpec, axes: Sequence[str]) -> DesiredMotion:
     """Return the spectrum of a drawing's motion when the target flies it.
 
-    The power of both axes of the drawing is summed, because their responses are assumed to be
-    similar, as in the paper (Sec. VI-B).
+    The first axes of the target fly the drawing's, and each of several tested axes has its own
+    spectrum. Where a single axis is tested, the power of both axes of the drawing is summed,
+    because their responses are assumed to be similar, as in the paper (Sec. VI-B).
 
     Args:
         drawing: Drawing to be flown, and its speed.
-        spec: Spec of the target, whose axis limits the speed (m/s) and acceleration (m/s²).
-        axis: Name of the axis under test.
+        spec: Spec of the target, whose axes limit the speed (m/s) and acceleration (m/s²).
+        axes: Names of the axes under test.
 
     Raises:
-        InvalidInputError: The axis does not move in m, or the drawing cannot be flown.
+        InvalidInputError: An axis does not move in m, none of several moves along the drawing, or
+            the drawing cannot be flown.
     """
-    limits = spec.axis(axis)
-    if limits.unit != "m":
+    axis, *also = axes
+    for name in axes:
+        if spec.axis(name).unit != "m":
+            raise InvalidInputError(
+                f"a drawing is in m, and axis {name} of the target moves in "
+                f"{spec.axis(name).unit}: leave --trajectory out"
+            )
+    flown = [one.name for one in spec.axes[: drawing.points.shape[1]]]
+    if also and not set(flown) <= set(axes):
         raise InvalidInputError(
-            f"a drawing is in m, and axis {axis} of the target moves in {limits.unit}: "
-            "leave --trajectory out"
+            f"axes {', '.join(flown)} of the target move along a drawing, and "
+            f"{', '.join(axes)} would be tested: test all of them, or one with --axis"
         )
-    speed_m_s = _speed(drawing, spec, axis)
+    limits, speed_m_s = spec.axis(axis), _speed(drawing, spec, axis)
     positions = travel(drawing.points, speed_m_s, limits.acceleration_max, spec.sample_time_s)
     spectrum = spectrum_of(positions, spec.sample_time_s)
+    told_apart = spectrum.by_column if also else None
     return DesiredMotion(
         name=f"{drawing.name} at {speed_m_s:g} m/s",
         omega_rad_s=tuple(spectrum.omega_rad_s.tolist()),
         power=tuple(spectrum.power.tolist()),
+        power_by_axis={}
+        if told_apart is None
+        else {name: tuple(power.tolist()) for name, power in zip(flown, told_apart.T, strict=True)},
     )
 
 
 def amplitude_of(motion: DesiredMotion) -> float:
-    """Return the amplitude in m of a sinusoid as large as one of the two axes of a motion.
+    """Return the amplitude in m of a sinusoid as large as a motion on one of its axes.
 
-    Each axis has half of the motion's power, and a sinusoid's power is half of its amplitude
-    squared.
+    A sinusoid's power is half of its amplitude squared. Each of the two axes of a drawing counts as
+    half of its power where they are not told apart, and otherwise the one that moves most.
 
     Args:
         motion: Spectrum of the motion.
     """
-    return math.sqrt(sum(motion.power))
+    each = [sum(power) for power in motion.power_by_axis.values()]
+    return math.sqrt(2 * max(each, default=sum(motion.power) / 2))

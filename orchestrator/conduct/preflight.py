@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.shared.errors import InvalidInputError
@@ -11,7 +11,7 @@ from nufleet.shared.robots.spec import AxisSpec
 from nufleet.shared.wire.messages import Description
 
 ALL_AXES = "all"
-"""Word for all axes of the target, on the command line."""
+"""Word for all axes of the target that the sources have, too, on the command line."""
 
 
 def check_band(band_rad_s: tuple[float, float]) -> None:
@@ -59,12 +59,16 @@ def check_robots(robots: tuple[str, ...], there: tuple[str, ...]) -> None:
         raise InvalidInputError("no robot is there; start some with `nufleet fleet up FLEET`")
 
 
-def chosen_axes(axes: tuple[str, ...] | None, target: Description) -> tuple[str, ...]:
-    """Return the axes to test: those requested, all that the target has, or its first for None.
+def chosen_axes(
+    axes: tuple[str, ...] | None, target: Description, others: Iterable[Description] = ()
+) -> tuple[str, ...]:
+    """Return the axes to test: those requested, all that can be compared, or the first for None.
 
     Args:
-        axes: Names of the axes; the single name `all` stands for all axes of the target.
+        axes: Names of the axes; the single name `all` stands for all axes of the target that every
+            other robot has, too, in the same unit, or for the first where there is none.
         target: Description of the target.
+        others: Descriptions of the other robots.
 
     Raises:
         InvalidInputError: An axis is named twice.
@@ -74,11 +78,43 @@ def chosen_axes(axes: tuple[str, ...] | None, target: Description) -> tuple[str,
         return names[:1]
     if len(set(axes)) != len(axes):
         raise InvalidInputError(f"an axis is named twice in {', '.join(axes)}")
-    return names if axes == (ALL_AXES,) and ALL_AXES not in names else axes
+    if axes != (ALL_AXES,) or ALL_AXES in names:
+        return axes
+    lacking = {axis for other in others for axis in _lacking(target, other)}
+    return tuple(axis for axis in names if axis not in lacking) or names[:1]
+
+
+def axes_left_out(plan: StudyPlan, descriptions: Mapping[str, Description]) -> tuple[str, ...]:
+    """Return in words which axes of the target are not compared, since a source differs in them."""
+    target = descriptions[plan.target]
+    return tuple(
+        f"axis {axis} is not compared: {source} {why}"
+        for source in plan.sources
+        for axis, why in _lacking(target, descriptions[source]).items()
+        if axis not in plan.axes
+    )
+
+
+def _lacking(target: Description, other: Description) -> dict[str, str]:
+    """Return why axes of the target cannot be compared with another robot's, by axis."""
+    units = {axis.name: axis.unit for axis in other.spec.axes}
+    found = {}
+    for axis in target.spec.axes:
+        if axis.name not in units:
+            found[axis.name] = f"has no such axis, but {', '.join(units)}"
+        elif units[axis.name] != axis.unit:
+            found[axis.name] = f"has it in {units[axis.name]}, and the target in {axis.unit}"
+    return found
 
 
 def check_plan(plan: StudyPlan, descriptions: Mapping[str, Description]) -> None:
-    """Raise InvalidInputError unless every robot can be tested on the axis over the whole band."""
+    """Raise InvalidInputError unless every robot can be tested on all axes over the whole band."""
+    units = [_axis(axis, plan.target, descriptions[plan.target]).unit for axis in plan.axes]
+    if plan.amplitude is not None and len(set(units)) > 1:
+        named = ", ".join(f"{axis} in {unit}" for axis, unit in zip(plan.axes, units, strict=True))
+        raise InvalidInputError(
+            f"one amplitude cannot hold for axes in several units ({named}): choose one with --axis"
+        )
     check_band(plan.band_rad_s)
     low, high = plan.band_rad_s
     for robot in (plan.target, *plan.sources):

@@ -15,11 +15,14 @@ from nufleet.orchestrator.conduct.conductor import Conclusion, RankingObserver, 
 from nufleet.orchestrator.conduct.desired_motion import (
     TimedPath,
     amplitude_of,
+    axes_along,
     desired_motion,
     leg_of,
 )
 from nufleet.orchestrator.conduct.dispatcher import Dispatcher
 from nufleet.orchestrator.conduct.preflight import (
+    ALL_AXES,
+    axes_left_out,
     check_names,
     check_plan,
     check_robots,
@@ -62,7 +65,8 @@ class RankRequest:
     seed: int
     """Seed of the study's random generator."""
     axes: tuple[str, ...] | None
-    """Names of the axes to test; None takes the first axis of the target."""
+    """Names of the axes to test, `all` for all that can be compared; None takes the first axis of
+    the target."""
     drawing: TimedPath | None = None
     """Trajectory to rank for; None ranks by distance over the whole band."""
     precision: float | None = None
@@ -121,13 +125,13 @@ def prepare(
     for robot, spec in away.items():
         if robot in sources:
             descriptions[robot] = Description(robot=robot, boot_id=AWAY, spec=spec)
-    axis, *also = chosen_axes(request.axes, descriptions[request.target])
-    if also:
-        check_combination(request)
     at_target = descriptions[request.target].spec
+    axes = chosen_axes(request.axes, descriptions[request.target], descriptions.values())
     motion = None
     if request.drawing is not None:
-        motion = desired_motion(request.drawing, at_target, axis)
+        if request.axes == (ALL_AXES,):
+            axes = axes_along(request.drawing, at_target, axes)
+        motion = desired_motion(request.drawing, at_target, axes)
     amplitude = request.amplitude
     if amplitude is None and motion is not None:
         amplitude = amplitude_of(motion)
@@ -136,35 +140,17 @@ def prepare(
         sources=sources,
         band_rad_s=request.band_rad_s or _common_band(descriptions.values()),
         iterations=request.iterations,
-        axis=axis,
+        axis=axes[0],
         motion=motion,
         precision=request.precision,
         amplitude=amplitude,
-        also=tuple(also),
+        also=axes[1:],
     )
     check_plan(plan, descriptions)
     if request.drawing is not None and at_target.tracking is not None:
         # A ranking for a path that `nufleet track` would refuse is of no use.
         leg_of(request.drawing, descriptions[request.target])
     return ReadyStudy(plan, descriptions, _closed_form(plan, descriptions))
-
-
-def check_combination(request: RankRequest) -> None:
-    """Refuse what a study of several axes cannot do.
-
-    Raises:
-        InvalidInputError: An option requires a single axis; the message names it.
-    """
-    single = {
-        "--trajectory": request.drawing,
-        "--precision": request.precision,
-        "--amplitude": request.amplitude,
-    }
-    for option, value in single.items():
-        if value is not None:
-            raise InvalidInputError(
-                f"{option} requires a single axis: choose it with --axis, or leave {option} out"
-            )
 
 
 def prepare_again(fleet: Fleet, study: StudyRecord, gone: Collection[str]) -> ReadyStudy:
@@ -238,17 +224,16 @@ def run_study(
     with archive.conducting(study.study_id, dispatcher.interrupt):
         conclusion = conduct(make_study(study, studies), log, dispatcher, everyone)
     report = conclusion.report
-    judgement = Judgement({}, ())
-    if not ready.plan.also:  # a verdict on one axis says nothing about the others
-        judgement = judge_transfers(
-            ready.plan,
-            report.ranking,
-            specs,
-            conclusion.responses,
-            np.random.default_rng(seed),
-        )
-    result = _result(ready.plan, conclusion, judgement, folder).model_copy(
-        update={"stored": stored_responses(studies, recipe_of(study).stored) or None}
+    judgement = judge_transfers(
+        ready.plan, report.ranking, specs, conclusion.responses, np.random.default_rng(seed)
+    )
+    left_out = axes_left_out(ready.plan, ready.descriptions)
+    result = _result(ready.plan, conclusion, judgement, folder)
+    result = result.model_copy(
+        update={
+            "stored": stored_responses(studies, recipe_of(study).stored) or None,
+            "findings": (*left_out, *result.findings),
+        }
     )
     record = RunRecord(
         result=result,
@@ -259,7 +244,11 @@ def run_study(
         closed_form=dict(ready.closed_form),
         wall_time_s=time.monotonic() - began_s,
         responses={
-            robot: tuple(map(ResponseRecord.of, tests))
+            robot: tuple(
+                ResponseRecord.of(own)
+                for test in tests
+                for own in (test.own_entries.values() or (test,))
+            )
             for robot, tests in conclusion.responses.items()
         },
     )

@@ -19,7 +19,6 @@ from nufleet.orchestrator.repository.records import StudyRecord
 from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.algorithms import load_algorithm
-from nufleet.orchestrator.study.axes_study import AxesStudy
 from nufleet.orchestrator.study.interface import Study
 from nufleet.orchestrator.study.paper_algorithm import PaperStudy
 from nufleet.shared.errors import InvalidInputError
@@ -102,8 +101,6 @@ def make_study(record: StudyRecord, studies: StudyStore) -> Study:
             for robot, goal_ids in recipe.stored.items()
         }
         settings = AdaptiveSettings()
-        if record.plan.also:
-            return AxesStudy(record.plan, recipe.specs, rng, settings=settings)
         if record.algorithm == "match":
             settings = replace(settings, first_periods=MATCH_PERIODS)
         return AdaptiveStudy(

@@ -46,7 +46,7 @@ def find_stored(
 ) -> Reuse:
     """Find the sources whose stored responses can replace tests.
 
-    A response is reused if the robot's spec has not changed since, the axis is the same and the
+    A response is reused if the robot's spec has not changed since, it is of one of the axes and the
     band of its study contains the band of this one; that of a flight or log, if it knows part of
     the band, since what is missing is tested. The target is always tested, because the ranking is
     made for its present state.
@@ -64,14 +64,14 @@ def find_stored(
     known: dict[str, tuple[str, ...]] = {}
     unusable: dict[str, str] = {}
     for source in plan.sources:
-        stored = (
-            *repository.studies.responses(fleet, source, plan.axis),
-            *_different(repository.flights.responses(fleet, source, plan.axis)),
-        )
+        stored = _stored(repository, fleet, source, plan.axes, specs[source])
         young = [one for one in stored if one.measured_at >= newer_than]
         fitting = [one for one in young if _fits(one, repository.studies, plan, specs[source])]
-        if fitting:
+        lacking = set(plan.axes).difference(*(one.response.own_entries for one in fitting))
+        if not lacking:
             known[source] = tuple(one.goal_id for one in fitting)
+        elif fitting:
+            unusable[source] = f"none is stored of axis {' and '.join(sorted(lacking))}"
         elif young:
             unusable[source] = "it has changed since then, or was tested over another band"
         elif stored:
@@ -79,6 +79,25 @@ def find_stored(
         else:
             unusable[source] = "none is stored"
     return Reuse(known, unusable)
+
+
+def _stored(
+    repository: Repository, fleet: str, source: str, axes: Sequence[str], spec: RobotSpec
+) -> list[ResponseRecord]:
+    """Return the stored tests of a robot that played one of some axes, and then its flights."""
+    # A test of several axes is stored under the first of them, which may be any of the robot's.
+    tests = [
+        one
+        for first in spec.axes
+        for one in repository.studies.responses(fleet, source, first.name)
+        if not set(axes).isdisjoint(one.response.own_entries)
+    ]
+    flights = [
+        one
+        for axis in axes
+        for one in _different(repository.flights.responses(fleet, source, axis))
+    ]
+    return [*sorted(tests, key=lambda one: (one.measured_at, one.goal_id)), *flights]
 
 
 def check_absent(absent: Sequence[str], reuse: Reuse, fleet: str) -> None:

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 
 from nufleet.orchestrator.experience.learning import FLIGHT_S, Lesson, Say, fly_lessons
@@ -14,7 +13,6 @@ from nufleet.orchestrator.experience.prior_custody import install
 from nufleet.orchestrator.experience.training import train
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.flights.pilot import Pilot
-from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.file import Experience, encode_experience
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.wire.messages import Description
@@ -37,14 +35,6 @@ class Trained:
     """Hash of the experience's file."""
     training_time_s: float
     """Wall time that training and installing took."""
-
-
-def check_torch() -> None:
-    """Raise InvalidInputError unless networks can be trained here."""
-    if find_spec("torch") is None:
-        raise InvalidInputError(
-            "training needs torch: pip install 'nufleet[learning]' beside the orchestrator"
-        )
 
 
 def train_robots(
@@ -77,11 +67,10 @@ def train_robots(
         All experiences, in the order of the robots and then of the architectures.
 
     Raises:
-        InvalidInputError: Torch is not installed.
+        InvalidInputError: A network has to be trained, and torch is not installed.
         StudyError: A robot does not respond to steps, or no horizon can be flown on it.
         RobotError: A flight failed. Errors of the connection are raised as they are.
     """
-    check_torch()
     folder.mkdir(parents=True, exist_ok=True)
 
     def lessons_of(description: Description) -> tuple[Lesson, ...]:

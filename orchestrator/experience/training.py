@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import hashlib
 from dataclasses import dataclass
+from importlib.util import find_spec
 from itertools import pairwise
 from typing import TYPE_CHECKING, Literal
 
@@ -53,6 +54,14 @@ _EVALUATE_EVERY = 20
 _PATIENCE_STEPS = 800
 _LEARNING_RATE = 3e-4
 _WEIGHT_DECAY = 1e-5
+
+
+def check_torch() -> None:
+    """Raise InvalidInputError unless networks can be trained here."""
+    if find_spec("torch") is None:
+        raise InvalidInputError(
+            "training needs torch: pip install 'nufleet[learning]' beside the orchestrator"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +123,8 @@ def train(
         in the unit of γ; without hidden layers if it is linear.
 
     Raises:
-        InvalidInputError: There are fewer pairs than points, some are not finite, or an input or
-            the output never changes.
+        InvalidInputError: There are fewer pairs than points, some are not finite, an input or the
+            output never changes, or a network has to be trained and torch is not installed.
     """
     if len(data.gamma) < points or points < 10 * _BLOCKS:
         raise InvalidInputError(
@@ -144,6 +153,7 @@ def train(
     hidden: tuple[int, ...] = ()
     arrays = {"weight_0": linear[:, np.newaxis].astype(np.float32), "bias_0": np.zeros(1, "f4")}
     if error > LINEAR_ENOUGH:
+        check_torch()
         hidden = ExperienceManifest.model_fields["hidden"].default
         network, error = _fit(linear, scaled, targets, held_back, seed, steps_max)
         arrays = _arrays(network)

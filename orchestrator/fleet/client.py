@@ -55,6 +55,9 @@ FORECAST_TIMEOUT_S = 20.0
 """A robot that has learned something since may first have to work out what it knows of itself."""
 FORECAST_LOOK_S = 0.3
 """Interval between two requests for the same forecast, well within a robot's patience."""
+DESCRIBE_TRIES = 3
+"""How often a robot that is there is asked to describe itself, before it counts as not answering:
+of many robots on a busy machine, one may be late."""
 TELEMETRY_MAX_BYTES = 4 * 2**20
 """Largest batch: the samples that an unpaced simulated robot plays in a tenth of a second."""
 
@@ -195,13 +198,18 @@ class Fleet:
             NoReplyError: The robot does not answer.
             RobotLostError: Several agents answer under this name.
         """
-        try:
-            return self._requests.ask(robot, "describe", DescribeRequest(), Description)
-        except NoReplyError as error:
-            raise NoReplyError(
-                f"robot {robot} does not answer: is its agent running? "
-                "`nufleet fleet status` lists the robots that are there"
-            ) from error
+        tries = 0
+        while True:
+            tries += 1
+            try:
+                return self._requests.ask(robot, "describe", DescribeRequest(), Description)
+            except NoReplyError as error:
+                if tries < DESCRIBE_TRIES and self.watch(robot).alive:
+                    continue
+                raise NoReplyError(
+                    f"robot {robot} does not answer: is its agent running? "
+                    "`nufleet fleet status` lists the robots that are there"
+                ) from error
 
     def describe_all(self, robots: tuple[str, ...]) -> dict[str, Description]:
         """Return the descriptions of several robots, asked at the same time; see `describe`."""

@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
-from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
+from nufleet.orchestrator.flights.labels import BASELINE, BY_AXIS, MIXTURE, NO_PRIOR, OWN
 
 Shade = tuple[int, int, int]
 """Red, green and blue, from 0 to 255."""
@@ -43,6 +43,7 @@ WITHOUT_SOURCE = {
     NO_PRIOR: Colour((156, 143, 191), (176, 166, 200)),
     OWN: Colour((138, 109, 59), (196, 164, 98)),
     MIXTURE: Colour((47, 143, 111), (150, 220, 200)),
+    BY_AXIS: Colour((20, 110, 140), (130, 205, 230)),
 }
 """Colours of the target's flights without a source of their own: with its own controller alone,
 with online learning from a zero prior, with its model of itself, and with a mixture."""

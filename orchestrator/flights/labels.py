@@ -11,6 +11,9 @@ NO_PRIOR = "none"
 MIXTURE = "mixture"
 """Instead of a source: a mixture of the experiences of several, weighed in flight."""
 
+BY_AXIS = "by-axis"
+"""Instead of a source: on each axis the experience of the source that is closest there."""
+
 OWN = "own"
 """Instead of a source: the robot's model of itself, inverted along the whole path."""
 

@@ -52,7 +52,7 @@ def run_responses(
 
 
 def export_responses(responses: Responses, to: Path, suffix: str) -> dict[str, Path]:
-    """Write the combined response of each robot to a file of its own.
+    """Write the combined response of each robot to a file of its own, or of each tested axis.
 
     Args:
         responses: Usable responses, by robot.
@@ -60,7 +60,8 @@ def export_responses(responses: Responses, to: Path, suffix: str) -> dict[str, P
         suffix: Format of the files, `json` or `csv`.
 
     Returns:
-        The file of each robot, by robot.
+        The file of each robot, by robot; of robots tested on several axes, that of each axis, by
+        robot and axis, such as `drone-1-x`.
 
     Raises:
         ModelFileError: A robot was tested at fewer than two frequencies.
@@ -70,9 +71,14 @@ def export_responses(responses: Responses, to: Path, suffix: str) -> dict[str, P
     with system_errors_as(InvalidInputError, f"{to} cannot be written"):
         to.mkdir(parents=True, exist_ok=True)
         for robot, tests in responses.items():
-            path = to / f"{robot}.{suffix}"
-            write_response(path, combined(tests))
-            written[robot] = path
+            by_axis: dict[str, list[FrequencyResponse]] = {}
+            for test in tests:
+                for axis, own in (test.own_entries or {"": test}).items():
+                    by_axis.setdefault(axis, []).append(own)
+            for axis, own_tests in by_axis.items():
+                name = robot if len(by_axis) == 1 else f"{robot}-{axis}"
+                written[name] = to / f"{name}.{suffix}"
+                write_response(written[name], combined(own_tests))
     return written
 
 

@@ -12,7 +12,7 @@ from nufleet.orchestrator.conduct.rank_run import RankRequest, configuration, pr
 from nufleet.orchestrator.evaluation.demo_table import demo_parts
 from nufleet.orchestrator.evaluation.demonstration import demonstrate
 from nufleet.orchestrator.evaluation.flight_documents import DemoResult
-from nufleet.orchestrator.experience.train import check_torch
+from nufleet.orchestrator.experience.training import check_torch
 from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.flights.legs import legs_of, read_drawings
 from nufleet.orchestrator.jobs.commands import StoredCommand
@@ -60,7 +60,8 @@ def demo(command: DemoCommand, console: Console) -> DemoResult:
         InvalidInputError: Torch is not installed.
         StudyError: The study cannot continue, because the target or every source is gone.
     """
-    check_torch()
+    if command.quadrotors:  # linear robots have linear inverses, which need no network
+        check_torch()
     began_s = time.monotonic()
     fleet_name = "paper_quadrotors" if command.quadrotors else "weak_source"
     choice = FleetChoice.started(find_fleet_file(fleet_name))

@@ -31,7 +31,7 @@ from nufleet.orchestrator.evaluation.results import EvaluationRecord, Evaluation
 from nufleet.orchestrator.evaluation.run import EvaluationPlan, prepare_robots, run_evaluation
 from nufleet.orchestrator.experience.learning import FLIGHT_S
 from nufleet.orchestrator.experience.library import ExperienceLibrary
-from nufleet.orchestrator.experience.train import check_torch
+from nufleet.orchestrator.experience.training import check_torch
 from nufleet.orchestrator.experience.transfer import check_would_fit
 from nufleet.orchestrator.fleet.reach import REACH, FleetChoice, Reach
 from nufleet.orchestrator.flights.legs import legs_of, read_drawings

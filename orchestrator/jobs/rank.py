@@ -12,7 +12,7 @@ from rich.console import Console
 
 from nufleet.orchestrator.conduct.desired_motion import TimedPath, read_motion
 from nufleet.orchestrator.conduct.first_round import outlook
-from nufleet.orchestrator.conduct.preflight import check_band, check_names
+from nufleet.orchestrator.conduct.preflight import ALL_AXES, check_band, check_names
 from nufleet.orchestrator.conduct.rank_run import (
     RankRequest,
     ReadyStudy,
@@ -45,9 +45,10 @@ class RankCommand(MovingCommand, AnyFleetCommand):
     """Lower and upper end of the frequency band W (paper, eq. 6); None for the band of the fleet
     file or of the robots."""
     axis: str | None = None
-    """Name of the axis to test; None for the target's first."""
+    """Name of the only axis to test; None for `axes`."""
     axes: tuple[str, ...] | None = None
-    """Names of several axes to test, `all` for all that the target has; None for `axis` alone."""
+    """Names of several axes to test, `all` for all that the robots have in common; None for all
+    with the adaptive algorithm, and for the target's first axis with others."""
     iterations: int = 7
     """Limit on the number of iterations."""
     precision: float | None = None
@@ -166,8 +167,6 @@ def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:
         load_algorithm(command.algorithm)
     if command.reuse_days is not None and command.algorithm != "adaptive":
         raise InvalidInputError("--reuse requires --algorithm adaptive")
-    if command.axes is not None and command.reuse_days is not None:
-        raise InvalidInputError("--axes tests all sources: leave out --reuse, or choose one --axis")
     if command.axes is not None and command.algorithm != "adaptive":
         raise InvalidInputError("--axes requires --algorithm adaptive")
     if command.algorithm != "adaptive" and (command.precision or command.amplitude):
@@ -191,11 +190,13 @@ def _request(command: RankCommand, choice: FleetChoice) -> RankRequest:
 
 
 def _axes(command: RankCommand) -> tuple[str, ...] | None:
-    if command.axis is None:
-        return command.axes
-    if command.axes is not None:
+    if command.axis is not None and command.axes is not None:
         raise InvalidInputError("give either --axis or --axes")
-    return (command.axis,)
+    if command.axis is not None:
+        return (command.axis,)
+    if command.axes is None and command.algorithm == "adaptive":
+        return (ALL_AXES,)
+    return command.axes
 
 
 def _drawing(command: RankCommand) -> TimedPath | None:

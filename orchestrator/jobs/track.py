@@ -14,10 +14,11 @@ from nufleet.orchestrator.evaluation.flight_documents import TRACKING, TrackResu
 from nufleet.orchestrator.evaluation.fly_target import flight_record
 from nufleet.orchestrator.evaluation.results import FlightRecord
 from nufleet.orchestrator.experience.learning import FIRST_FLIGHT_S, know_itself
-from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
+from nufleet.orchestrator.flights.labels import BASELINE, BY_AXIS, MIXTURE, NO_PRIOR, OWN
 from nufleet.orchestrator.flights.legs import Leg, legs_of, read_drawings
 from nufleet.orchestrator.flights.planned import Outlook, path_motion, rich_motion
 from nufleet.orchestrator.flights.start_weights import mixture_of
+from nufleet.orchestrator.history.by_axis import way_by_axis
 from nufleet.orchestrator.history.rankings import Ranking, latest_ranking
 from nufleet.orchestrator.jobs.commands import FleetCommand, MovingCommand
 from nufleet.orchestrator.jobs.consent import carried_out
@@ -28,7 +29,7 @@ from nufleet.shared.errors import InvalidInputError, RobotError
 from nufleet.shared.experience.layout import HORIZON_SAMPLES_MAX, InverseLayout
 from nufleet.shared.wire.messages import Description, ForeseenWay
 
-InverseChoice = Literal["auto", "prior", "mixture", "own", "zero-prior", "baseline"]
+InverseChoice = Literal["auto", "prior", "by-axis", "mixture", "own", "zero-prior", "baseline"]
 """Inverse models to fly with."""
 
 
@@ -171,9 +172,12 @@ def _learn_first(inverse: _Inverse, command: TrackCommand, run: FlyingRun) -> No
 def _inverse(command: TrackCommand, target: Description, ranking: Ranking | None) -> _Inverse:
     """Return the inverse to fly with; raises InvalidInputError when the target does not have it."""
     robot, guarded = target.robot, command.guarded
-    wanted = command.inverse
+    wanted, estimates = command.inverse, () if ranking is None else ranking.result.ranking
+    by_axis = way_by_axis(target.priors, estimates)
     if wanted == "auto":
         wanted = ("baseline", "prior", "mixture")[min(2, len(target.priors))]
+        if by_axis is not None and len(by_axis.asked) == len(target.priors):
+            wanted = "by-axis"  # they are what `transfer --source best` has left
     if wanted == "baseline":
         return _Inverse(BASELINE, False, ForeseenWay(inverse="baseline"))
     if wanted == "own":
@@ -189,8 +193,16 @@ def _inverse(command: TrackCommand, target: Description, ranking: Ranking | None
             "--source best`"
         )
     learn = command.learn
+    if wanted == "by-axis":
+        if by_axis is None:
+            raise InvalidInputError(
+                f"{robot} does not hold the experience of the closest source of every axis, or "
+                "axes agree on it: rank over all axes, then use `nufleet transfer --source best`"
+            )
+        way = by_axis.model_copy(update={"guarded": guarded, "learn": learn})
+        return _Inverse(BY_AXIS, True, way)
     if wanted == "mixture":
-        psi = None if ranking is None else {one.robot: one.psi for one in ranking.result.ranking}
+        psi = {one.robot: one.psi for one in estimates} or None
         mixture = mixture_of(target.priors, psi)
         way = ForeseenWay(inverse="mixture", mixture=mixture, guarded=guarded, learn=learn)
         return _Inverse(MIXTURE, True, way)

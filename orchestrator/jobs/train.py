@@ -12,7 +12,8 @@ from nufleet.orchestrator.conduct.preflight import check_robots
 from nufleet.orchestrator.evaluation.flight_documents import TRAINING, TrainResult
 from nufleet.orchestrator.experience.learning import planned_lessons
 from nufleet.orchestrator.experience.library import ExperienceLibrary
-from nufleet.orchestrator.experience.train import Trained, check_torch, train_robots
+from nufleet.orchestrator.experience.train import Trained, train_robots
+from nufleet.orchestrator.experience.training import check_torch
 from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.orchestrator.flights.planned import Outlook
 from nufleet.orchestrator.history.tables import experiences_table

@@ -18,21 +18,22 @@ from nufleet.orchestrator.experience.transfer import (
     transfer_file,
     transfer_several,
 )
-from nufleet.orchestrator.flights.labels import MIXTURE
+from nufleet.orchestrator.flights.labels import BY_AXIS, MIXTURE
 from nufleet.orchestrator.flights.legs import typical_leg
 from nufleet.orchestrator.flights.start_weights import mixture_of
+from nufleet.orchestrator.history.by_axis import in_words, sources_by_axis, way_by_axis
 from nufleet.orchestrator.history.rankings import Ranking, latest_ranking
 from nufleet.orchestrator.jobs.commands import FleetCommand
 from nufleet.orchestrator.jobs.foresight import say_expected
 from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.terminal import stderr_console
 from nufleet.orchestrator.study.verdict import Verdict
-from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.errors import InvalidInputError, RefusedError
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.experience.manifest import ExperienceManifest
 from nufleet.shared.strict import Digest, Document, Strict
 from nufleet.shared.text import split_names
-from nufleet.shared.wire.messages import ForeseenWay
+from nufleet.shared.wire.messages import Description, ForeseenWay
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +83,9 @@ class TransferResult(Document):
     learned_at: str | None = None
     """Time at which its robot had learned it, in ISO 8601 and UTC; None if it is not known."""
     companions: tuple[Companion, ...] = ()
-    """Further experiences, which the target mixes with this one."""
+    """Further experiences, which the target mixes with this one, or takes on other axes."""
+    axes: dict[str, str] | None = None
+    """Source of each axis, by axis, where the latest ranking found another one closer there."""
 
 
 def transfer_and_print(command: TransferCommand) -> None:
@@ -116,7 +119,7 @@ def transfer(command: TransferCommand, console: Console) -> TransferResult:
         if payload is not None:
             given = (transfer_file(fleet, payload, target),)
         elif sources:
-            given = transfer_several(fleet, library, sources, target, command.architecture)
+            given = _given(command, run, library, sources, target)
         else:
             fleet.remove_prior(command.target)
             run.results.print(f"{command.target} flies without a prior from now on")
@@ -125,12 +128,40 @@ def transfer(command: TransferCommand, console: Console) -> TransferResult:
             _print(run.results, each)
         if command.rehearses:
             _say_expected(run, command.target)
-    if len(given) > 1:
-        run.results.print(
-            f"{command.target} can mix these {len(given)} from now on: "
-            f"`nufleet track --target {command.target} --inverse mixture`"
-        )
-    return _result(given)
+        chosen: dict[str, str] = {}
+        if len(given) > 1:
+            found = _ranking(command, run) if command.source == "best" else None
+            chosen = {} if found is None else sources_by_axis(found.result.ranking)
+            how = "take each of these on its axes" if chosen else f"mix these {len(given)}"
+            run.results.print(
+                f"{command.target} can {how} from now on: `nufleet track --target {command.target} "
+                f"--inverse {BY_AXIS if chosen else MIXTURE}`"
+            )
+    return _result(given).model_copy(update={"axes": chosen or None})
+
+
+def _given(
+    command: TransferCommand,
+    run: Opening,
+    library: ExperienceLibrary,
+    sources: tuple[str, ...],
+    target: Description,
+) -> tuple[Transferred, ...]:
+    """Give the target the experiences of sources.
+
+    Of the best source of each axis, one that has none or that the target does not admit leaves all
+    axes to the selected one.
+    """
+    fleet = run.connection.fleet
+    try:
+        return transfer_several(fleet, library, sources, target, command.architecture)
+    except (InvalidInputError, RefusedError) as error:
+        found = _ranking(command, run) if command.source == "best" and len(sources) > 1 else None
+        if found is None:
+            raise
+        selected = found.result.selected
+        run.console.print(f"[yellow]all axes take the experience of {selected}: {error}[/]")
+        return transfer_several(fleet, library, (selected,), target, command.architecture)
 
 
 def _say_expected(run: Opening, robot: str) -> None:
@@ -144,9 +175,13 @@ def _say_expected(run: Opening, robot: str) -> None:
         found = latest_ranking(
             run.storage.runs_root, run.repository.studies, run.connection.name, robot
         )
-        psi = None if found is None else {one.robot: one.psi for one in found.result.ranking}
-        mixture = mixture_of(target.priors, psi)
-        name, way = MIXTURE, ForeseenWay(inverse="mixture", mixture=mixture)
+        ranking = () if found is None else found.result.ranking
+        by_axis = way_by_axis(target.priors, ranking)
+        if by_axis is not None and len(by_axis.asked) == len(target.priors):
+            name, way = BY_AXIS, by_axis
+        else:
+            mixture = mixture_of(target.priors, {one.robot: one.psi for one in ranking} or None)
+            name, way = MIXTURE, ForeseenWay(inverse="mixture", mixture=mixture)
     say_expected(run, target, way, typical_leg(target), name)
 
 
@@ -157,7 +192,7 @@ def _sources(
     if command.source is None:
         return ()
     if command.source == "best":
-        return (_best(command, run),)
+        return _best(command, run)
     if command.source == "all":
         return _all(command, run, there, library)
     sources = split_names(command.source)
@@ -170,7 +205,8 @@ def _ranking(command: TransferCommand, run: Opening) -> Ranking | None:
     return latest_ranking(command.runs_root, run.repository.studies, fleet, command.target)
 
 
-def _best(command: TransferCommand, run: Opening) -> str:
+def _best(command: TransferCommand, run: Opening) -> tuple[str, ...]:
+    """Return the selected source or, where axes differ beyond doubt, the closest on each."""
     found = _ranking(command, run)
     if found is None:
         raise InvalidInputError(
@@ -186,7 +222,12 @@ def _best(command: TransferCommand, run: Opening) -> str:
     verdict = found.result.verdicts.get(leader.robot)
     if verdict is not None and verdict.verdict is not Verdict.TRANSFER:
         run.console.print(f"[yellow]the tests say: {verdict.verdict}: {verdict.reason}[/]")
-    return found.result.selected
+    chosen = sources_by_axis(found.result.ranking)
+    if not chosen:
+        return (found.result.selected,)
+    said = in_words(chosen, found.result.ranking)
+    run.results.print(f"axes differ in their closest source: {said}")
+    return tuple(dict.fromkeys(chosen.values()))
 
 
 def _all(

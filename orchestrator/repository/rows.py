@@ -235,6 +235,7 @@ def _matrix_response(row: RowMapping, what: str) -> MatrixResponse | None:
                 quality=axis.quality,
                 degrees=degrees[place],
                 amplitude=axis.amplitude,
+                axis=axis.axis,
             )
             for place, axis in enumerate(axes)
         ),
@@ -256,6 +257,7 @@ def frequency_response(row: RowMapping) -> FrequencyResponse:
             degrees=None if degrees is None else unpack_floats(degrees, shape, what),
             amplitude=row["amplitude"],
             matrix=_matrix_response(row, what),
+            axis=row["axis"],
         )
 
 

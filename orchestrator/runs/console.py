@@ -87,13 +87,8 @@ class ConsoleObserver:
             self._console.print(
                 f"  {estimate.robot:<16} {measured:<12}  "
                 f"ψ* = {estimate.stated} "
-                f"at {estimate.omega_rad_s:.3f} rad/s{_on_axis(estimate)}{leader}"
+                f"at {estimate.omega_rad_s:.3f} rad/s{estimate.on_axis}{leader}"
             )
-
-
-def _on_axis(estimate: SourceEstimate) -> str:
-    """Return which axis decides, where several are tested."""
-    return "" if estimate.axis is None else f" on {estimate.axis}"
 
 
 def _price(question: Question) -> str:

@@ -82,7 +82,7 @@ def _draw_curves(
             axes.plot(omega, true_psi[curve.source], "--", color="black", linewidth=0.9)
     for row in sorted(result.ranking, key=lambda row: -row.psi):
         if row.robot in colours:
-            label = f"{row.robot}  {row.psi:.3g}"
+            label = f"{row.robot}  {row.psi:.3g}{row.on_axis}"
             axes.plot(
                 *(row.omega_rad_s, row.psi), "D", color=colours[row.robot], label=label, mec="black"
             )

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from nufleet.shared.frequency_test.quality import Quality
-from nufleet.shared.strict import NonNegative, Positive, Strict
+from nufleet.shared.strict import Name, NonNegative, Positive, Strict
 
 if TYPE_CHECKING:
     from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
@@ -47,6 +47,9 @@ class ResponseRecord(Strict):
     """Assessment of the test."""
     flight: FlightRecord | None = None
     """The flight that measured it; None for a test."""
+    axis: Name | None = None
+    """Name of the axis; None in records of earlier versions. A test of several axes has a record of
+    each, of its response to its own reference."""
 
     @staticmethod
     def of(response: FrequencyResponse) -> ResponseRecord:
@@ -67,6 +70,7 @@ class ResponseRecord(Strict):
             flight=None
             if response.flight is None
             else FlightRecord(speed=response.flight.speed, noise_std=response.flight.noise_std),
+            axis=response.axis,
         )
 
     def response(self) -> FrequencyResponse:
@@ -84,4 +88,5 @@ class ResponseRecord(Strict):
             flight=None
             if self.flight is None
             else Flight(self.flight.speed, self.flight.noise_std),
+            axis=self.axis,
         )

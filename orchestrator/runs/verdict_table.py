@@ -32,12 +32,16 @@ def verdict_rows(result: RankResult) -> Iterator[tuple[TransferVerdict, tuple[st
     Errors are shares of the motion's root mean square, with their bounds. A source whose experience
     was rehearsed is left out: the table of ways tells more of it.
     """
-    rehearsed = {way.way for way in result.ways if way.predicted is not None}
+    rehearsed = _rehearsed(result)
     for estimate in result.ranking:
         found = result.verdicts.get(estimate.robot)
         if found is not None and estimate.robot not in rehearsed:
             errors = _percent(found.error_with), _percent(found.error_without)
             yield found, (estimate.robot, *errors, f"{estimate.psi:.4f}", found.verdict)
+
+
+def _rehearsed(result: RankResult) -> set[str]:
+    return {way.way for way in result.ways if way.predicted is not None}
 
 
 def verdict_parts(result: RankResult) -> Iterator[RenderableType]:
@@ -51,6 +55,8 @@ def verdict_parts(result: RankResult) -> Iterator[RenderableType]:
     yield table
     for found, row in rows:
         yield f"  {row[0]}: {found.reason}"
+    for robot in sorted(_rehearsed(result) & set(result.verdicts)):
+        yield f"  {robot}: it has learned and was rehearsed, see the table of all ways to fly"
 
 
 def verdict_markdown(result: RankResult) -> list[str]:

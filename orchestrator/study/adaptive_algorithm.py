@@ -1,4 +1,4 @@
-"""The default algorithm: multi-tone tests, one response model per robot, and a stopping rule.
+"""The default algorithm: multi-tone tests, one response model per axis, and a stopping rule.
 
 The target, and every source without stored responses, is tested once, over the whole band. Further
 tests, of all robots that are there, are chosen by how much they are expected to reduce the
@@ -7,7 +7,8 @@ not tested again. The study is complete when the selected source is, with probab
 ε of the closest (the stopping rule of Garivier and Kaufmann, COLT 2016, with ε as the difference
 that does not matter), and every source that may be the closest has played its lowest look, as
 `nufleet.orchestrator.study.looks` says. A source that is known from flights alone is tested before
-it is selected: the response to a drawing need not be that to tones.
+it is selected: the response to a drawing need not be that to tones. Of several axes the worst one
+decides, as `nufleet.orchestrator.study.comparison` says.
 """
 
 from __future__ import annotations
@@ -17,19 +18,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nufleet.orchestrator.belief.response_belief import ResponseModel
-from nufleet.orchestrator.belief.resting_gain import draw_resting
-from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
+from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
 from nufleet.orchestrator.belief.shared_doubt import share_doubt
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
+from nufleet.orchestrator.study.comparison import Compared, Comparison
 from nufleet.orchestrator.study.interface import Question, Report, Responses, StudyPlan
 from nufleet.orchestrator.study.looks import Looks
 from nufleet.orchestrator.study.next_tests import NextTests, narrowing, settling
-from nufleet.orchestrator.study.ranking import curves_of, ranking_of, sampled_psi
+from nufleet.orchestrator.study.ranking import curves_of, ranking_of_axes, sampled_psi
 from nufleet.orchestrator.study.selection_belief import SelectionBelief
 from nufleet.orchestrator.study.tone_choice import ToneChoice
-from nufleet.orchestrator.study.trajectory_spectrum import Spectrum
-from nufleet.shared.arrays import ComplexArray
 from nufleet.shared.errors import StudyError
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.robots.spec import RobotSpec
@@ -63,7 +61,7 @@ class AdaptiveStudy:
         """Begin a study.
 
         Args:
-            plan: Robots, band, axis and motion; `iterations` is the largest number of rounds.
+            plan: Robots, band, axes and motion; `iterations` is the largest number of rounds.
             specs: Specs of the target and of every source, by robot.
             rng: Generator that draws the samples of the belief.
             stored: Responses of earlier tests and flights, by robot; a source that has some needs
@@ -74,30 +72,23 @@ class AdaptiveStudy:
         self._plan = plan
         self._settings = settings or AdaptiveSettings()
         self._rng = rng
-        low, high = plan.band_rad_s
-        self._grid = np.linspace(low, high, self._settings.grid_points)
-        self._spectrum = None if plan.motion is None else Spectrum.of_motion(plan.motion)
-        self._drawn = self._grid
-        if self._spectrum is not None:
-            self._drawn = np.concatenate([self._grid, self._spectrum.omega_rad_s])
         self._robots = {
-            name: RobotKnowledge(name, specs[name], high) for name in (plan.target, *plan.sources)
+            name: AxesKnowledge(name, specs[name], plan.band_rad_s[1], plan.axes)
+            for name in (plan.target, *plan.sources)
         }
         for name, known in (stored or {}).items():
             for response in known:
                 self._robots[name].learn(response, rng)
         self._dropped: dict[str, str] = {}
         self._grounded = dict.fromkeys(absent, "it is not there")
-        share_doubt(self._robots.values())
+        self._share_doubt()
         self._looks = Looks(plan, self._settings, self._robots)
-        self._next_tests = NextTests(
-            plan.target, self._grid, self._settings, self._robots, self._looks
-        )
-        self._draws: dict[str, tuple[ResponseModel, ComplexArray]] = {}
+        self._comparison = Comparison(plan, self._settings, self._robots, rng)
+        grid = self._comparison.omega_rad_s
+        self._next_tests = NextTests(plan.target, grid, self._settings, self._robots, self._looks)
         self._next: Mapping[str, ToneChoice] = {
-            name: self._looks.first[name]
-            for name in (plan.target, *plan.sources)
-            if name == plan.target or not self._robots[name].tests
+            plan.target: self._looks.first[plan.target],
+            **self._looks.unseen(plan.sources),
         }
         self._purpose = "a first look at the whole band"
         self._asked = 0
@@ -132,58 +123,56 @@ class AdaptiveStudy:
                 self._robots[name].learn(responses[name], self._rng)
             else:
                 self._lose(name, failed.get(name, "it returned no response"))
-        share_doubt(self._robots.values())
+        self._share_doubt()
         self._lose_the_silent()
         sources = self._remaining()
-        draws = {name: self._draw(name) for name in (self._plan.target, *sources)}
-        target = draws[self._plan.target]
-        belief = SelectionBelief.of(
-            self._grid, target, {n: draws[n] for n in sources}, self._spectrum
-        )
+        compared = self._comparison.of(sources)
+        belief = compared.belief
         leader, confidence = belief.leader(self._settings.epsilon, self._settings.delta)
         hopeless = belief.hopeless(leader, self._settings.delta)
-        verdict = self._judge(belief, draws, leader, confidence, hopeless)
+        verdict = self._first_alone(confidence)
+        verdict = verdict or self._judge(compared, leader, confidence, hopeless)
         self._next, self._purpose = verdict.tests, verdict.why
-        known = self.responses
+        tested = {
+            name: [one for axis in robot.axes.values() for one in axis.responses]
+            for name, robot in self._robots.items()
+        }
         return Report(
             iteration=question.iteration,
             omega_rad_s=question.omega_rad_s,
             responses=responses,
             sampled_psi=sampled_psi(self._plan.target, sources, responses),
-            curves=curves_of(belief, known),
-            ranking=ranking_of(belief, self._plan.target, leader, known),
+            curves=curves_of(belief, tested),
+            ranking=ranking_of_axes(compared, self._robots, self._plan.target, leader),
             dropped=dict(self._dropped),
             confidence=verdict.confidence * self._share_measured,
             eliminated=hopeless,
-            findings=self._findings(leader),
+            findings=(*self._findings(leader), *compared.findings, *self._looks.findings),
             stopped_because=None if verdict.tests else verdict.why + self._left_open(),
         )
 
-    def _draw(self, name: str) -> ComplexArray:
-        """Return samples of a robot's response, the same ones as long as nothing new is known."""
-        model = self._robots[name].model
-        before = self._draws.get(name)
-        if before is None or before[0] is not model:
-            # Distances are compared over the band that is tested; a motion reaches far below it.
-            draw = ResponseModel.draw if self._spectrum is None else draw_resting
-            before = model, draw(model, self._drawn, self._settings.samples, self._rng)
-            self._draws[name] = before
-        return before[1]
+    def _first_alone(self, confidence: float) -> _Verdict | None:
+        """Ask for the first tests of axes that must be tested alone; None once all were tested."""
+        alone = self._looks.unseen(name for name in self._robots if name not in self._dropped)
+        if not alone:
+            return None
+        played = (axis for one in alone.values() for axis in one.axes)
+        names = " and ".join(self._plan.axes[place] for place in dict.fromkeys(played))
+        if self._asked < self._plan.iterations:
+            why = f"a first look at {names} alone"
+            return _Verdict(min(confidence, self._doubtful), alone, why)
+        why = f"all {self._asked} rounds have been used, and {names} was not tested"
+        return _Verdict(min(confidence, self._doubtful), why=why)
 
     def _judge(
-        self,
-        belief: SelectionBelief,
-        draws: Mapping[str, ComplexArray],
-        leader: str,
-        confidence: float,
-        hopeless: Mapping[str, str],
+        self, compared: Compared, leader: str, confidence: float, hopeless: Mapping[str, str]
     ) -> _Verdict:
         """Decide between further tests and the end.
 
         What flights alone say, or tests that did not reach the lower end of the band, is claimed
         only once a test has confirmed it.
         """
-        sure, doubtful = 1 - self._settings.delta, 1 - 2 * self._settings.delta
+        belief, sure, doubtful = compared.belief, 1 - self._settings.delta, self._doubtful
         rounds_left = self._asked < self._plan.iterations
         misled = self._misled_by_flights(belief.sources)
         used = f"all {self._asked} rounds have been used"
@@ -204,7 +193,7 @@ class AdaptiveStudy:
                 )
             value = settling(belief, leader, self._settings.epsilon)
             following = self._next_tests.choose(
-                belief, draws, leader, value, hopeless=hopeless, absent=self._grounded
+                compared, leader, value, hopeless=hopeless, absent=self._grounded
             )
             if following.tests:
                 return _Verdict(confidence, following.tests, "what is contested")
@@ -220,22 +209,17 @@ class AdaptiveStudy:
                 why = f"{leader} is known from flights alone, and no test could confirm them"
                 return _Verdict(doubtful, why=why)
             return _Verdict(doubtful, {leader: self._looks.first[leader]}, "a test after flights")
-        return self._looked(belief, draws, leader, confidence, hopeless)
+        return self._looked(compared, leader, confidence, hopeless)
 
     def _looked(
-        self,
-        belief: SelectionBelief,
-        draws: Mapping[str, ComplexArray],
-        leader: str,
-        confidence: float,
-        hopeless: Mapping[str, str],
+        self, compared: Compared, leader: str, confidence: float, hopeless: Mapping[str, str]
     ) -> _Verdict:
         """Decide what is needed before a claim: lowest looks, and a narrow interval of ψ*.
 
         Target and leader need the lowest look, a rival only if what was seen of it leaves open that
         it is the best.
         """
-        sure, doubtful = 1 - self._settings.delta, 1 - 2 * self._settings.delta
+        belief, sure, doubtful = compared.belief, 1 - self._settings.delta, self._doubtful
         rounds_left = self._asked < self._plan.iterations
         unseen = {n: self._robots[n].lowest_rad_s for n in belief.sources if self._unseen(n)}
         surely, ahead = belief.beaten(leader, self._settings.epsilon, unseen)
@@ -269,7 +253,7 @@ class AdaptiveStudy:
         if rounds_left:
             value = narrowing(belief, leader)
             tests = self._next_tests.choose(
-                belief, draws, leader, value, hopeless=hopeless, absent=self._grounded
+                compared, leader, value, hopeless=hopeless, absent=self._grounded
             ).tests
         return _Verdict(confidence, tests, wide if tests else f"{claim}; {wide}")
 
@@ -282,6 +266,11 @@ class AdaptiveStudy:
         more_s = (times - 1.0) * self._looks.asked_s
         return f"; with as much noise, about {more_s:.2g} robot-seconds more would settle it"
 
+    @property
+    def _doubtful(self) -> float:
+        """Largest confidence that is stated without a claim."""
+        return 1 - 2 * self._settings.delta
+
     def _unseen(self, name: str) -> bool:
         return not self._looks.reached(name)
 
@@ -290,11 +279,12 @@ class AdaptiveStudy:
         for name, robot in self._robots.items():
             if robot.silent and self._looks.reached(name):
                 lowest_rad_s = robot.lowest_rad_s
+                it = "it" if len(robot.axes) == 1 else f"axis {' and '.join(robot.silent)}"
                 robot.forget()
                 self._lose(
                     name,
-                    f"it responds to no tone from {lowest_rad_s:.3g} rad/s on: it is not armed, or "
-                    "its dead zone is larger than the amplitudes that it allows",
+                    f"{it} responds to no tone from {lowest_rad_s:.3g} rad/s on: it is not armed, "
+                    "or its dead zone is larger than the amplitudes that it allows",
                 )
 
     @property
@@ -340,12 +330,17 @@ class AdaptiveStudy:
         known = [name for name in sources if self._robots[name].flown_only]
         return tuple(name for name in known if name not in self._grounded)
 
+    def _share_doubt(self) -> None:
+        """Extend what is doubted of some robots on an axis to the others."""
+        for axis in self._plan.axes:
+            share_doubt([robot.axes[axis] for robot in self._robots.values()])
+
     def _remaining(self) -> tuple[str, ...]:
         return tuple(source for source in self._plan.sources if source not in self._dropped)
 
     def _lose(self, name: str, reason: str) -> None:
-        """Drop a robot whose test failed; one with earlier tests stays in the ranking, untested."""
-        if self._robots[name].tests:
+        """Drop a robot whose test failed; one with tests of all axes stays, untested."""
+        if not self._robots[name].unseen:
             self._grounded[name] = reason
         elif name == self._plan.target:
             raise StudyError(f"the target {name} cannot be tested: {reason}")
@@ -356,7 +351,9 @@ class AdaptiveStudy:
             raise StudyError(f"no source is left: {lost}")
 
     def _claim(self, belief: SelectionBelief, leader: str, confidence: float) -> str:
-        best = "is the closest" if self._spectrum is None else "leaves the smallest error"
+        best = "leaves the smallest error"
+        if self._plan.motion is None:
+            best = f"is the closest{' on its worst axis' if self._plan.also else ''}"
         alone = float(belief.probability_best()[belief.sources.index(leader)])
         if alone >= 1 - self._settings.delta:
             return f"{leader} {best} with probability {alone:.3f}"

@@ -22,13 +22,16 @@ def matters(robots: Mapping[str, AxesKnowledge]) -> bool:
 
 
 def matrix_draws(
-    robot: AxesKnowledge, drawn: ComplexArray, omega_rad_s: FloatArray, rng: np.random.Generator
+    robot: AxesKnowledge,
+    drawn: Mapping[str, ComplexArray],
+    omega_rad_s: FloatArray,
+    rng: np.random.Generator,
 ) -> ComplexArray | None:
     """Return samples of a robot's Z(ω) without units; None where an entry was never measured.
 
     Args:
         robot: Knowledge of the robot.
-        drawn: Samples of each axis's own response, axis by axis, shape (samples, axes × grid).
+        drawn: Samples of each axis's own response by axis, shape (samples, grid or more).
         omega_rad_s: Frequencies in rad/s, shape (grid,).
         rng: Generator that draws the other entries.
 
@@ -36,13 +39,15 @@ def matrix_draws(
         Samples, shape (samples, grid, axes, axes).
     """
     names, grid = list(robot.axes), len(omega_rad_s)
-    count = min(SAMPLES, len(drawn))
+    if any(name not in drawn for name in names):
+        return None
+    count = min(SAMPLES, *(len(z) for z in drawn.values()))
     z = np.empty((count, grid, len(names), len(names)), dtype=np.complex128)
     for i, output in enumerate(names):
         units = unit_ratios(robot.spec, output, names)
         for j, reference in enumerate(names):
             if i == j:
-                z[:, :, i, i] = drawn[:count, i * grid : (i + 1) * grid]
+                z[:, :, i, i] = drawn[output][:count, :grid]
                 continue
             model: CrossModel | None = robot.cross(output, reference)
             if model is None:

@@ -25,12 +25,15 @@ class DesiredMotion:
     omega_rad_s: tuple[float, ...]
     """Frequencies in rad/s, rising."""
     power: tuple[float, ...]
-    """Mean square position at each frequency, in m²; see `spectrum_of`."""
+    """Mean square position at each frequency, in m², of all axes; see `spectrum_of`."""
+    power_by_axis: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """The part of each axis of the target along which it moves; empty in older studies, which
+    compared a single axis."""
 
 
 @dataclass(frozen=True)
 class StudyPlan:
-    """The question of a study: which source's experience is the best for the target on one axis.
+    """The question of a study: which source's experience is the best for the target.
 
     The best source is the closest to the target over the band or, where a `motion` is given, the
     one whose inverse model is expected to leave the smallest error on it.
@@ -137,7 +140,12 @@ class SourceEstimate:
         if self.axes is None:
             return ""
         each = ", ".join(f"{axis} {one.psi:.4f}" for axis, one in self.axes.items())
-        return f" on {self.axis} ({each})"
+        return f"{self.on_axis} ({each})"
+
+    @property
+    def on_axis(self) -> str:
+        """Which axis decides, in words; empty where one is tested."""
+        return "" if self.axis is None else f" on {self.axis}"
 
     @property
     def stated(self) -> str:

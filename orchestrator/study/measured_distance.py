@@ -31,14 +31,6 @@ def largest_measured(
     return max(found, default=None)
 
 
-def own_entries(response: FrequencyResponse) -> dict[str, FrequencyResponse]:
-    """Return the response of each axis to its own reference, by axis, of a test of several."""
-    matrix = response.matrix
-    if matrix is None:
-        return {}
-    return {axis: matrix.entry(place, place) for place, axis in enumerate(matrix.axes)}
-
-
 def _shared(a: FrequencyResponse, b: FrequencyResponse) -> tuple[list[float], list[float]]:
     omega, i, j = np.intersect1d(a.omega_rad_s, b.omega_rad_s, return_indices=True)
     known = np.ones(len(omega), dtype=bool)

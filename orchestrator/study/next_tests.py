@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
-from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
-from nufleet.orchestrator.study.axes_looks import AxesLooks
+from nufleet.orchestrator.study.comparison import Compared, Draws
 from nufleet.orchestrator.study.looks import Looks
 from nufleet.orchestrator.study.selection_belief import SelectionBelief
 from nufleet.orchestrator.study.tone_choice import ToneChoice
@@ -69,8 +68,8 @@ class NextTests:
         target: str,
         omega_rad_s: FloatArray,
         settings: AdaptiveSettings,
-        robots: Mapping[str, RobotKnowledge | AxesKnowledge],
-        looks: Looks | AxesLooks,
+        robots: Mapping[str, AxesKnowledge],
+        looks: Looks,
     ) -> None:
         """Remember what the tests of a study are chosen from.
 
@@ -86,8 +85,7 @@ class NextTests:
 
     def choose(
         self,
-        belief: SelectionBelief,
-        draws: Mapping[str, ComplexArray],
+        compared: Compared,
         leader: str,
         value: Value,
         *,
@@ -97,13 +95,13 @@ class NextTests:
         """Return each robot's best test, if its value per second is competitive.
 
         Args:
-            belief: Samples of all distances.
-            draws: Samples of the responses behind them, by robot.
+            compared: Samples of all distances, and of the responses behind them.
             leader: Name of the source that is selected now.
             value: Value of a test.
             hopeless: Sources that cannot win.
             absent: Robots that cannot be tested.
         """
+        belief, draws = compared.belief, compared.draws
         chances = belief.probability_best()
         rivals = sorted(
             (s for s in belief.sources if s not in hopeless and s != leader),
@@ -140,7 +138,7 @@ class NextTests:
     def _best_test(
         self,
         name: str,
-        z: ComplexArray,
+        z: Draws,
         centres_rad_s: Sequence[float],
         value: Value,
         needed: float,

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from nufleet.orchestrator.study.interface import Curve, Responses, SourceEstimate
+from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
+from nufleet.orchestrator.study.comparison import Compared
+from nufleet.orchestrator.study.interface import AxisEstimate, Curve, Responses, SourceEstimate
 from nufleet.orchestrator.study.measured_distance import largest_measured
 from nufleet.orchestrator.study.selection_belief import INTERVAL, SelectionBelief
 from nufleet.shared.arrays import FloatArray
@@ -17,13 +20,14 @@ Known = Mapping[str, Sequence[FrequencyResponse]]
 
 def sampled_psi(target: str, sources: Sequence[str], responses: Responses) -> dict[str, float]:
     """Return each source's largest measured ψ over the tones that it shared with the target now."""
-    at_target = [responses[target]] if target in responses else []
-    found = {
-        source: largest_measured(at_target, [responses[source]])
-        for source in sources
-        if source in responses
-    }
-    return {source: largest[0] for source, largest in found.items() if largest is not None}
+    measured = {name: one.own_entries or {"": one} for name, one in responses.items()}
+    psi: dict[str, float] = {}
+    for source in (name for name in sources if name in measured and target in measured):
+        for axis in measured[source].keys() & measured[target].keys():
+            largest = largest_measured([measured[target][axis]], [measured[source][axis]])
+            if largest is not None:
+                psi[source] = max(largest[0], psi.get(source, 0.0))
+    return psi
 
 
 def curves_of(belief: SelectionBelief, known: Known) -> tuple[Curve, ...]:
@@ -71,3 +75,42 @@ def ranking_of(
         )
         estimates.append((source != leader, float(belief.typical_loss[n]), estimate))
     return tuple(estimate for _, _, estimate in sorted(estimates, key=lambda e: e[:2]))
+
+
+def ranking_of_axes(
+    compared: Compared, robots: Mapping[str, AxesKnowledge], target: str, leader: str
+) -> tuple[SourceEstimate, ...]:
+    """Return the estimates over all axes; of several axes, each with those on every one.
+
+    Args:
+        compared: Samples of all distances.
+        robots: Knowledge of target and sources, by robot.
+        target: Name of the target.
+        leader: Name of the selected source.
+    """
+    named = (target, *compared.belief.sources)
+
+    def on(axis: str) -> tuple[SourceEstimate, ...]:
+        known = {name: robots[name].axes[axis].responses for name in named}
+        return ranking_of(compared.by_axis[axis], target, leader, known)
+
+    if len(robots[target].axes) == 1:
+        return on(next(iter(compared.by_axis)))
+    estimates = {axis: {one.robot: one for one in on(axis)} for axis in compared.by_axis}
+    tests = {name: robots[name].responses for name in named}
+    ranking = []
+    for together in ranking_of(compared.belief, target, leader, tests):
+        axes = {axis: one[together.robot] for axis, one in estimates.items()}
+        furthest = max(axes.values(), key=lambda one: one.measured_psi or 0.0)
+        ranking.append(
+            replace(
+                together,
+                measured_psi=furthest.measured_psi,
+                measured_omega_rad_s=furthest.measured_omega_rad_s,
+                axes={
+                    axis: AxisEstimate(one.psi, one.psi_low, one.psi_high, one.omega_rad_s)
+                    for axis, one in axes.items()
+                },
+            )
+        )
+    return tuple(ranking)

@@ -36,6 +36,10 @@ WEIGHT_EXPONENT = -0.5
 
 TONES_MAX = 64
 
+ROUNDING = 1e-14
+"""Share by which rounding moves a tone; a tone further off would take millions of smallest steps.
+"""
+
 
 @dataclass(frozen=True)
 class ToneChoice:
@@ -150,7 +154,7 @@ def first_look(
     if len(axes) > 1:
         raise InvalidInputError(
             f"a robot of kind {spec.kind} moves for at most {spec.duration_max_s:g} s, which is "
-            f"too short for a test of {len(axes)} axes at once: test one with --axis"
+            f"too short for a test of {len(axes)} axes at once"
         )
     return _up_to(high, 3 * 2 * math.pi / high, (3,), axes)
 
@@ -268,6 +272,9 @@ def _up_to(
     lengthened by the smallest possible steps until the tone is inside.
     """
     choice = ToneChoice(measure_s, harmonics, axes)
+    excess = float(choice.omega_rad_s[-1]) / high_rad_s
+    if excess > 1.0 + ROUNDING:
+        choice = replace(choice, measure_s=measure_s * excess)
     while choice.omega_rad_s[-1] > high_rad_s:
         choice = replace(choice, measure_s=math.nextafter(choice.measure_s, math.inf))
     return choice

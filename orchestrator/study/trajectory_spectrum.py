@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from nufleet.orchestrator.study.interface import DesiredMotion
+from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 
@@ -27,21 +28,19 @@ class Spectrum:
     """Frequencies in rad/s, rising, shape (frequencies,)."""
     power: FloatArray
     """Mean square position at each frequency, in the square of its unit, shape (frequencies,)."""
+    by_column: FloatArray | None = None
+    """The parts of the power that belong to the trajectory's axes, shape (frequencies, axes); None
+    where they are not told apart."""
 
     @staticmethod
     def flat(band_rad_s: tuple[float, float], points: int = 128) -> Spectrum:
         """Return equal power throughout a band (rad/s), for a trajectory that is not known yet."""
         return Spectrum(np.linspace(*band_rad_s, points), np.full(points, 1 / points))
 
-    @staticmethod
-    def of_motion(motion: DesiredMotion) -> Spectrum:
-        """Return the spectrum that is stored in a study's plan."""
-        return Spectrum(np.array(motion.omega_rad_s), np.array(motion.power))
-
     @property
     def shares(self) -> FloatArray:
-        """Share of the total power at each frequency, shape (frequencies,)."""
-        return np.asarray(self.power / self.power.sum())
+        """Share of the total power at each frequency, shape (frequencies,); 0 of no motion."""
+        return np.asarray(self.power / (self.power.sum() or 1.0))
 
     def outside(self, band_rad_s: tuple[float, float]) -> tuple[float, float]:
         """Return the shares of the mean square speed below and above a band (rad/s)."""
@@ -50,6 +49,33 @@ class Spectrum:
         low, high = band_rad_s
         below, above = self.omega_rad_s < low * (1 - 1e-9), self.omega_rad_s > high * (1 + 1e-9)
         return float(motion[below].sum()) / total, float(motion[above].sum()) / total
+
+
+def spectra_of(plan: StudyPlan) -> dict[str, Spectrum]:
+    """Return the spectrum of a plan's motion on each of its axes, at the same frequencies.
+
+    A single axis stands for all of them. An axis on which the trajectory does not move has no
+    power. There are none without a motion.
+    """
+    motion = plan.motion
+    if motion is None:
+        return {}
+    omega, nothing = np.array(motion.omega_rad_s), (0.0,) * len(motion.omega_rad_s)
+    if len(plan.axes) == 1:
+        return {plan.axis: Spectrum(omega, np.array(motion.power))}
+    return {
+        axis: Spectrum(omega, np.array(motion.power_by_axis.get(axis, nothing)))
+        for axis in plan.axes
+    }
+
+
+def joined(spectra: Mapping[str, Spectrum]) -> Spectrum:
+    """Return the spectra of all axes one after the other, as one of all their motion."""
+    each = list(spectra.values())
+    return Spectrum(
+        np.concatenate([one.omega_rad_s for one in each]),
+        np.concatenate([one.power for one in each]),
+    )
 
 
 def spectrum_of(positions: FloatArray, sample_time_s: float) -> Spectrum:
@@ -82,7 +108,8 @@ def spectrum_of(positions: FloatArray, sample_time_s: float) -> Spectrum:
     line = 0.0 if closed else np.linspace(columns[0], columns[-1], len(columns))
     amplitudes = np.fft.rfft(columns - line, axis=0)[1:] / len(columns)
     # Parseval: bin k > 0 of the one-sided transform X carries the mean square 2 |X_k / samples|².
-    power = 2 * np.sum(np.abs(amplitudes) ** 2, axis=1)
+    each = 2 * np.abs(amplitudes) ** 2
+    power = np.sum(each, axis=1)
     if not power.any():
         raise InvalidInputError("the trajectory does not move, or moves along a straight line only")
     omega = 2 * np.pi * np.arange(1, len(power) + 1) / (len(columns) * sample_time_s)
@@ -94,7 +121,9 @@ def spectrum_of(positions: FloatArray, sample_time_s: float) -> Spectrum:
     starts = np.concatenate([np.arange(single), np.unique(np.round(wider[:-1]).astype(int))])
     if told_apart < len(power):
         starts = np.append(starts, told_apart)
-    joined = np.add.reduceat(power, starts)
-    middle = np.add.reduceat(omega * power, starts) / np.maximum(joined, np.finfo(float).tiny)
-    empty = joined <= np.finfo(float).tiny
-    return Spectrum(np.where(empty, omega[starts], middle), joined)
+    joined_power = np.add.reduceat(power, starts)
+    weight = np.maximum(joined_power, np.finfo(float).tiny)
+    middle = np.add.reduceat(omega * power, starts) / weight
+    empty = joined_power <= np.finfo(float).tiny
+    parts = np.add.reduceat(each, starts, axis=0)
+    return Spectrum(np.where(empty, omega[starts], middle), joined_power, parts)

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
 from nufleet.orchestrator.belief.resting_gain import draw_resting
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.belief.shared_doubt import share_doubt
 from nufleet.orchestrator.study.interface import SourceEstimate, StudyPlan
-from nufleet.orchestrator.study.trajectory_spectrum import Spectrum
+from nufleet.orchestrator.study.trajectory_spectrum import Spectrum, joined, spectra_of
 from nufleet.orchestrator.study.verdict import TransferPrediction, predict_transfer
 from nufleet.orchestrator.study.verdict_document import TransferVerdict, verdict_document
+from nufleet.shared.arrays import ComplexArray
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.robots.spec import RobotSpec
 
@@ -48,9 +50,12 @@ def judge_transfers(
 ) -> Judgement:
     """Judge the transfer from the sources that were tested to the target.
 
+    Errors add up over the axes, each with its share of the motion. What one axis does to another is
+    left out.
+
     Args:
         plan: Plan of the study; the verdicts are for its `motion` or, where it has none, for a
-            motion with equal power throughout the band.
+            motion with equal power throughout the band, on every axis.
         ranking: Final ranking of the study; without a `motion`, only its first `JUDGED_MAX` sources
             are judged.
         specs: Spec of each robot, by name.
@@ -59,40 +64,88 @@ def judge_transfers(
         delta: Accepted probability of a wrong verdict.
 
     Returns:
-        The verdicts; none where the target was never tested.
+        The verdicts on the sources that were tested on all axes; none where the target was not.
     """
     flat = Spectrum.flat(plan.band_rad_s, CURVE_POINTS)
-    spectrum = flat if plan.motion is None else Spectrum.of_motion(plan.motion)
-    omega = np.concatenate([flat.omega_rad_s, spectrum.omega_rad_s])
-    known: dict[str, RobotKnowledge] = {}
+    spectra = spectra_of(plan) or dict.fromkeys(plan.axes, flat)
+    together = joined(spectra)
     sources = [estimate.robot for estimate in ranking]
     if plan.motion is None:
         sources = sources[:JUDGED_MAX]
-    for robot in (plan.target, *sources):
-        if responses.get(robot):
-            known[robot] = RobotKnowledge(robot, specs[robot], plan.band_rad_s[1])
-            for response in responses[robot]:
-                known[robot].learn(response, rng)
+    known = _learned(plan, sources, specs, responses, rng)
     if plan.target not in known:
         return Judgement({}, ())
-    share_doubt(known.values())
-    drawn = {robot: draw_resting(it.model, omega, SAMPLES, rng) for robot, it in known.items()}
+    drawn = {robot: _drawn(it, flat, spectra, rng) for robot, it in known.items()}
 
-    def predict(source: str, part: slice, motion: Spectrum) -> TransferPrediction:
-        at_source, at_target = drawn[source][:, part], drawn[plan.target][:, part]
+    def predict(source: str, axes: Sequence[str], motion: Spectrum | None) -> TransferPrediction:
+        """Predict over the band of one axis, where there is no motion, or on the motion."""
+        part = slice(0, CURVE_POINTS) if motion is None else slice(CURVE_POINTS, None)
+        at_source, at_target = (
+            np.concatenate([drawn[robot][axis][:, part] for axis in axes], axis=1)
+            for robot in (source, plan.target)
+        )
         return predict_transfer(
-            (source, at_source), (plan.target, at_target), motion, plan.band_rad_s, delta=delta
+            *((source, at_source), (plan.target, at_target), motion or flat, plan.band_rad_s),
+            delta=delta,
         )
 
     verdicts = {}
-    for source in sources:
-        if source in known:
-            curve = predict(source, slice(0, CURVE_POINTS), flat)
-            found = predict(source, slice(CURVE_POINTS, None), spectrum)
-            verdicts[source] = verdict_document(found, curve)
+    for source in (name for name in sources if name in known):
+        verdicts[source] = verdict_document(
+            predict(source, plan.axes, together),
+            {axis: predict(source, [axis], None) for axis in plan.axes},
+            {axis: predict(source, [axis], spectra[axis]) for axis in plan.axes if plan.also},
+        )
     findings = [f for it in known.values() for f in it.findings]
-    findings += [f for s in sources if s in known for f in _gaps(known[s], known[plan.target])]
+    if any(one.couplings for one in known.values()):
+        findings.append("the verdicts add up over the axes, and leave out what one does to another")
+    findings += [
+        finding
+        for source in sources
+        if source in known
+        for axis, at_source in known[source].axes.items()
+        for finding in _gaps(at_source, known[plan.target].axes[axis])
+    ]
     return Judgement(verdicts, tuple(dict.fromkeys(findings)))
+
+
+def _learned(
+    plan: StudyPlan,
+    sources: Sequence[str],
+    specs: Mapping[str, RobotSpec],
+    responses: Mapping[str, Sequence[FrequencyResponse]],
+    rng: np.random.Generator,
+) -> dict[str, AxesKnowledge]:
+    """Return what is known of the target and the sources that were tested on all axes."""
+    known = {}
+    for robot in (plan.target, *sources):
+        one = AxesKnowledge(robot, specs[robot], plan.band_rad_s[1], plan.axes)
+        for response in responses.get(robot, ()):
+            one.learn(response, rng)
+        if not one.unseen:
+            known[robot] = one
+    for axis in plan.axes:
+        if known:
+            share_doubt([robot.axes[axis] for robot in known.values()])
+    return known
+
+
+def _drawn(
+    known: AxesKnowledge,
+    flat: Spectrum,
+    spectra: Mapping[str, Spectrum],
+    rng: np.random.Generator,
+) -> dict[str, ComplexArray]:
+    """Return samples on every axis, over the band and then at the frequencies of the motion."""
+    return {
+        axis: draw_resting(
+            one.model,
+            np.concatenate([flat.omega_rad_s, spectra[axis].omega_rad_s]),
+            SAMPLES,
+            rng,
+        )
+        for axis, one in known.axes.items()
+    }
 
 
 def _gaps(source: RobotKnowledge, target: RobotKnowledge) -> Iterator[str]:

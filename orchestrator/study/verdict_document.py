@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
 from nufleet.orchestrator.study.verdict import Interval, TransferPrediction, Verdict
-from nufleet.shared.strict import NonNegative, Reason, Strict
+from nufleet.shared.strict import Name, NonNegative, Reason, Strict
 from nufleet.shared.wire.motions import PredictedError
 
 _NINETY = 1.645  # standard deviations to either side of a normal's mean that hold 90 % of it
@@ -45,6 +46,15 @@ class GainCurve(Strict):
     """Upper bound at each frequency."""
 
 
+class Errors(Strict):
+    """Errors on one axis, relative to the root mean square of the motion on this axis."""
+
+    error_with: Bounds
+    """Error with transfer."""
+    error_without: Bounds
+    """Error without transfer."""
+
+
 class TransferVerdict(Strict):
     """The expected effect of a transfer from one source, and the verdict on it.
 
@@ -70,6 +80,13 @@ class TransferVerdict(Strict):
     """Gain |1 − z_T/z_S| with transfer at each frequency."""
     gain_without: GainCurve
     """Gain |1 − z_T| without transfer at each frequency."""
+    axes: dict[Name, Errors] | None = None
+    """Errors on each axis, by axis, where several were tested; the gains are then those of the axis
+    with the largest gain with transfer."""
+
+    def error_on(self, axis: str) -> float:
+        """Return the median of the relative error with transfer on an axis of the motion."""
+        return (self.error_with if self.axes is None else self.axes[axis].error_with).median
 
 
 def rehearsed(
@@ -126,13 +143,19 @@ def _shares(error: PredictedError, size: float) -> Bounds:
     return Bounds(low=error.low / size, median=error.rms / size, high=error.high / size)
 
 
-def verdict_document(found: TransferPrediction, curve: TransferPrediction) -> TransferVerdict:
+def verdict_document(
+    found: TransferPrediction,
+    curves: Mapping[str, TransferPrediction],
+    by_axis: Mapping[str, TransferPrediction],
+) -> TransferVerdict:
     """Return the document of a prediction.
 
     Args:
         found: Prediction for the motion; gives the verdict, the errors and the reduction.
-        curve: Prediction over the band; gives the frequencies and the gains.
+        curves: Prediction over the band by axis; gives the frequencies and the gains.
+        by_axis: Prediction for the motion on each of several axes, by axis.
     """
+    curve = max(curves.values(), key=lambda one: float(np.max(one.gain_with.median)))
     return TransferVerdict(
         verdict=found.verdict,
         reason=found.reason,
@@ -143,6 +166,13 @@ def verdict_document(found: TransferPrediction, curve: TransferPrediction) -> Tr
         omega_rad_s=tuple(curve.omega_rad_s.tolist()),
         gain_with=_curve(curve.gain_with),
         gain_without=_curve(curve.gain_without),
+        axes={
+            axis: Errors(
+                error_with=_bounds(one.error_with), error_without=_bounds(one.error_without)
+            )
+            for axis, one in by_axis.items()
+        }
+        or None,
     )
 
 

@@ -90,7 +90,9 @@ class LiveView:
             if (state := self._states.get(outcome.robot)) is not None:
                 self._emit_state(state)
         self._unheard.clear()
-        omega_rad_s, responses = together(report.responses, self._plan.target)
+        axis = self._plan.axis
+        own = {robot: one.own_entries.get(axis, one) for robot, one in report.responses.items()}
+        omega_rad_s, responses = together(own, self._plan.target)
         longest_s = max((o.result.plan.duration_s for o in measured), default=0.0)
         self._clock.advance_to(self._asked_s + longest_s)
         self._emit(

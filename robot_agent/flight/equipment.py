@@ -9,6 +9,7 @@ from nufleet.robot_agent.flight.guard import Guard
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.mixture_learner import mixture_learner
 from nufleet.robot_agent.flight.online_gp import WINDOW_POINTS, OnlineGp
+from nufleet.robot_agent.flight.prior_learner import prior_learner
 from nufleet.robot_agent.flight.tracking import Ahead, Learner
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.errors import RobotError
@@ -79,15 +80,10 @@ def learner_for(
     axes = robot.spec.axes
     if motion.mixture:
         return mixture_learner(motion, tuple(axis.name for axis in axes), memory, window)
-    prior = next((p for p in memory.priors if p.sha256 == motion.prior_sha256), None)
-    if prior is None:
-        if motion.layout is None:
-            raise RobotError("the robot no longer has a prior")
+    if motion.layout is not None:
         process = OnlineGp(motion.layout, (None,) * len(axes), window=window)
         return Learner(motion.layout, process)
-    layout = prior.manifest.layout
-    inverses = tuple(prior.inverse if a.name in prior.manifest.axes else None for a in axes)
-    return Learner(layout, OnlineGp(layout, inverses, window=window))
+    return prior_learner(motion, tuple(axis.name for axis in axes), memory, window)
 
 
 def guard_for(forecast: Forecast, robot: Robot, *, fallback: bool) -> Guard:

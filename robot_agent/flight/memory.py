@@ -96,7 +96,8 @@ class Memory:
                 self._read(folder)
             except OSError as error:
                 raise MemoryFolderError(
-                    f"{folder}: {error.strerror}; free or repair the disk"
+                    f"{folder}: {error.strerror}; choose a writable folder with NUFLEET_STATE, or "
+                    "free or repair the disk"
                 ) from error
 
     def exported(self) -> tuple[bytes, tuple[bytes, ...]]:

@@ -126,9 +126,7 @@ def _check_priors(
     if not held:
         reason = "no experience has been transferred to it; use `nufleet transfer`"
         raise RefusedError("no-prior", reason, robot)
-    asked = [each.sha256 for each in motion.mixture]
-    if motion.prior_sha256 is not None:
-        asked = [motion.prior_sha256]
+    asked = motion.asked
     if any(sha256 not in held for sha256 in asked):
         sources = ", ".join(manifest.robot for manifest in held.values())
         reason = (
@@ -137,6 +135,14 @@ def _check_priors(
             else f"its priors are different ones, from {sources}; transfer them again"
         )
         raise RefusedError("other-prior", reason, robot)
+    for one in motion.prior_by_axis:
+        learned = held[one.sha256]
+        if one.axis not in learned.axes:
+            reason = (
+                f"the experience of {learned.robot} was learned on {', '.join(learned.axes)}, not "
+                f"on {one.axis}; choose another one for it"
+            )
+            raise RefusedError("misfit", reason, robot)
     for sha256 in asked:
         for axis in held[sha256].axes:
             # The prior fitted when it was installed, but the robot's settings may have changed.

@@ -96,7 +96,8 @@ class Journal:
         self._ledger = Ledger()
         self._compact_above_bytes = COMPACT_ABOVE_BYTES
         with contextlib.ExitStack() as opened:
-            with system_errors_as(JournalError, str(folder), "; free or repair the disk"):
+            advice = "; choose a writable folder with NUFLEET_STATE, or free or repair the disk"
+            with system_errors_as(JournalError, str(folder), advice):
                 for made in (folder, self._results, self._incoming):
                     make_private_folder(made)
                 self._take_lock(opened)

@@ -20,6 +20,9 @@ SLOW_CALL_MAX_S = 60.0
 LETTING_GO_LOOK_S = 0.1
 """Interval between checks on a driver that is disconnecting its robot."""
 
+LATE_SAMPLES = 1.0
+"""How many sample times after its turn a sample begins that counts as late."""
+
 LOOK_MAX_S = 1.0
 """Longest time counted between two checks on the driver; if more has passed, the whole process was
 frozen, not the driver alone."""
@@ -48,6 +51,9 @@ class WatchedRobot(RobotAround):
     No other thread can end a call. A robot whose driver hangs therefore cannot be brought to rest
     from here; it can only be reported, or its motors cut. A robot that is down (`RobotDownError`)
     is asked for nothing until it is connected again.
+
+    `late_samples` counts the samples of a real robot, all since it was made, that began later than
+    `LATE_SAMPLES` after their turn, which is one sample time after the previous one.
     """
 
     def __init__(self, robot: Robot, *, realtime: float | None) -> None:
@@ -65,6 +71,8 @@ class WatchedRobot(RobotAround):
         self._call: _Call | None = None
         self._looked_s = time.monotonic()
         self._down: str | None = None
+        self._stepped_s: float | None = None
+        self.late_samples = 0
 
     @property
     def hangs(self) -> bool:
@@ -126,6 +134,7 @@ class WatchedRobot(RobotAround):
     def step(self, reference: FloatArray) -> FloatArray:
         """Follow a reference for one sample; reference and output have shape (axes,)."""
         with self._calling("step", self._sample_max_s):
+            self._note_step(time.monotonic())
             return self._robot.step(reference)
 
     def run(self, references: FloatArray) -> FloatArray:
@@ -142,6 +151,7 @@ class WatchedRobot(RobotAround):
     def rest(self) -> None:
         """Bring the robot to rest."""
         with self._calling("rest", SLOW_CALL_MAX_S):
+            self._stepped_s = None
             self._robot.rest()
 
     def disconnect(self) -> None:
@@ -171,6 +181,13 @@ class WatchedRobot(RobotAround):
             if hang is not None:
                 raise RobotError(f"{hang}; the robot may not be at rest")
         done.result()
+
+    def _note_step(self, now_s: float) -> None:
+        spec, before_s = self._robot.spec, self._stepped_s
+        self._stepped_s = now_s
+        if before_s is None or spec.simulated:
+            return
+        self.late_samples += now_s - before_s > (1 + LATE_SAMPLES) * spec.sample_time_s
 
     @contextmanager
     def _calling(self, what: str, allowed_s: float, *, down_too: bool = False) -> Iterator[None]:

@@ -85,6 +85,16 @@ class FrequencyResponse:
     matrix: MatrixResponse | None = None
     """All entries of a test of several axes, of which this is the first axis's own; None for a test
     of one axis."""
+    axis: str | None = None
+    """Name of the axis, the first of a test of several; None where it is not known."""
+
+    @property
+    def own_entries(self) -> dict[str, FrequencyResponse]:
+        """Response of each axis that played to its own reference, by axis; none where the axis is
+        not known."""
+        if self.matrix is not None:
+            return {axis: self.matrix.entry(i, i) for i, axis in enumerate(self.matrix.axes)}
+        return {} if self.axis is None else {self.axis: self}
 
     @property
     def degrees_of_freedom(self) -> FloatArray:
@@ -205,6 +215,7 @@ class _Tested:
                 segments=plan.segments,
                 quality=Quality(reasons=(Finding(code=code, text=text),)),
                 amplitude=one.amplitude,
+                axis=one.axis,
             )
             for one in plan.played
         ]
@@ -286,6 +297,7 @@ def _row(
     estimates = Estimates(gain * segment_z, variance, degrees)
     findings = findings_of(tested, samples, ringing, input_fit, output_fit, estimates, own, plan)
     findings.append(still_ringing(ringing, settle_samples * step_s))
+    played = plan.played[int(asked.played_by[own][0])]
     return FrequencyResponse(
         omega_rad_s=omegas,
         z=gain * scaled_z,
@@ -293,5 +305,6 @@ def _row(
         segments=plan.segments,
         quality=verdict([*findings, *(suspicion.finding for suspicion in suspected)]),
         degrees=degrees,
-        amplitude=plan.played[int(asked.played_by[own][0])].amplitude,
+        amplitude=played.amplitude,
+        axis=played.axis,
     )

@@ -17,6 +17,10 @@ PERIOD_REPORTED = 1e-3
 """Relative error of the sample time that is reported: all frequencies are off by it."""
 
 
+LATE_REPORTED = 1e-3
+"""Share of the samples that began too late which is reported."""
+
+
 class Timing(Strict):
     """Times at which a test's references were sent and its outputs measured."""
 
@@ -59,4 +63,20 @@ def timing_findings(timing: Timing, sample_time_s: float) -> Iterator[Finding]:
             code="gaps",
             text=f"{100 * timing.unmeasured:.2g} % of the samples had no measurement within a "
             f"sample time; the longest gap was {1e3 * timing.gap_max_s:.3g} ms",
+        )
+
+
+def late_findings(late: int, samples: int) -> Iterator[Finding]:
+    """Yield a warning about samples that began too late, if they are many.
+
+    Args:
+        late: Number of samples that began more than a sample time after their turn.
+        samples: Number of all samples.
+    """
+    if late > LATE_REPORTED * samples:
+        yield Finding(
+            code="late",
+            text=f"{late} of {samples} samples began more than a sample time late, because the "
+            "agent's machine was busy: grant the agent real-time priority (deploy/systemd), or a "
+            "machine of its own",
         )

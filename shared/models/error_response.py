@@ -90,13 +90,16 @@ class ErrorBasis:
         last = int(nodes[-1]) + 1
         known = np.concatenate([np.full(last, before), reference])
         total = np.concatenate([[0.0], np.cumsum(known)])
-        for start in range(0, samples, _BLOCK_SAMPLES):
-            rows = np.arange(start, min(start + _BLOCK_SAMPLES, samples)) + last
+        for start in range(last, last + samples, _BLOCK_SAMPLES):
+            end = min(start + _BLOCK_SAMPLES, last + samples)
             # Means of the reference over the lags from one node's next to the other. With g linear
             # between nodes, its differences are constant there, and summation by parts turns
             # Σ g(j) Δu(k − j) into a sum over these means, each times a change of g.
-            between = [(total[rows - a] - total[rows - b]) / (b - a) for a, b in pairwise(nodes)]
-            boxes = np.stack([known[rows], *between, known[rows - last]], axis=1)
+            between = [
+                (total[start - a : end - a] - total[start - b : end - b]) / (b - a)
+                for a, b in pairwise(nodes)
+            ]
+            boxes = np.stack([known[start:end], *between, known[start - last : end - last]], axis=1)
             yield np.concatenate([boxes[:, :-1] - boxes[:, 1:], boxes[:, -1:]], axis=1)
 
     def response(self, omega_rad_s: FloatArray) -> ComplexArray:

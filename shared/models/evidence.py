@@ -176,9 +176,13 @@ def _held(basis: ErrorBasis, reference: FloatArray) -> FloatArray:
     """
     columns = []
     for reach in float(np.std(reference)) * np.array(_HELD):
-        place, places = reference[0], []
-        for wanted in reference.tolist():
-            place = min(max(place, wanted - reach), wanted + reach)
+        place, places = float(reference[0]), []
+        nearest = zip((reference - reach).tolist(), (reference + reach).tolist(), strict=True)
+        for low, high in nearest:
+            if place < low:
+                place = low
+            elif place > high:
+                place = high
             places.append(place)
         slack = reference - places
         for late in _LATE:

@@ -217,6 +217,8 @@ class GoalResult(Message):
     """Further measurements of a flight; None for a frequency test."""
     timing: Timing | None = None
     """Times of a test's samples; None for a robot that does not record them."""
+    late_samples: Count = 0
+    """Number of samples of a real robot that began more than a sample time after their turn."""
 
     @model_validator(mode="after")
     def _samples_agree(self) -> GoalResult:

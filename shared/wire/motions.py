@@ -52,6 +52,15 @@ class Weighted(Strict):
     """Probability before the flight that it is the right one."""
 
 
+class AxisPrior(Strict):
+    """A transferred experience that is the prior of one axis."""
+
+    axis: Name
+    """Name of the axis."""
+    sha256: Digest
+    """SHA-256 of the experience, to be checked by the robot."""
+
+
 class Way(Strict):
     """A way of following a path, with or without a learned inverse before the baseline controller.
 
@@ -68,6 +77,9 @@ class Way(Strict):
     """Inputs and output of a process with a zero prior; None for the other inverses."""
     prior_sha256: Digest | None = None
     """SHA-256 of the transferred experience, to be checked by the robot; None without a prior."""
+    prior_by_axis: Annotated[tuple[AxisPrior, ...], Field(max_length=16)] = ()
+    """Other experiences that are the prior of single axes; all other axes take the one above. Empty
+    for the other inverses."""
     mixture: Annotated[tuple[Weighted, ...], Field(max_length=MIXTURE_MAX)] = ()
     """Transferred experiences of a mixture, which takes the layout of the first. What their weights
     leave to 1 is the weight of no experience. Empty for the other inverses."""
@@ -85,6 +97,12 @@ class Way(Strict):
             raise ValueError("a layout belongs to the inverse 'zero-prior', and only to that")
         if (self.prior_sha256 is not None) != (self.inverse == "prior"):
             raise ValueError("prior_sha256 belongs to the inverse 'prior', and only to that")
+        if self.prior_by_axis and self.inverse != "prior":
+            raise ValueError(
+                "priors of single axes belong to the inverse 'prior', and only to that"
+            )
+        if len({one.axis for one in self.prior_by_axis}) < len(self.prior_by_axis):
+            raise ValueError("an axis has two priors")
         if bool(self.mixture) != (self.inverse == "mixture"):
             raise ValueError("experiences with weights belong to the inverse 'mixture', and only")
         if len({each.sha256 for each in self.mixture}) < len(self.mixture):
@@ -92,6 +110,13 @@ class Way(Strict):
         if sum(each.weight for each in self.mixture) >= 1:
             raise ValueError("the weights of a mixture leave nothing to flying without experience")
         return self
+
+    @property
+    def asked(self) -> tuple[str, ...]:
+        """SHA-256 of every transferred experience that it needs, the leading one first."""
+        first = () if self.prior_sha256 is None else (self.prior_sha256,)
+        mixed = (each.sha256 for each in self.mixture)
+        return tuple(dict.fromkeys((*first, *(one.sha256 for one in self.prior_by_axis), *mixed)))
 
     def along(self, desired: FloatArray) -> Tracking:
         """Return the request to follow a path in this way, shape (samples, axes)."""

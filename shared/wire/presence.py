@@ -17,11 +17,24 @@ class Presence:
     """
 
     def __init__(self, handler: OnPresence) -> None:
-        self._handler = handler
+        self._handlers = [handler]
         self._changed = threading.Condition()
         self._there: set[str] = set()
         self._mentioned: set[str] = set()
         self._settled = False
+
+    def join(self, handler: OnPresence) -> None:
+        """Report the tokens that are there to one more handler, and every change from now on."""
+        with self._changed:
+            self._handlers.append(handler)
+            for key in sorted(self._there):
+                handler(key, True)
+
+    def leave(self, handler: OnPresence) -> bool:
+        """Report nothing more to a handler; return whether any other is left."""
+        with self._changed:
+            self._handlers.remove(handler)
+            return bool(self._handlers)
 
     def asked(self, keys: Iterable[str]) -> None:
         """Record the tokens that the query found alive."""
@@ -55,4 +68,5 @@ class Presence:
                 self._there.add(key)
             else:
                 self._there.discard(key)
-            self._handler(key, alive)
+            for handler in self._handlers:
+                handler(key, alive)

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import json
 import logging
+import threading
 from collections.abc import Callable
+from functools import partial
 from typing import TypeVar
 
 import zenoh
@@ -59,6 +61,8 @@ class Session:
     def __init__(self, session: zenoh.Session, identity: Identity | None = None) -> None:
         self._session = session
         self._declarations: list[Declaration] = []
+        self._watching = threading.Lock()
+        self._watches: dict[str, tuple[Presence, Declaration]] = {}
         self.identity = identity
         """Identity with which the session was opened; None in an open fleet."""
 
@@ -292,12 +296,23 @@ class Session:
     def watch_alive(self, key_expr: str, handler: OnPresence) -> Declaration:
         """Report tokens that exist or appear (True) and tokens that disappear (False).
 
-        Tokens that exist now are reported before this method returns.
+        Tokens that exist now are reported before this method returns. All who watch the same tokens
+        on this session share one watch, since Zenoh would answer the second from what the first has
+        heard until then; see `alive`.
 
         Args:
             key_expr: Key expression of the tokens.
             handler: Function called with each change, once per change.
         """
+        with self._watching:
+            known = self._watches.get(key_expr)
+            if known is None:
+                self._watches[key_expr] = self._watched(key_expr, handler)
+            else:
+                known[0].join(handler)
+        return Declaration(_Watch(partial(self._unwatch, key_expr, handler)))
+
+    def _watched(self, key_expr: str, handler: OnPresence) -> tuple[Presence, Declaration]:
         presence = Presence(handler)
         presence.asked(self.alive(key_expr, timeout_s=PRESENCE_TIMEOUT_S))
 
@@ -310,7 +325,14 @@ class Session:
             )
         declaration = self._kept(Declaration(declared))
         presence.settle(timeout_s=PRESENCE_SETTLED_S)
-        return declaration
+        return presence, declaration
+
+    def _unwatch(self, key_expr: str, handler: OnPresence) -> None:
+        with self._watching:
+            presence, declaration = self._watches[key_expr]
+            if not presence.leave(handler):
+                del self._watches[key_expr]
+                declaration.withdraw()
 
     def listening_on(self) -> list[str]:
         """Return the endpoints that this router actually listens on, with their assigned ports.
@@ -328,6 +350,18 @@ class Session:
     def _kept(self, declaration: D) -> D:
         self._declarations.append(declaration)
         return declaration
+
+
+class _Watch:
+    """One handler's part in a watch, which ends once."""
+
+    def __init__(self, end: Callable[[], None]) -> None:
+        self._end: Callable[[], None] | None = end
+
+    def undeclare(self) -> None:
+        end, self._end = self._end, None
+        if end is not None:
+            end()
 
 
 def _on_sample(handler: OnSample, max_bytes: int) -> Callable[[zenoh.Sample], None]:

@@ -1,4 +1,4 @@
-"""A two-joint arm with its joint controllers as one MuJoCo model."""
+"""An arm of two or three joints with its joint controllers as one MuJoCo model."""
 
 from __future__ import annotations
 
@@ -28,11 +28,8 @@ class _ShippedModel:
     file: str
     """Name of the model's file."""
 
-    shoulder: str
-    """Name of the joint that serves as the shoulder."""
-
-    elbow: str
-    """Name of the joint that serves as the elbow."""
+    joints: tuple[str, ...]
+    """Names of the joints that move, from the base on."""
 
     tip: str
     """Name of the body at the tip, which carries the payload."""
@@ -40,23 +37,28 @@ class _ShippedModel:
     scenery: tuple[str, ...]
     """Names of the bodies that are removed."""
 
-    home: tuple[float, float]
-    """Home pose: shoulder and elbow angles in rad."""
+    home: tuple[float, ...]
+    """Home pose: angle of each of these joints in rad."""
 
 
 _MODELS = {
     "pusher": _ShippedModel(
         file="pusher_v5.xml",
-        shoulder="r_shoulder_pan_joint",
-        elbow="r_elbow_flex_joint",
+        joints=("r_shoulder_pan_joint", "r_elbow_flex_joint"),
         tip="tips_arm",
         scenery=("object", "goal"),
         home=(0.0, -1.16),  # the middle of the elbow's range
     ),
+    "pusher_pitch": _ShippedModel(
+        file="pusher_v5.xml",
+        joints=("r_shoulder_lift_joint", "r_elbow_flex_joint", "r_wrist_flex_joint"),
+        tip="tips_arm",
+        scenery=("object", "goal"),
+        home=(0.44, -1.16, -0.55),  # the middle of each range
+    ),
     "reacher": _ShippedModel(
         file="reacher.xml",
-        shoulder="joint0",
-        elbow="joint1",
+        joints=("joint0", "joint1"),
         tip="fingertip",
         scenery=("target",),
         home=(0.0, 1.5),  # bent by as much as the other arm can be, within ±3
@@ -82,23 +84,24 @@ class Mechanism:
         """Put the arm at rest in its home pose."""
         size = mujoco.mj_stateSize(self._model, mujoco.mjtState.mjSTATE_FULLPHYSICS.value)
         self._state = np.zeros(size)
-        self._state[1:3] = self._home  # after the time come the positions, then the velocities
-        self._reference = np.zeros(2)
+        # After the time come the positions, then the velocities.
+        self._state[1 : 1 + len(self._home)] = self._home
+        self._reference = np.zeros(len(self._home))
 
     @property
     def state(self) -> FloatArray:
-        """Angle from home [rad] and angular velocity [rad/s] of each joint, shape (2, 2)."""
+        """Angle from home [rad] and angular velocity [rad/s] of each joint, shape (joints, 2)."""
         return np.asarray(self._joints(self._state[np.newaxis])[0])
 
     def play(self, references: FloatArray) -> FloatArray:
         """Move along references.
 
         Args:
-            references: Joint angles from home in rad, shape (samples, 2).
+            references: Joint angles from home in rad, shape (samples, joints).
 
         Returns:
             Angle from home [rad] and angular velocity [rad/s] of each joint after each reference
-            has acted, shape (samples, 2, 2).
+            has acted, shape (samples, joints, 2).
         """
         before = np.concatenate([self._reference[np.newaxis], references[:-1]])
         velocity = self._velocity_gain * (references - before) / SAMPLE_TIME_S
@@ -115,11 +118,13 @@ class Mechanism:
         return self._joints(ends)
 
     def _joints(self, states: FloatArray) -> FloatArray:
-        return np.stack([states[:, 1:3] - self._home, states[:, 3:5]], axis=2)
+        joints = len(self._home)
+        angles, velocities = states[:, 1 : 1 + joints], states[:, 1 + joints : 1 + 2 * joints]
+        return np.stack([angles - self._home, velocities], axis=2)
 
 
 def nominal_inertia_kg_m2(settings: ArmSettings) -> FloatArray:
-    """Return the inertia that the controller assumes for each joint, shape (2,), in kg m².
+    """Return the inertia that the controller assumes for each joint, shape (joints,), in kg m².
 
     It is the diagonal of the mass matrix in the home pose, without payload.
     """
@@ -128,16 +133,17 @@ def nominal_inertia_kg_m2(settings: ArmSettings) -> FloatArray:
     data = mujoco.MjData(model)
     data.qpos[:] = shipped.home
     mujoco.mj_forward(model, data)
-    diagonal, column = np.empty(2), np.empty(2)
+    joints = len(shipped.joints)
+    diagonal, column = np.empty(joints), np.empty(joints)
     # MuJoCo multiplies by the mass matrix; column i is its product with the i-th unit vector.
-    for i, unit in enumerate(np.eye(2)):
+    for i, unit in enumerate(np.eye(joints)):
         mujoco.mj_mulM(model, data, column, unit)
         diagonal[i] = column[i]
     return diagonal
 
 
 def servo_gains(settings: ArmSettings) -> tuple[FloatArray, FloatArray]:
-    """Return stiffness [N m/rad] and damping [N m s/rad] of each joint's controller, shape (2,).
+    """Return stiffness [N m/rad] and damping [N m s/rad] of each joint's controller, (joints,).
 
     The gains k = J ω_n² and d = 2 ζ J ω_n give a joint of the nominal inertia J the natural
     frequency ω_n and the damping ratio ζ.
@@ -147,7 +153,7 @@ def servo_gains(settings: ArmSettings) -> tuple[FloatArray, FloatArray]:
 
 
 def _bare_arm(shipped: _ShippedModel, rotor_inertia_kg_m2: float) -> Any:
-    """Return the shipped arm with two moving joints, and without scenery, motors or contacts."""
+    """Return the shipped arm with its moving joints, and without scenery, motors or contacts."""
     package = importlib.util.find_spec("gymnasium")
     if package is None or package.origin is None:
         raise InvalidInputError("simulated arms need 'gymnasium': pip install 'nufleet[arms]'")
@@ -158,7 +164,7 @@ def _bare_arm(shipped: _ShippedModel, rotor_inertia_kg_m2: float) -> Any:
     for actuator in list(spec.actuators):
         spec.delete(actuator)
     for joint in list(spec.joints):
-        if joint.name not in (shipped.shoulder, shipped.elbow):
+        if joint.name not in shipped.joints:
             spec.delete(joint)
         else:
             joint.armature = rotor_inertia_kg_m2
@@ -177,8 +183,8 @@ def _controlled_arm(settings: ArmSettings) -> Any:
         spec.body(shipped.tip).add_geom(
             type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0, 0], mass=settings.payload_kg
         )
-    names = (shipped.shoulder, shipped.elbow)
-    for name, friction_nm in zip(names, settings.joint_friction_nm, strict=True):
+    names = shipped.joints
+    for name, friction_nm in zip(names, settings.friction_nm, strict=True):
         joint = spec.joint(name)
         joint.damping = joint.damping * settings.joint_damping_scale
         joint.frictionloss = friction_nm

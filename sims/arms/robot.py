@@ -1,4 +1,4 @@
-"""A simulated arm as a Robot: shoulder and elbow, measured from the home pose."""
+"""A simulated arm as a Robot: its joints, measured from the home pose."""
 
 from __future__ import annotations
 
@@ -8,13 +8,11 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 from nufleet.sims.arms.mechanism import Mechanism, servo_gains
-from nufleet.sims.arms.settings import SAMPLE_TIME_S, ArmSettings
+from nufleet.sims.arms.settings import JOINTS, SAMPLE_TIME_S, ArmSettings
 from nufleet.sims.measurement_noise import MeasurementNoise
 from nufleet.sims.simulated_robot import RestRule, SimulatedRobot
 
 STATE_NAMES = ("position", "velocity")
-
-AXIS_NAMES = ("shoulder", "elbow")
 
 ERROR_MAX_RAD = 1.0
 """Distance from its reference at which a joint has lost it, because the torque limit or a stop
@@ -33,7 +31,7 @@ class Arm(SimulatedRobot):
             name,
             _spec(settings),
             STATE_NAMES,
-            MeasurementNoise(np.tile(sigma, (2, 1)), rng),
+            MeasurementNoise(np.tile(sigma, (len(JOINTS[settings.model]), 1)), rng),
             _rest_rule(settings),
         )
         self._mechanism = Mechanism(settings)
@@ -59,7 +57,7 @@ class Arm(SimulatedRobot):
 def _rest_rule(settings: ArmSettings) -> RestRule:
     # A proportional controller leaves a joint where friction balances the servo's spring.
     stiffness, _ = servo_gains(settings)
-    stuck = np.array(settings.joint_friction_nm) / stiffness
+    stuck = np.array(settings.friction_nm) / stiffness
     return RestRule(
         speed=0.5,
         position_max=REST_MAX_RAD + float(stuck.max()),
@@ -78,7 +76,7 @@ def _spec(settings: ArmSettings) -> RobotSpec:
             velocity_max=limits.velocity_rad_s,
             acceleration_max=limits.acceleration_rad_s2,
         )
-        for name in AXIS_NAMES
+        for name in JOINTS[settings.model]
     )
     return RobotSpec(
         kind="arm",

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
+from pydantic import model_validator
+
 from nufleet.shared.robots.spec import TrackingLimits
 from nufleet.shared.strict import NonNegative, Positive, Strict
 
@@ -12,6 +14,14 @@ SAMPLE_TIME_S = 0.02
 
 SERVO_HZ = 500
 """Integration steps per second; the joint controllers run at this rate."""
+
+
+JOINTS = {
+    "pusher": ("shoulder", "elbow"),
+    "pusher_pitch": ("shoulder", "elbow", "wrist"),
+    "reacher": ("shoulder", "elbow"),
+}
+"""Names of the joints that move, by model."""
 
 
 class EncoderNoise(Strict):
@@ -25,7 +35,7 @@ class EncoderNoise(Strict):
 
 
 class ReferenceLimits(Strict):
-    """Limits on the reference of a frequency test on either joint."""
+    """Limits on the reference of a frequency test on each joint."""
 
     amplitude_rad: Positive = 0.3
     """Largest amplitude."""
@@ -38,7 +48,10 @@ class ReferenceLimits(Strict):
 
 
 class ArmSettings(Strict):
-    """One simulated arm: shoulder and elbow move, the other joints are locked.
+    """One simulated arm, whose `JOINTS` move and whose other joints are locked.
+
+    The shoulder of `pusher` turns about the vertical and its elbow about a horizontal axis, so that
+    neither moves the other. The joints of `pusher_pitch`, the same arm, turn about parallel axes.
 
     The arm may differ from the shipped model in a payload at the tip, the joints' viscous damping
     and Coulomb friction, and the inertia of the motors' rotors. The controller knows the shipped
@@ -46,8 +59,8 @@ class ArmSettings(Strict):
     PD controller whose gains give that nominal inertia the natural frequency and the damping ratio.
     """
 
-    model: Literal["pusher", "reacher"]
-    """Name of the arm among those that gymnasium ships."""
+    model: Literal["pusher", "pusher_pitch", "reacher"]
+    """Name of the arm: one that gymnasium ships, and which of its joints move."""
 
     natural_frequency_rad_s: Positive
     """Natural frequency of each joint's loop with the nominal inertia."""
@@ -67,8 +80,8 @@ class ArmSettings(Strict):
     joint_damping_scale: Positive = 1.0
     """Factor on the viscous damping of the shipped joints."""
 
-    joint_friction_nm: tuple[NonNegative, NonNegative] = (0.0, 0.0)
-    """Coulomb friction of shoulder and elbow: the torque that either opposes to any motion."""
+    joint_friction_nm: tuple[NonNegative, ...] = ()
+    """Coulomb friction: the torque that each joint opposes to any motion; none for none."""
 
     velocity_reference: bool = True
     """Whether the controller also receives the reference's backward difference as velocity."""
@@ -101,3 +114,15 @@ class ArmSettings(Strict):
 
     settling_time_s: NonNegative = 3.0
     """Time in which the arm settles after a change of its reference."""
+
+    @model_validator(mode="after")
+    def _friction_of_each_joint(self) -> ArmSettings:
+        joints = JOINTS[self.model]
+        if len(self.joint_friction_nm) not in (0, len(joints)):
+            raise ValueError(f"joint_friction_nm needs a value for each of {', '.join(joints)}")
+        return self
+
+    @property
+    def friction_nm(self) -> tuple[float, ...]:
+        """Coulomb friction of every joint."""
+        return self.joint_friction_nm or (0.0,) * len(JOINTS[self.model])

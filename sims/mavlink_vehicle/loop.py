@@ -15,6 +15,9 @@ from nufleet.shared.strict import NonNegative, Positive, Strict
 ALIASES = 60
 """Number of aliases on either side that are summed; the loop lets little of the next one pass."""
 
+GRID = 400
+"""Number of points on which a sample is integrated."""
+
 
 class LoopSettings(Strict):
     """A loop of second order with a delay, the same on all axes."""
@@ -91,36 +94,44 @@ def frequency_response(
         The responses, shape (frequencies,).
     """
     omega_0, zeta, step_s = settings.omega_rad_s, settings.damping, sample_time_s
-    shift = 2 * np.pi / step_s * np.arange(-ALIASES, ALIASES + 1)
-    all_omega = omega_rad_s[:, np.newaxis] + shift
-    s = 1j * all_omega
+    aliases = np.arange(-ALIASES, ALIASES + 1)
+    s = 1j * (omega_rad_s[:, np.newaxis] + 2 * np.pi / step_s * aliases)
     plant = (omega_0**2) / (s**2 + 2 * zeta * omega_0 * s + omega_0**2)
     late = np.exp(-s * (settings.delay_s + link_delay_s))
-    held = (plant * late * _held(all_omega, step_s, link_jitter_s, link_loss)).sum(axis=1) / step_s
+    hold = _hold(omega_rad_s, aliases, step_s, link_jitter_s, link_loss)
+    held = (plant * late * hold).sum(axis=1) / step_s
     ahead = 2 * zeta / omega_0 * (1 - np.exp(-1j * omega_rad_s * step_s)) / step_s
     response: NDArray[np.complex128] = held * (1 + ahead if feed_forward else 1)
     return response
 
 
-def _held(omega: FloatArray, step_s: float, jitter_s: float, loss: float) -> NDArray[np.complex128]:
-    """Return the Fourier transform of the probability that a reference is in force."""
-    if jitter_s == 0 and loss == 0:
-        s = 1j * omega
-        exact: NDArray[np.complex128] = (1 - np.exp(-s * step_s)) / s
-        return exact
-    lasts_s = step_s * 12 + 20 * jitter_s
-    grid_s = 1e-4 * step_s + np.arange(0.0, lasts_s, step_s / 400)
+def _hold(
+    omega_rad_s: FloatArray,
+    aliases: NDArray[np.int64],
+    step_s: float,
+    jitter_s: float,
+    loss: float,
+) -> NDArray[np.complex128]:
+    """Return the Fourier transform of the probability that a reference is in force.
 
-    def arrived(since_s: FloatArray) -> FloatArray:
-        positive = np.maximum(since_s, 0.0)
+    Its shape is (frequencies, aliases); alias n of a frequency ω is ω + 2 π n / step_s.
+    """
+    within_s = step_s * (np.arange(GRID) + 0.5) / GRID
+    steps = math.ceil(12 + 20 * jitter_s / step_s)
+    since_s = within_s + step_s * np.arange(steps)[:, np.newaxis]
+
+    def arrived(after_s: FloatArray) -> FloatArray:
+        positive = np.maximum(after_s, 0.0)
         share = 1.0 - np.exp(-positive / jitter_s) if jitter_s else np.ones_like(positive)
-        return np.where(since_s > 0, (1 - loss) * share, 0.0)
+        return np.where(after_s > 0, (1 - loss) * share, 0.0)
 
-    in_force = arrived(grid_s)
-    for newer in range(1, math.ceil(lasts_s / step_s) + 1):
-        in_force = in_force * (1 - arrived(grid_s - newer * step_s))
-    spacing_s = grid_s[1] - grid_s[0]
-    out = np.empty(omega.shape, dtype=np.complex128)
-    for row, frequencies in zip(out, omega, strict=True):
-        row[:] = np.exp(-1j * np.outer(frequencies, grid_s)) @ in_force * spacing_s
-    return out
+    in_force = arrived(since_s)
+    for newer in range(1, steps):
+        in_force = in_force * (1 - arrived(since_s - newer * step_s))
+    # The aliases have one period in common, so that whole steps are summed before they are told
+    # apart.
+    turning = np.exp(-1j * omega_rad_s[:, np.newaxis, np.newaxis] * since_s)
+    folded = (in_force * turning).sum(axis=1)
+    apart = np.exp(-2j * np.pi / step_s * np.outer(within_s, aliases))
+    transformed: NDArray[np.complex128] = folded @ apart * (step_s / GRID)
+    return transformed

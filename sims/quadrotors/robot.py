@@ -52,6 +52,11 @@ class Quadrotor(SimulatedRobot):
         self._fresh_plant = plant
         self._plant = plant
 
+    @property
+    def flown_by(self) -> tuple[Flight, Plant]:
+        """The program that flies it, and the vehicle as it is now."""
+        return self._flight, self._plant
+
     def _start(self) -> FloatArray:
         self._plant = self._fresh_plant
         hover = np.zeros((round(HOVER_SETTLE_S / SAMPLE_TIME_S), 2))

@@ -23,6 +23,8 @@ from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.repository.address import default_url
 from nufleet.orchestrator.repository.records import Origin
 from nufleet.orchestrator.repository.repository import open_repository
+from nufleet.orchestrator.runs.rank_result import RankResult
+from nufleet.orchestrator.runs.verdict_table import verdict_parts
 from nufleet.shared.experience.file import decode_experience
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.messages import Description, RobotStatus
@@ -174,6 +176,8 @@ def test_the_best_source_is_that_of_the_latest_ranking(
     assert isinstance(ranked, dict)
     assert ranked["selected"] == "source-2"
     assert_the_trained_source_was_rehearsed(ranked)
+    *_, last = verdict_parts(RankResult.model_validate_json(json.dumps(ranked)))
+    assert "source-2: it has learned and was rehearsed" in str(last)
     # The guide transferred from the best source.
     (one,) = training["experiences"]  # type: ignore[misc]
     prior = lab.describe().prior

@@ -13,7 +13,7 @@ from nufleet.orchestrator.conduct.replay import resume
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.runs.rank_result import RunRecord
 
-ON_A_PAGE = "nufleet rank --fleet off_centre --axes x,y"
+ON_A_PAGE = "nufleet rank --fleet off_centre"
 
 
 def test_two_axes_are_ranked_by_the_worse_one_and_the_stored_tests_say_the_same_again(

@@ -30,10 +30,12 @@ class Clock:
 class Hanging:
     """A worker whose driver stays in one call, on a clock that is set, until it is let go."""
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: Clock, *, simulated: bool = True) -> None:
         self.clock = clock
         self.inside, self.let_go = threading.Event(), threading.Event()
-        self.puppet = PuppetRobot(puppet_spec().model_copy(update={"idle_s": 0.01}))
+        self.puppet = PuppetRobot(
+            puppet_spec(simulated=simulated).model_copy(update={"idle_s": 0.01})
+        )
         robot = WatchedRobot(self.puppet, realtime=None)
         memory = Memory(None)
         planner = Planner("a", self.puppet.spec, (), memory, None)
@@ -70,9 +72,14 @@ class Hanging:
 
 
 @pytest.fixture
-def hanging(monkeypatch: pytest.MonkeyPatch) -> Iterator[Hanging]:
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
     monkeypatch.setattr(watched_robot, "time", SimpleNamespace(monotonic=lambda: clock.now_s))
+    return clock
+
+
+@pytest.fixture
+def hanging(clock: Clock) -> Iterator[Hanging]:
     hanging = Hanging(clock)
     yield hanging
     hanging.let_go.set()
@@ -146,3 +153,19 @@ def test_a_release_from_before_a_stop_connects_no_robot(hanging: Hanging) -> Non
     assert isinstance(refused, Refusal)
     assert refused.code == "stopped"
     assert hanging.decisions.fault == "its driver failed"
+
+
+def test_a_result_counts_the_late_samples_of_its_motion_alone(clock: Clock) -> None:
+    real = Hanging(clock, simulated=False)
+
+    def lasts(sample: int) -> float:
+        return 0.05 if sample == 3 and real.puppet.motions == 1 else 0.01
+
+    def on_sample(sample: int) -> None:
+        clock.now_s += lasts(sample)
+
+    real.puppet.on_sample = on_sample
+    for goal_id, late in (("one", 1), ("two", 0)):
+        real.begin(goal_id)
+        assert real.result(goal_id).late_samples == late
+    real.worker.close()

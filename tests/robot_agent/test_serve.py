@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -157,3 +159,25 @@ def test_robots_that_share_a_radio_are_built_together_and_the_others_apart(
     build_robots(fleet, path, ("a", "b", "c", "d"))
     assert driver.built == [("a", "c"), ("b",), ("d",)]
     assert processes.grouped(fleet, processes=4) == [("a", "c"), ("b",), ("d",)]
+
+
+class OpenSession:
+    """A session that is always admitted."""
+
+    def check_admitted(self) -> None:
+        """Agree."""
+
+
+def test_simulated_robots_share_a_session_and_every_real_one_has_its_own(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(
+        fleet_robots, "open_client", lambda address, **_: nullcontext(OpenSession())
+    )
+    with ExitStack() as opened:
+        sessions = fleet_robots.Sessions(opened, Event())
+        simulated = [sessions.session("tcp/there:1", shared=True) for _ in range(3)]
+        elsewhere = sessions.session("tcp/elsewhere:1", shared=True)
+        real = [sessions.session("tcp/there:1", shared=False) for _ in range(2)]
+    assert len(set(simulated)) == 1
+    assert len({simulated[0], elsewhere, *real}) == 4

@@ -62,12 +62,16 @@ def test_it_comes_to_rest_from_any_motion() -> None:
     robot.disconnect()
 
 
+LIMITS = {"amplitude_max": 1.0, "velocity_max": 1.0, "acceleration_max": 1.0}
+
+
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
         ({"coupling": (0.1, 0.1)}, "coupling needs 1 values"),
         ({"coupling": (1.0,)}, "couple the axes less"),
         ({"damping_ratio": (0.7,)}, "damping_ratio needs 2 values"),
+        ({"limits": {"z": LIMITS}}, "limits of z, which are not among the axes"),
     ],
 )
 def test_settings_that_describe_no_robot_are_refused(wrong: dict[str, object], words: str) -> None:
@@ -102,3 +106,19 @@ def test_the_axes_of_the_fleet_off_centre_disagree_on_the_best_source() -> None:
     assert min(psi, key=lambda name: psi[name][0]) == "source-1"
     assert min(psi, key=lambda name: psi[name][1]) == "source-3"
     assert min(psi, key=lambda name: max(psi[name])) == "source-2"
+
+
+def test_a_robot_with_height_and_heading_has_units_and_limits_of_its_own_and_takes_no_paths() -> (
+    None
+):
+    fleet = read_fleet_file(find_fleet_file("hovering"))
+    for name, entry in fleet.robots.items():
+        own = CoupledLoopsSettings.model_validate_json(json.dumps(entry.settings))
+        spec = CoupledLoops(name, own, np.random.default_rng(0)).spec
+        assert {axis.name: (axis.unit, axis.amplitude_max) for axis in spec.axes} == {
+            "x": ("m", 0.5),
+            "y": ("m", 0.5),
+            "z": ("m", 0.3),
+            "yaw": ("rad", 0.8),
+        }
+        assert spec.tracking is None

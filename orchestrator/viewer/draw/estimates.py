@@ -108,6 +108,7 @@ def _line(place: int, row: SourceEstimate) -> str:
     mark = "**" if place == 1 else ""
     return (
         f"| {place} | {mark}{row.robot}{mark} | {mark}{row.psi:.4f}{mark} "
-        f"| {row.psi_low:.4f} to {row.psi_high:.4f} | {row.omega_rad_s:.3g} | {row.measured} "
+        f"| {row.psi_low:.4f} to {row.psi_high:.4f} | {row.omega_rad_s:.3g}{row.on_axis} "
+        f"| {row.measured} "
         f"| {row.tests} |"
     )

@@ -46,12 +46,8 @@ class Keeper:
         self._repeated: Any = None
         self._heartbeat_s = self._timesync_s = -1.0
 
-    def hold(self, setpoint: Any, now_s: float) -> None:
-        """Repeat a set-point from now on, at the sample rate, unless others are sent."""
-        self._held, self._last_s = setpoint, now_s
-
     def sent(self, held: Any, now_s: float) -> None:
-        """Note that a set-point of a motion was sent.
+        """Note that a set-point was sent.
 
         Args:
             held: Set-point to repeat if no other follows: the same place, at rest.

@@ -104,10 +104,14 @@ class MavlinkRobot(Robot):
         health = vehicle.health()
         if not health.ready:
             raise RobotError(health.reason)
+        if vehicle.armed:
+            raise RobotError(
+                f"{self._name} is armed already, in {vehicle.mode} mode: land and disarm it first, "
+                "since reference 0 is counted from the place of take-off"
+            )
         ground = vehicle.measured().position.copy()
         self._place_origin(ground)
-        self._send(ground, np.zeros(3))
-        vehicle.keeper.hold(self._setpoint(ground, np.zeros(3)), line.now_s())
+        self._send(ground, np.zeros(3))  # and again and again, before PX4 enters the mode
         line.wait(line.now_s() + vehicle.profile.stream_s)
         vehicle.enter(vehicle.profile.obeys)
         self._ground = ground  # from here on it has to be ended

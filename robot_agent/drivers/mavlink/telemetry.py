@@ -68,8 +68,19 @@ class Heartbeat:
 class Telemetry:
     """Takes the messages of one vehicle, in the order in which they arrive."""
 
-    def __init__(self, profile: Profile, system_id: int, measured_by: str) -> None:
+    def __init__(
+        self, profile: Profile, system_id: int, own_system_id: int, measured_by: str
+    ) -> None:
+        """Know nothing of a vehicle.
+
+        Args:
+            profile: What its autopilot calls things.
+            system_id: MAVLink system id of the vehicle.
+            own_system_id: System id of the driver; answers to other ones are ignored.
+            measured_by: Message with its measured position.
+        """
         self._profile, self._system_id, self._measured_by = profile, system_id, measured_by
+        self._answers_to = {0, own_system_id}
         self.clock = VehicleClock()
         """Its clock, compared with ours."""
         self.heartbeat: Heartbeat | None = None
@@ -207,7 +218,8 @@ class Telemetry:
 
     def _take_command_ack(self, message: Any, arrived_s: float) -> None:
         del arrived_s
-        self.acknowledged[message.command] = message.result
+        if message.target_system in self._answers_to:
+            self.acknowledged[message.command] = message.result
 
     def _take_battery_status(self, message: Any, arrived_s: float) -> None:
         del arrived_s

@@ -59,7 +59,9 @@ class Vehicle:
         self._settings, self._line = settings, line
         self.profile = PROFILES[settings.profile]
         """What its autopilot calls things."""
-        self.telemetry = Telemetry(self.profile, settings.system_id, settings.measured_by)
+        self.telemetry = Telemetry(
+            self.profile, settings.system_id, settings.own_system_id, settings.measured_by
+        )
         """What it told."""
         self.keeper = Keeper(line.send, self.telemetry.clock, settings.sample_time_s)
         """What continues to be sent."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -19,8 +20,11 @@ KEPT = 100_000
 HISTORY_S = 60.0
 """Time before a motion whose messages help to compare the clocks."""
 
+SPACING_MIN = 0.4
+"""Shortest time between two measurements that are used, as a share of their usual one."""
+
 JUMP_MAX_S = 1.0
-"""Time by which a stamp may lie further ahead of the last one than the arrivals are apart."""
+"""Time by which a message may be faster than the fastest one before it."""
 
 AHEAD_MAX_S = 0.02
 """Time by which a synchronised stamp may lie ahead of its arrival."""
@@ -54,28 +58,30 @@ class Arrivals:
         self,
         topic: str,
         components: Sequence[str],
-        stamps: Literal["own-clock", "synchronised", "arrival"],
+        stamps: Literal["own-clock", "synchronised", "arrival", "simulated"],
     ) -> None:
         """Begin without a measurement.
 
         Args:
             topic: Name of the topic, for messages.
             components: Components or joints that are needed.
-            stamps: What time stamps mean, as in `MeasurementTopic`.
+            stamps: What time stamps mean, as in `MeasurementTopic`; `simulated` ones are of the
+                clock that the driver follows, and may come before the clock's own message.
         """
         self._topic, self._components, self._stamps = topic, tuple(components), stamps
         self._changed = threading.Condition()
         self._kept: deque[Arrived] = deque(maxlen=KEPT)
         self._count = 0
         self._problem: str | None = None
+        self._least_delay_s = math.inf
         self._others: frozenset[str] = frozenset()
 
     def take(self, stamp_s: float | None, arrived_s: float, values: Mapping[str, float]) -> None:
         """Take a measurement; repetitions and messages about other joints alone are passed over.
 
         Args:
-            stamp_s: Its time stamp, on the driver's clock if the clocks are synchronised; None if
-                it has none.
+            stamp_s: Its time stamp, on the driver's clock if it is synchronised or simulated; None
+                if it has none.
             arrived_s: When it arrived, on the driver's clock.
             values: Value of each component or joint.
         """
@@ -132,6 +138,8 @@ class Arrivals:
     def since(self, begin_s: float) -> tuple[FloatArray, FloatArray]:
         """Return the measurements taken since a time, and the last one before it.
 
+        Of a burst that a publisher made up for a delay with, only the first is returned.
+
         Args:
             begin_s: The time, on the driver's clock.
 
@@ -146,8 +154,9 @@ class Arrivals:
         if self._stamps == "own-clock" and kept:
             stamp_s = on_receiving_clock(stamp_s, arrived_s)
         first = max(0, int(np.searchsorted(stamp_s, begin_s)) - 1)
-        values = [[one.values[name] for name in self._components] for one in kept[first:]]
-        return stamp_s[first:], np.array(values).reshape(-1, len(self._components))
+        apart = [first + i for i in spaced(stamp_s[first:])]
+        values = [[kept[i].values[name] for name in self._components] for i in apart]
+        return stamp_s[apart], np.array(values).reshape(-1, len(self._components))
 
     def _wrong(
         self,
@@ -177,10 +186,10 @@ class Arrivals:
                 f"the time stamps on {self._topic} went back by {last.stamp_s - stamp_s:.3g} s: "
                 "its clock was set, or two programs publish there"
             )
-        jump_s = 0.0
-        if last is not None:
-            jump_s = stamp_s - last.stamp_s - (arrived_s - last.arrived_s)
-        if jump_s > JUMP_MAX_S:
+        # A message that waited arrives late, and none arrives early.
+        jump_s = self._least_delay_s - (arrived_s - stamp_s)
+        self._least_delay_s = min(self._least_delay_s, arrived_s - stamp_s)
+        if JUMP_MAX_S < jump_s < math.inf:
             return f"the time stamps on {self._topic} jumped by {jump_s:.3g} s: its clock was set"
         if self._stamps == "synchronised" and stamp_s > arrived_s + AHEAD_MAX_S:
             return (
@@ -188,6 +197,25 @@ class Arrivals:
                 'computer\'s clock: synchronise them with chrony, or state stamps = "own-clock"'
             )
         return None
+
+
+def spaced(times_s: FloatArray) -> list[int]:
+    """Return the indices of times that are not much closer than usual to the last one returned.
+
+    A curve through two noisy measurements at nearly the same time is steep, and far off beside
+    them.
+
+    Args:
+        times_s: Times, shape (measurements,), increasing.
+    """
+    if len(times_s) < 3:
+        return list(range(len(times_s)))
+    least_s = SPACING_MIN * float(np.median(np.diff(times_s)))
+    chosen = [0]
+    for i in range(1, len(times_s)):
+        if times_s[i] - times_s[chosen[-1]] >= least_s:
+            chosen.append(i)
+    return chosen
 
 
 def on_receiving_clock(stamp_s: FloatArray, arrived_s: FloatArray) -> FloatArray:

@@ -37,6 +37,12 @@ SETTLED_S = 1.0
 FIRST_WITHIN_S = 3.0
 """Time in which the first measurement has to come."""
 
+SPIN_S = 0.1
+"""Longest time for which the node's thread waits for a message before it looks whether to end."""
+
+QUEUED_MAX_S = 10.0
+"""Longest time for which a message that the middleware has received waits for the node's thread."""
+
 STANDSTILL_MAX_S = 2.0
 """Longest time for which the clock of a simulation may stand still."""
 
@@ -69,7 +75,7 @@ class RosNode(Link):
         self.arrivals = Arrivals(
             settings.full(settings.measurement.topic),
             settings.measured,
-            "synchronised" if settings.use_sim_time else settings.measurement.stamps,
+            "simulated" if settings.use_sim_time else settings.measurement.stamps,
         )
         with ExitStack() as opened:
             self._open(name, opened)
@@ -98,12 +104,14 @@ class RosNode(Link):
                 raise RobotError("the simulation's clock stands still: nothing comes on /clock")
             time.sleep(0.0005)
 
-    def send(self, point: SetPoint) -> None:
-        """Publish a set-point now."""
+    def send(self, point: SetPoint) -> float:
+        """Publish a set-point now, and return when."""
         now_ns = self._node.get_clock().now().nanoseconds
         command, sample_time_s = self._settings.command, self._settings.sample_time_s
-        self._publisher.publish(message_of(point, command, now_ns, sample_time_s, _new))
-        self._sent_s = time.monotonic()
+        message = message_of(point, command, now_ns, sample_time_s, _new)
+        sent_s, self._sent_s = self.now_s(), time.monotonic()
+        self._publisher.publish(message)
+        return sent_s
 
     def keep_sending(self, resend: Callable[[], None] | None) -> None:
         """Call a function whenever one and a half samples pass without a set-point; None stops."""
@@ -140,7 +148,7 @@ class RosNode(Link):
         with _ros():
             import rclpy
             from rclpy.context import Context
-            from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+            from rclpy.executors import SingleThreadedExecutor
             from rclpy.node import Node
             from rclpy.parameter import Parameter
             from rclpy.signals import SignalHandlerOptions
@@ -188,14 +196,17 @@ class RosNode(Link):
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
 
-        def spin() -> None:
-            with suppress(ExternalShutdownException):
-                executor.spin()
+        closing = threading.Event()
 
+        def spin() -> None:  # the executor is shut down only after its last turn
+            while not closing.is_set():
+                executor.spin_once(timeout_sec=SPIN_S)
+
+        opened.callback(executor.shutdown)
         thread = threading.Thread(target=spin, name=f"{name}-ros2", daemon=True)
         thread.start()
         opened.callback(thread.join)
-        opened.callback(executor.shutdown)
+        opened.callback(closing.set)
 
     def _received(self, message: Any, info: Any) -> None:
         """Take a measurement, on the node's thread."""
@@ -208,7 +219,7 @@ class RosNode(Link):
         now_s, now_ns = time.monotonic(), time.time_ns()
         # The middleware has received it a little earlier; some of them do not say when.
         waited_s = (now_ns - info["received_timestamp"]) / NS_PER_S
-        arrived_s = now_s - waited_s if 0 <= waited_s < 1 else now_s
+        arrived_s = now_s - waited_s if 0 <= waited_s < QUEUED_MAX_S else now_s
         stamp_s = said.stamp_s
         if stamp_s is not None and self._settings.measurement.stamps == "synchronised":
             stamp_s += now_s - now_ns / NS_PER_S
@@ -226,7 +237,8 @@ class RosNode(Link):
             resend is not None
             and time.monotonic() - self._sent_s > 1.5 * self._settings.sample_time_s
         ):
-            resend()
+            with suppress(RobotError):  # its motors were cut just now, as every other call says
+                resend()
 
     def _await_graph(self) -> None:
         """Wait until all topics and services are as they should be, and have been for a while."""
@@ -302,7 +314,7 @@ class RosNode(Link):
                 # The first step leads from 0 to the simulation's time.
                 steps += [now_s - last_s] if last_s > 0 else []
                 last_s = now_s
-        step_s = sorted(steps)[len(steps) // 2]
+        step_s = min(steps)  # a process that waits for a processor sees several steps as one
         if step_s > CLOCK_STEP_MAX * self._settings.sample_time_s:
             raise RobotError(
                 f"/clock advances by {step_s:.3g} s, too much for a sample time of "
@@ -349,9 +361,14 @@ def _profile(qos: Qos) -> Any:
 def _endpoints(found: Sequence[Any]) -> list[Endpoint]:
     from rclpy.qos import ReliabilityPolicy
 
+    def name(one: Any) -> str:
+        # An endpoint may be found before the name of its node.
+        full = f"{one.node_namespace.rstrip('/')}/{one.node_name}"
+        return "a node whose name is unknown" if "_NODE_NAME_UNKNOWN_" in full else full
+
     return [
         Endpoint(
-            f"{one.node_namespace.rstrip('/')}/{one.node_name}",
+            name(one),
             one.topic_type,
             (
                 "best_effort"

@@ -20,6 +20,13 @@ from nufleet.shared.errors import RobotDownError, RobotError
 from nufleet.shared.robots.health import Health
 from nufleet.shared.robots.spec import RobotSpec
 
+CATCH_UP_MAX_S = 0.1
+"""Delay of a sample that the next ones make up for, so that frequencies are exact; a process that
+was held up for longer keeps its pace, since the reference would jump."""
+
+CATCH_UP_SHARE = 0.25
+"""Shortest time between two samples that catch up, as a share of the sample time."""
+
 KILL_MAX_S = 0.8
 """Time in which the service that cuts the motors has to answer."""
 
@@ -39,8 +46,8 @@ class Link(Protocol):
     def wait_until(self, due_s: float) -> None:
         """Wait; raises RobotError if the clock stands still."""
 
-    def send(self, point: SetPoint) -> None:
-        """Send a set-point now."""
+    def send(self, point: SetPoint) -> float:
+        """Send a set-point now, and return when."""
 
     def keep_sending(self, resend: Callable[[], None] | None) -> None:
         """Call a function whenever one and a half samples pass without a set-point; None stops."""
@@ -140,13 +147,14 @@ class Ros2Robot(Robot):
         link = self._moving()
         period_s = self._spec.sample_time_s
         now_s = link.now_s()
-        # A process that was held up by more than a sample keeps its new pace.
-        due_s = now_s if self._due_s is None or now_s > self._due_s + period_s else self._due_s
-        link.wait_until(due_s)
+        due_s = self._due_s
+        if due_s is None or now_s > due_s + CATCH_UP_MAX_S:
+            due_s = now_s
+        apart_s = self._sent_s[-1] + CATCH_UP_SHARE * period_s if self._sent_s else due_s
+        link.wait_until(max(due_s, apart_s))
         self._moving()
         output = self._places.output(self._here())
-        self._sent_s.append(link.now_s())
-        self._send(self._places.at(reference))
+        self._sent_s.append(self._send(self._places.at(reference)))
         self._due_s = due_s + period_s
         return output
 
@@ -241,24 +249,23 @@ class Ros2Robot(Robot):
             raise RobotError(f"nothing came on {topic}{since}: check its publisher and the network")
         return np.array([*arrived.values.values()])
 
-    def _send(self, place: FloatArray) -> None:
+    def _send(self, place: FloatArray) -> float:
+        """Send the set-point of a place, and return when."""
         with self._sending:
             before, self._place = self._place, place
-            self._publish(before)
+            return self._publish(before)
 
     def _resend(self) -> None:
         with self._sending:
-            if self._begun:
+            if self._begun and self._down is None:
                 self._publish(self._place)
 
-    def _publish(self, before: FloatArray) -> None:
+    def _publish(self, before: FloatArray) -> float:
         here = None
         if self._settings.command.type in TWISTS:
             with suppress(RobotError):  # a robot that is not measured stands still
                 here = self._here()
-        link = self._link
-        if link is not None:
-            link.send(self._places.set_point(self._place, before, here))
+        return self._reached().send(self._places.set_point(self._place, before, here))
 
     def _let_stand(self, link: Link) -> None:
         """Send no more set-points; a robot that is commanded velocities is stopped."""

@@ -107,9 +107,16 @@ def agent_of(
 def start_lab(stack: ExitStack, tmp_path: Path, realtime: float | None) -> Lab:
     endpoint = f"unixsock-stream/{tmp_path}/r.sock"
     stack.enter_context(open_router([endpoint]))
+    return join_lab(stack, tmp_path, realtime, endpoint, endpoint)
+
+
+def join_lab(
+    stack: ExitStack, tmp_path: Path, realtime: float | None, robots_at: str, endpoint: str
+) -> Lab:
+    """Start agents and a client at routers that run already."""
     robots = {name: PuppetRobot() for name in ROBOTS}
     agents = {
-        name: stack.enter_context(agent_of(endpoint, name, robot, realtime=realtime))
+        name: stack.enter_context(agent_of(robots_at, name, robot, realtime=realtime))
         for name, robot in robots.items()
     }
     client = stack.enter_context(open_client(endpoint, timeout_s=PATIENCE_S))

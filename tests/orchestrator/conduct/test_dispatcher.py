@@ -12,7 +12,7 @@ import pytest
 from fleet_lab import submitted
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
-from round_lab import ROBOTS, STUDY, TEST, Lab, agent_of, start_lab
+from round_lab import KEYS, ROBOTS, STUDY, TEST, Lab, agent_of, start_lab
 
 from nufleet.orchestrator.conduct.attempts import ATTEMPTS, Attempts
 from nufleet.orchestrator.conduct.dispatcher import Dispatcher
@@ -26,6 +26,7 @@ from nufleet.orchestrator.study.outcomes import Failed, Measured
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.wire.keys import principal_of
 from nufleet.shared.wire.messages import GoalRequest
 
 
@@ -41,8 +42,20 @@ def slow_lab(tmp_path: Path) -> Iterator[Lab]:
         yield start_lab(stack, tmp_path, realtime=1.0)
 
 
-def test_a_round_measures_every_robot_once(lab: Lab) -> None:
+def test_a_round_measures_every_robot_once_and_asks_it_for_a_goal_and_a_result(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: set[str] = set()
+    ask_all = lab.client.ask_all
+
+    def noting(key: str, payload: bytes, *, timeout_s: float) -> list[bytes]:
+        asked.add(key)  # a set: on a busy machine, one may be asked again
+        return ask_all(key, payload, timeout_s=timeout_s)
+
+    monkeypatch.setattr(lab.client, "ask_all", noting)
     outcomes = lab.run(r1=TEST, r2=TEST, r3=TEST)
+    by = principal_of(lab.fleet.orchestrator_id)
+    assert asked == {KEYS.request(r, by, leaf) for r in ROBOTS for leaf in ("goal", "result")}
     assert set(outcomes) == set(ROBOTS)
     for outcome in outcomes.values():
         assert isinstance(outcome, Measured)

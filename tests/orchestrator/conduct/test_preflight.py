@@ -7,12 +7,12 @@ from dataclasses import replace
 import pytest
 
 from nufleet.orchestrator.conduct.preflight import (
+    axes_left_out,
     check_band,
     check_names,
     check_plan,
     chosen_axes,
 )
-from nufleet.orchestrator.conduct.rank_run import RankRequest, check_combination
 from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
@@ -137,8 +137,24 @@ def test_axes_that_only_some_robots_have_are_refused_by_name(
         check_plan(replace(plan(), also=("yaw",)), fleet)
 
 
-@pytest.mark.parametrize("option", ["precision", "amplitude"])
-def test_what_several_axes_cannot_do_is_refused_by_its_option(option: str) -> None:
-    request = RankRequest("target", None, None, 7, 0, ("x", "y"), **{option: 0.1})
-    with pytest.raises(InvalidInputError, match=f"--{option} requires a single axis"):
-        check_combination(request)
+def test_all_axes_are_those_that_every_robot_has_in_the_same_unit_and_the_others_are_said() -> None:
+    fleet = {
+        "target": several("target", x="m", y="m", z="m", yaw="rad"),
+        "near": several("near", x="m", y="m", yaw="rad"),
+        "far": several("far", x="m", y="m", z="m", yaw="m"),
+    }
+    axes = chosen_axes(("all",), fleet["target"], fleet.values())
+    assert axes == ("x", "y")
+    study = replace(plan(), sources=("near", "far"), also=axes[1:])
+    assert axes_left_out(study, fleet) == (
+        "axis z is not compared: near has no such axis, but x, y, yaw",
+        "axis yaw is not compared: far has it in m, and the target in rad",
+    )
+    apart = several("source", heading="rad")
+    assert chosen_axes(("all",), fleet["target"], [apart]) == ("x",)
+
+
+def test_one_amplitude_for_axes_in_several_units_is_refused() -> None:
+    fleet = {name: several(name, x="m", yaw="rad") for name in ("target", "source")}
+    with pytest.raises(InvalidInputError, match=r"several units \(x in m, yaw in rad\)"):
+        check_plan(replace(plan(), also=("yaw",), amplitude=0.1), fleet)

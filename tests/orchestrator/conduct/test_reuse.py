@@ -77,6 +77,13 @@ def test_a_robot_that_has_changed_or_was_measured_long_ago_flies(measured: Archi
     assert f"{datetime.now(UTC):%Y-}" in find(measured, days=-1.0).unusable["near"]
 
 
+def test_stored_tests_must_cover_every_axis_that_is_ranked(measured: Archive) -> None:
+    along_y = find(measured, plan=replace(PLAN, axis="y"))
+    assert along_y.unusable["near"] == "none is stored"
+    both = find(measured, plan=replace(PLAN, also=("y",)))
+    assert both.unusable["near"] == "none is stored of axis y"
+
+
 def test_who_is_not_there_must_be_known(measured: Archive) -> None:
     reuse = find(measured)
     check_absent(["near"], reuse, "lab")

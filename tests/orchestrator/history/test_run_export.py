@@ -60,6 +60,21 @@ def test_what_is_exported_reads_back_as_the_tests_found_it(tmp_path: Path, suffi
     assert report.chordal_max_in_band == 0.0
 
 
+def test_each_axis_of_a_ranking_of_several_has_a_file_of_its_own(tmp_path: Path) -> None:
+    along_x, along_y, _ = measured_of("target")
+    along = {"x": [along_x, along_y], "y": [along_y, replace(along_x, z=2 * along_x.z)]}
+    tests = [replace(test, axis=axis) for axis, own in along.items() for test in own]
+    records = [ResponseRecord.of(test).response() for test in tests]
+    written = export_responses({"target": records}, tmp_path, "json")
+    assert {name: path.name for name, path in written.items()} == {
+        "target-x": "target-x.json",
+        "target-y": "target-y.json",
+    }
+    model = read_model(written["target-y"])
+    assert isinstance(model, MeasuredResponse)
+    assert model.z.tobytes() == combined(along["y"]).z.tobytes()
+
+
 def test_an_interrupted_run_is_exported_from_the_repository(
     archive: Archive, tmp_path: Path
 ) -> None:

@@ -11,6 +11,7 @@ from random_loops import BAND, SPEC, Loop, answers
 
 from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
 from nufleet.orchestrator.study.interface import Report, StudyPlan
+from nufleet.orchestrator.study.tone_choice import first_look, lowest_look
 from nufleet.shared.errors import StudyError
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.frequency_test.quality import Finding, Quality
@@ -80,6 +81,35 @@ def test_a_robot_that_responds_to_no_tone_is_asked_for_lower_ones_and_dropped() 
 def test_a_target_that_responds_to_no_tone_ends_the_study_with_the_reason() -> None:
     with pytest.raises(StudyError, match="target cannot be tested: it responds to no tone"):
         last_of(FLEET, silent=("target",))
+
+
+@pytest.mark.parametrize("absent", [(), ("near", "far")])
+def test_stored_responses_that_contradict_each_other_or_todays_are_said_with_what_helps(
+    absent: tuple[str, ...],
+) -> None:
+    rng = np.random.default_rng(1)
+    first = first_look(BAND, SPEC, 11, 0.7)
+    early, late = first.excitation("x"), lowest_look(BAND, SPEC, 2 * BAND[0], first).excitation("x")
+    fleet = {name: FLEET[name] for name in ("target", "near", "far")}
+    loaded = Loop(3.1, damping=0.75, gain=0.8)
+    stored = {
+        "near": [loaded.answer(early, 0.005, rng)],
+        "far": [fleet["far"].answer(early, 0.005, rng)],
+    }
+    if absent:
+        stored["near"].append(fleet["near"].answer(late, 0.005, rng))
+    plan = StudyPlan("target", ("near", "far"), BAND, 8, "x")
+    specs = dict.fromkeys(fleet, SPEC)
+    study = AdaptiveStudy(plan, specs, rng, stored=stored, absent=absent)
+    while (question := study.ask()) is not None:
+        report = study.tell(answers(fleet, question, 0.005, rng), {})
+    assert report.stopped_because is not None
+    (said,) = [finding for finding in report.findings if finding.startswith("near: its response")]
+    assert "changed between tests, by 0.2" in said or "changed between tests, by 0.1" in said
+    assert said.endswith("if it has changed, test again without --reuse")
+    near = report.ranking[0]
+    assert near.robot == "near"
+    assert near.psi_high - near.psi_low > 0.1, "neither of the two is believed more"
 
 
 def test_a_response_that_depends_on_the_amplitude_is_said_and_believed_less() -> None:

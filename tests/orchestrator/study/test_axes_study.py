@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from random_loops import BAND, SPEC, Loop
 
+from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
-from nufleet.orchestrator.study.axes_study import AxesStudy
-from nufleet.orchestrator.study.interface import Question, Report, StudyPlan
+from nufleet.orchestrator.study.interface import DesiredMotion, Question, Report, StudyPlan
+from nufleet.orchestrator.study.transfer_verdicts import judge_transfers
 from nufleet.shared.arrays import ComplexArray
 from nufleet.shared.distance.chordal import chordal_distance, matrix_chordal_distance
 from nufleet.shared.errors import StudyError
@@ -50,7 +53,7 @@ def answer(
     """Return what a test gives of loops, each of which adds a share of itself to the others."""
     nothing = Quality(warnings=(Finding(code="no-response", text="no response"),))
     if not test.also:
-        return loops[test.axis].answer(test, deviation, rng)
+        return replace(loops[test.axis].answer(test, deviation, rng), axis=test.axis)
     names = tuple(one.axis for one in test.played)
     counts = [len(one.tones) for one in test.played]
     played_by = np.repeat(np.arange(len(names)), counts)
@@ -74,16 +77,21 @@ def answer(
     return FrequencyResponse(**{**vars(first), "matrix": matrix})
 
 
-def begin(spec: RobotSpec, rounds: int = 8, fleet: Mapping[str, Loops] = FLEET) -> AxesStudy:
-    sources = tuple(name for name in fleet if name != "target")
-    plan = StudyPlan("target", sources, BAND, rounds, "x", also=("y",))
+PLAN = StudyPlan("target", SOURCES, BAND, 8, "x", also=("y",))
+
+
+def begin(
+    spec: RobotSpec,
+    plan: StudyPlan = PLAN,
+    stored: Mapping[str, Sequence[FrequencyResponse]] | None = None,
+) -> AdaptiveStudy:
     settings = AdaptiveSettings(samples=200, grid_points=96)
-    specs, rng = dict.fromkeys(fleet, spec), np.random.default_rng(0)
-    return AxesStudy(plan, specs, rng, settings=settings)
+    specs, rng = dict.fromkeys(FLEET, spec), np.random.default_rng(0)
+    return AdaptiveStudy(plan, specs, rng, stored=stored, settings=settings)
 
 
 def to_the_end(
-    study: AxesStudy, deviation: float = 0.01, across: float = 0.0, silent: str | None = None
+    study: AdaptiveStudy, deviation: float = 0.01, across: float = 0.0, silent: str | None = None
 ) -> tuple[list[Question], list[Report]]:
     rng = np.random.default_rng(1)
     questions, reports = [], []
@@ -99,13 +107,19 @@ def to_the_end(
     return questions, reports
 
 
-Ended = tuple[list[Question], list[Report]]
+class Ended(NamedTuple):
+    """A study that has ended."""
+
+    questions: list[Question]
+    reports: list[Report]
+    study: AdaptiveStudy
 
 
 @pytest.fixture(scope="module")
 def ended() -> Ended:
     """The study of robots whose axes do not answer to each other."""
-    return to_the_end(begin(spec_of()))
+    study = begin(spec_of())
+    return Ended(*to_the_end(study), study)
 
 
 def true_psi_star(source: str, axis: str) -> float:
@@ -114,7 +128,7 @@ def true_psi_star(source: str, axis: str) -> float:
 
 
 def test_the_worst_axis_decides_and_every_estimate_says_which(ended: Ended) -> None:
-    questions, reports = ended
+    questions, reports, _ = ended
     last = reports[-1]
     assert last.selected == "balanced"
     assert last.confidence is not None
@@ -137,7 +151,7 @@ def test_the_worst_axis_decides_and_every_estimate_says_which(ended: Ended) -> N
 def test_every_axis_of_the_contenders_reaches_the_lower_end_before_anything_is_claimed(
     ended: Ended,
 ) -> None:
-    questions, reports = ended
+    questions, reports, _ = ended
     assert reports[0].confidence is not None
     assert reports[0].confidence < 0.95
     lowest = {
@@ -159,7 +173,7 @@ def test_many_robots_are_looked_at_before_the_lower_end_of_the_band_and_few_from
         names = tuple(f"source-{n}" for n in range(sources))
         plan = StudyPlan("target", names, BAND, 8, "x", also=("y",))
         specs = dict.fromkeys(("target", *names), spec_of())
-        question = AxesStudy(plan, specs, np.random.default_rng(0)).ask()
+        question = AdaptiveStudy(plan, specs, np.random.default_rng(0)).ask()
         assert question is not None
         return question.omega_rad_s[0]
 
@@ -168,7 +182,7 @@ def test_many_robots_are_looked_at_before_the_lower_end_of_the_band_and_few_from
 
 
 def test_a_second_look_from_the_lower_end_is_played_at_half_the_amplitude(ended: Ended) -> None:
-    questions, _ = ended
+    questions = ended.questions
     first, second = (question.tests["balanced"] for question in questions[:2])
     assert [one.amplitude for one in first.played] == [None, None]
     assert [one.amplitude for one in second.played] == [0.05, 0.05]
@@ -181,7 +195,7 @@ def test_an_axis_that_may_not_move_with_others_is_tested_after_them_and_that_is_
         {"x"},
         {"y"},
     ]
-    assert questions[1].purpose == "a first look at y, which may not move with the other axes"
+    assert questions[1].purpose == "a first look at y alone"
     assert reports[0].confidence is not None
     assert reports[0].confidence < 0.95
     last = reports[-1]
@@ -190,7 +204,7 @@ def test_an_axis_that_may_not_move_with_others_is_tested_after_them_and_that_is_
 
 
 def test_axes_that_answer_to_each_other_are_reported_and_compared_as_matrices(ended: Ended) -> None:
-    _, apart = ended
+    apart = ended.reports
     assert not any(finding.startswith("target: ") for finding in apart[-1].findings)
     said = "no axis answers to another, so that each is compared by itself"
     assert said in apart[-1].findings
@@ -236,7 +250,78 @@ def test_a_target_with_an_axis_that_never_responds_ends_the_study_by_its_name() 
         to_the_end(begin(spec_of()), silent="y")
 
 
-def test_the_same_answers_lead_to_the_same_study(ended: Ended) -> None:
-    questions, reports = to_the_end(begin(spec_of()))
-    assert [question.tests for question in questions] == [one.tests for one in ended[0]]
-    assert reports[-1].ranking == ended[1][-1].ranking
+def along(axis: str) -> StudyPlan:
+    """The plan of a ranking for a path at 1 to 3 rad/s, nearly all of it along one axis."""
+    omega = tuple(np.linspace(1.0, 3.0, 20).tolist())
+    (other,) = set(AXES) - {axis}
+    parts = {axis: (0.999,) * 20, other: (0.001,) * 20}
+    return replace(PLAN, motion=DesiredMotion("path", omega, (1.0,) * 20, parts))
+
+
+def test_the_best_source_for_a_path_is_that_of_the_axis_along_which_it_leads() -> None:
+    axis, best = "y", "alike-on-y"
+    plan, rng = along(axis), np.random.default_rng(0)
+    study = begin(spec_of(), plan)
+    _, reports = to_the_end(study)
+    last = reports[-1]
+    assert last.selected == best
+    assert (last.stopped_because or "").startswith(f"{best} leaves the smallest error")
+    specs = dict.fromkeys(FLEET, spec_of())
+    verdicts = judge_transfers(plan, last.ranking, specs, study.responses, rng).verdicts
+    found = verdicts[best]
+    assert found.axes is not None
+    assert found.error_with.median == pytest.approx(found.axes[axis].error_with.median, abs=0.03)
+    assert found.error_with.median == min(one.error_with.median for one in verdicts.values())
+
+
+def test_without_a_path_the_squares_of_the_errors_on_all_axes_add_up(ended: Ended) -> None:
+    specs, rng = dict.fromkeys(FLEET, spec_of()), np.random.default_rng(0)
+    last, responses = ended.reports[-1], ended.study.responses
+    found = judge_transfers(PLAN, last.ranking, specs, responses, rng).verdicts
+    for verdict in found.values():
+        assert verdict.axes is not None
+        each = [one.error_with.median**2 for one in verdict.axes.values()]
+        assert verdict.error_with.median**2 == pytest.approx(sum(each) / 2, rel=0.1)
+    worse = found["alike-on-x"].axes
+    assert worse is not None
+    assert worse["y"].error_with.median > 5 * worse["x"].error_with.median
+
+
+def test_a_source_whose_stored_tests_played_all_axes_is_not_tested_again(ended: Ended) -> None:
+    known = [ended.reports[0].responses["alike-on-x"]]
+    question = begin(spec_of(), stored={"alike-on-x": known}).ask()
+    assert question is not None
+    assert set(question.tests) == set(FLEET) - {"alike-on-x"}
+    partly = [known[0].own_entries["x"]]
+    question = begin(spec_of(), stored={"alike-on-x": partly}).ask()
+    assert question is not None
+    assert set(question.tests) == set(FLEET)
+
+
+def test_the_interval_over_all_axes_is_narrowed_to_the_precision_that_is_asked_for(
+    ended: Ended,
+) -> None:
+    best = ended.reports[-1].ranking[0]
+    precision = 0.9 * (best.psi_high - best.psi_low)
+    questions, reports = to_the_end(begin(spec_of(), replace(PLAN, precision=precision)))
+    told = len(ended.questions)
+    assert [one.tests for one in questions[:told]] == [one.tests for one in ended.questions]
+    assert reports[told - 1].ranking == ended.reports[-1].ranking, "the same answers, the same"
+    best = reports[-1].ranking[0]
+    assert best.psi_high - best.psi_low <= precision
+    assert "is wanted" in questions[-1].purpose
+
+
+def test_tests_of_all_axes_are_played_at_the_amplitude_of_the_task() -> None:
+    question = begin(spec_of(), replace(PLAN, amplitude=0.05)).ask()
+    assert question is not None
+    played = [one.amplitude for test in question.tests.values() for one in test.played]
+    assert played == [0.05] * (2 * len(FLEET))
+
+
+def test_robots_that_move_too_briefly_for_all_axes_at_once_play_them_one_by_one() -> None:
+    brief = spec_of().model_copy(update={"duration_max_s": 9.0})
+    study = begin(brief)
+    question = study.ask()
+    assert question is not None
+    assert all(not test.also for test in question.tests.values())

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_loops import BAND, SPEC, Loop
 
-from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
+from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.orchestrator.study.looks import Looks
@@ -20,9 +20,9 @@ from nufleet.shared.robots.spec import RobotSpec
 
 def looks_of(
     spec: RobotSpec, band: tuple[float, float] = BAND, amplitude: float | None = None
-) -> tuple[Looks, RobotKnowledge]:
+) -> tuple[Looks, AxesKnowledge]:
     plan = StudyPlan("robot", (), band, 8, "x", amplitude=amplitude)
-    known = RobotKnowledge("robot", spec, band[1])
+    known = AxesKnowledge("robot", spec, band[1], ("x",))
     return Looks(plan, AdaptiveSettings(), {"robot": known}), known
 
 
@@ -62,7 +62,7 @@ def test_a_robot_accepts_every_test_from_one_millisecond_to_one_second(
     plan_excitation(test, spec, "robot")
     response = Loop(0.5 * high).answer(test, 0.01, rng)
     known.learn(replace(response, amplitude=played), rng)
-    assert np.all(np.isfinite(known.model.draw(np.linspace(low, high, 8), 20, rng)))
+    assert np.all(np.isfinite(known.axes["x"].model.draw(np.linspace(low, high, 8), 20, rng)))
     for choice in looks.candidates("robot", (low, 0.5 * (low + high))):
         plan = plan_excitation(looks.excitation("robot", choice), spec, "robot")
         assert plan.duration_s == pytest.approx(looks.duration_s("robot", choice))
@@ -72,11 +72,11 @@ def test_the_lowest_look_reaches_down_to_twice_the_lower_end_at_half_the_amplitu
     looks, known = looks_of(SPEC)
     rng = np.random.default_rng(0)
     first = looks.first["robot"]
-    assert looks.due(["robot"]) == {"robot": looks.lowest["robot"]}
+    assert looks.due(["robot"]) == {"robot": looks.lowest["robot"][0]}
     response = Loop(3.0).answer(looks.excitation("robot", first), 0.01, rng)
     known.learn(replace(response, amplitude=0.1), rng)
-    assert looks.due(["robot"]) == {"robot": looks.lowest["robot"]}
-    lowest = looks.lowest["robot"]
+    assert looks.due(["robot"]) == {"robot": looks.lowest["robot"][0]}
+    (lowest,) = looks.lowest["robot"]
     test = looks.excitation("robot", lowest)
     assert test.amplitude == pytest.approx(0.05)
     assert lowest.omega_rad_s[0] == pytest.approx(2 * BAND[0])
@@ -88,7 +88,7 @@ def test_the_lowest_look_reaches_down_to_twice_the_lower_end_at_half_the_amplitu
 def test_the_lowest_look_is_as_low_as_the_longest_motion_of_the_robot_allows() -> None:
     short = SPEC.model_copy(update={"duration_max_s": 35.0})
     looks, _ = looks_of(short)
-    lowest = looks.lowest["robot"]
+    (lowest,) = looks.lowest["robot"]
     assert 2 * BAND[0] < lowest.omega_rad_s[0] < looks.first["robot"].omega_rad_s[0]
     assert looks.duration_s("robot", lowest) <= 35.0
 
@@ -98,6 +98,6 @@ def test_a_robot_that_was_measured_to_settle_slowly_is_waited_for() -> None:
     share = AdaptiveSettings().settle_share
     test = looks.excitation("robot", looks.first["robot"])
     assert test.settle_s == pytest.approx(share * SPEC.settling_time_s)
-    known.settling_time_s = 3 * SPEC.settling_time_s
+    known.axes["x"].settling_time_s = 3 * SPEC.settling_time_s
     test = looks.excitation("robot", looks.first["robot"])
     assert test.settle_s == pytest.approx(3 * share * SPEC.settling_time_s)

@@ -100,3 +100,20 @@ def test_a_slow_robot_in_a_wide_band_is_not_offered_thousands_of_tests(
     choice = first_look((0.1, 2800.0), spec, 11, 0.7)
     assert len(choice.harmonics) == 64
     assert tried <= 4
+
+
+def test_a_tone_that_would_leave_the_band_by_a_billionth_is_moved_inside_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    steps = []
+
+    def step(value: float, towards: float) -> float:
+        steps.append(value)
+        assert len(steps) < 100, "it would take millions of the smallest steps"
+        return float(np.nextafter(value, towards))
+
+    monkeypatch.setattr(tone_choice.math, "nextafter", step)
+    # A lowest look lasts one period of its lowest tone, a billionth above twice the lower end.
+    measure_s = 2 * np.pi / (0.2 * (1 + 1e-9))
+    for choice in closer_looks((0.1, 5.4), measure_s, (1.0, 1.7, 3.0), (5.4,), 5, (0, 1)):
+        assert choice.omega_rad_s[-1] <= 5.4

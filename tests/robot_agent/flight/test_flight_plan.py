@@ -24,6 +24,7 @@ from nufleet.shared.paths.references import approach, rich_references, step_refe
 from nufleet.shared.paths.trajectories import travel
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.motions import (
+    AxisPrior,
     Flight,
     FlightPlan,
     RichFlight,
@@ -192,6 +193,22 @@ def test_a_flight_with_a_prior_needs_that_prior() -> None:
     code, reason = refused(with_prior(), known=memory(other, baseline=True))
     assert code == "other-prior"
     assert "from somebody" in reason
+
+
+def test_an_axis_takes_only_a_prior_that_was_learned_on_it() -> None:
+    elsewhere = experience("elsewhere", axes=("y",))
+    known = memory(PRIOR)
+    known.keep_prior(elsewhere, digest(elsewhere), beside=True)
+
+    def on_x(prior: bytes) -> Tracking:
+        own = (AxisPrior(axis="x", sha256=digest(prior)),)
+        return with_prior(guarded=False).model_copy(update={"prior_by_axis": own})
+
+    assert planned(on_x(PRIOR), known=known).samples == len(PATH)
+    code, reason = refused(on_x(elsewhere), known=known)
+    assert code == "misfit"
+    assert "the experience of elsewhere was learned on y, not on x" in reason
+    assert refused(on_x(experience("gone")), known=known)[0] == "other-prior"
 
 
 def mixed(*payloads: bytes, weight: float = 0.3) -> Tracking:

@@ -227,6 +227,14 @@ def test_a_file_of_another_version_is_refused_although_it_is_whole(tmp_path: Pat
         Memory(tmp_path)
 
 
+def test_a_folder_that_cannot_be_made_is_answered_by_the_variable_that_names_another(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(MemoryFolderError, match="choose a writable folder with NUFLEET_STATE"):
+        Memory(tmp_path / "file" / "learned")
+
+
 class CrashError(Exception):
     """The process ended here."""
 

@@ -438,6 +438,14 @@ def test_an_owner_that_is_forgotten_is_unknown_to_the_next_agent_and_all_else_is
         assert journal.remembrance.lost == ("g1",)
 
 
+def test_a_folder_that_cannot_be_made_is_answered_by_the_variable_that_names_another(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(JournalError, match="choose a writable folder with NUFLEET_STATE"):
+        Journal(tmp_path / "file" / "robot")
+
+
 def test_an_owner_that_the_disk_does_not_let_go_is_said_and_stays(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

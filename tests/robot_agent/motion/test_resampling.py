@@ -12,7 +12,7 @@ from nufleet.robot_agent.motion.resampling import outputs_at_samples
 from nufleet.robot_agent.robot import Record, RobotAround
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
-from nufleet.shared.frequency_test.timing import Timing, timing_findings
+from nufleet.shared.frequency_test.timing import Timing, late_findings, timing_findings
 from nufleet.shared.wire.messages import Outcome
 
 SPEC = puppet_spec(sample_time_s=0.02)
@@ -124,3 +124,10 @@ def test_a_tests_response_is_what_its_robot_recorded() -> None:
     assert (result.outcome, result.fault) == (Outcome.FAILED, None)
     assert "the times of 3 samples" in result.reason
     assert robot._robot.at_rest  # type: ignore[attr-defined]
+
+
+def test_many_late_samples_are_a_finding_with_a_remedy() -> None:
+    assert not list(late_findings(1, 1000))
+    (finding,) = late_findings(2, 1000)
+    assert finding.text.startswith("2 of 1000 samples began more than a sample time late")
+    assert "grant the agent real-time priority" in finding.text

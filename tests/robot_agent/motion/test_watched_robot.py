@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from polling import PATIENCE_S
-from puppet_robot import PuppetRobot
+from puppet_robot import PuppetRobot, puppet_spec
 
 from nufleet.robot_agent.motion import watched_robot
 from nufleet.robot_agent.motion.pace import GAP_MAX_S
@@ -105,6 +105,22 @@ def test_time_between_calls_does_not_count(clock: Clock) -> None:
         clock.pass_s(1.0)
         assert robot.look() is None
         robot.step(np.zeros(2))
+
+
+@pytest.mark.parametrize(("simulated", "late"), [(False, 2), (True, 0)])
+def test_samples_of_a_real_robot_that_begin_late_are_counted(
+    simulated: bool, late: int, clock: Clock
+) -> None:
+    robot = WatchedRobot(PuppetRobot(puppet_spec(simulated=simulated)), realtime=None)
+    robot.connect()
+    for _ in range(2):
+        for pause_s in (0.01, 0.019, 0.01, 0.021, 0.0):  # of 0.01 s each
+            robot.step(np.zeros(2))
+            clock.pass_s(pause_s)
+        clock.pass_s(30.0)
+        robot.rest()
+        clock.pass_s(30.0)
+    assert robot.late_samples == late
 
 
 def test_no_second_thread_reaches_a_driver_that_is_busy(clock: Clock) -> None:

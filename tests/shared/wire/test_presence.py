@@ -55,3 +55,22 @@ def test_settling_waits_for_the_watch_no_longer_than_it_must() -> None:
     assert reports == [("a", True)]
     presence.watched("a", False)
     assert reports[-1] == ("a", False)
+
+
+def test_one_who_joins_is_told_who_is_there_and_hears_every_change_until_it_leaves() -> None:
+    presence, reports = reporting()
+    presence.asked(["a"])
+    presence.watched("a", True)
+    presence.settle(timeout_s=0.0)
+    late: list[Report] = []
+
+    def told(key: str, alive: bool) -> None:
+        late.append((key, alive))
+
+    presence.join(told)
+    presence.watched("b", True)
+    assert late == reports == [("a", True), ("b", True)]
+    assert presence.leave(told)  # the first is left
+    presence.watched("b", False)
+    assert late == [("a", True), ("b", True)]
+    assert reports[-1] == ("b", False)

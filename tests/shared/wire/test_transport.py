@@ -317,6 +317,26 @@ def test_who_is_there_is_reported_before_watching_returns(clients: Callable[[], 
         assert set(seen) == keys
 
 
+def test_all_who_watch_on_one_session_are_told_until_each_leaves(
+    clients: Callable[[], Session],
+) -> None:
+    present, session = clients(), clients()
+    present.declare_alive("lab/robot/a/alive")
+    assert present.alive("lab/robot/*/alive", timeout_s=PATIENCE_S)  # the router knows it
+    first: queue.Queue[tuple[str, bool]] = queue.Queue()
+    second: queue.Queue[tuple[str, bool]] = queue.Queue()
+    one = session.watch_alive("lab/robot/*/alive", lambda key, alive: first.put((key, alive)))
+    session.watch_alive("lab/robot/*/alive", lambda key, alive: second.put((key, alive)))
+    assert first.get_nowait() == second.get_nowait() == ("lab/robot/a/alive", True)
+    one.withdraw()
+    one.withdraw()
+    token = present.declare_alive("lab/robot/b/alive")
+    assert second.get(timeout=PATIENCE_S) == ("lab/robot/b/alive", True)
+    token.withdraw()
+    assert second.get(timeout=PATIENCE_S) == ("lab/robot/b/alive", False)
+    assert first.empty()
+
+
 def test_a_withdrawn_handler_hears_no_more(clients: Callable[[], Session]) -> None:
     server, asker = clients(), clients()
     declaration = server.serve("gone", echo)

@@ -17,7 +17,12 @@ from nufleet.shared.models.linear_model import LinearModel
 from nufleet.shared.robots.drivers import RobotDriver
 from nufleet.shared.robots.fleet_file import FleetFile
 from nufleet.sims.arms.driver import DRIVER
-from nufleet.sims.arms.mechanism import STEPS_PER_SAMPLE, nominal_inertia_kg_m2, servo_gains
+from nufleet.sims.arms.mechanism import (
+    STEPS_PER_SAMPLE,
+    Mechanism,
+    nominal_inertia_kg_m2,
+    servo_gains,
+)
 from nufleet.sims.arms.robot import Arm
 from nufleet.sims.arms.settings import ArmSettings, EncoderNoise
 from nufleet.testing import assert_keeps_contract
@@ -256,7 +261,7 @@ def test_the_worn_fleet_differs_in_friction_load_and_tuning(
 ) -> None:
     worn: dict[str, ArmSettings] = settings_of(fleet_file("worn_arms"), DRIVER)
     assert len(set(worn.values())) == len(worn) == 5
-    assert worn["source-2"].joint_friction_nm == (0.0, 0.0)
+    assert worn["source-2"].friction_nm == (0.0, 0.0)
     assert worn["target"].joint_friction_nm == worn["source-1"].joint_friction_nm == FRICTION_NM
 
 
@@ -282,3 +287,24 @@ def test_a_minute_is_one_call_of_a_compiled_program(
 def test_an_arm_keeps_the_contract_of_a_robot(settings: dict[str, ArmSettings]) -> None:
     robots = DRIVER.build({"target": settings["target"]}, np.random.default_rng(0))
     assert_keeps_contract(robots["target"])
+
+
+@pytest.mark.parametrize(("fleet", "pushes"), [("arms", False), ("pitch_arms", True)])
+def test_joints_push_each_other_if_they_turn_about_parallel_axes(
+    fleet: str,
+    pushes: bool,
+    fleet_file: Callable[[str], FleetFile],
+    settings_of: Callable[[FleetFile, RobotDriver], dict[str, Any]],
+) -> None:
+    mechanism = Mechanism(settings_of(fleet_file(fleet), DRIVER)["target"])
+    times_s = 0.02 * np.arange(100)
+    references = np.zeros((100, len(mechanism.state)))
+    references[:, 0] = 0.1 * np.sin(9.0 * times_s)
+    moved = np.abs(mechanism.play(references)[:, :, 0]).max(axis=0)
+    assert (moved[1] > 0.1 * moved[0]) == pushes
+
+
+def test_friction_is_that_of_every_joint_or_of_none(settings: dict[str, ArmSettings]) -> None:
+    wrong = settings["target"].model_dump() | {"model": "pusher_pitch", "joint_friction_nm": (0.1,)}
+    with pytest.raises(ValidationError, match="a value for each of shoulder, elbow, wrist"):
+        ArmSettings.model_validate(wrong)

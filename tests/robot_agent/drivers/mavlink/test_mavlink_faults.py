@@ -94,6 +94,19 @@ def test_a_vehicle_that_does_not_arm_says_why_in_its_own_words() -> None:
     assert stubborn.robot.health().ready
 
 
+def test_a_vehicle_that_is_armed_already_is_not_taken_over() -> None:
+    flying = air()
+    flying.robot.connect()
+    flying.vehicle.armed = flying.vehicle.in_air = True
+    flying.wait(1.0)
+    asked = len(flying.vehicle.commands)
+    with pytest.raises(RobotError, match="is armed already, in position mode: land and disarm it"):
+        flying.robot.begin()
+    flying.robot.end()
+    flying.robot.disconnect()
+    assert (len(flying.vehicle.commands), flying.vehicle.set_points) == (asked, 0)
+
+
 @pytest.mark.parametrize(
     ("profile", "mode", "says"),
     [

@@ -4,25 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mavlink_air import ROUGH, Air, air
+from mavlink_air import ROUGH, Air, Unpaced, air
 
 from nufleet.robot_agent.motion.resampling import outputs_at_samples
-from nufleet.robot_agent.robot import RobotAround
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
-from nufleet.shared.robots.spec import RobotSpec
 from nufleet.sims.mavlink_vehicle.loop import LoopSettings, frequency_response
 from nufleet.testing import check_robot
 
 PROFILES = ("px4", "ardupilot")
-
-
-class Simulated(RobotAround):
-    """A robot that is not paced by a wall clock."""
-
-    @property
-    def spec(self) -> RobotSpec:
-        return self._robot.spec.model_copy(update={"simulated": True})
 
 
 def tone(flown: Air, omega_rad_s: float, amplitude_m: float, samples: int) -> complex:
@@ -82,7 +72,7 @@ def test_odometry_with_its_microseconds_gives_the_same_response() -> None:
 
 @pytest.mark.parametrize("profile", PROFILES)
 def test_the_driver_keeps_the_contract(profile: str) -> None:
-    robot = Simulated(air(profile=profile).robot)
+    robot = Unpaced(air(profile=profile).robot)
     report = check_robot(robot, cuts=True)
     assert not report.failed, str(report)
     assert all(one.holds for one in report.examined), str(report)

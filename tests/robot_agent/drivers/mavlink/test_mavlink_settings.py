@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,8 @@ from mavlink_air import X_AND_Y, settings
 from nufleet.robot_agent.drivers.mavlink.driver import DRIVER
 from nufleet.robot_agent.drivers.mavlink.settings import MavlinkSettings
 from nufleet.shared.errors import FleetFileError
-from nufleet.shared.robots.drivers import load_driver, shared_thing
-from nufleet.shared.robots.fleet_file import validated_settings
+from nufleet.shared.robots.drivers import check_settings, load_driver, shared_thing
+from nufleet.shared.robots.fleet_file import read_fleet_file, validated_settings
 
 
 @pytest.mark.parametrize(
@@ -50,6 +51,16 @@ def test_the_limits_of_the_fleet_file_are_those_of_the_robot() -> None:
     spec = settings(axes=fenced, kind="my-quad", idle_s=7.0).spec
     assert (spec.kind, spec.simulated, spec.idle_s) == ("my-quad", False, 7.0)
     assert (spec.axis("x").output_min, spec.axis("x").output_max) == (-0.8, 0.9)
+
+
+def test_the_fleet_files_of_the_documentation_are_accepted(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[4] / "docs" / "real-robots.md").read_text(encoding="utf-8")
+    files = [block for block in re.findall(r"```toml\n(.*?)```", page, re.S) if "mavlink" in block]
+    assert len(files) == 2
+    for text in files:
+        path = tmp_path / "lab.toml"
+        path.write_text(text)
+        check_settings(read_fleet_file(path), path)
 
 
 def test_robots_on_one_port_share_a_process_and_must_be_different_systems() -> None:

@@ -109,13 +109,14 @@ class VirtualLink:
             self.tick()
         self.time_s = max(self.time_s, due_s)
 
-    def send(self, point: SetPoint) -> None:
+    def send(self, point: SetPoint) -> float:
         self.sent.append(point)
         self.sent_at_s = self.time_s
         if self.settings.command.type in TWISTS:
             self.velocity = dict(point.velocities)
         else:
             self.goal.update(point.positions)
+        return self.time_s
 
     def keep_sending(self, resend: Callable[[], None] | None) -> None:
         self.resend = resend

@@ -1,0 +1,173 @@
+"""What samples of all responses say of the sources: on each axis, and on all axes together.
+
+A source is as far away as on its worst axis, ψ*_n = max over axes i and frequencies of ψ_n,i(ω);
+where axes answer to each other, the matrices of all responses are compared. The mean square error
+on a trajectory adds up over the axes, each with its share of the trajectory's motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
+from nufleet.orchestrator.belief.response_belief import ResponseModel
+from nufleet.orchestrator.belief.resting_gain import draw_resting
+from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
+from nufleet.orchestrator.study.coupled_distance import coupled_belief, matrix_draws, matters
+from nufleet.orchestrator.study.interface import StudyPlan
+from nufleet.orchestrator.study.selection_belief import PredictedErrors, SelectionBelief
+from nufleet.orchestrator.study.trajectory_spectrum import Spectrum, spectra_of
+from nufleet.shared.arrays import ComplexArray, FloatArray
+
+Draws = Mapping[str, ComplexArray]
+"""Samples of a robot's responses by axis, each of shape (samples, frequencies)."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """The belief about the sources after a round."""
+
+    belief: SelectionBelief
+    """Belief about the distances over all axes, and the error on the trajectory."""
+    by_axis: Mapping[str, SelectionBelief]
+    """Belief about each axis that was tested on all robots, by axis."""
+    draws: Mapping[str, Draws]
+    """Samples behind them, by robot."""
+    findings: tuple[str, ...]
+    """How axes were compared, in words; nothing of a single axis."""
+
+
+class Comparison:
+    """Compares the robots of a study by samples, the same ones until something new is known."""
+
+    def __init__(
+        self,
+        plan: StudyPlan,
+        settings: AdaptiveSettings,
+        robots: Mapping[str, AxesKnowledge],
+        rng: np.random.Generator,
+    ) -> None:
+        """Draw nothing yet.
+
+        Args:
+            plan: Robots, band, axes and motion.
+            settings: Number of samples and of frequencies.
+            robots: Knowledge of target and sources, by robot.
+            rng: Generator that draws the samples.
+        """
+        self._plan, self._settings, self._robots, self._rng = plan, settings, robots, rng
+        self.omega_rad_s: FloatArray = np.linspace(*plan.band_rad_s, settings.grid_points)
+        """Frequencies at which distances are computed, shape (grid,)."""
+        self._spectra = spectra_of(plan)
+        drawn = [next(iter(self._spectra.values())).omega_rad_s] if self._spectra else []
+        self._drawn_rad_s = np.concatenate([self.omega_rad_s, *drawn])
+        self._draws: dict[tuple[str, str], tuple[ResponseModel, ComplexArray]] = {}
+        self._matrices: dict[str, tuple[list[ComplexArray], ComplexArray | None]] = {}
+
+    def of(self, sources: Sequence[str]) -> Compared:
+        """Compare the target with sources, all of which have been tested on at least one axis."""
+        draws = {name: self._draw(name) for name in (self._plan.target, *sources)}
+        by_axis = self._by_axis(draws, sources)
+        together = _together(by_axis, self._spectra)
+        if len(self._plan.axes) == 1:
+            return Compared(together, by_axis, draws, ())
+        coupled, finding = self._coupled(draws, sources)
+        if coupled is None:
+            return Compared(together, by_axis, draws, (finding,))
+        count = coupled.psi.shape[1]
+        draws = {
+            name: {axis: z[:count] for axis, z in drawn.items()} for name, drawn in draws.items()
+        }
+        findings = [finding]
+        if together.errors is not None:
+            parts = together.errors.parts[:, :count]
+            coupled = replace(coupled, errors=replace(together.errors, parts=parts))
+            findings.append(
+                "errors on the trajectory add up over the axes, and leave out what one axis does "
+                "to another"
+            )
+        return Compared(coupled, by_axis, draws, tuple(findings))
+
+    def _draw(self, name: str) -> Draws:
+        """Return samples of a robot on every axis on which it was tested."""
+        # Distances are compared over the band that is tested; a motion reaches far below it.
+        draw = draw_resting if self._spectra else ResponseModel.draw
+        drawn = {}
+        for axis, known in self._robots[name].axes.items():
+            if not known.tests:
+                continue
+            before = self._draws.get((name, axis))
+            if before is None or before[0] is not known.model:
+                z = draw(known.model, self._drawn_rad_s, self._settings.samples, self._rng)
+                before = self._draws[name, axis] = known.model, z
+            drawn[axis] = before[1]
+        return drawn
+
+    def _by_axis(
+        self, draws: Mapping[str, Draws], sources: Sequence[str]
+    ) -> dict[str, SelectionBelief]:
+        beliefs = {}
+        for axis in self._plan.axes:
+            if all(axis in drawn for drawn in draws.values()):
+                beliefs[axis] = SelectionBelief.of(
+                    self.omega_rad_s,
+                    draws[self._plan.target][axis],
+                    {name: draws[name][axis] for name in sources},
+                    self._spectra.get(axis),
+                )
+        return beliefs
+
+    def _coupled(
+        self, draws: Mapping[str, Draws], sources: Sequence[str]
+    ) -> tuple[SelectionBelief | None, str]:
+        """Return the belief about the distances of the matrices, and why it is or is not used.
+
+        It is None where no axis answers to another one, and where a robot has axes that never
+        played together.
+        """
+        robots = {name: self._robots[name] for name in draws}
+        if not matters(robots):
+            return None, "no axis answers to another, so that each is compared by itself"
+        matrices: dict[str, ComplexArray] = {}
+        for name, robot in robots.items():
+            own, before = list(draws[name].values()), self._matrices.get(name)
+            if before is None or list(map(id, before[0])) != list(map(id, own)):
+                z = matrix_draws(robot, draws[name], self.omega_rad_s, self._rng)
+                before = self._matrices[name] = own, z
+            if before[1] is None:
+                return None, (
+                    "axes answer to each other, and not all of them were tested together: what "
+                    "one does to another is not compared"
+                )
+            matrices[name] = before[1]
+        others = {name: matrices[name] for name in sources}
+        belief = coupled_belief(self.omega_rad_s, matrices[self._plan.target], others)
+        return belief, (
+            "axes answer to each other, so that distances are computed from the whole response "
+            "matrices (their largest singular values)"
+        )
+
+
+def _together(
+    by_axis: Mapping[str, SelectionBelief], spectra: Mapping[str, Spectrum]
+) -> SelectionBelief:
+    """Return the belief about the worst axis at every frequency, and the error on all axes."""
+    one, *others = by_axis.values()
+    if not others:
+        return one
+    psi, likeliest = one.psi, one.likeliest
+    for other in others:
+        psi = np.maximum(psi, other.psi)
+        likeliest = np.maximum(likeliest, other.likeliest)
+    errors = None
+    if one.errors is not None:
+        moved = sum(float(spectra[axis].power.sum()) for axis in by_axis)
+        parts = np.zeros_like(one.errors.parts)
+        for axis, belief in by_axis.items():
+            if belief.errors is not None:
+                parts += belief.errors.parts * (float(spectra[axis].power.sum()) / moved)
+        errors = PredictedErrors(one.errors.omega_rad_s, parts)
+    return replace(one, psi=psi, psi_star=psi.max(axis=2), likeliest=likeliest, errors=errors)
