@@ -54,7 +54,7 @@ test-rotorpy:
 	  nufleet robot check rotorpy_drone && \
 	  nufleet plan rank --fleet ../../examples/rotorpy_drone/fleet.toml && \
 	  nufleet rank --fleet ../../examples/rotorpy_drone/fleet.toml --no-rehearsal --json > ranked.json && \
-	  python -c 'import json; assert json.load(open("ranked.json"))["selected"] == "heavy"'
+	  python -P -c 'import json; assert json.load(open("ranked.json"))["selected"] == "heavy"'
 
 # ROS 2 starts Python again with other library paths, so that it has an environment of its own; no
 # other run of the tests selects those that need it (pyproject.toml).
