@@ -5,6 +5,7 @@
 #                  marked `thorough`
 # make test-ros2   runs the tests that need ROS 2, in an environment of its own with ROS 2 from PyPI
 # make docs        builds the documentation into site/
+# make test-rotorpy ranks the robots of examples/rotorpy_drone, as a lab that installs nufleet would
 # make test-busy   runs the tests RUNS times, beside processes that keep the machine busy
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 # pip would compile the 20 000 modules that are installed one after the other.
@@ -24,7 +25,7 @@ ROS2 = ros-rclpy==9.1.2 ros-rmw-fastrtps-cpp==9.3.3 ros-geometry-msgs==5.5.1 ros
 RUNS ?= 5
 BURNERS ?= 4
 
-.PHONY: demo docs test test-busy test-ros2 check lint clean system-packages
+.PHONY: demo docs test test-busy test-ros2 test-rotorpy check lint clean system-packages
 
 demo: .venv/installed-demo
 	.venv/bin/nufleet demo
@@ -40,6 +41,20 @@ test-busy: .venv/installed-test system-packages
 	  echo "== run $$run of $(RUNS), beside $(BURNERS) busy loops"; \
 	  .venv/bin/pytest -n $(TEST_PROCESSES) --dist loadfile || exit 1; \
 	done
+
+# In a folder of its own, whose names are those of our packages and of a module of Python. rotorpy
+# brings ten packages and 158 MB, so that it is no dependency of the other tests.
+test-rotorpy:
+	rm -rf build/rotorpy && mkdir -p build/rotorpy/shared && touch build/rotorpy/shared/__init__.py build/rotorpy/types.py
+	$(PYTHON) -m venv build/rotorpy/venv
+	build/rotorpy/venv/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+	  . ./examples/rotorpy_drone pytest
+	cd build/rotorpy && . venv/bin/activate && export NUFLEET_STATE=state && \
+	  pytest -q -p no:cacheprovider ../../examples/rotorpy_drone && \
+	  nufleet robot check rotorpy_drone && \
+	  nufleet plan rank --fleet ../../examples/rotorpy_drone/fleet.toml && \
+	  nufleet rank --fleet ../../examples/rotorpy_drone/fleet.toml --no-rehearsal --json > ranked.json && \
+	  python -P -c 'import json; assert json.load(open("ranked.json"))["selected"] == "heavy"'
 
 # ROS 2 starts Python again with other library paths, so that it has an environment of its own; no
 # other run of the tests selects those that need it (pyproject.toml).

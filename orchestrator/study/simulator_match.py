@@ -24,6 +24,12 @@ TONES_MIN = 5
 DEVIATIONS = 2.0
 """Standard deviations from which a difference is stated."""
 
+LEFT_MAX = 0.5
+"""Share of the distance that delay, gain and stiffness may leave if they are stated in words."""
+
+NOISE_DEVIATIONS = 4.0
+"""Standard deviations that noise alone does not reach at the worst of some tens of tones."""
+
 MODEL_ERROR = 1e-3
 """Share of a response that the interpolation between the simulator's tones may be off."""
 
@@ -80,6 +86,14 @@ class SimulatorMatch(Strict):
     """Largest distance that these three differences would leave."""
 
     @property
+    def _unexplained(self) -> bool:
+        """Whether the two differ by more than noise would show, and the three tell little of it."""
+        if self.psi_explained is None or self.psi_explained <= LEFT_MAX * self.psi:
+            return False
+        std = (self.psi_high - self.psi) / INTERVAL_DEVIATIONS
+        return self.psi > NOISE_DEVIATIONS * std
+
+    @property
     def words(self) -> str:
         """The difference in words."""
         said = []
@@ -94,6 +108,12 @@ class SimulatorMatch(Strict):
             said.append(f"moves {100 * abs(self.gain.value):.2g} % {how}")
         if self.delay_s is None:
             return f"too few tones to tell how they differ: at least {TONES_MIN} are needed"
+        if self._unexplained:
+            return (
+                f"the robot differs from {self.simulator} in another way than by a delay, a "
+                f"stiffness and a gain: the closest of these leave ψ {self.psi_explained:.3f} of "
+                f"{self.psi:.3f}"
+            )
         if not said:
             return "no delay, gain or stiffness differs by more than its uncertainty"
         listed = said[0] if len(said) == 1 else f"{', '.join(said[:-1])} and {said[-1]}"

@@ -61,6 +61,15 @@ def test_delay_gain_and_stiffness_are_recovered() -> None:
     )
 
 
+def test_a_difference_of_another_kind_is_not_told_as_delay_and_stiffness() -> None:
+    s = 1j * OMEGA / 6.0
+    flexible = loop(OMEGA) * (1 + 0.3 * s**2 / (s**2 + 0.02 * s + 0.25))
+    found = match_simulator("sim", [response_of(flexible)], [response_of(loop(OMEGA), seed=1)])
+    assert found.psi_explained is not None
+    assert found.psi_explained > 0.5 * found.psi
+    assert found.words.startswith("the robot differs from sim in another way than by a delay")
+
+
 def test_the_distance_is_that_of_the_responses_with_an_interval() -> None:
     truth = chordal_distance(loop(OMEGA, delay_s=0.02), loop(OMEGA))
     hits = 0
