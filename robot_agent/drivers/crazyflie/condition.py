@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import math
+
 from nufleet.robot_agent.drivers.crazyflie.settings import Battery, CrazyflieSettings
-from nufleet.robot_agent.drivers.crazyflie.telemetry import LOST_M2, STATUS_PERIOD_S, Telemetry
+from nufleet.robot_agent.drivers.crazyflie.telemetry import (
+    LOST_M2,
+    STATUS_PERIOD_S,
+    Measurement,
+    Telemetry,
+)
 from nufleet.shared.robots.health import Health
 
 SILENT_MAX_S = 1.0
 """Time without a status after which the drone counts as silent."""
+
+YAW_MAX_RAD = math.radians(30.0)
+"""Angle between its front and the x axis beyond which it does not take off: every set-point turns
+it to yaw 0, at once."""
 
 
 def condition(
@@ -53,6 +64,26 @@ def condition(
         endurance_s=max(0.0, charge - reserve) * settings.battery.flight_time_s,
         link=telemetry.arriving,
     )
+
+
+def misplaced(settings: CrazyflieSettings, stands: Measurement) -> str | None:
+    """Return why a drone does not take off from where it stands; None if it may."""
+    x_m, y_m, _ = stands.position_m.tolist()
+    origin_x_m, origin_y_m, _ = settings.origin_m
+    away_m = math.hypot(x_m - origin_x_m, y_m - origin_y_m)
+    if away_m > settings.start_within_m:
+        return (
+            f"stands at ({x_m:.2f}, {y_m:.2f}) m, {away_m:.2f} m from its origin "
+            f"({origin_x_m:g}, {origin_y_m:g}) m; at most {settings.start_within_m:g} m are "
+            "allowed (start_within_m): carry it there, or correct origin_m"
+        )
+    if abs(stands.yaw_rad) > YAW_MAX_RAD:
+        return (
+            f"is turned by {math.degrees(stands.yaw_rad):.0f} degrees; at most "
+            f"{math.degrees(YAW_MAX_RAD):.0f} are allowed: set it down with its front along the x "
+            "axis"
+        )
+    return None
 
 
 def charge_of(battery: Battery, voltage_v: float) -> float:

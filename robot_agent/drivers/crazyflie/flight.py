@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections.abc import Callable
 
 import numpy as np
 
+from nufleet.robot_agent.drivers.crazyflie.condition import misplaced
 from nufleet.robot_agent.drivers.crazyflie.link import Link
 from nufleet.robot_agent.drivers.crazyflie.settings import AXES, CrazyflieSettings
 from nufleet.robot_agent.drivers.crazyflie.supervisor import Supervisor, why_down
@@ -50,6 +52,8 @@ STARTS_WITH_M = 0.05
 ARRIVES_WITHIN_M = 0.1
 """Distance from a commanded height within which the drone has arrived there."""
 
+_log = logging.getLogger(__name__)
+
 
 class Flight:
     """Flies one drone for as long as it is connected.
@@ -83,6 +87,8 @@ class Flight:
         self._setpoint_m: FloatArray | None = None
         self._sent_at_s = 0.0
         self._guarded = False
+        self.failure: str | None = None
+        """Why set-points are not repeated; None while they are."""
         self._over = threading.Event()
         self._keeper = threading.Thread(target=self._keep, name=f"{name}-keeper", daemon=True)
         self._keeper.start()
@@ -113,15 +119,19 @@ class Flight:
             RobotError: There is none that is new enough.
         """
 
-        def fresh() -> bool:
-            newest = self._telemetry.newest
-            return newest is not None and time.monotonic() - newest.arrived_s < UNMEASURED_MAX_S
-
         # After a freeze of this process, the thread that receives them may not have run yet.
+        arrives = self._telemetry.wait_for(lambda: self.measured, GRACE_S)
         newest = self._telemetry.newest
-        if newest is None or not (fresh() or self._telemetry.wait_for(fresh, GRACE_S)):
+        if newest is None or not arrives:
             raise RobotError(self._unmeasured())
-        return self._telemetry.newest or newest
+        return newest
+
+    @property
+    def measured(self) -> bool:
+        """Whether its newest measurement is new enough and its time stamps can be right."""
+        newest, now_s = self._telemetry.newest, time.monotonic()
+        recent = newest is not None and now_s - newest.arrived_s < UNMEASURED_MAX_S
+        return recent and self._telemetry.fault is None
 
     def next(self) -> Measurement:
         """Wait for the next measurement and return it.
@@ -138,16 +148,10 @@ class Flight:
 
     def reset_estimator(self, timeout_s: float) -> bool:
         """Have it find out on the ground where it is; return whether it has in time."""
-        settings, telemetry, link = self._settings, self._telemetry, self._link
-        if settings.estimator not in ("kalman", "ukf"):
+        telemetry = self._telemetry
+        if self._settings.estimator not in ("kalman", "ukf"):
             return True
-        if settings.start is not None:
-            names = ("kalman.initialX", "kalman.initialY", "kalman.initialZ")
-            for name, value in zip(names, settings.start.position_m, strict=True):
-                link.set_parameter(name, value)
-            link.set_parameter("kalman.initialYaw", settings.start.yaw_rad)
-        link.set_parameter("kalman.resetEstimation", 1)
-        link.set_parameter("kalman.resetEstimation", 0)
+        self._link.reset_estimator()
         telemetry.forget_variances()
         return telemetry.wait_for(lambda: telemetry.steady, timeout_s)
 
@@ -161,6 +165,7 @@ class Flight:
         self._find_position()
         self._arm()
         self.airborne = self._guarded = True
+        self.newest()
         height_m, takes_s = self._settings.origin_m[2], self._settings.takeoff_s
         self._climb_to(height_m, takes_s, lambda: self._link.take_off(height_m, takes_s))
         self.offset, self.velocity = self.offset_of(self.newest()), np.zeros(3)
@@ -173,12 +178,15 @@ class Flight:
             RobotDownError: It obeys no more.
         """
         self.raise_if_down()
-        takes_s = self._settings.landing_s
+        link, ground_m, takes_s = self._link, self._ground_m, self._settings.landing_s
         with self._sending:
             self._setpoint_m = None
-        if self._telemetry.fault is not None:
-            self._land_blind(takes_s)
-        self._climb_to(self._ground_m, takes_s, lambda: self._link.land(self._ground_m, takes_s))
+        try:
+            self._climb_to(ground_m, takes_s, lambda: link.land(ground_m, takes_s))
+        except RobotError as error:
+            if self.down is not None or self.measured:
+                raise
+            self._land_blind(takes_s, error)
         self._disarm()
         self.airborne = False
 
@@ -272,15 +280,21 @@ class Flight:
     def _keep(self) -> None:
         """Repeat the last set-point where none was sent for a while, and feed the watchdog."""
         while not self._over.wait(HOLD_INTERVAL_S / 2):
-            with self._sending:
-                if self._cut or self._link.lost is not None:
-                    return
-                held_m, now_s = self._setpoint_m, time.monotonic()
-                if held_m is not None and now_s - self._sent_at_s > HOLD_INTERVAL_S:
-                    self._link.send_setpoint(held_m, np.zeros(3))
-                    self._sent_at_s = now_s
-                if self._settings.watchdog and self._guarded:
-                    self._link.feed_watchdog()
+            try:
+                with self._sending:
+                    if self._cut or self._link.lost is not None:
+                        return
+                    held_m, now_s = self._setpoint_m, time.monotonic()
+                    if held_m is not None and now_s - self._sent_at_s > HOLD_INTERVAL_S:
+                        self._link.send_setpoint(held_m, np.zeros(3))
+                        self._sent_at_s = now_s
+                    if self._settings.watchdog and self._guarded:
+                        self._link.feed_watchdog()
+                self.failure = None
+            except Exception as error:  # noqa: BLE001 - it is reported, and the next one is tried
+                if self.failure is None:
+                    _log.exception("%s: a set-point could not be repeated", self._name)
+                self.failure = f"its set-points are not repeated: {error}"
 
     def _find_position(self) -> None:
         settings, telemetry = self._settings, self._telemetry
@@ -291,18 +305,13 @@ class Flight:
                 f"not settled within {PATIENCE_S:g} s. Does it see its base stations, or the "
                 "motion capture system it?"
             )
-        stands_m = self.next().position_m
-        away_m = float(np.hypot(*(stands_m - self.origin_m)[:2]))
-        if away_m > settings.start_within_m:
-            raise RobotError(
-                f"{self._name} stands at ({stands_m[0]:.2f}, {stands_m[1]:.2f}) m, {away_m:.2f} m "
-                f"from its origin ({self.origin_m[0]:g}, {self.origin_m[1]:g}) m; at most "
-                f"{settings.start_within_m:g} m are allowed (start_within_m): carry it there, or "
-                "correct origin_m"
-            )
-        self._ground_m = float(stands_m[2])
+        stands = self.next()
+        why = misplaced(settings, stands)
+        if why is not None:
+            raise RobotError(f"{self._name} {why}")
+        self._ground_m = float(stands.position_m[2])
 
-    def _land_blind(self, takes_s: float) -> None:
+    def _land_blind(self, takes_s: float, why: RobotError) -> None:
         """Land a drone that is not measured any more, by the clock alone; it ends as an error."""
         ends_s = time.monotonic() + takes_s + BLIND_S
         self._link.land(self._ground_m, takes_s)
@@ -310,7 +319,7 @@ class Flight:
         self._link.stop_motors()
         self._link.arm(armed=False)
         self.airborne = False
-        raise RobotError(f"{self._name} was landed unseen: {self._telemetry.fault}")
+        raise RobotError(f"{self._name} was landed unseen: {why}") from why
 
     def _says(self, bits: Supervisor) -> bool:
         status = self._telemetry.status
@@ -342,11 +351,12 @@ class Flight:
 
     def _climb_to(self, height_m: float, takes_s: float, command: Callable[[], None]) -> None:
         telemetry = self._telemetry
-        from_m = self.newest().position_m[2]
 
         def height() -> float:
             newest = telemetry.newest
             return float("nan") if newest is None else float(newest.position_m[2])
+
+        from_m = height()  # however old: a drone that is not measured has to land, too
 
         def moved() -> bool:
             return self.down is not None or abs(height() - from_m) > STARTS_WITH_M
@@ -363,11 +373,8 @@ class Flight:
         time.sleep(max(0.0, began_s + takes_s - time.monotonic()) if arrived else 0.0)
         self.raise_if_down()
         if not arrived:
-            raise RobotError(
-                telemetry.fault
-                or f"{self._name} does not reach a height of {height_m:.2f} m, but is at "
-                f"{height():.2f} m"
-            )
+            fails = f"does not reach a height of {height_m:.2f} m, but is at {height():.2f} m"
+            raise RobotError(f"{self._name} {fails}" if self.measured else self._unmeasured())
 
     def _insist(
         self,

@@ -16,6 +16,7 @@ from nufleet.robot_agent.drivers.crazyflie.settings import (
     ESTIMATORS,
     CrazyflieSettings,
 )
+from nufleet.robot_agent.drivers.crazyflie.supervisor import Supervisor
 from nufleet.robot_agent.drivers.crazyflie.telemetry import (
     STATE_VARIABLES,
     STATUS_PERIOD_S,
@@ -36,8 +37,9 @@ PARAMETER_MAX_S = 3.0
 """Time in which the firmware confirms a parameter."""
 
 STOP_INTERVAL_S = 0.02
-STOP_TIMES = 25
-"""Emergency stops are sent this often, since single packets may be lost."""
+STOP_MAX_S = 10.0
+"""Emergency stops are repeated at this interval until the supervisor confirms one, for this long at
+most, since packets may be lost."""
 
 SUPERVISOR_PROTOCOL = 12
 """First version of the protocol with a port for the supervisor."""
@@ -60,6 +62,7 @@ class Link:
         self._blocks: list[Any] = []
         self._changed = threading.Condition()
         self._heard_s = 0.0
+        self._stopping: threading.Thread | None = None
         self._connected = False
         self.lost: str | None = None
         """Why the link is lost; None while it is not."""
@@ -83,7 +86,12 @@ class Link:
         )
 
     def close(self) -> None:
-        """Stop logging and close the link; does nothing when it is closed."""
+        """Stop logging and close the link; does nothing when it is closed.
+
+        An emergency stop is confirmed or given up first.
+        """
+        if self._stopping is not None:
+            self._stopping.join(STOP_MAX_S)
         cf, self._cf = self._cf, None
         if cf is None:
             return
@@ -93,6 +101,8 @@ class Link:
                 block.stop()
                 block.delete()
         self._blocks.clear()
+        # cflib would send zero thrust, also to a drone that is still in the air.
+        cf.commander.send_setpoint = lambda *_: None
         cf.close_link()
 
     def set_parameter(self, name: str, value: float) -> None:
@@ -114,6 +124,20 @@ class Link:
             if time.monotonic() > deadline_s:
                 raise RobotError(f"{self._settings.uri}: {name} = {value:g} was not confirmed")
             time.sleep(0.005)
+
+    def reset_estimator(self) -> None:
+        """Have the estimator begin again, where `start` says if it does.
+
+        Raises:
+            RobotError: A parameter is not confirmed.
+        """
+        start = self._settings.start
+        if start is not None:
+            for axis, value in zip("XYZ", start.position_m, strict=True):
+                self.set_parameter(f"kalman.initial{axis}", value)
+            self.set_parameter("kalman.initialYaw", start.yaw_rad)
+        self.set_parameter("kalman.resetEstimation", 1)
+        self.set_parameter("kalman.resetEstimation", 0)
 
     def arm(self, *, armed: bool) -> None:
         """Arm or disarm the motors."""
@@ -167,6 +191,8 @@ class Link:
     def cut_motors(self) -> None:
         """Send emergency stops, past every lock and queue of cflib; returns at once.
 
+        A thread repeats them until the supervisor says that it is locked, for `STOP_MAX_S` at most.
+
         Raises:
             RobotError: There is no link.
         """
@@ -180,13 +206,28 @@ class Link:
         new = cf.platform.get_protocol_version() >= SUPERVISOR_PROTOCOL
         packet.set_header(CRTPPort.SUPERVISOR if new else CRTPPort.LOCALIZATION, 1)
         packet.data = (3,)
+        began_s = time.monotonic()
+
+        def confirmed() -> bool:
+            status = self._telemetry.status
+            if status is None or status.arrived_s < began_s:
+                return False
+            return bool(status.supervisor & Supervisor.LOCKED)
 
         def send() -> None:
-            for _ in range(STOP_TIMES):
-                link.send_packet(packet)
+            while not confirmed():
+                if cf.link is not link or time.monotonic() > began_s + STOP_MAX_S:
+                    _log.error("%s: the emergency stop was not confirmed", self._settings.uri)
+                    return
+                try:
+                    link.send_packet(packet)
+                except Exception as error:  # noqa: BLE001 - one that fails must not be the last one
+                    _log.warning("%s: an emergency stop failed: %r", self._settings.uri, error)
                 time.sleep(STOP_INTERVAL_S)
 
-        threading.Thread(target=send, name=f"{self._settings.uri}-stop", daemon=True).start()
+        name = f"{self._settings.uri}-stop"
+        self._stopping = threading.Thread(target=send, name=name, daemon=True)
+        self._stopping.start()
 
     def _attempt(self, deadline_s: float) -> bool:
         """Connect; return False if packets got lost on the way, so that it should be tried again.

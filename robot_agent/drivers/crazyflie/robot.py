@@ -143,7 +143,7 @@ class Crazyflie(Robot):
     def health(self) -> Health:
         """Return its condition, as it was logged last."""
         flight, sighting = self._flight, self._sighting
-        down = "it is not connected" if flight is None else flight.down
+        down = "it is not connected" if flight is None else flight.down or flight.failure
         blind = None if sighting is None else sighting.hindrance(UNMEASURED_MAX_S)
         return condition(self._settings, self._telemetry, down, blind, time.monotonic())
 

@@ -183,11 +183,11 @@ class CrazyflieSettings(Strict):
                 f"log_period_s {self.log_period_s:g} s is longer than sample_time_s "
                 f"{self.sample_time_s:g} s: not every sample would be measured"
             )
-        lowest = self.limits.amplitude_m if "z" in self.axes else self.limits.height_error_m
-        if self.origin_m[2] <= lowest:
+        lower_m, why = self._lowest()
+        if self.origin_m[2] <= lower_m:
             raise ValueError(
-                f"origin_m is {self.origin_m[2]:g} m high, and it may come {lowest:g} m lower: it "
-                "would touch the ground"
+                f"origin_m is {self.origin_m[2]:g} m high, and it may come {lower_m:g} m lower "
+                f"({why}): it would touch the ground"
             )
         if self.tracking is not None and self.tracking.position_max > self.limits.fence_m:
             raise ValueError(
@@ -199,6 +199,17 @@ class CrazyflieSettings(Strict):
         except ValidationError as error:
             raise ValueError(describe_validation(error)) from error
         return self
+
+    def _lowest(self) -> tuple[float, str]:
+        """Return how far below its origin a motion may lead, in m, and by which settings."""
+        limits, tracking = self.limits, self.tracking
+        if "z" not in self.axes:
+            return limits.height_error_m, "limits.height_error_m"
+        tested = (limits.amplitude_m, "limits.amplitude_m")
+        if tracking is None:
+            return tested
+        tracked_m = tracking.position_max + tracking.correction_max
+        return max(tested, (tracked_m, "tracking.position_max + tracking.correction_max"))
 
 
 def spec_of(settings: CrazyflieSettings) -> RobotSpec:

@@ -61,6 +61,8 @@ class Measurement:
     """Velocity, shape (3,)."""
     thrust_axis: FloatArray
     """The body's z axis, along which it thrusts, shape (3,)."""
+    yaw_rad: float
+    """Direction of its front, counter-clockwise from the x axis."""
 
 
 @dataclass(frozen=True)
@@ -189,7 +191,8 @@ class Telemetry:
 def _measurement(device_s: float, arrived_s: float, row: list[float]) -> Measurement:
     x, y, z, w = quaternion_of(int(row[6]))
     thrust = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
-    return Measurement(device_s, arrived_s, np.array(row[:3]), np.array(row[3:6]), thrust)
+    yaw_rad = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    return Measurement(device_s, arrived_s, np.array(row[:3]), np.array(row[3:6]), thrust, yaw_rad)
 
 
 def quaternion_of(compressed: int) -> list[float]:

@@ -17,7 +17,7 @@ from crazyflie_bench import Bench, bench
 from polling import wait_until
 
 from nufleet.robot_agent.driver_kit.check import check_robot
-from nufleet.robot_agent.drivers.crazyflie import flight
+from nufleet.robot_agent.drivers.crazyflie import flight, link
 from nufleet.robot_agent.drivers.crazyflie.motion_capture import MotionCapture, Sighting
 from nufleet.robot_agent.drivers.crazyflie.robot import Crazyflie
 from nufleet.robot_agent.drivers.crazyflie.settings import (
@@ -31,6 +31,9 @@ from nufleet.sims.crazyflies import firmware
 from nufleet.sims.crazyflies.peer import Air
 
 cflib = pytest.importorskip("cflib")
+
+STOP, LAND = 3, 8
+"""Commands of the high-level commander."""
 
 
 @pytest.fixture(autouse=True)
@@ -90,7 +93,7 @@ def test_set_points_arrive_at_their_rate_and_to_the_nearest_millimetre_until_it_
 
 
 def test_position_set_points_are_sent_as_they_are() -> None:
-    with bench(setpoint="position", axes=("z", "x")) as lab:
+    with bench(setpoint="position", axes=("z", "x"), tracking=None) as lab:
         lab.robot.connect()
         lab.robot.begin()
         lab.robot.run(np.tile([0.0504, 0.0204], (2, 1)))
@@ -148,6 +151,56 @@ def test_an_emergency_stop_from_another_thread_cuts_the_motors() -> None:
         assert lab.robot.health().reason == "its motors were cut"
 
 
+def test_an_emergency_stop_is_repeated_until_the_supervisor_confirms_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(link, "STOP_INTERVAL_S", 0.002)
+    with bench() as lab:
+        lab.robot.connect()
+        obey, lost = lab.drone._obey_supervisor, iter(range(60))
+        monkeypatch.setattr(
+            lab.drone,
+            "_obey_supervisor",
+            lambda data: None if data[0] == 3 and next(lost, None) is not None else obey(data),
+        )
+        lab.robot.kill()
+        wait_until(lambda: lab.drone.locked)
+        wait_until(lambda: not any("-stop" in one.name for one in threading.enumerate()))
+
+
+def test_closing_a_link_sends_no_zero_thrust_to_a_drone_that_may_fly() -> None:
+    with bench() as lab:
+        lab.robot.connect()
+        radio, ports = lab.robot._link._cf.link, []  # type: ignore[union-attr]
+        send = radio.send_packet
+        radio.send_packet = lambda packet: (ports.append(packet.port), send(packet))
+        lab.robot.disconnect()
+    assert cflib.crtp.crtpstack.CRTPPort.LOGGING in ports
+    assert cflib.crtp.crtpstack.CRTPPort.COMMANDER not in ports
+
+
+def test_a_set_point_that_cannot_be_repeated_is_reported_and_tried_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def fail(*_: object) -> None:
+        raise OSError("the queue is full")
+
+    with bench() as lab:
+        lab.robot.connect()
+        held = lab.robot._flight
+        assert held is not None
+        held.send(np.zeros(3), np.zeros(3))
+        with monkeypatch.context() as broken:
+            broken.setattr(lab.robot._link, "send_setpoint", fail)
+            wait_until(
+                lambda: (
+                    lab.robot.health().reason
+                    == "its set-points are not repeated: the queue is full"
+                )
+            )
+        wait_until(lambda: lab.robot.health().ready)
+
+
 def test_a_drone_that_loses_its_height_lands(monkeypatch: pytest.MonkeyPatch) -> None:
     with bench() as lab:
         lab.robot.connect()
@@ -190,6 +243,12 @@ def test_a_second_drone_with_its_address_in_flight_ends_the_motion_and_it_lands(
         wait_until(lambda: not lab.drone.armed)
 
 
+def stop_measuring(lab: Bench) -> None:
+    """Its status arrives, its states do not."""
+    states = max(lab.drone._blocks.values(), key=lambda block: len(block.variables))
+    states.period_s = 0.0
+
+
 def lose_position(lab: Bench) -> None:
     lab.drone.ailments.lost = True
 
@@ -198,6 +257,45 @@ def be_two(lab: Bench) -> None:
     """Another drone with the same address, switched on a minute earlier."""
     count = iter(range(10**9))
     lab.drone.ailments.stamp_ms = lambda ms: ms + 60_000 * (next(count) % 2)
+
+
+@pytest.mark.parametrize(
+    ("ail", "landing", "says"),
+    [(stop_measuring, False, "no measurement for"), (be_two, True, "two drones")],
+)
+def test_a_drone_that_is_measured_no_more_before_or_while_it_lands_is_landed_by_the_clock(
+    monkeypatch: pytest.MonkeyPatch, ail: Callable[[Bench], None], landing: bool, says: str
+) -> None:
+    obeyed: list[int] = []
+    with bench() as lab:
+        lab.robot.connect()
+        lab.robot.begin()
+        held, obey = lab.robot._flight, lab.drone._take_high_level
+        assert held is not None
+
+        def take(data: bytes) -> None:
+            if landing and not obeyed:
+                ail(lab)
+            obeyed.append(data[0])
+            obey(data)
+
+        with monkeypatch.context() as hasty:
+            hasty.setattr(lab.drone, "_take_high_level", take)
+            hasty.setattr(flight, "BLIND_S", 0.2)
+            if not landing:
+                ail(lab)
+                hasty.setattr(flight, "UNMEASURED_MAX_S", 0.2)
+                hasty.setattr(flight, "PATIENCE_S", 0.2)
+                wait_until(lambda: not held.measured)
+            with pytest.raises(RobotError, match=f"cf was landed unseen: .*{says}"):
+                lab.robot.end()
+            wait_until(lambda: not lab.drone.armed)
+    assert obeyed[0] == LAND
+    assert obeyed[-1] == STOP
+
+
+def turn_left(lab: Bench) -> None:
+    lab.drone.plant.quaternion = np.array([0.0, 0.0, 1.0, 1.0]) / np.sqrt(2)
 
 
 def go_empty(lab: Bench) -> None:
@@ -210,6 +308,7 @@ def go_empty(lab: Bench) -> None:
         ({}, go_empty, "does not take off: its battery is empty: 3.00 V"),
         ({"estimator": "kalman"}, lose_position, "it does not know its position"),
         ({}, be_two, "two drones"),
+        ({}, turn_left, "cf is turned by 90 degrees"),
         ({"origin_m": (3.0, 0.0, 0.5)}, None, r"stands at \(0\.03, -0\.02\) m, 2\.97 m from its"),
         ({"parameters": {"posCtlPid.yKp": 2.0}}, None, "no parameter 'posCtlPid.yKp'"),
     ],

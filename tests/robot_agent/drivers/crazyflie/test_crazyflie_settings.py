@@ -55,6 +55,10 @@ def test_an_address_that_cannot_be_one_is_refused(uri: str, says: str) -> None:
         ({"log_period_s": 0.015}, "0.015 s is no multiple of 0.01 s"),
         ({"log_period_s": 0.05}, "longer than sample_time_s 0.02 s: not every sample"),
         ({"origin_m": (0.0, 0.0, 0.2)}, "it would touch the ground"),
+        (
+            {"axes": ("x", "z")},
+            "0.5 m high, and it may come 1 m lower (tracking.position_max + track",
+        ),
         ({"omega_max_rad_s": 200.0}, "below the Nyquist frequency"),
         ({"limits": {"amplitude_m": 2.0}}, "closer to 0 than its amplitude_max 2 m"),
         ({"limits": {"fence_m": 0.5}}, "lies outside limits.fence_m 0.5 m"),

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nufleet.robot_agent.drivers.crazyflie.condition import condition
+from nufleet.robot_agent.drivers.crazyflie.condition import condition, misplaced
 from nufleet.robot_agent.drivers.crazyflie.glide import glide
 from nufleet.robot_agent.drivers.crazyflie.settings import CrazyflieSettings, spec_of
 from nufleet.robot_agent.drivers.crazyflie.supervisor import Supervisor, why_down
@@ -67,6 +67,20 @@ def test_a_drone_that_cannot_fly_says_why(
     health = condition(SETTINGS, telemetry, down, blind, now_s)
     assert not health.ready
     assert health.reason.startswith(says)
+
+
+@pytest.mark.parametrize(
+    ("yaw_rad", "turned"), [(0.5, None), (-0.5, None), (0.6, 34), (-3.0, -172)]
+)
+def test_a_drone_whose_front_points_away_from_the_x_axis_does_not_take_off(
+    yaw_rad: float, turned: int | None
+) -> None:
+    telemetry, half_rad = heard(), yaw_rad / 2
+    attitude = compressed([0.0, 0.0, np.sin(half_rad), np.cos(half_rad)])
+    telemetry.take_state(0, {**STATE, "stateEstimateZ.quat": float(attitude)}, 0.0)
+    assert telemetry.newest is not None
+    why = misplaced(SETTINGS, telemetry.newest)
+    assert why is None if turned is None else f"is turned by {turned} degrees" in str(why)
 
 
 def test_the_share_of_measurements_that_arrive_is_counted() -> None:
