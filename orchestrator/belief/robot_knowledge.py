@@ -21,8 +21,8 @@ from nufleet.shared.frequency_test.nonlinearity import nonlinearity_in_words
 from nufleet.shared.frequency_test.ring_down import DECAYS_UNTIL_SETTLED
 from nufleet.shared.robots.spec import RobotSpec
 
-MISSTATED = 1.2
-"""Ratio of a measured settling time to the stated one from which the stated one is reported."""
+SETTLING_RATIO_MAX = 1.2
+"""Largest ratio of a measured settling time to the stated one that is not reported."""
 
 NONLINEAR_DEVIATION = 0.02
 """Assumed relative change of a nonlinear robot's response at another amplitude."""
@@ -32,8 +32,9 @@ NONLINEAR_ELSEWHERE = 4.0
 test shows: about that of backlash and friction in a loop, which hides what is above its bandwidth.
 """
 
-TELLING = 0.05
-"""Standard deviation of a test's estimates up to which it tells that amplitude changes nothing."""
+INFORMATIVE_STD_MAX = 0.05
+"""Largest standard deviation of a test's estimates at which agreement shows that the amplitude has
+no effect."""
 
 FLIGHT_TEST_STD = 0.02
 """Standard deviation that is expected of a test's estimates while the robot was never tested."""
@@ -137,7 +138,7 @@ class RobotKnowledge:
         if before is None:
             return
         miss = self._miss(before, new, doubt, rng)
-        if compared and (miss is not None or np.mean(variance + doubt) <= TELLING**2):
+        if compared and (miss is not None or np.mean(variance + doubt) <= INFORMATIVE_STD_MAX**2):
             self.compared = True
         if miss is None:
             return
@@ -233,7 +234,7 @@ class RobotKnowledge:
     def findings(self) -> tuple[str, ...]:
         """What the tests showed that weakens what is believed of the robot, in words."""
         stated, found = self.spec.settling_time_s, self.settling_time_s
-        if found <= MISSTATED * stated:
+        if found <= SETTLING_RATIO_MAX * stated:
             return self._found
         misstated = (
             f"{self.robot}: its settling time is stated as {stated:.3g} s, and it was measured to "
@@ -340,7 +341,7 @@ class RobotKnowledge:
         return np.asarray(density[nearest] * len(omega_rad_s) / times_as_long)
 
     def lasting_doubt(self, omega_rad_s: FloatArray) -> FloatArray:
-        """Return the variance by which no further test is better than those before it.
+        """Return the part of the variance that no further test reduces.
 
         Args:
             omega_rad_s: Frequencies of a test's tones in rad/s, shape (tones,).

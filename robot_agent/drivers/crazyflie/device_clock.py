@@ -50,8 +50,8 @@ class DeviceClock:
             arrived_s: When it arrived, on the clock of this machine.
 
         Returns:
-            The device's time in s, which no longer begins again; None if it cannot be told. Where
-            that happens often, `fault` says why.
+            The device's time in s, unwrapped; None if it cannot be determined. Where that happens
+            often, `fault` says why.
         """
         if self._newest_ms is None:
             self._newest_ms = stamp_ms
