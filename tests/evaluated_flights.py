@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from nufleet.orchestrator.evaluation.fly_target import Psi, summarise
 from nufleet.orchestrator.evaluation.results import (
     BaselineResult,
     EvaluationResult,
@@ -10,6 +9,7 @@ from nufleet.orchestrator.evaluation.results import (
     InverseResult,
     SourceResult,
 )
+from nufleet.orchestrator.evaluation.summaries import Psi, summarise
 from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR, OWN
 from nufleet.shared.experience.layout import Architecture
 

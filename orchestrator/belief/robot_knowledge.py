@@ -8,7 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from nufleet.orchestrator.belief.amplitude_dependence import AmplitudeDependence, differ
+from nufleet.orchestrator.belief.amplitude_dependence import (
+    AmplitudeDependence,
+    change_in_words,
+    differ,
+)
 from nufleet.orchestrator.belief.common_error import CommonError
 from nufleet.orchestrator.belief.loop_features import LOOP_PARAMETERS, ResponsePrior
 from nufleet.orchestrator.belief.loop_fit import Tones
@@ -16,7 +20,7 @@ from nufleet.orchestrator.belief.noise_pooling import pooled_variance
 from nufleet.orchestrator.belief.response_belief import ResponseModel
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.frequency_test.frequency_response import Flight, FrequencyResponse
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.frequency_test.nonlinearity import nonlinearity_in_words
 from nufleet.shared.frequency_test.ring_down import DECAYS_UNTIL_SETTLED
 from nufleet.shared.robots.spec import RobotSpec
@@ -147,7 +151,7 @@ class RobotKnowledge:
         if tests_only and compared:
             self._doubt_amplitudes(new, miss, amplitude or 0.0, response.amplitude or 0.0)
         else:
-            self._doubt(self._changed(new, miss, flight))
+            self._doubt(self._changed(miss))
 
     def _doubt_from(self, response: FrequencyResponse, gains: FloatArray) -> FloatArray:
         """Return what its own findings make uncertain in a test, shape (tones,)."""
@@ -378,31 +382,15 @@ class RobotKnowledge:
             float(new.omega_rad_s[worst]),
         )
 
-    def _changed(self, new: Tones, miss: _Miss, flight: Flight | None) -> float:
+    def _changed(self, miss: _Miss) -> float:
         """Return the variance to add to all tests if a new one contradicts the earlier ones."""
-        tests_only = all(one.flight is None for one in self.responses)
-        depends = "on the amplitude or on time"
-        if tests_only:
-            depends = "on time or on the tones; if it has changed, test again without --reuse"
-        self._find(
-            f"its response changed between {self._motions(flight)}, by {miss.worst:.3g} at "
-            f"{miss.worst_rad_s:.4g} rad/s: it depends {depends}"
-        )
-        if tests_only:
+        flights = [one.flight for one in self.responses]
+        unit = self.spec.axes[0].unit
+        self._find(change_in_words(flights, unit, miss.worst, miss.worst_rad_s))
+        if all(flight is None for flight in flights):
             return float(np.mean(miss.squared))
         # A flight's estimates differ in certainty; the uncertain ones say nothing about the change.
         return float(np.average(np.maximum(miss.squared - miss.usual, 0.0), weights=1 / miss.usual))
-
-    def _motions(self, flight: Flight | None) -> str:
-        """Return in words what a new response and the earlier ones were measured in."""
-        earlier = [one.flight for one in self.responses[:-1] if one.flight is not None]
-        if flight is None:
-            return "its flights and its test" if earlier else "tests"
-        if not earlier:
-            return "its tests and a flight"
-        unit = self.spec.axes[0].unit
-        speeds = sorted({f"{one.speed:.2g}" for one in (*earlier, flight)})
-        return f"flights at up to {' and '.join(speeds)} {unit}/s"
 
     def _find(self, text: str) -> None:
         finding = f"{self.robot}: {text}"

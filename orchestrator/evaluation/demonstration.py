@@ -9,12 +9,11 @@ import numpy as np
 from nufleet.orchestrator.evaluation.flight_documents import DEMONSTRATION, DemoResult
 from nufleet.orchestrator.evaluation.fly_target import (
     FlightObserver,
-    Psi,
     flight_record,
     fly_target,
-    summarise,
 )
 from nufleet.orchestrator.evaluation.results import FlightRecord
+from nufleet.orchestrator.evaluation.summaries import Psi, summarise
 from nufleet.orchestrator.experience.learning import know_itself
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.prior_custody import prior_put_back

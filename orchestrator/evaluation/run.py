@@ -15,7 +15,6 @@ from nufleet.orchestrator.evaluation.fly_target import (
     FlightObserver,
     flights_planned,
     fly_target,
-    summarise,
 )
 from nufleet.orchestrator.evaluation.kept_records import KeptRecords, read_records
 from nufleet.orchestrator.evaluation.repeated_studies import (
@@ -25,6 +24,7 @@ from nufleet.orchestrator.evaluation.repeated_studies import (
     repeat_study,
 )
 from nufleet.orchestrator.evaluation.results import EVALUATION, EvaluationRecord, FlightRecord
+from nufleet.orchestrator.evaluation.summaries import summarise
 from nufleet.orchestrator.experience.learning import FLIGHT_S, know_itself
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.train import Trained, train_robots

@@ -93,7 +93,7 @@ class FaultFound:
     """Something other than a motion's end showed that the robot cannot be trusted to obey."""
 
     fault: str
-    """What showed it."""
+    """What is wrong with the robot."""
 
 
 @dataclass(frozen=True)
