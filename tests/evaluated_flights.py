@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from nufleet.orchestrator.evaluation.comparison import Psi, summarise
 from nufleet.orchestrator.evaluation.results import (
     BaselineResult,
     EvaluationResult,
@@ -9,7 +10,6 @@ from nufleet.orchestrator.evaluation.results import (
     InverseResult,
     SourceResult,
 )
-from nufleet.orchestrator.evaluation.summaries import Psi, summarise
 from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR, OWN
 from nufleet.shared.experience.layout import Architecture
 

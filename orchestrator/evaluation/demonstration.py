@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from nufleet.orchestrator.evaluation.comparison import Psi, summarise
 from nufleet.orchestrator.evaluation.flight_documents import DEMONSTRATION, DemoResult
 from nufleet.orchestrator.evaluation.fly_target import (
     FlightObserver,
@@ -13,7 +14,6 @@ from nufleet.orchestrator.evaluation.fly_target import (
     fly_target,
 )
 from nufleet.orchestrator.evaluation.results import FlightRecord
-from nufleet.orchestrator.evaluation.summaries import Psi, summarise
 from nufleet.orchestrator.experience.learning import know_itself
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.prior_custody import prior_put_back

@@ -12,8 +12,8 @@ from nufleet.orchestrator.conduct.conductor import Conclusion, conduct
 from nufleet.orchestrator.conduct.dispatcher import Dispatcher
 from nufleet.orchestrator.conduct.rank_run import ReadyStudy
 from nufleet.orchestrator.conduct.recipe import make_study
+from nufleet.orchestrator.evaluation.comparison import Psi
 from nufleet.orchestrator.evaluation.results import StudyEstimates
-from nufleet.orchestrator.evaluation.summaries import Psi
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.repository.errors import UnknownRecordError
 from nufleet.orchestrator.repository.records import StudyRecord, StudyStatus

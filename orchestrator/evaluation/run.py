@@ -11,6 +11,7 @@ import numpy as np
 
 from nufleet.orchestrator.conduct.archive import Archive
 from nufleet.orchestrator.conduct.rank_run import ReadyStudy
+from nufleet.orchestrator.evaluation.comparison import summarise
 from nufleet.orchestrator.evaluation.fly_target import (
     FlightObserver,
     flights_planned,
@@ -24,7 +25,6 @@ from nufleet.orchestrator.evaluation.repeated_studies import (
     repeat_study,
 )
 from nufleet.orchestrator.evaluation.results import EVALUATION, EvaluationRecord, FlightRecord
-from nufleet.orchestrator.evaluation.summaries import summarise
 from nufleet.orchestrator.experience.learning import FLIGHT_S, know_itself
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.train import Trained, train_robots

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from random_loops import BAND, SPEC, Loop
 
+from nufleet.orchestrator.evaluation.comparison import Psi, summarise
 from nufleet.orchestrator.evaluation.pairs import compare_pairs
 from nufleet.orchestrator.evaluation.results import EvaluationResult, FlightRecord
-from nufleet.orchestrator.evaluation.summaries import Psi, summarise
 from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR
 from nufleet.orchestrator.study.predicted_errors import PredictedRms, predict_rms
 from nufleet.orchestrator.study.tone_choice import first_look
