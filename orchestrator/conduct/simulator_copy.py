@@ -94,7 +94,7 @@ class SimulatorCopy:
         """Play tests on a new robot, with the same noise each time.
 
         Args:
-            values: Values of settings, by path; the others are those of the fleet file.
+            values: Values of settings, by path; the fleet file holds the others.
             tests: Tests of one axis each.
 
         Raises:

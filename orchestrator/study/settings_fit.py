@@ -135,7 +135,7 @@ def fit_settings(
         on_simulation: Callback before each simulation, with its number and the largest number.
 
     Raises:
-        StudyError: No tone is known of both, or too few to fit so many settings.
+        StudyError: No tone is known of both, or too few for this number of settings.
         RobotError, InvalidInputError: The simulator cannot play the tests with its own settings.
     """
     from scipy.optimize import least_squares
@@ -229,7 +229,7 @@ class _Search:
         if 2 * len(omega) <= len(self.settings):
             raise StudyError(
                 f"robot and simulator have {len(omega)} tones in common, and {len(self.settings)} "
-                "settings cannot be fitted to so few"
+                "settings cannot be fitted to these"
             )
         z, variance = self.robot.z[ours], self.robot.variance[ours]
         self.robot = Tones(omega, z, variance)

@@ -30,7 +30,7 @@ driver = "double_integrator"
 settings = { alpha = 0.85, beta = 0.003, k_d = 4.0, noise_std_m = 0.001 }
 [robots.coupled]
 driver = "coupled_loops"
-settings = { natural_frequency_rad_s = [2.0, 3.0], damping_ratio = [0.6, 0.7] }
+settings = { natural_frequency_rad_s = [2.0, 3.0], damping_ratio = [0.6, 0.7], coupling = [0.0] }
 [robots.sheltered]
 driver = "faulty"
 settings = { driver = "double_integrator", settings = { alpha = 1.0, beta = 0.003 } }
@@ -91,9 +91,12 @@ def test_a_setting_is_found_by_the_end_of_its_path_and_written_as_in_the_file(
     )
 
 
-def test_a_setting_may_be_negative_where_its_driver_takes_it(fleet: FleetFile, path: Path) -> None:
+def test_a_setting_may_be_negative_only_where_its_driver_takes_it(
+    fleet: FleetFile, path: Path
+) -> None:
     settings = SimulatorCopy(fleet, path, "sim", ["alpha", "noise_std_m"]).settings()
     assert not any(one.negative for one in settings.values())
+    assert SimulatorCopy(fleet, path, "coupled", ["coupling.0"]).settings()["coupling.0"].negative
 
 
 def test_a_real_robot_is_no_simulator(
