@@ -181,6 +181,16 @@ def ask_before(moving: str, *, instead: str) -> None:
     click.confirm(f"{moving}. Go on?", abort=True, err=True)
 
 
+def restart_within(environment: Mapping[str, str]) -> None:
+    """Run this program again from its beginning, unless it has these environment variables.
+
+    Some simulators read them while they are imported.
+    """
+    missing = {key: value for key, value in environment.items() if os.environ.get(key) != value}
+    if missing:
+        os.execve(sys.executable, sys.orig_argv, {**os.environ, **missing})
+
+
 def invocation() -> str:
     """Return how to start nufleet as this program did, for hints on the command to type next."""
     called = Path(sys.argv[0])
