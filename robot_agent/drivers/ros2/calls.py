@@ -9,13 +9,13 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 FAILED_S = 0.01
-"""Time after which the node's thread goes on after an error."""
+"""Pause of the node's thread after an error."""
 
 
 def keep_turning(
     turn: Callable[[], None], closing: threading.Event, failed: Callable[[Exception], None]
 ) -> None:
-    """Call a function again and again, whatever it raises: without it nothing arrives any more.
+    """Call a function until the node closes, also after errors: without it nothing arrives.
 
     Args:
         turn: The function.

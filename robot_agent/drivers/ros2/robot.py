@@ -123,8 +123,8 @@ class Ros2Robot(Robot):
 
     def begin(self) -> None:
         """Arm and take off by the robot's services, then go to the origin by set-points."""
-        link, services = self._commandable(), self._settings.services
         self._check_fence()
+        link, services = self._beginning(), self._settings.services
         if not self._started:
             high = not self._settings.joints and "z" in self._settings.measured
             self._ground_z, self._started = self._height() if high else None, True
@@ -134,8 +134,8 @@ class Ros2Robot(Robot):
             finally:
                 if self._kill_asked:  # it may have been armed after its motors were cut
                     self._disarm(link)
-        self._commandable()
         if services.take_off is not None:
+            self._beginning()
             self._left_ground = True
             link.call("take_off", True, services.timeout_s)
             self._pause(services.take_off_s)
@@ -230,10 +230,8 @@ class Ros2Robot(Robot):
         link, battery = self._link, self._settings.battery
         if link is None:
             return Health(ready=False, reason="its driver is not connected")
-        if self._down is not None:
-            return Health(ready=False, reason=self._down)
-        if self._kill_asked:
-            return Health(ready=False, reason=self._uncut())
+        if self._down is not None or self._kill_asked:
+            return Health(ready=False, reason=self._down or self._uncut())
         reason, charge, endurance_s = "", None, None
         try:
             self._here()
@@ -288,6 +286,12 @@ class Ros2Robot(Robot):
         link = self._reached()
         if self._kill_asked:
             raise RobotError(self._uncut())
+        return link
+
+    def _beginning(self) -> Link:
+        link = self._commandable()
+        if self.called_off():
+            raise RobotError(f"{self._name} was stopped before it took off")
         return link
 
     def _uncut(self) -> str:

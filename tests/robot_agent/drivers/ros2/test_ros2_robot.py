@@ -289,6 +289,16 @@ def test_a_kill_during_arming_leaves_the_robot_disarmed_on_the_ground() -> None:
     assert lab.link.calls == [("arm", True), ("kill", True), ("arm", False)]
 
 
+def test_a_robot_that_is_stopped_while_it_is_armed_does_not_take_off() -> None:
+    lab = Lab(settings(services=FLYING, idle_s=20.0))
+    lab.robot.connect()
+    lab.robot.called_off = lambda: bool(lab.link.calls)
+    with pytest.raises(RobotError, match="cf-1 was stopped before it took off"):
+        lab.robot.begin()
+    lab.robot.end()
+    assert lab.link.calls == [("arm", True), ("arm", False)]
+
+
 def test_a_kill_that_is_not_confirmed_is_repeated_and_the_robot_moves_no_more() -> None:
     lab = flying()
     lab.link.refusals["kill"] = "no"
