@@ -178,7 +178,7 @@ def ask_before(moving: str, *, instead: str) -> None:
             f"{moving}, and no person is at the terminal to be asked: give --yes to allow it, or "
             f"{instead}"
         )
-    click.confirm(f"{moving}. Go on?", abort=True, err=True)
+    click.confirm(f"{moving}. Continue?", abort=True, err=True)
 
 
 def restart_within(environment: Mapping[str, str]) -> None:

@@ -23,7 +23,9 @@ class QuadrotorDriver:
     """Builds quadrotors that share crazyflow and its compiled programs."""
 
     settings: type[Strict] = QuadrotorSettings
+    """Model that validates one robot's settings."""
     shares_process = True
+    """Whether all robots of this kind in a fleet must run in one process."""
 
     @property
     def environment(self) -> Mapping[str, str]:

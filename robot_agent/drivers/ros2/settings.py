@@ -201,8 +201,8 @@ class Ros2Settings(Strict):
     """Values of components or joints that are no axes, in the frame of the topics. A pose keeps
     those that are neither where they were when the robot began."""
     hold_tolerance: Positive = 0.2
-    """Distance in m or rad from its place, of a component that is no axis, at which a robot has not
-    got ready to move, and which ends a motion."""
+    """Largest distance in m or rad of a component that is no axis from its place at which the robot
+    counts as ready to move; a larger one ends a motion."""
     services: Services = Services()
     """Services."""
     battery: BatteryTopic | None = None
