@@ -112,7 +112,7 @@ class Plant:
         self._last_s = {"in": 0.0, "out": 0.0}
         self._heard = 0
         self._count = 0
-        self._killed = False
+        self._killed = self._landing = False
         self._speeds: dict[str, float] = {}
         self._goals = {name: settings.start.get(name, 0.0) for name in settings.components}
         reliability = ReliabilityPolicy[settings.reliability.upper()]
@@ -141,10 +141,14 @@ class Plant:
             answer.message = "" if answer.success else f"no {name} today"
             said = f"{name} {request.data}" if hasattr(request, "data") else name
             print(said, flush=True)
+            if not answer.success:
+                return answer
             if name == "kill":
                 self._killed = True
-            if name == "take_off" and "z" in self._loops:
-                self._loops["z"].command(1.0, time.monotonic())
+            if name in ("take_off", "land") and "z" in self._loops:
+                self._landing = name == "land"  # set-points still on their way are not followed
+                z = self.settings.start.get("z", 0.0) if self._landing else 1.0
+                self._loops["z"].command(z, time.monotonic())
             return answer
 
         return serve
@@ -188,7 +192,7 @@ class Plant:
         # When it was sent, and not when this process got a processor to take it.
         sent_s = time.monotonic() - 1e-9 * (time.time_ns() - info["source_timestamp"])
         at_s = self._arrives_s("in", sent_s)
-        if at_s is None or self._killed:
+        if at_s is None or self._killed or self._landing:
             return
         if self.settings.command.endswith(("/Twist", "/TwistStamped")):
             twist = getattr(message, "twist", message)

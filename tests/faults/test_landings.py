@@ -15,6 +15,7 @@ from benchmarks.faults.lab import Lab, double_integrator
 from benchmarks.faults.logbook import RESTS, TOLD_TO_REST
 from benchmarks.faults.program import PATIENCE_S, Program, wait_until
 from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.shared.errors import NoReplyError, RefusedError
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
 from nufleet.shared.wire.messages import GoalRequest, RobotStatus
 
@@ -52,6 +53,22 @@ def times_s(lab: Lab, robot: str, what: str) -> list[float]:
 
 def wait_for_landing(lab: Lab, robots: tuple[str, ...]) -> None:
     wait_until(lambda: all(times_s(lab, robot, TOLD_TO_REST) for robot in robots))
+
+
+def wait_for_shutdown(fleet: Fleet, robots: tuple[str, ...]) -> None:
+    """A robot may be told to rest for another reason, such as an agent that was not scheduled."""
+
+    def refuses_all(robot: str) -> bool:
+        request = GoalRequest(goal_id="late", owner=fleet.orchestrator_id, motion=LONG)
+        try:
+            fleet.submit(robot, request)
+        except RefusedError as refused:
+            return refused.code == "shutting-down"
+        except NoReplyError:  # an agent that shuts down is no longer announced
+            return True
+        return False
+
+    wait_until(lambda: all(map(refuses_all, robots)))
 
 
 def close_stdin(program: Program) -> None:
@@ -95,9 +112,10 @@ def test_an_agent_that_lands_is_not_ended_by_further_signals(
     lab.describe_section_v(dict.fromkeys(ROBOTS, 0.9), rest_awaits=str(landing))
     lab.router()
     agent = lab.agent(*ROBOTS, realtime=1.0)
-    all_move(lab, ROBOTS)
+    fleet = all_move(lab, ROBOTS)
     first(agent)
     wait_for_landing(lab, ROBOTS)
+    wait_for_shutdown(fleet, ROBOTS)
     for number in more:
         said = agent.said
         os.kill(agent.pid, number)

@@ -46,6 +46,7 @@ DRONE: dict[str, Any] = {
     "measurement": {"topic": "measured", "type": "nav_msgs/msg/Odometry"},
     "axes": [{**AXIS, "origin": 0.2}],
     "services": FLYING,
+    "idle_s": 20.0,
     "sample_time_s": 0.02,
     "omega_min_rad_s": 0.3,
     "omega_max_rad_s": 8.0,
@@ -248,7 +249,7 @@ def test_a_refused_take_off_says_why(start_plant: Start, build: Build) -> None:
     assert plant.close() == ["ready", "arm True", "take_off", "land", "arm False"]
 
 
-def test_silence_in_flight_ends_the_motion_and_the_robot_can_be_landed(
+def test_silence_in_flight_ends_the_motion_and_the_robot_is_landed_and_stays_armed(
     start_plant: Start, build: Build
 ) -> None:
     plant = start_plant(falls_silent_after=2000)
@@ -257,9 +258,10 @@ def test_silence_in_flight_ends_the_motion_and_the_robot_can_be_landed(
     robot.begin()
     with pytest.raises(RobotError, match=r"nothing came on /cf1/measured for"):
         robot.run(np.zeros((3000, 1)))
-    robot.end()
+    with pytest.raises(RobotError, match="drone-1 was not disarmed, since it has not been seen"):
+        robot.end()
     robot.disconnect()
-    assert plant.close()[-2:] == ["land", "arm False"]
+    assert plant.close()[-1] == "land"
 
 
 def test_the_battery_is_reported_and_an_empty_one_is_not_ready(

@@ -24,6 +24,8 @@ from nufleet.shared.errors import RobotError
 NS_PER_S = 1_000_000_000
 UNIT_ERROR_MAX = 0.1
 """Largest deviation of an orientation's norm from 1."""
+CHARGE_MAX_S = 10.0
+"""Longest time for which the charge of a battery may be unknown."""
 
 
 @dataclass(frozen=True)
@@ -73,20 +75,42 @@ def measured(message: Any, topic: MeasurementTopic) -> Measured | None:
     return Measured(_stamp_s(message.header), _pose(pose.position, pose.orientation))
 
 
-def charge(message: Any) -> float | None:
-    """Return the charge that a BatteryState reports, 0 to 1; None if it does not know.
+class Battery:
+    """The charge that BatteryStates report; any thread may ask for it."""
 
-    Raises:
-        RobotError: The charge is not a share.
-    """
-    share = float(message.percentage)
-    if math.isnan(share):
-        return None
-    if not 0 <= share <= 1:
-        raise RobotError(
-            f"its battery reports a charge of {share:g}; BatteryState.percentage is from 0 to 1"
-        )
-    return share
+    def __init__(self, topic: str, now_s: float) -> None:
+        """Begin without a message.
+
+        Args:
+            topic: Full name of the topic, for errors.
+            now_s: The time, as for `take` and `charge`.
+        """
+        self._topic = topic
+        self._newest: tuple[float | None, float] = (None, now_s)
+
+    def take(self, message: Any, now_s: float) -> None:
+        """Take a BatteryState; one that does not know the charge is passed over."""
+        share = float(message.percentage)
+        if not math.isnan(share):
+            self._newest = (share, now_s)
+
+    def charge(self, now_s: float) -> float | None:
+        """Return the newest charge, 0 to 1; None before the first.
+
+        Raises:
+            RobotError: The charge is not a share, or has been unknown for `CHARGE_MAX_S`.
+        """
+        share, at_s = self._newest
+        if now_s - at_s > CHARGE_MAX_S:
+            raise RobotError(
+                f"no charge came on {self._topic} for {now_s - at_s:.3g} s: check its publisher, "
+                "or leave the battery out of the fleet file if it does not know its charge"
+            )
+        if share is not None and not 0 <= share <= 1:
+            raise RobotError(
+                f"its battery reports a charge of {share:g}; BatteryState.percentage is from 0 to 1"
+            )
+        return share
 
 
 def message_of(

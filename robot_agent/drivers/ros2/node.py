@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import secrets
 import threading
 import time
@@ -10,6 +11,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from typing import Any
 
+from nufleet.robot_agent.drivers.ros2.calls import first_answer, keep_turning
 from nufleet.robot_agent.drivers.ros2.clocks import Arrivals
 from nufleet.robot_agent.drivers.ros2.graph import (
     SERVICE_TYPES,
@@ -18,10 +20,12 @@ from nufleet.robot_agent.drivers.ros2.graph import (
     service_problem,
     writing_problem,
 )
-from nufleet.robot_agent.drivers.ros2.messages import SetPoint, charge, measured, message_of
+from nufleet.robot_agent.drivers.ros2.messages import Battery, SetPoint, measured, message_of
 from nufleet.robot_agent.drivers.ros2.robot import Link
 from nufleet.robot_agent.drivers.ros2.settings import TF, Qos, Ros2Settings
 from nufleet.shared.errors import RobotError
+
+_log = logging.getLogger(__name__)
 
 NO_ROS = (
     "ROS 2 cannot be imported ({error}): run `source /opt/ros/DISTRO/setup.bash` in the shell that "
@@ -69,7 +73,8 @@ class RosNode(Link):
         """
         self._settings = settings
         self._failure: str | None = None
-        self._charge: float | None = None
+        topic = "" if settings.battery is None else settings.full(settings.battery.topic)
+        self._battery = Battery(topic, time.monotonic())
         self._resend: Callable[[], None] | None = None
         self._sent_s = 0.0
         self.arrivals = Arrivals(
@@ -117,28 +122,23 @@ class RosNode(Link):
         """Call a function whenever one and a half samples pass without a set-point; None stops."""
         self._resend = resend
 
-    def call(self, role: str, engage: bool, timeout_s: float) -> None:
+    def call(self, role: str, engage: bool, timeout_s: float, requests: int = 1) -> None:
         """Call a service and wait for its answer, on any thread but the node's own."""
         client, name, takes_data = self._clients[role]
         request = client.srv_type.Request()
         if takes_data:
             request.data = engage
-        answered = threading.Event()
-        future = client.call_async(request)
-        future.add_done_callback(lambda _: answered.set())
-        if not answered.wait(timeout_s):
-            client.remove_pending_request(future)
+        answer = first_answer(client, request, timeout_s, requests)
+        if answer is None:
             raise RobotError(f"the service {name} has not answered for {timeout_s:.2g} s")
-        answer = future.result()
-        if answer is None or not answer.success:
-            said = "" if answer is None else answer.message
-            raise RobotError(f"the service {name} refused: {said or 'it gave no reason'}")
+        if not answer.success:
+            raise RobotError(f"the service {name} refused: {answer.message or 'it gave no reason'}")
 
     def charge(self) -> float | None:
-        """Return the newest charge; raises RobotError for one that cannot be."""
+        """Return the newest charge; raises RobotError also where the node's thread has failed."""
         if self._failure is not None:
             raise RobotError(self._failure)
-        return self._charge
+        return None if self._settings.battery is None else self._battery.charge(time.monotonic())
 
     def close(self) -> None:
         """Leave ROS 2; a second call does nothing."""
@@ -185,7 +185,7 @@ class RosNode(Link):
             node.create_subscription(
                 _type(BATTERY),
                 settings.full(battery.topic),
-                self._charged,
+                lambda message: self._battery.take(message, time.monotonic()),
                 _profile(Qos(reliability="best_effort", depth=1)),
             )
         from rclpy.clock import Clock, ClockType
@@ -199,8 +199,7 @@ class RosNode(Link):
         closing = threading.Event()
 
         def spin() -> None:  # the executor is shut down only after its last turn
-            while not closing.is_set():
-                executor.spin_once(timeout_sec=SPIN_S)
+            keep_turning(lambda: executor.spin_once(timeout_sec=SPIN_S), closing, self._failed)
 
         opened.callback(executor.shutdown)
         thread = threading.Thread(target=spin, name=f"{name}-ros2", daemon=True)
@@ -225,11 +224,12 @@ class RosNode(Link):
             stamp_s += now_s - now_ns / NS_PER_S
         self.arrivals.take(stamp_s, arrived_s, said.values)
 
-    def _charged(self, message: Any) -> None:
-        try:
-            self._charge, self._failure = charge(message), None
-        except RobotError as error:
-            self._failure = str(error)
+    def _failed(self, error: Exception) -> None:
+        """Have every later report of health say what failed; the log says where, once."""
+        failure = f"a message of ROS 2 could not be handled ({error!r}): see the agent's log"
+        if failure != self._failure:
+            _log.error("%s", failure, exc_info=error)
+        self._failure = failure
 
     def _repeat(self) -> None:
         resend = self._resend

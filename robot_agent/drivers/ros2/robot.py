@@ -10,13 +10,14 @@ from typing import Protocol
 import numpy as np
 
 from nufleet.robot_agent.drivers.ros2.clocks import Arrivals
+from nufleet.robot_agent.drivers.ros2.landing import not_on_ground
 from nufleet.robot_agent.drivers.ros2.messages import SetPoint
 from nufleet.robot_agent.drivers.ros2.setpoints import Places
 from nufleet.robot_agent.drivers.ros2.settings import TWISTS, Ros2Settings
 from nufleet.robot_agent.motion.monitor import LOST_MAX_S
 from nufleet.robot_agent.robot import Record, Robot
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.errors import RobotDownError, RobotError
+from nufleet.shared.errors import OutsideLimitsError, RobotDownError, RobotError
 from nufleet.shared.robots.health import Health
 from nufleet.shared.robots.spec import RobotSpec
 
@@ -29,6 +30,9 @@ CATCH_UP_SHARE = 0.25
 
 KILL_MAX_S = 0.8
 """Time in which the service that cuts the motors has to answer."""
+
+KILL_REQUESTS = 3
+"""Requests to cut the motors, evenly over `KILL_MAX_S`, until one is answered."""
 
 LOOK_S = 0.1
 """Interval at which a wait looks whether the motors were cut."""
@@ -52,14 +56,19 @@ class Link(Protocol):
     def keep_sending(self, resend: Callable[[], None] | None) -> None:
         """Call a function whenever one and a half samples pass without a set-point; None stops."""
 
-    def call(self, role: str, engage: bool, timeout_s: float) -> None:
+    def call(self, role: str, engage: bool, timeout_s: float, requests: int = 1) -> None:
         """Call a service by what it does, and wait for its answer; raises RobotError.
 
-        Any thread may call; `engage` is what a SetBool is given.
+        Any thread may call; `engage` is what a SetBool is given. A request that is not answered is
+        repeated until there are `requests`, evenly over the time.
         """
 
     def charge(self) -> float | None:
-        """Return the newest charge of the battery, 0 to 1; None if unknown; raises RobotError."""
+        """Return the newest charge of the battery, 0 to 1; None if it is not known yet.
+
+        Raises:
+            RobotError: The charge is wrong or too old, or the link itself has failed.
+        """
 
     def close(self) -> None:
         """Leave ROS 2."""
@@ -83,7 +92,12 @@ class Ros2Robot(Robot):
         self._spec = settings.spec()
         self._link: Link | None = None
         self._down: str | None = None
+        # From the request on: the robot is neither armed nor moved before it is connected again.
+        self._kill_asked = False
         self._begun = False
+        # Whether the robot may be armed, may have left the ground, and where the ground is.
+        self._started = self._left_ground = False
+        self._ground_z: float | None = None
         self._places = Places(settings)
         # The last place commanded. A set-point of a motion and a repetition from the link's thread
         # must not overtake one another.
@@ -101,20 +115,31 @@ class Ros2Robot(Robot):
     def connect(self) -> None:
         """Reach the robot's topics and services; nothing is sent yet."""
         self.disconnect()
-        self._down = None
+        self._down, self._kill_asked = None, False
+        self._started = self._left_ground = False
         self._places = Places(self._settings)
         self._forget()
         self._link = self._open(self._name, self._settings)
 
     def begin(self) -> None:
         """Arm and take off by the robot's services, then go to the origin by set-points."""
-        link, services = self._reached(), self._settings.services
         self._check_fence()
+        link, services = self._beginning(), self._settings.services
+        if not self._started:
+            high = not self._settings.joints and "z" in self._settings.measured
+            self._ground_z, self._started = self._height() if high else None, True
         if services.arm is not None:
-            link.call("arm", True, services.timeout_s)
+            try:
+                link.call("arm", True, services.timeout_s)
+            finally:
+                if self._kill_asked:  # it may have been armed after its motors were cut
+                    self._disarm(link)
         if services.take_off is not None:
+            self._beginning()
+            self._left_ground = True
             link.call("take_off", True, services.timeout_s)
             self._pause(services.take_off_s)
+        self._commandable()
         here = self._here()[: len(self._settings.commanded)]
         self._places.begin(here)
         # Where the robot is, on the side of the turn from which the way is shortest.
@@ -126,16 +151,38 @@ class Ros2Robot(Robot):
         self._check_place()
 
     def end(self) -> None:
-        """Land and disarm by the robot's services, and send no more set-points."""
+        """Land and disarm by the robot's services, and send no more set-points.
+
+        A robot that has not been armed here is left as it is, and one that is not seen on the
+        ground stays armed.
+        """
         link, services = self._reached(), self._settings.services
         self._let_stand(link)
-        if services.land is not None:
-            link.call("land", True, services.timeout_s)
-            self._pause(services.land_s)
-        if services.disarm is not None:
-            link.call("disarm", True, services.timeout_s)
-        elif services.arm is not None:
-            link.call("arm", False, services.timeout_s)
+        if not self._started:
+            return
+        refusal = ""
+        if self._left_ground:
+            try:
+                link.call("land", True, services.timeout_s)
+            except RobotError as error:  # a robot that did not take off need not land
+                refusal = f"{error}; "
+            self._pause(services.land_s, landing=True)
+        ground_z = self._ground_z
+        if ground_z is not None and (self._left_ground or services.disarms):
+            why = not_on_ground(
+                self._height,
+                ground_z,
+                services.land_tolerance_m,
+                link.now_s,
+                lambda: self._pause(LOOK_S, landing=True),
+            )
+            if why is not None:
+                raise RobotError(
+                    f"{refusal}{self._name} was not disarmed, since it has not been seen on the "
+                    f"ground: {why}; land it by hand"
+                )
+        self._disarm(link)
+        self._started = self._left_ground = False
 
     def measure_output(self) -> FloatArray:
         """Wait for the next measurement, shape (axes,)."""
@@ -153,6 +200,7 @@ class Ros2Robot(Robot):
         apart_s = self._sent_s[-1] + CATCH_UP_SHARE * period_s if self._sent_s else due_s
         link.wait_until(max(due_s, apart_s))
         self._moving()
+        self._check_place()
         output = self._places.output(self._here())
         self._sent_s.append(self._send(self._places.at(reference)))
         self._due_s = due_s + period_s
@@ -175,15 +223,15 @@ class Ros2Robot(Robot):
         self._moving()
         self._forget()
         self._go(self._places.rest)
-        self._here()
+        self._check_place()
 
     def health(self) -> Health:
         """Return what was reported last of the position and the battery."""
         link, battery = self._link, self._settings.battery
         if link is None:
             return Health(ready=False, reason="its driver is not connected")
-        if self._down is not None:
-            return Health(ready=False, reason=self._down)
+        if self._down is not None or self._kill_asked:
+            return Health(ready=False, reason=self._down or self._uncut())
         reason, charge, endurance_s = "", None, None
         try:
             self._here()
@@ -210,7 +258,8 @@ class Ros2Robot(Robot):
                 f"the fleet file names no service that cuts the motors of {self._name} "
                 "(services.kill)"
             )
-        link.call("kill", True, KILL_MAX_S)
+        self._kill_asked = True
+        link.call("kill", True, KILL_MAX_S, KILL_REQUESTS)
         self._down = "its motors were cut"
         link.keep_sending(None)
 
@@ -232,8 +281,27 @@ class Ros2Robot(Robot):
             raise RobotError(f"{self._name} is not connected")
         return self._link
 
-    def _moving(self) -> Link:
+    def _commandable(self) -> Link:
+        """Return the link of a robot whose motors are not to be cut."""
         link = self._reached()
+        if self._kill_asked:
+            raise RobotError(self._uncut())
+        return link
+
+    def _beginning(self) -> Link:
+        link = self._commandable()
+        if self.called_off():
+            raise RobotError(f"{self._name} was stopped before it took off")
+        return link
+
+    def _uncut(self) -> str:
+        return (
+            f"the motors of {self._name} were to be cut, and {self._settings.services.kill} has "
+            "not confirmed it: see that they stand still, then connect it again"
+        )
+
+    def _moving(self) -> Link:
+        link = self._commandable()
         if not self._begun:
             raise RobotError(f"{self._name} has not begun: it takes no set-points yet")
         return link
@@ -257,12 +325,13 @@ class Ros2Robot(Robot):
 
     def _resend(self) -> None:
         with self._sending:
-            if self._begun and self._down is None:
+            stays = self._kill_asked and self._settings.command.type not in TWISTS
+            if self._begun and self._down is None and not stays:
                 self._publish(self._place)
 
     def _publish(self, before: FloatArray) -> float:
         here = None
-        if self._settings.command.type in TWISTS:
+        if self._settings.command.type in TWISTS and not self._kill_asked:
             with suppress(RobotError):  # a robot that is not measured stands still
                 here = self._here()
         return self._reached().send(self._places.set_point(self._place, before, here))
@@ -286,13 +355,25 @@ class Ros2Robot(Robot):
             self._send(step)
         self._pause(self._spec.settling_time_s)
 
-    def _pause(self, lasts_s: float) -> None:
-        """Wait, unless the motors are cut meanwhile."""
-        link = self._reached()
+    def _pause(self, lasts_s: float, *, landing: bool = False) -> None:
+        """Wait, unless the motors are cut meanwhile, or are to be cut while it does not land."""
+        look = self._reached if landing else self._commandable
+        link = look()
         until_s = link.now_s() + lasts_s
         while (now_s := link.now_s()) < until_s:
             link.wait_until(min(until_s, now_s + LOOK_S))
-            self._reached()
+            look()
+
+    def _disarm(self, link: Link) -> None:
+        services = self._settings.services
+        if services.disarm is not None:
+            link.call("disarm", True, services.timeout_s)
+        elif services.arm is not None:
+            link.call("arm", False, services.timeout_s)
+
+    def _height(self) -> float:
+        """Return the measured z."""
+        return float(self._here()[self._settings.measured.index("z")])
 
     def _check_fence(self) -> None:
         """Raise RobotError if the robot is outside the limits of its measured output."""
@@ -307,12 +388,12 @@ class Ros2Robot(Robot):
                 )
 
     def _check_place(self) -> None:
-        """Raise RobotError if a held component is not in its place."""
+        """Raise OutsideLimitsError if a held component is not in its place."""
         names = self._settings.commanded
         away = self._places.away(self._here()[: len(names)])
         for i in range(len(self._spec.axes), len(names)):
             if abs(away[i]) > self._settings.hold_tolerance:
-                raise RobotError(
-                    f"{self._name} has not got to {names[i]} = {self._places.rest[i]:.3g}: it is "
+                raise OutsideLimitsError(
+                    f"{self._name} is not at {names[i]} = {self._places.rest[i]:.3g}: it is "
                     f"{abs(away[i]):.2g} away, more than hold_tolerance"
                 )

@@ -15,7 +15,8 @@ SPEED_SHARE = 0.5
 
 HELD_SPEED = 0.25
 HELD_ACCELERATION = 0.5
-"""Limits on the way of a component that is no axis, in m or rad and s."""
+"""Limits on the way of a component that is no axis, in m or rad and s; the speed also limits what a
+Twist corrects."""
 
 
 class Places:
@@ -29,6 +30,10 @@ class Places:
             [i for i, name in enumerate(self._names) if name == "yaw"]
             if not settings.joints
             else []
+        )
+        held = len(self._names) - self._axes
+        self._speed_max = np.array(
+            [axis.velocity_max for axis in settings.axes] + held * [HELD_SPEED]
         )
         self._rest = np.zeros(len(self._names))
         self._rest[: self._axes] = [axis.origin for axis in settings.axes]
@@ -98,7 +103,9 @@ class Places:
             return SetPoint(self._by_name(place), self._by_name(velocity))
         if here is None:
             return SetPoint({"yaw": 0.0}, {})
-        velocity = velocity + gain * self._turned(place - here[: len(place)])
+        correction = gain * self._turned(place - here[: len(place)])
+        # A measurement that jumps, or comes back after a gap, must not command any speed.
+        velocity = velocity + np.clip(correction, -self._speed_max, self._speed_max)
         yaw = float(here[self._settings.measured.index("yaw")])
         return SetPoint({"yaw": yaw}, self._by_name(velocity))
 

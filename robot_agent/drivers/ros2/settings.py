@@ -57,7 +57,8 @@ class CommandTopic(Strict):
     """Whether points of trajectories also state the velocity of the reference."""
     gain_1_s: Positive | None = None
     """For a Twist: velocity commanded for each unit of distance between reference and output, on
-    top of the velocity of the reference. This gain is then part of the baseline controller."""
+    top of the velocity of the reference, up to the axis's `velocity_max` (0.25 m/s or rad/s for
+    what is no axis). This gain is then part of the baseline controller."""
     twist_frame: Literal["body", "world"] = "body"
     """For a Twist: frame in which the robot takes its velocities."""
     qos: Qos = Qos(reliability="reliable", depth=1)
@@ -129,7 +130,10 @@ class Services(Strict):
     take_off_s: NonNegative = 5.0
     """Time from the answer of `take_off` until the robot hovers."""
     land_s: NonNegative = 5.0
-    """Time from the answer of `land` until the robot has landed."""
+    """Time from the answer of `land` after which the robot is expected on the ground. It is
+    disarmed only after it was seen there."""
+    land_tolerance_m: Positive = 0.15
+    """Distance of the measured z from where the robot was armed at which it is on the ground."""
     timeout_s: Annotated[float, Field(gt=0, le=30)] = 10.0
     """Longest time until a service answers, except `kill`."""
 
@@ -138,6 +142,11 @@ class Services(Strict):
         if (self.take_off is None) != (self.land is None):
             raise ValueError("take_off and land: a robot has both or neither")
         return self
+
+    @property
+    def disarms(self) -> bool:
+        """Whether there is a service that disarms."""
+        return self.arm is not None or self.disarm is not None
 
     @property
     def named(self) -> dict[str, str]:
@@ -192,8 +201,8 @@ class Ros2Settings(Strict):
     """Values of components or joints that are no axes, in the frame of the topics. A pose keeps
     those that are neither where they were when the robot began."""
     hold_tolerance: Positive = 0.2
-    """Largest distance in m or rad of a held component from its place at which the robot counts as
-    ready to move."""
+    """Largest distance in m or rad of a component that is no axis from its place at which the robot
+    counts as ready to move; a larger one ends a motion."""
     services: Services = Services()
     """Services."""
     battery: BatteryTopic | None = None
@@ -209,7 +218,8 @@ class Ros2Settings(Strict):
     settling_time_s: NonNegative
     """Time after which a transient of the baseline loop is negligible."""
     idle_s: Positive | None = None
-    """Time without a motion after which the robot lands; None to land it only with the agent."""
+    """Time without a motion after which the robot lands, required with `services.take_off`; None to
+    disarm it only with the agent."""
     tracking: TrackingLimits | None = None
     """Limits on paths; a robot without them accepts only frequency tests."""
 
@@ -235,6 +245,12 @@ class Ros2Settings(Strict):
                 raise ValueError(
                     f"axis {axis.name}: the unit of {axis.of} is {POSE_UNITS[axis.of]}"
                 )
+        if self.services.take_off is not None and joints:
+            raise ValueError("services.take_off: a robot with joints reports no height to land by")
+        if self.services.take_off is not None and self.idle_s is None:
+            raise ValueError(
+                "idle_s: a robot that takes off needs it, or it hovers until its agent ends"
+            )
         self.spec()
         return self
 
@@ -257,8 +273,9 @@ class Ros2Settings(Strict):
     @property
     def measured(self) -> tuple[str, ...]:
         """Components or joints that have to be measured: those that are commanded come first."""
-        turns = self.command.type in TWISTS and "yaw" not in self.commanded
-        return (*self.commanded, "yaw") if turns else self.commanded
+        turned = ("yaw",) if self.command.type in TWISTS else ()
+        landed = () if self.services.land is None else ("z",)
+        return tuple(dict.fromkeys((*self.commanded, *turned, *landed)))
 
     def full(self, name: str) -> str:
         """Return a name with the namespace before it unless it is absolute."""

@@ -67,7 +67,10 @@ TICK_S = 0.01
 
 
 class VirtualLink:
-    """A robot that goes a tenth of the way to its set-point every 10 ms, and says what it heard."""
+    """A robot that goes a share of the way to its set-point every 10 ms, and says what it heard.
+
+    Taking off lifts it, and landing brings it back to the height 0.
+    """
 
     def __init__(self, own: Ros2Settings, start: dict[str, float]) -> None:
         self.settings = own
@@ -83,6 +86,8 @@ class VirtualLink:
         self.silent = self.closed = False
         self.stamp_offset_s = 77.0
         self.at_call: Callable[[], None] = lambda: None
+        self.lift_m, self.share = 1.0, 0.1
+        self.kill_requests = 0
         self.arrivals = VirtualArrivals("/cf1/measured", own.measured, "own-clock")
         self.arrivals.tick = self.tick
         self.tick()
@@ -90,7 +95,7 @@ class VirtualLink:
     def tick(self) -> None:
         self.time_s += TICK_S
         for name, goal in self.goal.items():
-            self.place[name] += 0.1 * (goal - self.place[name])
+            self.place[name] += self.share * (goal - self.place[name])
         for name, speed in self.velocity.items():
             self.place[name] += TICK_S * speed
         if not self.silent:
@@ -121,10 +126,15 @@ class VirtualLink:
     def keep_sending(self, resend: Callable[[], None] | None) -> None:
         self.resend = resend
 
-    def call(self, role: str, engage: bool, timeout_s: float) -> None:
+    def call(self, role: str, engage: bool, timeout_s: float, requests: int = 1) -> None:
+        if role == "kill":
+            self.kill_requests = requests
         if role in self.refusals:
+            self.at_call()
             raise RobotError(f"the service {role} refused: {self.refusals[role]}")
         self.calls.append((role, engage))
+        if role in ("take_off", "land") and "z" in self.place:
+            self.goal["z"] = self.lift_m if role == "take_off" else 0.0
         self.at_call()
 
     def charge(self) -> float | None:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from ros2_lab import ARM, CART, DRONE, Message, settings
 
-from nufleet.robot_agent.drivers.ros2.messages import SetPoint, charge, measured, message_of
+from nufleet.robot_agent.drivers.ros2.messages import Battery, SetPoint, measured, message_of
 from nufleet.robot_agent.drivers.ros2.settings import CommandTopic, MeasurementTopic
 from nufleet.shared.errors import RobotError
 
@@ -90,11 +90,26 @@ def test_an_orientation_that_is_none_gives_no_yaw() -> None:
     assert math.isnan(said.values["yaw"])
 
 
-def test_a_charge_is_a_share_or_unknown() -> None:
-    assert charge(SimpleNamespace(percentage=0.4)) == 0.4
-    assert charge(SimpleNamespace(percentage=math.nan)) is None
+def test_a_charge_is_a_share() -> None:
+    battery = Battery("/cf1/battery", 0.0)
+    assert battery.charge(9.0) is None
+    battery.take(SimpleNamespace(percentage=0.4), 9.0)
+    assert battery.charge(18.0) == 0.4
+    battery.take(SimpleNamespace(percentage=87.0), 18.0)
     with pytest.raises(RobotError, match=r"reports a charge of 87; .* from 0 to 1"):
-        charge(SimpleNamespace(percentage=87.0))
+        battery.charge(18.0)
+
+
+@pytest.mark.parametrize("said", [[], [math.nan] * 12])
+def test_a_battery_that_says_nothing_more_or_does_not_know_its_charge_is_unknown(
+    said: list[float],
+) -> None:
+    battery = Battery("/cf1/battery", 0.0)
+    battery.take(SimpleNamespace(percentage=0.4), 0.5)
+    for k, share in enumerate(said):
+        battery.take(SimpleNamespace(percentage=share), float(k))
+    with pytest.raises(RobotError, match=r"no charge came on /cf1/battery for 10\.5 s"):
+        battery.charge(11.0)
 
 
 def sent(kind: str, point: SetPoint, **more: Any) -> Any:

@@ -11,14 +11,14 @@ from ros2_lab import ARM, CART, DRONE, FLYING, Lab, settings
 
 from nufleet.robot_agent.driver_kit.check import check_robot
 from nufleet.robot_agent.drivers.ros2.driver import DRIVER
-from nufleet.shared.errors import RobotDownError, RobotError
+from nufleet.shared.errors import OutsideLimitsError, RobotDownError, RobotError
 
 BATTERY = {"topic": "battery", "motion_s": 400.0}
 
 
 def flying(**start: float) -> Lab:
     """A drone that has begun."""
-    lab = Lab(settings(services=FLYING, hold={"z": 1.0}, battery=BATTERY), **start)
+    lab = Lab(settings(services=FLYING, hold={"z": 1.0}, battery=BATTERY, idle_s=20.0), **start)
     lab.robot.connect()
     lab.robot.begin()
     return lab
@@ -33,7 +33,7 @@ def test_every_kind_of_robot_keeps_the_contract(document: dict[str, Any]) -> Non
 
 
 def test_connecting_sends_nothing() -> None:
-    lab = Lab(settings(services=FLYING))
+    lab = Lab(settings(services=FLYING, idle_s=20.0))
     lab.robot.connect()
     assert (lab.link.sent, lab.link.calls) == ([], [])
 
@@ -120,6 +120,66 @@ def test_it_lands_and_disarms() -> None:
     assert lab.link.calls[2:] == [("land", True), ("arm", False)]
 
 
+def test_a_drone_that_lands_slowly_is_disarmed_only_on_the_ground() -> None:
+    lab = flying()
+    lab.link.share = 0.0025  # it needs 7.6 s down to 0.15 m, and land_s is 5 s
+    heights: list[float] = []
+    lab.link.at_call = lambda: heights.append(lab.link.place["z"])
+    lab.robot.end()
+    assert lab.link.calls[2:] == [("land", True), ("arm", False)]
+    assert heights[0] > 0.9
+    assert abs(heights[1]) < 0.15
+
+
+def test_a_drone_that_is_not_seen_to_land_stays_armed_and_is_landed_when_ended_again() -> None:
+    lab = flying()
+    lab.link.share = 0.0
+    with pytest.raises(RobotError, match=r"cf-1 was not disarmed, .*: its z is \+1.00 m from"):
+        lab.robot.end()
+    assert lab.link.calls[2:] == [("land", True)]
+    lab.link.share = 0.1
+    lab.robot.end()
+    assert lab.link.calls[3:] == [("land", True), ("arm", False)]
+
+
+def test_a_drone_that_rose_by_set_points_alone_is_not_disarmed_in_the_air() -> None:
+    lab = Lab(settings(services={"arm": "arm"}, hold={"z": 1.0}))
+    lab.robot.connect()
+    lab.robot.begin()
+    with pytest.raises(RobotError, match="cf-1 was not disarmed"):
+        lab.robot.end()
+    assert lab.link.calls == [("arm", True)]
+
+
+def test_a_drone_that_was_not_armed_here_is_neither_landed_nor_disarmed() -> None:
+    axes = [{**DRONE["axes"][0], "output_max": 1.0}]
+    lab = Lab(settings(services=FLYING, axes=axes, idle_s=20.0), x=2.0, z=1.0)
+    lab.robot.connect()
+    with pytest.raises(RobotError, match="outside its limits"):
+        lab.robot.begin()
+    lab.robot.end()
+    assert lab.link.calls == []
+
+
+def test_a_drone_whose_take_off_and_landing_are_refused_is_disarmed_on_the_ground() -> None:
+    lab = Lab(settings(services=FLYING, idle_s=20.0))
+    lab.robot.connect()
+    lab.link.refusals = {"take_off": "the battery is low", "land": "not in the air"}
+    with pytest.raises(RobotError, match="take_off refused"):
+        lab.robot.begin()
+    lab.robot.end()
+    assert lab.link.calls == [("arm", True), ("arm", False)]
+
+
+def test_a_drone_that_is_commanded_velocities_is_measured_where_it_lands() -> None:
+    lab = Lab(settings(CART, services=FLYING, idle_s=20.0))
+    lab.robot.connect()
+    lab.robot.begin()
+    lab.link.share = 0.0
+    with pytest.raises(RobotError, match="cf-1 was not disarmed"):
+        lab.robot.end()
+
+
 def test_arming_by_two_services_disarms_by_the_second() -> None:
     lab = Lab(settings(services={"arm": "arm", "disarm": "disarm"}))
     lab.robot.connect()
@@ -129,7 +189,7 @@ def test_arming_by_two_services_disarms_by_the_second() -> None:
 
 
 def test_a_refused_take_off_ends_before_any_set_point() -> None:
-    lab = Lab(settings(services=FLYING))
+    lab = Lab(settings(services=FLYING, idle_s=20.0))
     lab.robot.connect()
     lab.link.refusals["take_off"] = "the battery is low"
     with pytest.raises(RobotError, match="take_off refused: the battery is low"):
@@ -139,7 +199,7 @@ def test_a_refused_take_off_ends_before_any_set_point() -> None:
 
 def test_a_robot_outside_its_limits_is_not_moved() -> None:
     axes = [{**DRONE["axes"][0], "output_min": -1.0, "output_max": 1.0}]
-    lab = Lab(settings(services=FLYING, axes=axes), x=2.0)
+    lab = Lab(settings(services=FLYING, axes=axes, idle_s=20.0), x=2.0)
     lab.robot.connect()
     with pytest.raises(RobotError, match=r"cf-1 is at x = 1.5 m, outside its limits -1.0 to 1.0"):
         lab.robot.begin()
@@ -147,13 +207,24 @@ def test_a_robot_outside_its_limits_is_not_moved() -> None:
 
 
 def test_a_robot_that_does_not_rise_has_not_begun() -> None:
-    lab = Lab(settings(services=FLYING, hold={"z": 1.0}))
+    lab = Lab(settings(services=FLYING, hold={"z": 1.0}, idle_s=20.0))
     lab.robot.connect()
-    lab.link.goal.pop("z")
+    lab.link.lift_m = 0.0
     send = lab.link.send
     lab.link.send = lambda point: (send(point), lab.link.goal.pop("z"))[0]  # type: ignore[method-assign]
-    with pytest.raises(RobotError, match=r"cf-1 has not got to z = 1: it is 1 away"):
+    with pytest.raises(RobotError, match=r"cf-1 is not at z = 1: it is 1 away"):
         lab.robot.begin()
+
+
+@pytest.mark.parametrize("call", ["step", "rest"])
+def test_a_robot_that_leaves_a_held_place_leaves_its_limits(call: str) -> None:
+    lab = flying()
+    lab.robot.step(np.zeros(2))
+    send = lab.link.send
+    lab.link.send = lambda point: (send(point), lab.link.goal.update(z=0.7))[0]  # type: ignore[method-assign]
+    lab.link.wait_until(lab.link.time_s + 1.0)
+    with pytest.raises(OutsideLimitsError, match=r"cf-1 is not at z = 1: it is 0\.3 away"):
+        lab.robot.step(np.zeros(2)) if call == "step" else lab.robot.rest()
 
 
 @pytest.mark.parametrize("call", ["step", "rest"])
@@ -164,8 +235,9 @@ def test_silence_on_the_topic_ends_a_motion_and_its_rest(call: str) -> None:
         lab.link.tick()
     with pytest.raises(RobotError, match=r"nothing came on /cf1/measured for [\d.]+ s"):
         lab.robot.step(np.zeros(2)) if call == "step" else lab.robot.rest()
-    lab.robot.end()
-    assert lab.link.calls[-2:] == [("land", True), ("arm", False)]
+    with pytest.raises(RobotError, match=r"not disarmed, .*: nothing came on /cf1/measured"):
+        lab.robot.end()  # it is told to land, and is not seen to
+    assert lab.link.calls[-1] == ("land", True)
 
 
 def test_stamps_that_go_backwards_end_a_motion() -> None:
@@ -208,8 +280,49 @@ def test_killed_motors_move_no_more_until_the_next_connection() -> None:
     lab.robot.begin()
 
 
+def test_a_kill_during_arming_leaves_the_robot_disarmed_on_the_ground() -> None:
+    lab = Lab(settings(services=FLYING, idle_s=20.0))
+    lab.robot.connect()
+    lab.link.at_call = lambda: lab.robot.kill() if lab.link.calls[-1] == ("arm", True) else None
+    with pytest.raises(RobotDownError, match="its motors were cut"):
+        lab.robot.begin()
+    assert lab.link.calls == [("arm", True), ("kill", True), ("arm", False)]
+
+
+def test_a_robot_that_is_stopped_while_it_is_armed_does_not_take_off() -> None:
+    lab = Lab(settings(services=FLYING, idle_s=20.0))
+    lab.robot.connect()
+    lab.robot.called_off = lambda: bool(lab.link.calls)
+    with pytest.raises(RobotError, match="cf-1 was stopped before it took off"):
+        lab.robot.begin()
+    lab.robot.end()
+    assert lab.link.calls == [("arm", True), ("arm", False)]
+
+
+def test_a_kill_that_is_not_confirmed_is_repeated_and_the_robot_moves_no_more() -> None:
+    lab = flying()
+    lab.link.refusals["kill"] = "no"
+    before = len(lab.link.sent)
+
+    def waits() -> None:
+        for _ in range(20):
+            lab.link.tick()
+
+    lab.link.at_call = waits
+    with pytest.raises(RobotError, match="kill refused"):
+        lab.robot.kill()
+    lab.link.at_call = lambda: None
+    assert (lab.link.kill_requests, len(lab.link.sent)) == (3, before)
+    for call in (lambda: lab.robot.step(np.zeros(2)), lab.robot.rest, lab.robot.begin):
+        with pytest.raises(RobotError, match="kill has not confirmed it"):
+            call()
+    assert not lab.robot.health().ready
+    lab.robot.end()
+    assert lab.link.calls[-2:] == [("land", True), ("arm", False)]
+
+
 def test_a_kill_interrupts_a_take_off() -> None:
-    lab = Lab(settings(services=FLYING))
+    lab = Lab(settings(services=FLYING, idle_s=20.0))
     lab.robot.connect()
     lab.link.at_call = lambda: lab.robot.kill() if lab.link.calls[-1][0] == "take_off" else None
     with pytest.raises(RobotDownError):
@@ -236,6 +349,16 @@ def test_velocities_follow_the_reference_and_correct_the_distance() -> None:
     # 10 mm in 20 ms, and three times the distance of 10 mm.
     assert newest.velocities["x"] == pytest.approx(0.53, abs=1e-6)
     assert newest.positions["yaw"] == pytest.approx(0.3)
+
+
+def test_a_measurement_that_jumps_does_not_command_any_speed() -> None:
+    lab = Lab(settings(CART, hold={"z": 0.0}), x=0.5)
+    lab.robot.connect()
+    lab.robot.begin()
+    lab.link.place.update(x=3.5, y=-3.0, z=-3.0)
+    lab.link.tick()
+    lab.robot._resend()
+    assert lab.link.sent[-1].velocities == {"x": -0.6, "y": 0.6, "z": 0.25}
 
 
 @pytest.mark.parametrize("leaving", ["end", "disconnect", "silence"])

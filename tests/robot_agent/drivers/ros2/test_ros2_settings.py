@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from pydantic import ValidationError
-from ros2_lab import ARM, CART, DRONE, settings
+from ros2_lab import ARM, CART, DRONE, FLYING, settings
 
 from nufleet.shared.strict import describe_validation
 
@@ -57,6 +57,8 @@ def test_a_pose_is_commanded_as_a_whole_joints_as_listed_and_a_twist_as_needed()
         ({"measurement": {"topic": "/tf", "type": "tf2_msgs/msg/TFMessage"}}, "parent and child"),
         ({"measurement": {"topic": "p", "type": "geometry_msgs/msg/Pose"}}, 'stamps = "arrival"'),
         ({"services": {"take_off": "up"}}, "a robot has both or neither"),
+        ({"services": FLYING}, "idle_s: a robot that takes off needs it"),
+        ({**ARM, "services": FLYING, "idle_s": 9.0}, "reports no height to land by"),
         ({"omega_max_rad_s": 200.0}, "Nyquist"),
         ({"battery": {"topic": "b", "reserve": 1.5}}, "battery.reserve"),
         ({"services": {"arm": "arm it"}}, "services.arm"),
