@@ -45,6 +45,10 @@ RATE_SHARE = 0.7
 CUT_ANSWER_S = 0.15
 """Time in which `cut` waits for an answer; the command is repeated afterwards, too."""
 
+CUT_SURE_S = 1.0
+"""Time after which a command that was sent before the cut no longer arrives: only then does a
+heartbeat that says "disarmed" end the repetition."""
+
 FORCE = 21196.0
 """Second parameter of MAV_CMD_COMPONENT_ARM_DISARM that disarms in the air, too."""
 
@@ -69,6 +73,8 @@ class Vehicle:
         """Whether it obeys our set-points; it may stop doing so at any time."""
         self.cut_off = False
         """Whether its motors were cut."""
+        self._cut_s = math.inf
+        self._asked: int | None = None
 
     def receive(self, message: Any, source: object, arrived_s: float) -> None:
         """Take a message that came from an address."""
@@ -76,6 +82,10 @@ class Vehicle:
 
     def beat(self, now_s: float) -> float:
         """Send what is due; return when something is due next."""
+        heartbeat = self.telemetry.heartbeat
+        newer = heartbeat is not None and heartbeat.arrived_s > self._cut_s + CUT_SURE_S
+        if newer and not self.armed:
+            self.keeper.repeat(None)
         return self.keeper.beat(now_s)
 
     def open(self) -> None:
@@ -121,16 +131,21 @@ class Vehicle:
 
         Raises:
             RobotError: It is refused, or not answered.
+            RobotDownError: The motors were cut meanwhile.
         """
         answers = self.telemetry.acknowledged
+        in_progress = dialect.MAV_RESULT_IN_PROGRESS
+        self._asked = command  # before the check, so that a cut sees what may still be sent
         answers.pop(command, None)
         for confirmation in range(ASKED_TIMES):
+            self._check_not_cut()
             self._line.send(self._command(command, confirmation, parameters))
             if not self._until(lambda: command in answers, ANSWER_S):
                 self._check_trouble()
                 continue
-            self._until(lambda: answers[command] != dialect.MAV_RESULT_IN_PROGRESS, FOUND_S)
-            result = answers[command]
+            self._until(lambda: answers.get(command, in_progress) != in_progress, FOUND_S)
+            result = answers.get(command, in_progress)
+            self._asked = None
             if result == dialect.MAV_RESULT_ACCEPTED:
                 return
             why = RESULTS.get(result, f"its result is {result}")
@@ -163,17 +178,20 @@ class Vehicle:
         Raises:
             RobotError: The vehicle refuses, or does not answer; it is asked again and again.
         """
-        self.cut_off = True
         command = dialect.MAV_CMD_COMPONENT_ARM_DISARM
         parameters = (0.0, FORCE)
         if self._settings.kill == "flight-termination":
             command, parameters = dialect.MAV_CMD_DO_FLIGHTTERMINATION, (1.0, 0.0)
         message = self._command(command, 0, parameters)
         answers = self.telemetry.acknowledged
+        self.cut_off = True
+        ambiguous = self._asked == command
         answers.pop(command, None)
         self.keeper.repeat(message)
         self._line.send(message)
-        if not self._until(lambda: command in answers, CUT_ANSWER_S):
+        if command == dialect.MAV_CMD_COMPONENT_ARM_DISARM:
+            self._cut_s = self._line.now_s()
+        if not self._line.wait(self._line.now_s() + CUT_ANSWER_S, lambda: command in answers):
             raise RobotError(
                 f"{self.profile.name} did not answer the command that cuts its motors within "
                 f"{CUT_ANSWER_S:g} s; it is repeated every 50 ms until the robot is released"
@@ -183,7 +201,15 @@ class Vehicle:
             raise RobotError(
                 f"{self.profile.name} does not cut its motors: {RESULTS.get(result, result)}"
             )
-        self.keeper.repeat(None)
+        if ambiguous:
+            self._asked = None
+            raise RobotError(
+                f"{self.profile.name} was being armed or disarmed, and its answer does not say "
+                "which: the command that cuts its motors is repeated until it says that it is "
+                "disarmed; ask again to make sure"
+            )
+        if command == dialect.MAV_CMD_DO_FLIGHTTERMINATION:  # never asked for anything else
+            self.keeper.repeat(None)
 
     @property
     def mode(self) -> str:
@@ -216,6 +242,7 @@ class Vehicle:
         """
         newest, now_s = self.telemetry.newest, self._line.now_s()
         if newest is None or now_s - newest.arrived_s > LOST_S:
+            self._give_up()
             raise RobotDownError(
                 f"nothing has been measured for {LOST_S:g} s: only the vehicle's own failsafe, or "
                 f"a pilot, can land it{self.telemetry.words(now_s)}"
@@ -295,7 +322,19 @@ class Vehicle:
 
     def _check_trouble(self) -> None:
         if self.telemetry.trouble:
+            self._give_up()
             raise RobotDownError(self.telemetry.trouble)
+
+    def _give_up(self) -> None:
+        """Have it land if it can still hear us: held set-points would only keep it in the air."""
+        if self.controlled and not self.cut_off and self.mode == self.profile.obeys:
+            land = (0.0, 0.0, 0.0, math.nan)
+            self._line.send(self._command(dialect.MAV_CMD_NAV_LAND, 0, land))
+        self.keeper.release()
+
+    def _check_not_cut(self) -> None:
+        if self.cut_off:
+            raise RobotDownError("its motors were cut")
 
     def _check_kind(self) -> None:
         heartbeat = self.telemetry.heartbeat
@@ -370,7 +409,10 @@ class Vehicle:
             )
 
     def _until(self, condition: Any, within_s: float) -> bool:
-        return self._line.wait(self._line.now_s() + within_s, condition)
+        until_s = self._line.now_s() + within_s
+        holds = self._line.wait(until_s, lambda: self.cut_off or condition())
+        self._check_not_cut()
+        return holds
 
     def _command(self, command: int, confirmation: int, parameters: tuple[float, ...]) -> Any:
         seven = (*parameters, *(0.0,) * (7 - len(parameters)))

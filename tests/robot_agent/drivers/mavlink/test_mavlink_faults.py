@@ -231,6 +231,65 @@ def test_a_cut_that_is_not_answered_is_said_and_repeated_until_it_arrives() -> N
     assert not flown.vehicle.armed
 
 
+def stays_on_the_ground(flown: Air) -> bool:
+    sent = flown.vehicle.set_points
+    flown.wait(3.0)
+    return not flown.vehicle.armed and flown.vehicle.set_points <= sent + 1
+
+
+@pytest.mark.parametrize(
+    ("profile", "after_s"), [("px4", 0.5), ("px4", 1.45), ("ardupilot", 0.003)]
+)
+def test_a_vehicle_whose_motors_are_cut_before_it_is_armed_is_not_armed(
+    profile: str, after_s: float
+) -> None:
+    flown = air(profile=profile)
+    flown.robot.connect()
+    at(flown, after_s, flown.robot.kill)
+    with pytest.raises(RobotDownError, match="its motors were cut"):
+        flown.robot.begin()
+    assert stays_on_the_ground(flown)
+
+
+def test_a_cut_is_repeated_until_the_vehicle_says_that_it_is_disarmed() -> None:
+    flown = air()
+    flown.robot.connect()
+    send = flown.line.send
+
+    def sends(message: object) -> None:
+        arms = getattr(message, "command", 0) == ARM and getattr(message, "param1", 0.0) == 1.0
+        if arms:  # the order to arm is overtaken by the cut, and its answer is taken for the cut's
+            flown.line.send = send  # type: ignore[method-assign]
+            with pytest.raises(RobotError, match="was being armed or disarmed, and its answer"):
+                flown.robot.kill()
+        send(message)
+
+    flown.line.send = sends  # type: ignore[method-assign]
+    with pytest.raises(RobotDownError, match="its motors were cut"):
+        flown.robot.begin()
+    assert stays_on_the_ground(flown)
+    asked = len(flown.vehicle.commands)
+    flown.wait(1.0)
+    assert len(flown.vehicle.commands) == asked  # the repetition has ended
+
+
+@pytest.mark.parametrize("profile", ["px4", "ardupilot"])
+def test_a_vehicle_that_is_given_up_is_not_kept_in_the_air(profile: str) -> None:
+    blind, restarted = air(profile=profile).in_the_air(), air(profile=profile).in_the_air()
+    blind.vehicle.sends_position = False
+    with pytest.raises(RobotError, match="no LOCAL_POSITION_NED has arrived"):
+        blind.hold(2.0)
+    with pytest.raises(RobotDownError, match="nothing has been measured for 3 s"):
+        blind.robot.rest()
+    restarted.vehicle.clock_jump_s = -100.0
+    with pytest.raises(RobotDownError, match="went back by"):
+        restarted.hold(2.0)
+    for flown in (blind, restarted):
+        flown.wait(6.0)
+        assert (flown.vehicle.mode, flown.vehicle.armed) == ("land", False)
+        assert flown.vehicle.commands.count(LAND) == 1
+
+
 def test_a_landing_that_is_refused_is_said() -> None:
     flown = air().in_the_air()
     flown.vehicle.refuses[LAND] = "no landing here"
