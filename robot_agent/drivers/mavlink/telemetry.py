@@ -97,6 +97,8 @@ class Telemetry:
         """Why its measurements cannot be trusted any more; empty as long as they can."""
         self.acknowledged: dict[int, int] = {}
         """Last result of each command since it was asked, MAV_RESULT by MAV_CMD."""
+        self.parameters: dict[str, float] = {}
+        """Values of the vehicle's parameters that arrived, by name."""
         self._texts: deque[tuple[float, str]] = deque(maxlen=4)
         self._sequence: int | None = None
         self._expected = self._arrived = 1.0
@@ -220,6 +222,10 @@ class Telemetry:
         del arrived_s
         if message.target_system in self._answers_to:
             self.acknowledged[message.command] = message.result
+
+    def _take_param_value(self, message: Any, arrived_s: float) -> None:
+        del arrived_s
+        self.parameters[message.param_id.rstrip("\0")] = message.param_value
 
     def _take_battery_status(self, message: Any, arrived_s: float) -> None:
         del arrived_s

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from nufleet.robot_agent.drivers.mavlink import failsafe
 from nufleet.robot_agent.drivers.mavlink.keeper import Keeper
 from nufleet.robot_agent.drivers.mavlink.line import Line
 from nufleet.robot_agent.drivers.mavlink.profiles import (
@@ -105,6 +106,7 @@ class Vehicle:
                 f"{self.profile.id_parameter}"
             )
         self._check_kind()
+        self._check_failsafe()
         self._request_messages()
         if not self._until(lambda: telemetry.newest is not None, FOUND_S):
             raise RobotError(
@@ -351,6 +353,23 @@ class Vehicle:
                 f"system {self._settings.system_id} is {TAKES_NO_HOLD[heartbeat.vehicle_type]}, "
                 "which cannot hover at reference 0"
             )
+
+    def _check_failsafe(self) -> None:
+        if not self.profile.counts_heartbeats:
+            return
+        settings, parameters = self._settings, self.telemetry.parameters
+        for _ in range(ASKED_TIMES):
+            for name in failsafe.NEEDED:
+                self._line.send(
+                    dialect.MAVLink_param_request_read_message(
+                        settings.system_id, settings.component_id, name.encode(), -1
+                    )
+                )
+            if self._until(lambda: failsafe.known(parameters), ANSWER_S):
+                break
+        reason = failsafe.unwatched(parameters, settings.own_system_id)
+        if reason:
+            raise RobotError(reason)
 
     def _request_messages(self) -> None:
         settings = self._settings

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mavlink_air import Air, air
 
-from nufleet.shared.errors import RobotDownError, RobotError
+from nufleet.shared.errors import OutsideLimitsError, RobotDownError, RobotError
 from nufleet.sims.mavlink_vehicle.vehicle import VehicleSettings
 from nufleet.sims.mavlink_vehicle.virtual_line import LinkSettings
 
@@ -175,11 +175,48 @@ def test_a_vehicle_that_falls_silent_for_good_is_given_up() -> None:
     flown.robot.disconnect()
 
 
-def test_a_driver_that_dies_has_the_vehicle_land_by_its_failsafe() -> None:
-    flown = air().in_the_air()
+@pytest.mark.parametrize("profile", ["px4", "ardupilot"])
+def test_a_driver_that_dies_has_the_vehicle_land_by_its_failsafe(profile: str) -> None:
+    flown = air(profile=profile).in_the_air()
     flown.line.close()  # nothing beats any more
-    flown.wait(6.0)
+    flown.wait(12.0)
     assert (flown.vehicle.mode, flown.vehicle.armed) == ("land", False)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "says"),
+    [
+        (
+            {"SYSID_MYGCS": 255.0, "FS_GCS_ENABLE": 5.0},
+            "watches system 255 .* set SYSID_MYGCS = 245",
+        ),
+        (
+            {"MAV_GCS_SYSID": 1.0, "FS_GCS_ENABLE": 5.0},
+            "watches system 1 .* set MAV_GCS_SYSID = 245",
+        ),
+        (
+            {"SYSID_MYGCS": 245.0, "FS_GCS_ENABLE": 0.0},
+            "does nothing when .* set FS_GCS_ENABLE = 5",
+        ),
+        ({}, "does not tell SYSID_MYGCS or MAV_GCS_SYSID, and FS_GCS_ENABLE"),
+    ],
+)
+def test_an_ardupilot_that_would_not_notice_that_the_driver_dies_is_refused(
+    parameters: dict[str, float], says: str
+) -> None:
+    unaware = air(profile="ardupilot")
+    unaware.vehicle.parameters = parameters
+    with pytest.raises(RobotError, match=says):
+        unaware.robot.connect()
+
+
+def test_a_vehicle_that_drifts_along_what_is_not_an_axis_leaves_its_limits() -> None:
+    flown = air().in_the_air()
+    at(flown, 0.5, lambda: flown.vehicle.loop.put(np.array([0.0, 0.0, 2.1])))
+    with pytest.raises(
+        OutsideLimitsError, match=r"0\.\d+ m away from its origin along z, which is"
+    ):
+        flown.hold(2.0)
 
 
 def test_time_stamps_that_go_back_and_two_vehicles_with_one_id_are_found_out() -> None:
