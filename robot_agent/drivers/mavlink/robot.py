@@ -257,7 +257,7 @@ class MavlinkRobot(Robot):
         if vehicle is None:
             return
         try:
-            if self._ground is not None and not vehicle.health().reason:
+            if self._ground is not None and not vehicle.out_of_hand():
                 self.end()
         finally:
             self._vehicle, self._ground = None, None

@@ -88,6 +88,8 @@ class Telemetry:
         """Measurement with the latest time stamp."""
         self.charge: float | None = None
         """Charge of the battery, 0 to 1."""
+        self.charged_s = 0.0
+        """Our time when the charge arrived."""
         self.voltage_v: float | None = None
         self.estimator: int | None = None
         """Flags of its estimator."""
@@ -228,17 +230,15 @@ class Telemetry:
         self.parameters[message.param_id.rstrip("\0")] = message.param_value
 
     def _take_battery_status(self, message: Any, arrived_s: float) -> None:
-        del arrived_s
         if message.id == 0 and message.battery_remaining >= 0:
-            self.charge = message.battery_remaining / 100
+            self.charge, self.charged_s = message.battery_remaining / 100, arrived_s
         cells = [cell for cell in message.voltages if cell != 0xFFFF]
         if message.id == 0 and cells:
             self.voltage_v = sum(cells) / 1000
 
     def _take_sys_status(self, message: Any, arrived_s: float) -> None:
-        del arrived_s
         if message.battery_remaining >= 0:
-            self.charge = message.battery_remaining / 100
+            self.charge, self.charged_s = message.battery_remaining / 100, arrived_s
         if message.voltage_battery not in {0, 0xFFFF}:
             self.voltage_v = message.voltage_battery / 1000
 

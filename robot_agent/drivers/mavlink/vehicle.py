@@ -9,17 +9,11 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from nufleet.robot_agent.drivers.mavlink import failsafe
+from nufleet.robot_agent.drivers.mavlink.condition import present_charge, weakness
 from nufleet.robot_agent.drivers.mavlink.keeper import Keeper
 from nufleet.robot_agent.drivers.mavlink.line import Line
-from nufleet.robot_agent.drivers.mavlink.profiles import (
-    ARDUPILOT_AUTOPILOT,
-    ESTIMATOR_ATTITUDE,
-    ESTIMATOR_GUESSES,
-    ESTIMATOR_POSITION,
-    PROFILES,
-    PX4_AUTOPILOT,
-    RESULTS,
-)
+from nufleet.robot_agent.drivers.mavlink.opening import check_kind, helpful_messages
+from nufleet.robot_agent.drivers.mavlink.profiles import PROFILES, RESULTS
 from nufleet.robot_agent.drivers.mavlink.settings import MavlinkSettings
 from nufleet.robot_agent.drivers.mavlink.telemetry import Measurement, Telemetry
 from nufleet.shared.errors import RobotDownError, RobotError
@@ -52,9 +46,6 @@ heartbeat that says "disarmed" end the repetition."""
 
 FORCE = 21196.0
 """Second parameter of MAV_CMD_COMPONENT_ARM_DISARM that disarms in the air, too."""
-
-TAKES_NO_HOLD = {1: "a fixed-wing aircraft", 10: "a ground vehicle", 11: "a boat", 12: "submarine"}
-"""Values of MAV_TYPE that cannot hover at reference 0."""
 
 
 class Vehicle:
@@ -105,7 +96,8 @@ class Vehicle:
                 f"{FOUND_S:g} s{heard}: check the address, the cable or radio, and "
                 f"{self.profile.id_parameter}"
             )
-        self._check_kind()
+        assert telemetry.heartbeat is not None  # noqa: S101 - was waited for
+        check_kind(telemetry.heartbeat, self.profile, settings)
         self._check_failsafe()
         self._request_messages()
         if not self._until(lambda: telemetry.newest is not None, FOUND_S):
@@ -269,12 +261,13 @@ class Vehicle:
 
     def health(self) -> Health:
         """Return its condition."""
-        telemetry, settings = self.telemetry, self._settings
-        charge, flight_s = telemetry.charge, settings.flight_time_s
+        telemetry, settings, now_s = self.telemetry, self._settings, self._line.now_s()
+        charge, flight_s = present_charge(telemetry, now_s), settings.flight_time_s
         endurance_s = None
         if charge is not None and flight_s is not None:
             endurance_s = max(0.0, charge - settings.battery_min) * flight_s
-        reason = self._why_not()
+        broken = self.out_of_hand() or self._line.failure
+        reason = broken or weakness(telemetry, settings, now_s)
         return Health(
             ready=not reason,
             reason=reason,
@@ -283,9 +276,10 @@ class Vehicle:
             link=telemetry.arriving,
         )
 
-    def _why_not(self) -> str:
-        telemetry, settings, now_s = self.telemetry, self._settings, self._line.now_s()
-        heartbeat, newest, charge = telemetry.heartbeat, telemetry.newest, telemetry.charge
+    def out_of_hand(self) -> str:
+        """Return why the vehicle does not answer or obey; nothing if it does."""
+        telemetry, now_s = self.telemetry, self._line.now_s()
+        heartbeat, newest = telemetry.heartbeat, telemetry.newest
         if self.cut_off:
             return "its motors were cut"
         if heartbeat is None or newest is None:
@@ -299,18 +293,6 @@ class Vehicle:
         lost = self._lost_control()
         if lost:
             return f"{lost}{telemetry.words(now_s)}"
-        flags = telemetry.estimator
-        if flags is not None:
-            guesses = flags & ESTIMATOR_GUESSES or not flags & ESTIMATOR_POSITION
-            if guesses or not flags & ESTIMATOR_ATTITUDE:
-                what = "position" if flags & ESTIMATOR_ATTITUDE else "attitude"
-                return f"its estimator has no {what} (flags {flags:#x}){telemetry.words(now_s)}"
-        if charge is not None and charge < settings.battery_min:
-            volts = "" if telemetry.voltage_v is None else f" ({telemetry.voltage_v:.2f} V)"
-            return (
-                f"its battery is at {100 * charge:.0f} %{volts}, and {100 * settings.battery_min:g}"
-                " % are needed: charge it"
-            )
         return ""
 
     def _lost_control(self) -> str:
@@ -337,22 +319,6 @@ class Vehicle:
     def _check_not_cut(self) -> None:
         if self.cut_off:
             raise RobotDownError("its motors were cut")
-
-    def _check_kind(self) -> None:
-        heartbeat = self.telemetry.heartbeat
-        assert heartbeat is not None  # noqa: S101 - was waited for
-        known = {PX4_AUTOPILOT: "PX4", ARDUPILOT_AUTOPILOT: "ArduPilot"}
-        found = known.get(heartbeat.autopilot)
-        if found is not None and found != self.profile.name:
-            raise RobotError(
-                f"system {self._settings.system_id} runs {found}, and the fleet file says "
-                f"profile = {self._settings.profile!r}"
-            )
-        if heartbeat.vehicle_type in TAKES_NO_HOLD:
-            raise RobotError(
-                f"system {self._settings.system_id} is {TAKES_NO_HOLD[heartbeat.vehicle_type]}, "
-                "which cannot hover at reference 0"
-            )
 
     def _check_failsafe(self) -> None:
         if not self.profile.counts_heartbeats:
@@ -381,20 +347,8 @@ class Vehicle:
             float(measured),
             interval_us,
         )
-        estimator = (
-            dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS
-            if self.profile.autopilot == PX4_AUTOPILOT
-            else dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT
-        )
-        wanted = {
-            dialect.MAVLINK_MSG_ID_HEARTBEAT: 5.0,
-            dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
-            dialect.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
-            dialect.MAVLINK_MSG_ID_BATTERY_STATUS: 1.0,
-            estimator: 2.0,
-        }
         # Helpful and not needed: their answers are not waited for.
-        for message, rate_hz in wanted.items():
+        for message, rate_hz in helpful_messages(self.profile).items():
             parameters = (float(message), 1e6 / rate_hz)
             self._line.send(self._command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0, parameters))
 

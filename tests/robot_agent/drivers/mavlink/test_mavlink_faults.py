@@ -12,6 +12,7 @@ from nufleet.shared.errors import OutsideLimitsError, RobotDownError, RobotError
 from nufleet.sims.mavlink_vehicle.vehicle import VehicleSettings
 from nufleet.sims.mavlink_vehicle.virtual_line import LinkSettings
 
+SYS_STATUS, BATTERY_STATUS = 1, 147
 ARM, TAKE_OFF, LAND, INTERVAL, TERMINATE = 400, 22, 21, 511, 185
 
 
@@ -79,6 +80,39 @@ def test_nothing_moves_on_an_empty_battery_and_the_charge_is_compared_with_the_m
     half.wait(2.0)
     health = half.robot.health()
     assert (health.ready, health.battery, health.endurance_s) == (True, 0.5, 250.0)
+
+
+def test_a_charge_that_no_longer_arrives_is_not_taken_for_the_present_one() -> None:
+    silent = air(flight_time_s=1000.0)
+    silent.robot.connect()
+    silent.wait(2.0)
+    for message in (SYS_STATUS, BATTERY_STATUS):
+        del silent.vehicle._interval_s[message]
+    silent.wait(9.0)
+    assert silent.robot.health().battery == 0.9
+    silent.wait(3.0)
+    health = silent.robot.health()
+    assert (health.ready, health.battery, health.endurance_s) == (False, None, None)
+    with pytest.raises(RobotError, match=r"charge of its battery has not arrived for 1[12] s"):
+        silent.robot.begin()
+
+
+def test_a_vehicle_with_a_low_battery_is_landed_before_it_is_released() -> None:
+    low = air().in_the_air()
+    low.vehicle.charge = 0.2
+    low.wait(2.0)
+    assert not low.robot.health().ready
+    low.robot.disconnect()
+    assert (low.vehicle.armed, low.vehicle.commands[-1]) == (False, LAND)
+
+
+def test_a_port_that_cannot_be_read_is_the_reason_that_nothing_moves() -> None:
+    cut = air()
+    cut.robot.connect()
+    cut.line.failure = "serial:///dev/ttyUSB0:57600: nothing arrives any more: unplugged"
+    with pytest.raises(RobotError, match="nothing arrives any more: unplugged"):
+        cut.robot.begin()
+    assert ARM not in cut.vehicle.commands
 
 
 def test_a_vehicle_that_does_not_arm_says_why_in_its_own_words() -> None:
