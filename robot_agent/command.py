@@ -107,4 +107,4 @@ def agent(
 
     from nufleet.robot_agent.serve import serve
 
-    return serve(path, addresses=addresses, state_folder=state_folder, **options)
+    return serve(fleet, path, addresses=addresses, state_folder=state_folder, **options)

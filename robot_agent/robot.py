@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +30,10 @@ class Record:
 
     outputs: FloatArray
     """Measured outputs, shape (measurements, axes), in the axes' units."""
+
+
+def _never() -> bool:
+    return False
 
 
 class Robot(ABC):
@@ -89,6 +94,13 @@ class Robot(ABC):
         >>> robot.connect()
         >>> robot.run(np.array([[0.0], [0.1], [0.2]])).ravel()
         array([0. , 0. , 0.1])
+    """
+
+    called_off: Callable[[], bool] = staticmethod(_never)
+    """Whether the motion for which the robot begins has been stopped meanwhile; set by the agent.
+
+    A driver whose `begin` takes a while asks just before it arms and just before it takes off, and
+    raises `RobotError` instead of going through with it.
     """
 
     @property
@@ -223,6 +235,15 @@ class RobotAround(Robot):
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
+
+    @property
+    def called_off(self) -> Callable[[], bool]:
+        """Whether the motion for which the robot inside begins has been stopped meanwhile."""
+        return self._robot.called_off
+
+    @called_off.setter
+    def called_off(self, asked: Callable[[], bool]) -> None:
+        self._robot.called_off = asked
 
     @property
     def spec(self) -> RobotSpec:

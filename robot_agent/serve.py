@@ -21,7 +21,7 @@ from nufleet.shared.interrupts import Interrupts
 from nufleet.shared.lifeline import when_stdin_closes
 from nufleet.shared.redaction import without_secrets
 from nufleet.shared.robots.drivers import load_driver, settings_of, shared_thing
-from nufleet.shared.robots.fleet_file import FleetFile, read_fleet_file
+from nufleet.shared.robots.fleet_file import FleetFile
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.session import Session
 from nufleet.shared.wire.transport import open_client
@@ -71,7 +71,8 @@ def build_robots(fleet: FleetFile, path: Path, names: tuple[str, ...]) -> dict[s
 
 
 def serve(
-    fleet_file: Path,
+    fleet: FleetFile,
+    path: Path,
     *,
     addresses: Mapping[str, str],
     realtime: float | None,
@@ -86,7 +87,8 @@ def serve(
     found not to come to rest.
 
     Args:
-        fleet_file: Path of the fleet file.
+        fleet: Content of the fleet file.
+        path: Path of the file, for errors.
         addresses: Robots to serve, by name, with the address of the fleet for each: an endpoint, or
             the address of the robot's identity.
         realtime: Multiple of real time at which simulated robots play; None for as fast as they
@@ -95,8 +97,7 @@ def serve(
         state_folder: Folder for the state that has to survive the agents; each robot's lies in a
             subfolder named after its fleet and itself.
     """
-    fleet = read_fleet_file(fleet_file)
-    robots = build_robots(fleet, fleet_file, tuple(addresses))
+    robots = build_robots(fleet, path, tuple(addresses))
     ended = threading.Event()
     if until_stdin_closes:
         when_stdin_closes(ended.set)

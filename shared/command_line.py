@@ -178,7 +178,17 @@ def ask_before(moving: str, *, instead: str) -> None:
             f"{moving}, and no person is at the terminal to be asked: give --yes to allow it, or "
             f"{instead}"
         )
-    click.confirm(f"{moving}. Go on?", abort=True, err=True)
+    click.confirm(f"{moving}. Continue?", abort=True, err=True)
+
+
+def restart_within(environment: Mapping[str, str]) -> None:
+    """Run this program again from its beginning, unless it has these environment variables.
+
+    Some simulators read them while they are imported.
+    """
+    missing = {key: value for key, value in environment.items() if os.environ.get(key) != value}
+    if missing:
+        os.execve(sys.executable, sys.orig_argv, {**os.environ, **missing})
 
 
 def invocation() -> str:

@@ -66,9 +66,10 @@ class RobotError(NufleetError):
 
 
 class RobotDownError(RobotError):
-    """The robot obeys no more: it crashed, lost its position, or its motors were cut.
+    """The robot no longer responds to commands.
 
-    It is asked for nothing else, not even to come to rest, until it is reconnected.
+    It crashed, lost its position, or its motors were cut. It is asked for nothing else, not
+    even to come to rest, until it is reconnected.
     """
 
 

@@ -111,8 +111,8 @@ def in_words(kind: str, message: str, field: _Location, missing: Sequence[_Locat
 
     Args:
         kind: Type of pydantic's error.
-        message: Its message.
-        field: Its location.
+        message: Message of the error.
+        field: Location of the field.
         missing: Locations of missing fields, one of which may have been misspelt.
     """
     if kind == "missing":

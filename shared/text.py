@@ -44,7 +44,7 @@ def read_toml(path: Path, kind: type[NufleetError]) -> dict[str, Any]:
     """Return the contents of a TOML file.
 
     Args:
-        path: The file.
+        path: Path of the file.
         kind: Type of the error if the file cannot be read or is not valid TOML.
     """
     try:

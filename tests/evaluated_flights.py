@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nufleet.orchestrator.evaluation.fly_target import Psi, summarise
+from nufleet.orchestrator.evaluation.comparison import Psi, summarise
 from nufleet.orchestrator.evaluation.results import (
     BaselineResult,
     EvaluationResult,

@@ -22,7 +22,7 @@ MAY_BE_GIVEN_UP = (
     "not finite at sample",
     "got no sample",
 )
-"""Why a study may go on without a robot, in the words of the reasons for it."""
+"""Why a study may continue without a robot, in the words of the reasons for it."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class History:
         for study in self.studies:
             excused = any(words in study.reason for words in MAY_BE_GIVEN_UP)
             if study.status is StudyStatus.FAILED and not excused:
-                yield f"{study.study_id} could not go on: {study.reason}"
+                yield f"{study.study_id} could not continue: {study.reason}"
 
     def _errors(self) -> Iterator[str]:
         for program in self.programs:

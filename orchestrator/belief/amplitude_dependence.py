@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nufleet.shared.arrays import FloatArray
+from nufleet.shared.frequency_test.frequency_response import Flight
 
 FORM_HALVINGS = 0.5
 """What the form of a motion does to a nonlinear robot, in halvings of the amplitude: peaks of the
@@ -24,6 +25,35 @@ def differ(one: float | None, other: float | None) -> bool:
     if one is None or other is None:
         return False
     return max(one, other) > AMPLITUDES_DIFFER * min(one, other)
+
+
+def change_in_words(
+    flights: Sequence[Flight | None], unit: str, change: float, omega_rad_s: float
+) -> str:
+    """Return in words that a new response contradicts the earlier ones.
+
+    Args:
+        flights: Flight of each response, the new one last; None for a test.
+        unit: Unit of the robot's axis.
+        change: Distance of the new response from what the earlier ones predict.
+        omega_rad_s: Frequency of that distance in rad/s.
+    """
+    new, earlier = flights[-1], [flight for flight in flights[:-1] if flight is not None]
+    depends = "on the amplitude or on time"
+    if new is None and not earlier:
+        motions = "tests"
+        depends = "on time or on the tones; if it has changed, test again without --reuse"
+    elif new is None:
+        motions = "its flights and its test"
+    elif not earlier:
+        motions = "its tests and a flight"
+    else:
+        speeds = sorted({f"{one.speed:.2g}" for one in (*earlier, new)})
+        motions = f"flights at up to {' and '.join(speeds)} {unit}/s"
+    return (
+        f"its response changed between {motions}, by {change:.3g} at {omega_rad_s:.4g} rad/s: it "
+        f"depends {depends}"
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from nufleet.orchestrator.belief.amplitude_dependence import AmplitudeDependence, differ
+from nufleet.orchestrator.belief.amplitude_dependence import (
+    AmplitudeDependence,
+    change_in_words,
+    differ,
+)
 from nufleet.orchestrator.belief.common_error import CommonError
 from nufleet.orchestrator.belief.loop_features import LOOP_PARAMETERS, ResponsePrior
 from nufleet.orchestrator.belief.loop_fit import Tones
@@ -16,13 +20,13 @@ from nufleet.orchestrator.belief.noise_pooling import pooled_variance
 from nufleet.orchestrator.belief.response_belief import ResponseModel
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.frequency_test.frequency_response import Flight, FrequencyResponse
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.frequency_test.nonlinearity import nonlinearity_in_words
 from nufleet.shared.frequency_test.ring_down import DECAYS_UNTIL_SETTLED
 from nufleet.shared.robots.spec import RobotSpec
 
-MISSTATED = 1.2
-"""Ratio of a measured settling time to the stated one from which the stated one is reported."""
+SETTLING_RATIO_MAX = 1.2
+"""Largest ratio of a measured settling time to the stated one that is not reported."""
 
 NONLINEAR_DEVIATION = 0.02
 """Assumed relative change of a nonlinear robot's response at another amplitude."""
@@ -32,8 +36,9 @@ NONLINEAR_ELSEWHERE = 4.0
 test shows: about that of backlash and friction in a loop, which hides what is above its bandwidth.
 """
 
-TELLING = 0.05
-"""Standard deviation of a test's estimates up to which it tells that amplitude changes nothing."""
+INFORMATIVE_STD_MAX = 0.05
+"""Largest standard deviation of a test's estimates at which agreement shows that the amplitude has
+no effect."""
 
 FLIGHT_TEST_STD = 0.02
 """Standard deviation that is expected of a test's estimates while the robot was never tested."""
@@ -137,7 +142,7 @@ class RobotKnowledge:
         if before is None:
             return
         miss = self._miss(before, new, doubt, rng)
-        if compared and (miss is not None or np.mean(variance + doubt) <= TELLING**2):
+        if compared and (miss is not None or np.mean(variance + doubt) <= INFORMATIVE_STD_MAX**2):
             self.compared = True
         if miss is None:
             return
@@ -146,7 +151,7 @@ class RobotKnowledge:
         if tests_only and compared:
             self._doubt_amplitudes(new, miss, amplitude or 0.0, response.amplitude or 0.0)
         else:
-            self._doubt(self._changed(new, miss, flight))
+            self._doubt(self._changed(miss))
 
     def _doubt_from(self, response: FrequencyResponse, gains: FloatArray) -> FloatArray:
         """Return what its own findings make uncertain in a test, shape (tones,)."""
@@ -233,7 +238,7 @@ class RobotKnowledge:
     def findings(self) -> tuple[str, ...]:
         """What the tests showed that weakens what is believed of the robot, in words."""
         stated, found = self.spec.settling_time_s, self.settling_time_s
-        if found <= MISSTATED * stated:
+        if found <= SETTLING_RATIO_MAX * stated:
             return self._found
         misstated = (
             f"{self.robot}: its settling time is stated as {stated:.3g} s, and it was measured to "
@@ -340,7 +345,7 @@ class RobotKnowledge:
         return np.asarray(density[nearest] * len(omega_rad_s) / times_as_long)
 
     def lasting_doubt(self, omega_rad_s: FloatArray) -> FloatArray:
-        """Return the variance by which no further test is better than those before it.
+        """Return the part of the variance that no further test reduces.
 
         Args:
             omega_rad_s: Frequencies of a test's tones in rad/s, shape (tones,).
@@ -377,31 +382,15 @@ class RobotKnowledge:
             float(new.omega_rad_s[worst]),
         )
 
-    def _changed(self, new: Tones, miss: _Miss, flight: Flight | None) -> float:
+    def _changed(self, miss: _Miss) -> float:
         """Return the variance to add to all tests if a new one contradicts the earlier ones."""
-        tests_only = all(one.flight is None for one in self.responses)
-        depends = "on the amplitude or on time"
-        if tests_only:
-            depends = "on time or on the tones; if it has changed, test again without --reuse"
-        self._find(
-            f"its response changed between {self._motions(flight)}, by {miss.worst:.3g} at "
-            f"{miss.worst_rad_s:.4g} rad/s: it depends {depends}"
-        )
-        if tests_only:
+        flights = [one.flight for one in self.responses]
+        unit = self.spec.axes[0].unit
+        self._find(change_in_words(flights, unit, miss.worst, miss.worst_rad_s))
+        if all(flight is None for flight in flights):
             return float(np.mean(miss.squared))
         # A flight's estimates differ in certainty; the uncertain ones say nothing about the change.
         return float(np.average(np.maximum(miss.squared - miss.usual, 0.0), weights=1 / miss.usual))
-
-    def _motions(self, flight: Flight | None) -> str:
-        """Return in words what a new response and the earlier ones were measured in."""
-        earlier = [one.flight for one in self.responses[:-1] if one.flight is not None]
-        if flight is None:
-            return "its flights and its test" if earlier else "tests"
-        if not earlier:
-            return "its tests and a flight"
-        unit = self.spec.axes[0].unit
-        speeds = sorted({f"{one.speed:.2g}" for one in (*earlier, flight)})
-        return f"flights at up to {' and '.join(speeds)} {unit}/s"
 
     def _find(self, text: str) -> None:
         finding = f"{self.robot}: {text}"

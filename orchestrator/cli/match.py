@@ -50,11 +50,18 @@ from nufleet.orchestrator.cli.types import Names, PositiveNumber, RobotName
     help="Largest number of rounds of tests.",
 )
 @click.option(
+    "--fit",
+    type=Names(),
+    metavar="SETTING,SETTING",
+    help="Then vary these settings of the simulator until it agrees with the robot.",
+)
+@click.option(
     "--max",
     "psi_max",
     type=PositiveNumber(),
     metavar="PSI",
-    help="End with exit code 1 if even the best simulator is further from the robot than this.",
+    help="End with exit code 1 if even the best simulator is further from the robot than this, "
+    "after the fit if there is one.",
 )
 @realtime_option
 @moving_options
@@ -65,14 +72,16 @@ def match(**options: Any) -> None:
 
     Robot and simulators play the same tones. The result is the chordal distance ψ between their
     responses, from 0 (equal) to 1, with the frequency at which it is largest, and the differences
-    in delay, stiffness and gain.
+    in delay, stiffness and gain. With --fit, the simulator plays the tests again with other
+    settings, which moves no robot, and the result is also the values that agree best.
 
     \b
     nufleet match --fleet lab.toml --robot cf-1 --simulators sim --max 0.05
+    nufleet match --fleet lab.toml --robot cf-1 --simulators sim --fit mass_kg,delay_s
     """
     from nufleet.orchestrator.jobs.match import MatchCommand, match_and_print
 
     if options["fleet_file"] is None:
-        refuse_in_vain("without --fleet", "realtime")
+        refuse_in_vain("without --fleet", "realtime", "fit")
     if not match_and_print(MatchCommand(**options)):
         raise click.exceptions.Exit(1)

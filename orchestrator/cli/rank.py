@@ -69,7 +69,8 @@ from nufleet.orchestrator.cli.types import (
     "--precision",
     type=PositiveNumber(),
     metavar="WIDTH",
-    help="Go on until the 95 % interval of the selected source's distance is no wider than this.",
+    help="Continue until the 95 % interval of the selected source's distance is no wider than "
+    "this.",
 )
 @click.option(
     "--amplitude",

@@ -22,7 +22,7 @@ def outlook(
 
     Args:
         plan: Checked plan of the study.
-        question: The round.
+        question: Round of tests to preview.
         specs: Spec of each robot, by name.
         robots: Names of the robots whose tests are still to be done; None for all.
     """
@@ -53,7 +53,7 @@ def planned_test(
 
     Args:
         robot: Name of the robot.
-        test: The test.
+        test: Frequency test to play.
         spec: Spec of the robot.
         times: How many times it is played.
         what: What it is, in words; None for its tones.

@@ -70,7 +70,8 @@ class RankRequest:
     drawing: TimedPath | None = None
     """Trajectory to rank for; None ranks by distance over the whole band."""
     precision: float | None = None
-    """Width of the selected source's 95 % interval to go on to; None for any."""
+    """Width of the selected source's 95 % interval at which the study may end; None for no
+    limit."""
     amplitude: float | None = None
     """Amplitude of the task in the unit of the axis; None for what each robot chooses."""
 

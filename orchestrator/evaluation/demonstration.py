@@ -6,13 +6,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from nufleet.orchestrator.evaluation.comparison import Psi, summarise
 from nufleet.orchestrator.evaluation.flight_documents import DEMONSTRATION, DemoResult
 from nufleet.orchestrator.evaluation.fly_target import (
     FlightObserver,
-    Psi,
     flight_record,
     fly_target,
-    summarise,
 )
 from nufleet.orchestrator.evaluation.results import FlightRecord
 from nufleet.orchestrator.experience.learning import know_itself

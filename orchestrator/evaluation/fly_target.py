@@ -6,27 +6,12 @@ sources by frequency tests. The flights only show whether the prediction was rig
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal, Protocol
 
-from nufleet.orchestrator.evaluation.results import (
-    BaselineResult,
-    EvaluationResult,
-    FlightRecord,
-    SourceResult,
-)
-from nufleet.orchestrator.evaluation.summaries import kendall_tau
-from nufleet.orchestrator.evaluation.ways import (
-    coverage_of,
-    inverse_result,
-    points_of,
-    sensor_noise_rms,
-    ways_of,
-    worse_than_baseline,
-)
+from nufleet.orchestrator.evaluation.results import FlightRecord
+from nufleet.orchestrator.evaluation.ways import sensor_noise_rms
 from nufleet.orchestrator.experience.learning import pick_up
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.prior_custody import prior_put_back
@@ -36,7 +21,6 @@ from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 from nufleet.orchestrator.flights.legs import Leg
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
 from nufleet.orchestrator.flights.start_weights import mixture_of
-from nufleet.orchestrator.study.predicted_errors import PredictedRms
 from nufleet.shared.errors import RefusedError
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.robots.spec import RobotSpec
@@ -57,16 +41,6 @@ class FlightObserver(Protocol):
 
     def ended(self, flight: PathFlight) -> None:
         """Handle the end of the flight, given its measurements."""
-
-
-@dataclass(frozen=True)
-class Psi:
-    """The estimated distance of a source from the target, ψ̂*_n, over repeated studies."""
-
-    mean: float
-    """Mean over the studies, in [0, 1]."""
-    std: float
-    """Standard deviation over the studies."""
 
 
 class FlightLog(Protocol):
@@ -325,86 +299,4 @@ def flight_record(
         predicted_high_m=None if predicted is None else predicted.high,
         noise_rms_m=sensor_noise_rms(flight.actual) if len(flight.actual) > 3 else None,
         findings=flight.details.findings,
-    )
-
-
-def summarise(
-    target: str,
-    flights: Sequence[FlightRecord],
-    psi: Mapping[str, Psi],
-    architecture: Architecture,
-    *,
-    unit: str,
-    guarded: bool,
-    run: str,
-    predicted: PredictedRms | None = None,
-) -> EvaluationResult:
-    """Compare the predicted distances and errors with the errors of the flights.
-
-    Args:
-        target: Name of the robot that flew.
-        flights: Flights of that target, with every inverse on the same paths.
-        psi: Estimated distance of each source, by name.
-        architecture: Architecture of the sources' experiences.
-        unit: Unit of the target's axes, "m" or "rad".
-        guarded: Whether the guard was active in these flights.
-        run: Path of the run's folder.
-        predicted: RMS errors that the tests predict for these paths; None when not computed.
-
-    Returns:
-        The errors of all inverses and their rank correlation with the predictions; sources are in
-        ascending order of ψ̂*, and the first of them is the one selected.
-    """
-    order = sorted(psi, key=lambda source: psi[source].mean)
-    first = [flight for flight in flights if flight.beyond_tests_s == 0]
-    baseline = [flight for flight in first if flight.inverse == BASELINE]
-    of = {
-        name: inverse_result([f for f in first if f.inverse == name], baseline)
-        for name in (BASELINE, NO_PRIOR, OWN, MIXTURE, *order)
-    }
-    ways = ways_of(flights)
-    points = points_of(ways, flights)
-    worse = worse_than_baseline(flights)
-    chosen_way = points[0].chosen_way if points else None
-    noise = [f.noise_rms_m for f in baseline if f.noise_rms_m is not None and f.failure is None]
-    sources = tuple(
-        SourceResult(
-            robot=source,
-            psi=psi[source].mean,
-            psi_std=psi[source].std,
-            predicted_rms_m=None if predicted is None else predicted.of[source],
-            **of[source].model_dump(),
-        )
-        for source in order
-    )
-    measured = [math.inf if s.rms_m is None else s.rms_m for s in sources]
-    return EvaluationResult(
-        target=target,
-        architecture=architecture,
-        unit="rad" if unit == "rad" else "m",
-        guarded=guarded,
-        baseline=BaselineResult(
-            rms_m=of[BASELINE].rms_m,
-            predicted_rms_m=None if predicted is None else predicted.without,
-        ),
-        no_prior=of[NO_PRIOR],
-        mixture=of[MIXTURE] if any(flight.inverse == MIXTURE for flight in first) else None,
-        own=of[OWN] if any(flight.inverse == OWN for flight in first) else None,
-        sources=sources,
-        selected=order[0],
-        kendall_tau=kendall_tau([s.psi for s in sources], measured),
-        kendall_tau_trajectory=None
-        if predicted is None
-        else kendall_tau([predicted.of[s.robot] for s in sources], measured),
-        ways=ways,
-        points=points,
-        chosen_way=chosen_way,
-        regret_m=points[0].regret_m if points else None,
-        noise_rms_m=sum(noise) / len(noise) if noise else None,
-        worse_than_baseline=len(worse),
-        chosen_worse_than_baseline=sum(
-            f.inverse == chosen_way and f.beyond_tests_s == 0 for f in worse
-        ),
-        coverage=coverage_of(flights),
-        run=run,
     )

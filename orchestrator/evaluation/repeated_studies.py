@@ -12,7 +12,7 @@ from nufleet.orchestrator.conduct.conductor import Conclusion, conduct
 from nufleet.orchestrator.conduct.dispatcher import Dispatcher
 from nufleet.orchestrator.conduct.rank_run import ReadyStudy
 from nufleet.orchestrator.conduct.recipe import make_study
-from nufleet.orchestrator.evaluation.fly_target import Psi
+from nufleet.orchestrator.evaluation.comparison import Psi
 from nufleet.orchestrator.evaluation.results import StudyEstimates
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.repository.errors import UnknownRecordError

@@ -11,11 +11,11 @@ import numpy as np
 
 from nufleet.orchestrator.conduct.archive import Archive
 from nufleet.orchestrator.conduct.rank_run import ReadyStudy
+from nufleet.orchestrator.evaluation.comparison import summarise
 from nufleet.orchestrator.evaluation.fly_target import (
     FlightObserver,
     flights_planned,
     fly_target,
-    summarise,
 )
 from nufleet.orchestrator.evaluation.kept_records import KeptRecords, read_records
 from nufleet.orchestrator.evaluation.repeated_studies import (

@@ -56,7 +56,7 @@ def check_room(robots: int, *, processes: int | None, machine: Machine) -> None:
     Args:
         robots: Number of robots.
         processes: Number of agent processes that they share; None for one each.
-        machine: The machine.
+        machine: Machine that is to run the fleet.
 
     Raises:
         InvalidInputError: It has none; the message says how many robots fit.

@@ -27,7 +27,9 @@ class Accepted:
     """The robot has accepted the goal."""
 
     accepted: GoalAccepted
+    """The robot's acceptance, with its plan of the motion."""
     question: ClassVar[Question] = Question.GOAL
+    """Question that was answered."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,9 @@ class Fetched:
     """The robot returned the goal's result."""
 
     result: GoalResult
+    """Result that the robot returned."""
     question: ClassVar[Question] = Question.RESULT
+    """Question that was answered."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,7 @@ class CancelTaken:
     """The robot confirmed that the goal ends now, or will never begin."""
 
     question: ClassVar[Question] = Question.CANCEL
+    """Question that was answered."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +75,7 @@ class Heard:
     """The robot published its state."""
 
     state: RobotState
+    """State that the robot published."""
 
 
 @dataclass(frozen=True)

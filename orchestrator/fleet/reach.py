@@ -111,7 +111,7 @@ class FleetChoice:
         if reach.fleet_name not in (None, file.name):
             raise InvalidInputError(
                 f"the run is of fleet {reach.fleet_name}, and {reach.fleet_file} is the file of "
-                f"fleet {file.name} now; restore its name to go on"
+                f"fleet {file.name} now; restore its name to resume the run"
             )
         return cls(reach, file)
 

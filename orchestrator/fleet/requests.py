@@ -36,7 +36,7 @@ class Requests:
         Args:
             robot: Name of the robot.
             leaf: End of the key, below the robot's name or the sender's.
-            request: The request.
+            request: Request to send.
             expected: Type of the reply.
             timeout_s: Longest wait for it.
 

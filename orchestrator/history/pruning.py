@@ -46,7 +46,7 @@ def beyond(limits: Limits, runs: Sequence[RunOnDisk], now: datetime) -> list[Run
     Runs without a result count, but are never among them.
 
     Args:
-        limits: The limits.
+        limits: Limits on age, number and size of the runs that stay.
         runs: All runs, oldest first.
         now: The present time, in UTC.
     """

@@ -74,8 +74,8 @@ def report_page(run: Run, configuration: dict[str, Any]) -> str:
     """Return the page of a run that has a result.
 
     Args:
-        run: The run.
-        configuration: Its configuration, as it lies in its folder.
+        run: Run with a result.
+        configuration: Configuration of the run, as it lies in its folder.
     """
     began = "" if run.began is None else f", begun {run.began:%Y-%m-%d %H:%M} UTC"
     which = f"{run.folder.name}: {run.kind} of fleet {run.fleet}{began}"

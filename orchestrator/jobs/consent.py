@@ -89,7 +89,7 @@ def carried_out(command: C, work: Callable[[C, Console], R]) -> R | None:
 
     Args:
         command: Options of the command.
-        work: The work.
+        work: Function that carries it out.
 
     Returns:
         Its result; None if nothing was to move.

@@ -230,7 +230,7 @@ def resume_evaluation(
     one = () if command.all_pairs else (command.target or FleetChoice.again(reach).target(None),)
     drawings = read_drawings(command.chosen_drawings)
     with FlyingRun(command, console) as run:
-        console.print(f"going on with {path.name}")
+        console.print(f"resuming {path.name}")
         plans, descriptions = _planned(command, run, FleetChoice.again(reach), drawings, one)
         moves = partial(planned_evaluation, plans, resumed=True)
         run.fly_on(path, descriptions, moves, live=command.live)

@@ -40,7 +40,7 @@ def foreseen(
     Args:
         run: Everything that is open; the target and the sources are leased.
         ready: Study, prepared and checked.
-        result: Its result.
+        result: Result of the ranking.
         drawing: Drawing to be flown; None for a typical one.
 
     Returns:

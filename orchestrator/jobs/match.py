@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Annotated
 
 import click
@@ -10,10 +11,20 @@ from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
+from nufleet.orchestrator.conduct.preflight import check_names
+from nufleet.orchestrator.conduct.simulator_copy import SimulatorCopy
 from nufleet.orchestrator.jobs.consent import carried_out
 from nufleet.orchestrator.jobs.rank import RankCommand, rank
 from nufleet.orchestrator.jobs.terminal import stderr_console
-from nufleet.orchestrator.study.simulator_match import SimulatorMatch, match_simulator
+from nufleet.orchestrator.repository.records import TrialStatus
+from nufleet.orchestrator.runs.folder import study_id_of
+from nufleet.orchestrator.study.settings_fit import fit_settings
+from nufleet.orchestrator.study.simulator_match import (
+    Difference,
+    SimulatorMatch,
+    match_simulator,
+)
+from nufleet.shared.command_line import restart_within
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.strict import Document, Name, NonNegative
 
@@ -33,6 +44,16 @@ class MatchResult(Document):
     """Time that all robots moved, on their own clocks."""
     run: str
     """Folder of the run."""
+    fit: dict[str, Difference] | None = None
+    """Fitted value of each setting with its standard error, by path; None without --fit, and where
+    the tests do not tell them."""
+    psi_left: NonNegative | None = None
+    """Distance that the fit leaves; None as for `fit`."""
+
+    @property
+    def psi(self) -> float:
+        """Distance of the best simulator, with fitted settings if there are some."""
+        return self.simulators[0].psi if self.psi_left is None else self.psi_left
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,10 +62,13 @@ class MatchCommand(RankCommand):
 
     psi_max: float | None = None
     """Largest distance of the best simulator that counts as a match; None for any."""
+    fit: tuple[str, ...] | None = None
+    """Names of the settings of the simulator to fit; None to fit none."""
 
 
 def match_and_print(command: MatchCommand) -> bool:
     """Compare, print the result, and return whether the best simulator is close enough."""
+    simulator = None if command.fit is None else _to_fit(command, command.fit)
     result = carried_out(command, match)
     if result is None:
         return True
@@ -52,16 +76,75 @@ def match_and_print(command: MatchCommand) -> bool:
     console.print(match_table(result))
     for one in result.simulators:
         console.print(f"{one.simulator}: {one.words}")
+    if simulator is not None:
+        result = fitted(command, result, simulator, console)
     if command.as_json:
         click.echo(result.document())
-    best = result.simulators[0]
-    if command.psi_max is None or best.psi <= command.psi_max:
+    if command.psi_max is None or result.psi <= command.psi_max:
         return True
     console.print(
-        f"[red]{best.simulator} differs from {result.robot} by ψ {best.psi:.3f}, "
-        f"and at most {command.psi_max:g} is allowed[/]"
+        f"[red]{result.simulators[0].simulator} differs from {result.robot} by ψ "
+        f"{result.psi:.3f}, and at most {command.psi_max:g} is allowed[/]"
     )
     return False
+
+
+def _to_fit(command: MatchCommand, names: tuple[str, ...]) -> SimulatorCopy:
+    """Return the simulator whose settings are fitted; restarts the process if it needs other
+    environment variables.
+
+    Raises:
+        InvalidInputError: There are several simulators, or the settings cannot be fitted.
+        FleetFileError: The fleet file is not valid.
+    """
+    choice = command.fleet()
+    if choice.file is None or choice.reach.fleet_file is None:
+        raise InvalidInputError("--fit requires --fleet, whose file holds the settings")
+    robots, target = tuple(choice.file.robots), choice.target(command.target)
+    sources = command.sources or tuple(name for name in robots if name != target)
+    check_names(target, sources, robots)
+    if len(sources) != 1:
+        raise InvalidInputError(
+            f"--fit fits one simulator: choose one of {', '.join(sources)} with --simulators"
+        )
+    simulator = SimulatorCopy(choice.file, Path(choice.reach.fleet_file), sources[0], names)
+    restart_within(simulator.environment)
+    simulator.check()
+    return simulator
+
+
+def fitted(
+    command: MatchCommand, result: MatchResult, simulator: SimulatorCopy, console: Console
+) -> MatchResult:
+    """Fit the simulator to the robot, print how, and return the result with the fit.
+
+    Raises:
+        StudyError: The tests have too few tones.
+        RobotError: The simulator cannot play the tests.
+    """
+    name = simulator.robot
+    with command.storage.open() as repository:
+        studies, study = repository.studies, study_id_of(Path(result.run))
+        trials = [one for one in studies.trials(study) if one.status is TrialStatus.MEASURED]
+        played = [
+            (one.plan, studies.result(one.intent.goal_id).reference)
+            for one in trials
+            if one.intent.robot == name and one.plan is not None
+        ]
+    own = [one.response for one in trials if one.intent.robot == result.robot and one.response]
+    with console.status("fitting") as status:
+        fit = fit_settings(
+            own,
+            lambda values: simulator.responses(values, played),
+            simulator.settings(),
+            lambda k, most: status.update(f"fitting: simulation {k} of at most {most}"),
+        )
+    console.print(fit.words(result.robot, name))
+    if fit.untold:
+        return result
+    values = {path: found.value for path, found in fit.settings.items()}
+    console.print(simulator.lines(values), markup=False)
+    return result.model_copy(update={"fit": fit.settings, "psi_left": fit.psi_left})
 
 
 def match(command: MatchCommand, console: Console) -> MatchResult:

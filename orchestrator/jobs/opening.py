@@ -92,7 +92,7 @@ class Opening:
         """Start the chosen fleet, or join it if it is running.
 
         Args:
-            choice: The fleet.
+            choice: Fleet to start or to join.
             robots: Names of the robots that have to be alive in a running fleet.
             wait_s: Longest time to wait for a running fleet and those robots, in s.
 

@@ -52,7 +52,8 @@ class RankCommand(MovingCommand, AnyFleetCommand):
     iterations: int = 7
     """Limit on the number of iterations."""
     precision: float | None = None
-    """Width of the selected source's 95 % interval to go on to; None for any."""
+    """Width of the selected source's 95 % interval at which the study may end; None for no
+    limit."""
     amplitude: float | None = None
     """Amplitude of the task in the unit of the axis; None for what each robot chooses."""
     seed: int = 0

@@ -100,7 +100,7 @@ def resume_run(command: ResumeCommand, console: Console) -> RunRecord:
         specs, untestable = recipe_of(study).specs, recipe_of(study).untestable
         gone = {*untestable, *_given_up(run.repository.studies.trials(study.study_id))}
         needed = tuple(robot for robot in specs if robot not in gone)
-        console.print(f"going on with {path.name}")
+        console.print(f"resuming {path.name}")
         fleet, _, there = run.reach(FleetChoice.again(reach), needed, wait_s=command.wait_s)
         _check_there(needed, there, study)
         ready = prepare_again(fleet, study, gone)
@@ -203,6 +203,6 @@ def _check_there(needed: tuple[str, ...], there: tuple[str, ...], study: StudyRe
     missing = [robot for robot in needed if robot not in there]
     if missing:
         raise InvalidInputError(
-            f"{', '.join(missing)} of fleet {study.fleet} must be there to go on; start what is "
-            "missing, or wait for it with --wait"
+            f"{', '.join(missing)} of fleet {study.fleet} must be present to resume; start what "
+            "is missing, or wait for it with --wait"
         )

@@ -41,7 +41,7 @@ def show_and_print(runs_root: Path, name: str, *, as_json: bool) -> None:
         console.print(f"[yellow]{why}[/]")
         if can_reach_again(run.folder) and why == INTERRUPTED:
             command = Storage(runs_root).resume_command(run.folder.name)
-            console.print(f"it can go on where it was:  {command}")
+            console.print(f"it can be resumed where it stopped:  {command}")
     console.print(f"files: {', '.join(sorted(p.name for p in run.folder.iterdir()))}")
     if (run.folder / RECORDING).exists():
         console.print(f"open the recording with:  {invocation()} view {run.folder}")

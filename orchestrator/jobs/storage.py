@@ -59,5 +59,5 @@ class Storage:
         except (StudyError, LeaseLostError):
             raise
         except (KeyboardInterrupt, NufleetError, OSError):
-            console.print(f"it can go on where it was:  {self.resume_command(run)}")
+            console.print(f"it can be resumed where it stopped:  {self.resume_command(run)}")
             raise

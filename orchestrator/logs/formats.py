@@ -128,7 +128,7 @@ def read_signals(
     """Read reference and output of an axis from a log.
 
     Args:
-        path: The log.
+        path: Path of the log.
         axis: Name of the axis, which decides what is read where no signals are named.
         reference: Name of the reference; None takes the format's usual one.
         output: Name of the output; None takes the format's usual one.

@@ -37,7 +37,7 @@ def flight_record(
     Its id depends on the robot and on the estimates alone, so that the same flight is stored once.
 
     Args:
-        found: The response.
+        found: Response to store.
         fleet: Name of the fleet.
         robot: Description of the robot at the time.
         axis: Name of the axis.
@@ -75,7 +75,7 @@ def keep_flight_responses(
         repository: Repository to store them in.
         fleet: Name of the fleet.
         robot: Description of the robot that flew.
-        flight: The flight.
+        flight: Flight along the path.
         run: Name of the run that it belongs to.
 
     Returns:

@@ -116,7 +116,7 @@ class Samples:
 
         Args:
             time_s: Time of the sample in s.
-            value: The sample.
+            value: Value of the sample.
             stamped: Whether the device stamped it where it was measured.
         """
         self._stamped &= stamped

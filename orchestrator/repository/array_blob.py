@@ -49,7 +49,7 @@ def unpack_floats(blob: bytes, shape: tuple[int, ...], what: str) -> FloatArray:
 
 
 def unpack_complex(blob: bytes, shape: tuple[int, ...], what: str) -> ComplexArray:
-    """Return the complex128 array in a blob; see `unpack_floats`."""
+    """Return the complex128 array of a shape in a blob; see `unpack_floats`."""
     return np.frombuffer(_data(blob, _COMPLEX, shape, what), dtype="<c16").reshape(shape)
 
 

@@ -136,7 +136,7 @@ class StudyStore:
 
         Args:
             goal_id: Id of the trial's goal.
-            end: The end.
+            end: End of the trial, with its data.
             epoch: Epoch under which the trial was sent.
 
         Raises:

@@ -52,7 +52,8 @@ class StudyPlan:
     motion: DesiredMotion | None = None
     """Trajectory that the target is to fly, if one is known."""
     precision: float | None = None
-    """Width of the selected source's 95 % interval of ψ* to go on to; None for any."""
+    """Width of the selected source's 95 % interval of ψ* at which the study may end; None for no
+    limit."""
     amplitude: float | None = None
     """Amplitude of the task, in the axis's unit, at which ψ is meant; None for the one that each
     robot chooses."""

@@ -37,8 +37,8 @@ NOISY = 0.05
 """Standard deviation of estimates from which noise leaves no room for a smaller amplitude."""
 
 REACHED = 1.25
-"""Ratio of the lowest tone that a robot played to that of its lowest look from which that is due.
-"""
+"""A lowest look is due once the lowest tone played exceeds that of the lowest look by this
+factor."""
 
 CLAIMED = 2
 """Number of robots that a claim rests on, the target and the selected source. They play the lowest
@@ -153,7 +153,7 @@ class Looks:
         grid_rad_s: FloatArray,
         z: Mapping[str, ComplexArray],
     ) -> tuple[ComplexArray, FloatArray]:
-        """Return what a test would measure, and the variances with which it would tell that.
+        """Return what a test would measure, and the variances of these measurements.
 
         Args:
             name: Name of the robot.

@@ -121,10 +121,15 @@ class SimulatorMatch(Strict):
 
 
 @dataclass(frozen=True)
-class _Tones:
+class Tones:
+    """A response at the tones of several tests, each tone once."""
+
     omega_rad_s: FloatArray
+    """Frequencies, rising, shape (tones,)."""
     z: ComplexArray
+    """Estimates, shape (tones,)."""
     variance: FloatArray
+    """E|ẑ − z|² of each, shape (tones,)."""
 
 
 def match_simulator(
@@ -142,7 +147,7 @@ def match_simulator(
     Raises:
         StudyError: They played no tone in common.
     """
-    robot, model = _pooled(robot_tests), _pooled(simulator_tests)
+    robot, model = pooled(robot_tests), pooled(simulator_tests)
     omega, in_robot, in_model = np.intersect1d(
         robot.omega_rad_s, model.omega_rad_s, return_indices=True
     )
@@ -175,7 +180,7 @@ def match_simulator(
     )
 
 
-def _pooled(tests: Sequence[FrequencyResponse]) -> _Tones:
+def pooled(tests: Sequence[FrequencyResponse]) -> Tones:
     """Return all tones of several tests; those played repeatedly are averaged by their variance."""
     omegas = np.concatenate([test.omega_rad_s for test in tests])
     z = np.concatenate([test.z for test in tests])
@@ -186,7 +191,7 @@ def _pooled(tests: Sequence[FrequencyResponse]) -> _Tones:
     total = np.bincount(which, weights)
     parts = (np.bincount(which, weights * part) for part in (z[known].real, z[known].imag))
     mean = np.asarray(next(parts) + 1j * next(parts), dtype=np.complex128) / total
-    return _Tones(omega, mean, 1 / total)
+    return Tones(omega, mean, 1 / total)
 
 
 def _fit(

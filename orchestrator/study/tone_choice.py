@@ -54,7 +54,10 @@ class ToneChoice:
     the first plays the lowest tone."""
 
     def omegas_of(self, axis: int) -> FloatArray:
-        """Return the frequencies of one axis's tones in rad/s, rising; none if it does not play."""
+        """Return the frequencies of one axis's tones in rad/s, rising, shape (tones of the axis,).
+
+        The array is empty if the axis does not play.
+        """
         hand = dict(zip(self.axes, self._hands, strict=True)).get(axis, ())
         return np.asarray(np.array(hand) * (2 * math.pi / self.measure_s))
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import sys
 from pathlib import Path
 
 import click
@@ -41,13 +39,10 @@ def check(
     from nufleet.robot_agent.driver_kit.check import check_robot
     from nufleet.robot_agent.driver_kit.subject import AMPLITUDE_SHARE
     from nufleet.robot_agent.driver_kit.subject_file import robot_to_check
-    from nufleet.shared.command_line import ask_before
+    from nufleet.shared.command_line import ask_before, restart_within
 
     name, needed, build = robot_to_check(target, robot, settings_toml)
-    missing = {key: value for key, value in needed.items() if os.environ.get(key) != value}
-    if missing:
-        # Some simulators read these variables while they are imported.
-        os.execve(sys.executable, sys.orig_argv, {**os.environ, **missing})
+    restart_within(needed)
     built = build()
     if not (built.spec.simulated or still or yes):
         axes = ", ".join(

@@ -23,8 +23,8 @@ def write_package(name: str, folder: Path) -> None:
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,62}", name):
         raise InvalidInputError(
-            f"{name!r} cannot be the name of a driver: begin with a lower-case letter, and go on "
-            "with lower-case letters, digits and _"
+            f"{name!r} cannot be the name of a driver: use lower-case letters, digits and _, "
+            "and begin with a letter"
         )
     with system_errors_as(InvalidInputError, f"{folder}: cannot be written"):
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):

@@ -1,1 +1,1 @@
-"""Drivers of real robots, one package for each kind, each with the extra of its name."""
+"""Drivers of real robots, one package for each kind."""

@@ -129,7 +129,7 @@ class Journal:
         """Store that a goal was accepted, before the answer is sent and the motion begins.
 
         Args:
-            goal: The goal.
+            goal: Goal that was accepted.
             plan: Plan of its motion.
             boot_id: Id of the agent process that plays it.
         """

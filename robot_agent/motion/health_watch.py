@@ -20,7 +20,7 @@ class HealthWatch:
     """
 
     def __init__(self, name: str, robot: Robot, interval_s: float) -> None:
-        """Ask for the first time, and go on asking until `close`.
+        """Ask for the first time, and keep asking until `close`.
 
         Args:
             name: Name of the robot.

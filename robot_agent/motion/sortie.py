@@ -41,11 +41,17 @@ class Sortie:
         """
         if switch.order is not None:
             return Played(*switch.order, nothing)
+        begins = not self.begun
+        self._robot.called_off = lambda: switch.order is not None
         try:
             yield from self.begin()
         except RobotError as error:
             fault = str(error) if isinstance(error, RobotDownError) else None
-            return Played(Outcome.FAILED, str(error), nothing, fault)
+            ended = switch.order or (Outcome.FAILED, str(error))
+            return Played(*ended, nothing, fault)
+        if begins and switch.order is not None:
+            # It was stopped while it took off; nothing that it could wait for keeps it in the air.
+            return Played(*switch.order, nothing, (yield from self.end()))
         hindered = hindrance()
         if hindered is not None:
             return Played(Outcome.ABORTED, hindered, nothing)

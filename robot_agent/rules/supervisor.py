@@ -45,6 +45,7 @@ class StopOrdered:
     """A stop arrived."""
 
     order: StopOrder
+    """The order that arrived."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,7 @@ class ReleaseOrdered:
     """A release arrived: the robot may move again."""
 
     sender: str
+    """Name of the sender."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,7 @@ class OwnerLost:
     """An orchestrator's liveliness token disappeared."""
 
     owner: str
+    """Name of the orchestrator."""
 
 
 @dataclass(frozen=True)
@@ -66,20 +69,23 @@ class MotionBegan:
     """A motion of this owner is in progress from now on."""
 
     owner: str
+    """Name of the orchestrator that commands it."""
 
 
 @dataclass(frozen=True)
 class MotionEnded:
-    """The motion in progress has ended; `fault` says what the robot did wrong, if anything."""
+    """The motion in progress has ended."""
 
     fault: str | None = None
+    """What the robot did wrong; None if nothing."""
 
 
 @dataclass(frozen=True)
 class Reconnected:
-    """An attempt to reconnect the robot has ended; `fault` says why it failed, if it did."""
+    """An attempt to reconnect the robot has ended."""
 
     fault: str | None = None
+    """Reason why it failed; None if it succeeded."""
 
 
 @dataclass(frozen=True)
@@ -87,13 +93,15 @@ class FaultFound:
     """Something other than a motion's end showed that the robot cannot be trusted to obey."""
 
     fault: str
+    """What is wrong with the robot."""
 
 
 @dataclass(frozen=True)
 class HealthReported:
-    """The robot reported its health; `unfit` says why it may not move, if it may not."""
+    """The robot reported its health."""
 
     unfit: str | None
+    """Reason why it may not move; None if it may."""
 
 
 Event = (

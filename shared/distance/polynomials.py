@@ -17,7 +17,7 @@ _EPSILON = float(np.finfo(np.float64).eps)
 
 
 def value_at(p: FloatArray, s: complex) -> complex:
-    """Return p(s) by Horner's rule."""
+    """Return p(s) by Horner's rule; p has shape (d + 1,)."""
     value = complex(p[-1])
     for k in range(len(p) - 2, -1, -1):
         value = value * s + p[k]

@@ -114,7 +114,7 @@ def signer_of(signature: Signature, content: bytes, authorities: str) -> str:
     """Return the common name in the certificate of the signer, after both have been verified.
 
     Args:
-        signature: The signature.
+        signature: Signature to verify.
         content: What was signed.
         authorities: Certificates of the authorities that are trusted, in PEM.
 

@@ -228,7 +228,7 @@ def _estimate(between: Sequence[Samples], settle_samples: int, asked: _Tested) -
     Args:
         between: Reference and output of each axis.
         settle_samples: Number of samples before the measuring part.
-        asked: The tones.
+        asked: Tones of the test, with its plan.
     """
     plan, omegas = asked.plan, asked.omega_rad_s
     tones, step_s = len(omegas), plan.sample_time_s

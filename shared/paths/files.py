@@ -49,7 +49,7 @@ def text_of(path: Path, hint: str = "") -> str:
     """Return the text of a file that holds a drawing.
 
     Args:
-        path: The file.
+        path: Path of the file.
         hint: Continuation of the message of an error, such as what was expected.
 
     Raises:

@@ -152,7 +152,7 @@ def settings_of(
         fleet: Contents of the fleet file.
         path: Path of the fleet file, for error messages.
         names: Names of the robots.
-        driver: Their driver.
+        driver: Driver of these robots.
 
     Raises:
         FleetFileError: Settings are wrong, or another robot of the file has the same address.

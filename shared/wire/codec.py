@@ -175,7 +175,7 @@ def decode(payload: bytes, *expected: type[M], max_bytes: int = MAX_MESSAGE_BYTE
     """Return the message in a frame, which must be of one of the expected types.
 
     Args:
-        payload: The frame.
+        payload: Frame to decode.
         *expected: Types of message to accept.
         max_bytes: Largest accepted frame.
 

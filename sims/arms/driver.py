@@ -16,8 +16,11 @@ class ArmDriver:
     """Builds arms; they share no state, so each can run in a process of its own."""
 
     settings: type[Strict] = ArmSettings
+    """Model that validates one robot's settings."""
     shares_process = False
+    """Whether all robots of this kind in a fleet must run in one process."""
     environment: Mapping[str, str] = {}
+    """Environment variables that the process calling `build` needs from its start."""
 
     def build(
         self, settings: Mapping[str, ArmSettings], rng: np.random.Generator

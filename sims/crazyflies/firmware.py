@@ -57,9 +57,13 @@ class Climb:
     """A trajectory of the high-level commander, straight and smooth."""
 
     start_m: FloatArray
+    """Position at its beginning in m, shape (3,)."""
     end_m: FloatArray
+    """Position at its end in m, shape (3,)."""
     began_s: float
+    """Time at which it began, in s."""
     lasts_s: float
+    """Its duration in s."""
 
     def at(self, now_s: float) -> FloatArray:
         """Return the set-point at a time, shape (3,)."""
@@ -77,11 +81,11 @@ class Ailments:
     battery_v: float = 4.0
     """Voltage of its battery."""
     lost: bool = False
-    """Whether it does not know its position."""
+    """Whether the position estimate is lost."""
     needs_poses: bool = False
-    """Whether it knows its position only while it is told."""
+    """Whether it is valid only while positions are sent."""
     stamp_ms: Callable[[int], int] = field(default=lambda stamp_ms: stamp_ms)
-    """What becomes of the time stamps of its log."""
+    """Fault in the log's time stamps."""
 
 
 class Firmware:
@@ -95,7 +99,7 @@ class Firmware:
         Args:
             plant: What flies.
             rng: Generator of the noise of its position estimate.
-            now_s: The time.
+            now_s: Present time in s.
             noise_m: Standard deviation of that noise.
         """
         self.plant, self.ailments = plant, Ailments()

@@ -15,17 +15,17 @@ GRAVITY_M_S2 = 9.81
 
 
 class Plant(Protocol):
-    """A drone with its position controller; all arrays have shape (3,)."""
+    """A drone with its position controller."""
 
     position_m: FloatArray
-    """True position."""
+    """True position in m, shape (3,)."""
     velocity_m_s: FloatArray
-    """True velocity."""
+    """True velocity in m/s, shape (3,)."""
     quaternion: FloatArray
     """True attitude x, y, z, w, shape (4,)."""
 
     def follow(self, reference_m: FloatArray, velocity_m_s: FloatArray, lasts_s: float) -> None:
-        """Follow a constant reference for some time."""
+        """Follow a constant reference, shape (3,), for `lasts_s` s."""
 
 
 class LoopSettings(Strict):
@@ -79,7 +79,7 @@ class KnownLoop:
 
         Args:
             settings: The loops; the gain acts around the start, and not on the height.
-            start_m: Where it is.
+            start_m: Its position in m.
         """
         self._settings = settings
         self._gain = np.array([settings.gain, settings.gain, 1.0])
@@ -89,7 +89,7 @@ class KnownLoop:
         self.quaternion = np.array([0.0, 0.0, 0.0, 1.0])
 
     def follow(self, reference_m: FloatArray, velocity_m_s: FloatArray, lasts_s: float) -> None:
-        """Follow a constant reference for some time."""
+        """Follow a constant reference, shape (3,), for `lasts_s` s."""
         del velocity_m_s
         target_m = self._centre_m + self._gain * (reference_m - self._centre_m)
         off = np.stack([self.position_m - target_m, self.velocity_m_s])

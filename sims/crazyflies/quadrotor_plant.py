@@ -23,7 +23,7 @@ class QuadrotorPlant:
 
         Args:
             flight: The compiled program of the vehicle's kind.
-            plant: The vehicle.
+            plant: Vehicle to fly.
         """
         self._flight, self._plant = flight, plant
         self._height = KnownLoop(LoopSettings(), (0.0, 0.0, 0.0))
@@ -33,7 +33,7 @@ class QuadrotorPlant:
 
     @property
     def position_m(self) -> FloatArray:
-        """True position, shape (3,)."""
+        """True position in m, shape (3,)."""
         share = self._since_s / SAMPLE_TIME_S
         horizontal = (1 - share) * self._before[:, 0] + share * self._after[:, 0]
         return np.array([*horizontal, self._height.position_m[2]])
@@ -44,7 +44,7 @@ class QuadrotorPlant:
 
     @property
     def velocity_m_s(self) -> FloatArray:
-        """True velocity, shape (3,)."""
+        """True velocity in m/s, shape (3,)."""
         return np.array([*self._after[:, 1], self._height.velocity_m_s[2]])
 
     @velocity_m_s.setter
@@ -52,7 +52,10 @@ class QuadrotorPlant:
         self._height.velocity_m_s = velocity_m_s.copy()
 
     def follow(self, reference_m: FloatArray, velocity_m_s: FloatArray, lasts_s: float) -> None:
-        """Follow a constant reference for some time; crazyflow derives its velocity itself."""
+        """Follow a constant reference, shape (3,), for `lasts_s` s.
+
+        crazyflow derives its velocity itself.
+        """
         self._height.follow(reference_m, velocity_m_s, lasts_s)
         self._since_s += lasts_s
         while self._since_s >= SAMPLE_TIME_S:

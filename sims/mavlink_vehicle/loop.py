@@ -42,7 +42,7 @@ class Loop:
         self._target = place.copy()
 
     def put(self, place: FloatArray) -> None:
-        """Put it somewhere at rest."""
+        """Place the vehicle at rest at a position in m, shape (3,)."""
         self.position, self.velocity, self._target = place.copy(), np.zeros(3), place.copy()
 
     def aim(self, place: FloatArray, velocity: FloatArray) -> None:
@@ -82,7 +82,7 @@ def frequency_response(
     it has arrived and no newer one has; the mean response follows from this mean hold.
 
     Args:
-        settings: The loop.
+        settings: Settings of the loop.
         omega_rad_s: Frequencies, shape (frequencies,).
         sample_time_s: Time between two references.
         feed_forward: Whether set-points hold the references' difference quotient as velocity, too.
@@ -128,8 +128,8 @@ def _hold(
     in_force = arrived(since_s)
     for newer in range(1, steps):
         in_force = in_force * (1 - arrived(since_s - newer * step_s))
-    # The aliases have one period in common, so that whole steps are summed before they are told
-    # apart.
+    # All aliases share the sample period, so whole periods are summed before the aliases are
+    # separated.
     turning = np.exp(-1j * omega_rad_s[:, np.newaxis, np.newaxis] * since_s)
     folded = (in_force * turning).sum(axis=1)
     apart = np.exp(-2j * np.pi / step_s * np.outer(within_s, aliases))

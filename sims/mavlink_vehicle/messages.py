@@ -24,24 +24,29 @@ MODES = {
 """Modes that it knows, by its autopilot."""
 
 
-class Told(Protocol):
-    """The state of a vehicle that it tells."""
+class ReportedState(Protocol):
+    """The state of a vehicle, as it reports it."""
 
     mode: str
+    """Name of its mode."""
     armed: bool
+    """Whether its motors are armed."""
     in_air: bool
+    """Whether it is off the ground."""
     charge: float
+    """Charge of its battery, from 0 to 1."""
     estimates: bool
+    """Whether it has a position estimate."""
 
     @property
     def profile(self) -> str:
         """Autopilot that it plays."""
 
     def measured(self) -> tuple[float, FloatArray, FloatArray]:
-        """Return its clock in s, and its measured position and velocity in NED, shape (3,)."""
+        """Return its clock in s, and position and velocity in NED in m and m/s, shape (3,) each."""
 
 
-def _heartbeat(vehicle: Told) -> Any:
+def _heartbeat(vehicle: ReportedState) -> Any:
     px4 = vehicle.profile == "px4"
     return dialect.MAVLink_heartbeat_message(
         dialect.MAV_TYPE_QUADROTOR,
@@ -53,7 +58,7 @@ def _heartbeat(vehicle: Told) -> Any:
     )
 
 
-def _sys_status(vehicle: Told) -> Any:
+def _sys_status(vehicle: ReportedState) -> Any:
     sensors = 1 | 2 | 4 | dialect.MAV_SYS_STATUS_PREARM_CHECK
     volts = round(1000 * (14.0 + 2.8 * vehicle.charge))
     return dialect.MAVLink_sys_status_message(
@@ -62,14 +67,14 @@ def _sys_status(vehicle: Told) -> Any:
     )
 
 
-def _battery_status(vehicle: Told) -> Any:
+def _battery_status(vehicle: ReportedState) -> Any:
     cell = round(1000 * (3.5 + 0.7 * vehicle.charge))
     return dialect.MAVLink_battery_status_message(
         *(0, 0, 0, 2500, [cell] * 4 + [0xFFFF] * 6, -1, -1, -1, round(100 * vehicle.charge))
     )
 
 
-def _estimator_status(vehicle: Told) -> Any:
+def _estimator_status(vehicle: ReportedState) -> Any:
     flags = 0b0001_0011_1111 if vehicle.estimates else 0b1000_0001
     if vehicle.profile == "ardupilot":
         return dialect.MAVLink_ekf_status_report_message(flags, 0.1, 0.1, 0.1, 0.1, 0.1)
@@ -77,18 +82,18 @@ def _estimator_status(vehicle: Told) -> Any:
     return dialect.MAVLink_estimator_status_message(stamp, flags, *(0.1,) * 8)
 
 
-def _extended_sys_state(vehicle: Told) -> Any:
+def _extended_sys_state(vehicle: ReportedState) -> Any:
     return dialect.MAVLink_extended_sys_state_message(0, 2 if vehicle.in_air else 1)
 
 
-def _local_position_ned(vehicle: Told) -> Any:
+def _local_position_ned(vehicle: ReportedState) -> Any:
     clock_s, place, velocity = vehicle.measured()
     return dialect.MAVLink_local_position_ned_message(
         int(1e3 * clock_s), *place.tolist(), *velocity.tolist()
     )
 
 
-def _odometry(vehicle: Told) -> Any:
+def _odometry(vehicle: ReportedState) -> Any:
     clock_s, place, velocity = vehicle.measured()
     # The nose looks to the east, so that the body's frame is turned against NED by 90°.
     forward, right, down = velocity[1], -velocity[0], velocity[2]
@@ -106,7 +111,7 @@ def _odometry(vehicle: Told) -> Any:
 POSITIONS = {dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED, dialect.MAVLINK_MSG_ID_ODOMETRY}
 """Numbers of the messages that hold a measured position."""
 
-MESSAGES: dict[int, Callable[[Told], Any]] = {
+MESSAGES: dict[int, Callable[[ReportedState], Any]] = {
     dialect.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
     dialect.MAVLINK_MSG_ID_SYS_STATUS: _sys_status,
     dialect.MAVLINK_MSG_ID_BATTERY_STATUS: _battery_status,

@@ -387,7 +387,10 @@ class SimulatedVehicle:
         return MESSAGES[number](self)
 
     def measured(self) -> tuple[float, FloatArray, FloatArray]:
-        """Return its clock, and position and velocity in NED as its sensor sees them now."""
+        """Return its clock in s, and position and velocity in NED as its sensor sees them now.
+
+        Position and velocity are in m and m/s, shape (3,) each.
+        """
         noisy = self.loop.position + self._rng.normal(0.0, self._settings.noise_std_m, 3)
         swapped = [noisy[1], noisy[0], -noisy[2]]
         velocity = self.loop.velocity

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,17 +15,29 @@ from nufleet.shared.strict import Strict
 from nufleet.sims.quadrotors.environment import environment
 from nufleet.sims.quadrotors.settings import QuadrotorSettings
 
+if TYPE_CHECKING:
+    from nufleet.sims.quadrotors.simulator import Hangar
+
 
 class QuadrotorDriver:
     """Builds quadrotors that share crazyflow and its compiled programs."""
 
     settings: type[Strict] = QuadrotorSettings
+    """Model that validates one robot's settings."""
     shares_process = True
+    """Whether all robots of this kind in a fleet must run in one process."""
 
     @property
     def environment(self) -> Mapping[str, str]:
         """Environment variables that the process calling `build` needs from its start."""
         return environment()
+
+    @cached_property
+    def _hangar(self) -> Hangar:
+        # Kept, because a program takes seconds to compile and flies vehicles of any parameters.
+        from nufleet.sims.quadrotors.simulator import Hangar
+
+        return Hangar()
 
     def build(
         self, settings: Mapping[str, QuadrotorSettings], rng: np.random.Generator
@@ -41,12 +55,12 @@ class QuadrotorDriver:
         try:
             _require_scipy_array_interface()
             from nufleet.sims.quadrotors.robot import Quadrotor
-            from nufleet.sims.quadrotors.simulator import Hangar
+
+            hangar = self._hangar
         except ModuleNotFoundError as error:
             raise InvalidInputError(
                 f"simulated quadrotors need {error.name!r}: pip install 'nufleet[quadrotors]'"
             ) from error
-        hangar = Hangar()
         generators = rng.spawn(len(settings))
         return {
             name: Quadrotor(name, entry, *hangar.plant(entry, own), own)

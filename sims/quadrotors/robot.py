@@ -51,6 +51,9 @@ class Quadrotor(SimulatedRobot):
         self._flight = flight
         self._fresh_plant = plant
         self._plant = plant
+        # The delay is `late` whole samples, and a share of one more.
+        late, self._share_late = divmod(settings.delay_s / SAMPLE_TIME_S, 1.0)
+        self._on_the_way = np.zeros((int(late) + 1, 2))
 
     @property
     def flown_by(self) -> tuple[Flight, Plant]:
@@ -59,11 +62,16 @@ class Quadrotor(SimulatedRobot):
 
     def _start(self) -> FloatArray:
         self._plant = self._fresh_plant
+        self._on_the_way = np.zeros_like(self._on_the_way)
         hover = np.zeros((round(HOVER_SETTLE_S / SAMPLE_TIME_S), 2))
         return np.asarray(self._play(hover)[-1])
 
     def _play(self, references: FloatArray) -> FloatArray:
-        self._plant, track = self._flight.fly(self._plant, references)
+        sent = np.concatenate([self._on_the_way, references])
+        self._on_the_way = sent[len(references) :]
+        earlier, later = sent[: len(references)], sent[1 : len(references) + 1]
+        arriving = later + self._share_late * (earlier - later)
+        self._plant, track = self._flight.fly(self._plant, arriving)
         self._raise_if_crashed(track)
         return track.states
 

@@ -171,6 +171,10 @@ class QuadrotorSettings(Strict):
     """Whether the controller also receives the reference's backward difference as the wanted
     velocity, as a trajectory follower would send it."""
 
+    delay_s: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """Time by which every reference reaches the controller late, as over a radio link; between
+    samples, the reference changes linearly."""
+
     noise: SensorNoise = SensorNoise()
     """Measurement noise of the recorded states."""
 

@@ -39,7 +39,7 @@ def test_a_ranking_whose_recording_cannot_be_opened_stores_no_study_and_promises
     command = RankCommand(runs_root=tmp_path, fleet_file=find_fleet_file("paper_linear"))
     with pytest.raises(NufleetError, match="cable"):
         rank(command, Console(file=said, soft_wrap=True))
-    assert "it can go on" not in said.getvalue()
+    assert "it can be resumed" not in said.getvalue()
     with Storage(tmp_path).open() as repository:
         assert not repository.studies.studies(StudyStatus.OPEN)
 

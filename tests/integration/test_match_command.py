@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from io import StringIO
 from pathlib import Path
 
 import pytest
+from command_processes import Typed
 from rich.console import Console
 
-from nufleet.orchestrator.jobs.match import MatchCommand, MatchResult, match, match_table
+from nufleet.orchestrator.conduct.simulator_copy import SimulatorCopy
+from nufleet.orchestrator.jobs.match import (
+    MatchCommand,
+    MatchResult,
+    fitted,
+    match,
+    match_table,
+)
 from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.robots.fleet_file import read_fleet_file
 
 FLEET = """
 schema = 1
@@ -42,7 +52,9 @@ def command(tmp_path: Path) -> MatchCommand:
     )
 
 
-def test_simulators_of_a_robot_behind_a_poor_link_are_told_apart(command: MatchCommand) -> None:
+def test_simulators_of_a_robot_behind_a_poor_link_are_told_apart_and_fitted(
+    command: MatchCommand, tmp_path: Path
+) -> None:
     result = match(command, Console(quiet=True))
     twin, other = result.simulators
     assert (result.robot, twin.simulator, other.simulator) == ("robot", "twin", "other")
@@ -56,6 +68,17 @@ def test_simulators_of_a_robot_behind_a_poor_link_are_told_apart(command: MatchC
     assert match_table(result).row_count == 2
     assert MatchResult.model_validate_json(result.document()) == result
 
+    path = tmp_path / "lab.toml"
+    copy = SimulatorCopy(read_fleet_file(path), path, "other", ["alpha"])
+    shown = StringIO()
+    found = fitted(command, result, copy, Console(file=shown, width=200))
+    assert found.fit is not None
+    assert abs(found.fit["alpha"].value / 0.9 - 1) < 0.05
+    assert found.psi_left is not None
+    assert found.psi_left < 0.01
+    assert f"[robots.other.settings]\nalpha = {found.fit['alpha'].value:.5g}" in shown.getvalue()
+    assert MatchResult.model_validate_json(found.document()) == found
+
 
 def test_a_limit_that_is_no_distance_is_refused_before_anything_starts(
     command: MatchCommand,
@@ -64,3 +87,20 @@ def test_a_limit_that_is_no_distance_is_refused_before_anything_starts(
     with pytest.raises(InvalidInputError, match="--max is a chordal distance"):
         match(limited, Console(quiet=True))
     assert not command.runs_root.exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--fit", "alpha"), "--fit fits one simulator: choose one of other, twin"),
+        (("--simulators", "twin", "--fit", "mass_kg"), "twin has no setting mass_kg; its settings"),
+        (("--simulators", "twin", "--fit", "alpha,"), "has an empty name"),
+    ],
+)
+def test_a_fit_that_cannot_be_made_is_refused_before_anything_starts(
+    command: MatchCommand, tmp_path: Path, typed: Typed, options: tuple[str, ...], words: str
+) -> None:
+    refused = typed("match", "--fleet", "lab.toml", *options, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert words in " ".join(refused.stderr.split())
+    assert not (tmp_path / "runs").exists()

@@ -12,8 +12,9 @@ from learned_things import experience, layout
 from polling import PATIENCE_S
 from rich.console import Console
 
+from nufleet.orchestrator.evaluation.comparison import Psi, summarise
 from nufleet.orchestrator.evaluation.flight_documents import TrackResult
-from nufleet.orchestrator.evaluation.fly_target import Psi, fly_target, summarise
+from nufleet.orchestrator.evaluation.fly_target import fly_target
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.prior_custody import install, prior_put_back
 from nufleet.orchestrator.fleet.client import Fleet

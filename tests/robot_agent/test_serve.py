@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from puppet_robot import PuppetRobot
 
 from nufleet.orchestrator.fleet import processes
 from nufleet.robot_agent import serve as fleet_robots
+from nufleet.robot_agent.command import agent
 from nufleet.robot_agent.robot import Robot
 from nufleet.robot_agent.serve import build_robots
 from nufleet.shared.arrays import FloatArray
@@ -181,3 +183,28 @@ def test_simulated_robots_share_a_session_and_every_real_one_has_its_own(
         real = [sessions.session("tcp/there:1", shared=False) for _ in range(2)]
     assert len(set(simulated)) == 1
     assert len({simulated[0], elsewhere, *real}) == 4
+
+
+def test_an_agent_serves_the_fleet_file_as_it_was_when_it_was_read_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, path = fleet_of(tmp_path, {"a": integrator()})
+    read: list[FleetFile] = []
+    built: list[FleetFile] = []
+    validate = FleetFile.model_validate_json
+
+    def validated(text: str) -> FleetFile:
+        read.append(validate(text))
+        return read[-1]
+
+    def refused(fleet: FleetFile, *_: object) -> Mapping[str, Robot]:
+        built.append(fleet)
+        raise FleetFileError("no robot can be built")
+
+    monkeypatch.setattr(FleetFile, "model_validate_json", validated)
+    monkeypatch.setattr(fleet_robots, "build_robots", refused)
+    arguments = (str(path), "--connect", "tcp/127.0.0.1:7447", "--state", str(tmp_path))
+    error = CliRunner().invoke(agent, arguments).exception
+    assert isinstance(error, FleetFileError)
+    assert len(read) == 1
+    assert built[0] is read[0]

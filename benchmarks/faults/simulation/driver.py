@@ -236,7 +236,7 @@ class MotionThread:
     def _go_on(self, answer: Any, error: Exception | None) -> None:
         job = self._job
         if job is None:
-            raise Violation("steps go on, and there are none")
+            raise Violation("steps continue, and there are none")
         while True:
             try:
                 call = job.steps.send(answer) if error is None else job.steps.throw(error)

@@ -20,9 +20,9 @@ def condition(
     """Return the condition of a drone.
 
     Args:
-        settings: Its settings.
+        settings: Settings of the drone.
         telemetry: What it has logged.
-        down: Why it obeys no more; None while it does.
+        down: Reason why the drone no longer responds to commands; None while it does.
         blind: Why motion capture does not see it; None if it does, or is not used.
         now_s: The time on the monotonic clock of this machine.
     """
@@ -30,7 +30,7 @@ def condition(
     why = down or telemetry.fault
     if why is None and (status is None or now_s - status.arrived_s > SILENT_MAX_S):
         silent_s = "" if status is None else f" for {now_s - status.arrived_s:.1f} s"
-        why = f"it has sent nothing{silent_s}, instead of every {STATUS_PERIOD_S:g} s"
+        why = f"it has sent nothing{silent_s}, but a status is due every {STATUS_PERIOD_S:g} s"
     why = why or blind
     if status is None:
         return Health(ready=False, reason=why or "it has sent nothing yet")
@@ -42,8 +42,8 @@ def condition(
         )
     if why is None and status.variance_m2 > LOST_M2 and settings.estimator != "complementary":
         why = (
-            f"it does not know its position: the variance is {status.variance_m2:.2g} m². Does "
-            "it see its base stations, or the motion capture system it?"
+            f"it does not know its position: the variance is {status.variance_m2:.2g} m². Can "
+            "it see its base stations, or can the motion capture system see it?"
         )
     reserve = settings.battery.reserve
     return Health(

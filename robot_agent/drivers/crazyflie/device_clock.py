@@ -6,6 +6,7 @@ from collections import deque
 
 import numpy as np
 
+from nufleet.robot_agent.drivers.clock_drift import drift
 from nufleet.shared.arrays import FloatArray
 
 STAMP_MS = 1 << 24
@@ -50,8 +51,8 @@ class DeviceClock:
             arrived_s: When it arrived, on the clock of this machine.
 
         Returns:
-            The device's time in s, which no longer begins again; None if it cannot be told. Where
-            that happens often, `fault` says why.
+            The device's time in s, unwrapped; None if it cannot be determined. Where that happens
+            often, `fault` says why.
         """
         if self._newest_ms is None:
             self._newest_ms = stamp_ms
@@ -92,27 +93,8 @@ class DeviceClock:
         times, delays = np.array(self._least).reshape(-1, 2).T
         if not len(times):
             return device_s
-        skew = _skew(times, delays) if times[-1] - times[0] > SKEW_SPAN_S else 0.0
+        skew = 0.0
+        if times[-1] - times[0] > SKEW_SPAN_S:
+            skew = drift(times, delays, drift_max=SKEW_MAX)
         dated: FloatArray = device_s + skew * device_s + (delays - skew * times).min()
         return dated
-
-
-def _skew(times: FloatArray, delays: FloatArray) -> float:
-    """Return the slope of the line below all delays that is closest to them in the mean.
-
-    It is the edge of their lower convex hull below the mean time (Moon, Skelly and Towsley 1999).
-    """
-    hull: list[int] = []
-    for k in range(len(times)):
-        while len(hull) > 1 and _turns_down(times, delays, hull[-2], hull[-1], k):
-            hull.pop()
-        hull.append(k)
-    edge = int(np.clip(np.searchsorted(times[hull], times.mean()), 1, len(hull) - 1))
-    before, after = hull[edge - 1], hull[edge]
-    slope = (delays[after] - delays[before]) / (times[after] - times[before])
-    return float(np.clip(slope, -SKEW_MAX, SKEW_MAX))
-
-
-def _turns_down(times: FloatArray, delays: FloatArray, a: int, b: int, c: int) -> bool:
-    rise = (delays[b] - delays[a]) * (times[c] - times[a])
-    return bool(rise >= (delays[c] - delays[a]) * (times[b] - times[a]))

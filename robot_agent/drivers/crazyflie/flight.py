@@ -68,7 +68,7 @@ class Flight:
 
         Args:
             name: Name of the robot, for errors.
-            settings: Its settings.
+            settings: Settings of the drone.
             link: Link to it, open.
             telemetry: What it logs.
         """
@@ -76,7 +76,7 @@ class Flight:
         self._link, self._telemetry = link, telemetry
         self._columns = [AXES.index(axis) for axis in settings.axes]
         self.origin_m = np.array(settings.origin_m)
-        """Where it is at reference 0, shape (3,)."""
+        """Position of the drone at reference 0 in m, shape (3,)."""
         self._ground_m = 0.0
         self._cut = False
         self._sending = threading.Lock()
@@ -87,13 +87,13 @@ class Flight:
         self._keeper = threading.Thread(target=self._keep, name=f"{name}-keeper", daemon=True)
         self._keeper.start()
         self.airborne = False
-        """Whether it has left the ground, or may have."""
+        """Whether the drone has left the ground, or might have."""
         self.offset, self.velocity = np.zeros(3), np.zeros(3)
         """The last set-point, in m and m/s."""
 
     @property
     def down(self) -> str | None:
-        """Why it obeys no more; None while it does."""
+        """Reason why the drone no longer responds to commands; None while it does."""
         if self._cut:
             return "its motors were cut"
         if self._link.lost is not None:
@@ -102,7 +102,7 @@ class Flight:
         return None if status is None else why_down(status.supervisor)
 
     def offset_of(self, measurement: Measurement) -> FloatArray:
-        """Return where a measurement saw it."""
+        """Return the drone's position in a measurement."""
         offset: FloatArray = measurement.position_m - self.origin_m
         return offset
 
@@ -128,7 +128,7 @@ class Flight:
 
         Raises:
             RobotError: None arrives.
-            RobotDownError: The drone obeys no more.
+            RobotDownError: The drone no longer responds to commands.
         """
         self.raise_if_down()
         telemetry, before = self._telemetry, self._telemetry.newest
@@ -137,7 +137,7 @@ class Flight:
         return self.newest()
 
     def reset_estimator(self, timeout_s: float) -> bool:
-        """Have it find out on the ground where it is; return whether it has in time."""
+        """Let the position estimate settle on the ground; return whether it did in time."""
         settings, telemetry, link = self._settings, self._telemetry, self._link
         if settings.estimator not in ("kalman", "ukf"):
             return True
@@ -156,7 +156,7 @@ class Flight:
 
         Raises:
             RobotError: It does not know where it is, stands too far away, or does not get there.
-            RobotDownError: It obeys no more.
+            RobotDownError: The drone no longer responds to commands.
         """
         self._find_position()
         self._arm()
@@ -170,7 +170,7 @@ class Flight:
 
         Raises:
             RobotError: It does not reach the ground, or cannot be measured on its way.
-            RobotDownError: It obeys no more.
+            RobotDownError: The drone no longer responds to commands.
         """
         self.raise_if_down()
         takes_s = self._settings.landing_s
@@ -202,7 +202,7 @@ class Flight:
 
         Raises:
             RobotError: It does not come to rest there.
-            RobotDownError: It obeys no more.
+            RobotDownError: The drone no longer responds to commands.
         """
         telemetry, settings = self._telemetry, self._settings
         since: list[float] = []
@@ -234,7 +234,7 @@ class Flight:
 
         Raises:
             OutsideLimitsError: It has lost its height.
-            RobotDownError: It obeys no more.
+            RobotDownError: The drone no longer responds to commands.
             RobotError: It tilts too far, or what it logs contradicts itself.
         """
         self.raise_if_down()
@@ -254,7 +254,7 @@ class Flight:
             )
 
     def raise_if_down(self) -> None:
-        """Raise RobotDownError if it obeys no more."""
+        """Raise RobotDownError if the drone no longer responds to commands."""
         why = self.down
         if why is not None:
             raise RobotDownError(f"{self._name}: {why}")
@@ -288,8 +288,8 @@ class Flight:
             raise RobotError(
                 telemetry.fault
                 or f"{self._name} does not find out where it is: the variance of its position has "
-                f"not settled within {PATIENCE_S:g} s. Does it see its base stations, or the "
-                "motion capture system it?"
+                f"not settled within {PATIENCE_S:g} s. Can it see its base stations, or can "
+                "the motion capture system see it?"
             )
         stands_m = self.next().position_m
         away_m = float(np.hypot(*(stands_m - self.origin_m)[:2]))

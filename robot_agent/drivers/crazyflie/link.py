@@ -229,7 +229,7 @@ class Link:
         cf.disconnected_link_error.add_callback(lambda _, why: self._tell(lost=why))
         cf.open_link(self._settings.uri)
         if cf.link is not None and not self._settings.uri.startswith("radio"):
-            # cflib takes these links for reliable, and would wait for a lost table for ever.
+            # cflib assumes that these links are reliable and would wait forever for a lost table.
             cf.link.needs_resending = True
 
     def _heard(self, _: object) -> None:

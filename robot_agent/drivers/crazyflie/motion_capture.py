@@ -62,7 +62,7 @@ class MotionCapture:
 
     @property
     def failure(self) -> str | None:
-        """Why it delivers nothing any more; None while it does."""
+        """Reason why the system no longer delivers poses; None while it does."""
         return self._failure
 
     @property
@@ -93,7 +93,7 @@ class MotionCapture:
                 self._thread.start()
 
     def leave(self, body: str) -> None:
-        """Call back no more; the thread ends with the next frame after the last body has left."""
+        """Stop calling back; the thread ends with the next frame after the last body has left."""
         with self._lock:
             self._watchers.pop(body, None)
 

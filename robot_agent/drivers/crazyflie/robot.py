@@ -41,7 +41,7 @@ class Crazyflie(Robot):
 
         Args:
             name: Name of the robot, for errors.
-            settings: Its settings.
+            settings: Settings of the drone.
             sighting: How motion capture sees it; None if it finds out by itself where it is.
         """
         self._name, self._settings = name, settings

@@ -86,8 +86,8 @@ class MotionCaptureSettings(Strict):
     body: Annotated[str, Field(min_length=1)]
     """Name of the drone's rigid body there."""
     attitude: bool = False
-    """Whether the attitude is sent along with the position; it needs bodies that cannot be mistaken
-    for a turned one."""
+    """Whether the attitude is sent too; requires marker patterns that no rotation maps onto
+    themselves."""
     rate_hz: Annotated[float, Field(gt=0, le=200)] = 50.0
     """Largest rate at which poses are sent to this drone; all share the radio."""
 
@@ -152,7 +152,7 @@ class CrazyflieSettings(Strict):
     """What voltages mean."""
     watchdog: bool = False
     """Whether the firmware cuts the motors when it hears nothing for a second: also in the middle
-    of taking off and landing, where it would go on by itself otherwise."""
+    of taking off and landing, which it would complete by itself otherwise."""
     motion_capture: MotionCaptureSettings | None = None
     """Motion capture system that tells it where it is; None for one that finds out by itself."""
     delay_uncertainty_s: NonNegative = 0.001

@@ -26,7 +26,7 @@ _DOWN = {
 
 
 def why_down(info: int) -> str | None:
-    """Return why a Crazyflie obeys no more; None while it does.
+    """Return why a Crazyflie no longer responds to commands; None while it does.
 
     Examples:
         >>> why_down(Supervisor.ARMED | Supervisor.CAN_FLY)

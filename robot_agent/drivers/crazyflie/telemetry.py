@@ -32,7 +32,8 @@ STATUS_PERIOD_S = 0.1
 """Time between two statuses."""
 
 STEADY_STATUSES = 10
-"""Number of statuses over which the variances of a position estimate that has settled stay put."""
+"""Number of consecutive statuses over which the variances must not change for the estimate to count
+as settled."""
 
 STEADY_M2 = 1e-3
 """Range in which they stay."""

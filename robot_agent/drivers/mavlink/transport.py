@@ -133,7 +133,7 @@ def opened(address: Address, url: str) -> Transport:
     """Open the port at an address.
 
     Args:
-        address: The address.
+        address: Address of the port.
         url: The same, as in the fleet file, for errors.
 
     Raises:

@@ -1,4 +1,4 @@
-"""One vehicle as the driver sees it: asked by commands, judged by what it tells."""
+"""One vehicle as the driver sees it: commanded, and judged by its telemetry."""
 
 from __future__ import annotations
 
@@ -58,11 +58,11 @@ class Vehicle:
         self.telemetry = Telemetry(
             self.profile, settings.system_id, settings.own_system_id, settings.measured_by
         )
-        """What it told."""
+        """Measurements and status received from the vehicle."""
         self.keeper = Keeper(line.send, self.telemetry.clock, settings.sample_time_s)
         """What continues to be sent."""
         self.controlled = False
-        """Whether it obeys our set-points; it may stop doing so at any time."""
+        """Whether the vehicle follows our set-points; that can end at any time."""
         self.cut_off = False
         """Whether its motors were cut."""
         self._cut_s = math.inf

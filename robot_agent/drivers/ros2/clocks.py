@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from nufleet.robot_agent.drivers.clock_drift import drift
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
 
@@ -222,9 +223,8 @@ def on_receiving_clock(stamp_s: FloatArray, arrived_s: FloatArray) -> FloatArray
     """Return time stamps of another clock as times of the clock that the arrivals are on.
 
     No message arrives before it was sent. Of all linear relations between the clocks that respect
-    this, the one with the least total delay is taken (Moon, Skelly and Towsley, "Estimation and
-    removal of clock skew from network delay measurements", INFOCOM 1999). What remains unknown is
-    the time that the fastest messages travelled.
+    this, the one with the least total delay is taken. What remains unknown is the time that the
+    fastest messages travelled.
 
     Args:
         stamp_s: Time stamps, shape (messages,), increasing.
@@ -234,22 +234,7 @@ def on_receiving_clock(stamp_s: FloatArray, arrived_s: FloatArray) -> FloatArray
     along_s, late_s = stamp_s - origin_s, arrived_s - stamp_s
     if np.ptp(along_s) < DRIFT_SPAN_S:
         return stamp_s + float(late_s.min())
-    # The best line lies on the lower convex hull's edge above the mean of the stamps.
-    hull: list[int] = []
-    for i in range(len(along_s)):
-        while len(hull) > 1 and _above(along_s, late_s, hull[-2], hull[-1], i):
-            hull.pop()
-        hull.append(i)
-    right = min(max(1, int(np.searchsorted(along_s[hull], 0.0))), len(hull) - 1)
-    left, end = hull[right - 1], hull[right]
-    rate = (late_s[end] - late_s[left]) / (along_s[end] - along_s[left])
-    rate = float(np.clip(rate, -DRIFT_MAX, DRIFT_MAX))
+    rate = drift(stamp_s, late_s, drift_max=DRIFT_MAX)
     offset_s = float(np.min(late_s - rate * along_s))
     placed: FloatArray = stamp_s + offset_s + rate * along_s
     return placed
-
-
-def _above(x: FloatArray, y: FloatArray, first: int, middle: int, last: int) -> bool:
-    """Return whether the middle point lies on or above the line between the others."""
-    rise = (y[last] - y[first]) * (x[middle] - x[first])
-    return bool((y[middle] - y[first]) * (x[last] - x[first]) >= rise)

@@ -38,7 +38,7 @@ def reading_problem(
     Args:
         topic: Full name of the topic.
         kind: Type that the fleet file states.
-        publishers: Its publishers.
+        publishers: Publishers of the topic.
         reliability: Reliability that the fleet file asks for.
         alone: Whether there must be one publisher only.
         topics: Types of all topics, by name.

@@ -53,7 +53,7 @@ def measured(message: Any, topic: MeasurementTopic) -> Measured | None:
 
     Args:
         message: Message of the topic's type.
-        topic: The topic.
+        topic: Topic that it came from.
     """
     if topic.type == UNSTAMPED:
         return Measured(None, _pose(message.position, message.orientation))
@@ -100,7 +100,7 @@ def message_of(
 
     Args:
         point: The set-point; for a Twist, with the yaw that was measured.
-        topic: The topic.
+        topic: Topic to send it on.
         now_ns: Time for its header, on the node's clock.
         sample_time_s: Time until a trajectory's point is due.
         make: Function that returns a new message of a type.

@@ -62,7 +62,7 @@ class RosNode(Link):
 
         Args:
             name: Name of the robot.
-            settings: Its settings.
+            settings: Settings of the robot.
 
         Raises:
             RobotError: ROS 2, a topic, a service or a measurement is missing or wrong.

@@ -75,7 +75,7 @@ class Ros2Robot(Robot):
 
         Args:
             name: Name of the robot.
-            settings: Its settings.
+            settings: Settings of the robot.
             open_link: Function that reaches it, checks its topics and services, and has received
                 a first measurement; raises RobotError.
         """
@@ -295,7 +295,7 @@ class Ros2Robot(Robot):
             self._reached()
 
     def _check_fence(self) -> None:
-        """Refuse to go to the origin from outside the limits of the measured output."""
+        """Raise RobotError if the robot is outside the limits of its measured output."""
         outputs = self._places.output(self._here())
         for axis, output in zip(self._spec.axes, outputs.tolist(), strict=True):
             below = axis.output_min is not None and output < axis.output_min
@@ -307,7 +307,7 @@ class Ros2Robot(Robot):
                 )
 
     def _check_place(self) -> None:
-        """Refuse to have begun where a held component is not in its place."""
+        """Raise RobotError if a held component is not in its place."""
         names = self._settings.commanded
         away = self._places.away(self._here()[: len(names)])
         for i in range(len(self._spec.axes), len(names)):

@@ -192,7 +192,8 @@ class Ros2Settings(Strict):
     """Values of components or joints that are no axes, in the frame of the topics. A pose keeps
     those that are neither where they were when the robot began."""
     hold_tolerance: Positive = 0.2
-    """Distance in m or rad from its place at which a robot has not got ready to move."""
+    """Largest distance in m or rad of a held component from its place at which the robot counts as
+    ready to move."""
     services: Services = Services()
     """Services."""
     battery: BatteryTopic | None = None

@@ -12,6 +12,7 @@ from click.testing import CliRunner, Result
 
 from nufleet.orchestrator.cli.demo import demo
 from nufleet.orchestrator.cli.evaluate import evaluate
+from nufleet.orchestrator.cli.import_flight import import_flight
 from nufleet.orchestrator.cli.match import match
 from nufleet.orchestrator.cli.rank import rank
 from nufleet.orchestrator.cli.runs import prune, resume
@@ -20,6 +21,8 @@ from nufleet.orchestrator.cli.train import train
 from nufleet.orchestrator.cli.transfer import transfer
 from nufleet.orchestrator.jobs.demo import DemoCommand
 from nufleet.orchestrator.jobs.evaluate import EvaluateCommand
+from nufleet.orchestrator.jobs.import_flight import ImportCommand
+from nufleet.orchestrator.jobs.match import MatchCommand
 from nufleet.orchestrator.jobs.prune import PruneCommand
 from nufleet.orchestrator.jobs.rank import RankCommand
 from nufleet.orchestrator.jobs.resume import ResumeCommand
@@ -73,6 +76,20 @@ def test_the_options_of_a_command_are_the_fields_of_its_job(name: str) -> None:
     # address of the fleet is chosen before the job begins.
     taken = {field.name for field in fields(job)}
     assert options - {"resume", "identity", "allow_open"} == taken - {"processes"}
+
+
+@pytest.mark.parametrize(
+    ("command", "job", "others"),
+    [(match, MatchCommand, set()), (import_flight, ImportCommand, {"lists"})],
+    ids=["match", "import"],
+)
+def test_every_option_of_a_command_is_a_field_of_a_job_that_has_more(
+    command: click.Command, job: type[Any], others: set[str]
+) -> None:
+    options = {parameter.name for parameter in command.params}
+    # `import --list` is another job.
+    taken = {field.name for field in fields(job)}
+    assert options - {"identity", "allow_open"} - others <= taken
 
 
 @pytest.mark.parametrize("name", ["rank", "resume", "prune"])

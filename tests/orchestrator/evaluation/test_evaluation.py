@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import kendalltau
 
-from nufleet.orchestrator.evaluation.fly_target import Psi, flight_record
+from nufleet.orchestrator.evaluation.comparison import Psi
+from nufleet.orchestrator.evaluation.fly_target import flight_record
 from nufleet.orchestrator.evaluation.results import EvaluationResult
 from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR
 from nufleet.orchestrator.flights.legs import Leg

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from random_loops import BAND, SPEC, Loop
 
-from nufleet.orchestrator.evaluation.fly_target import Psi, summarise
+from nufleet.orchestrator.evaluation.comparison import Psi, summarise
 from nufleet.orchestrator.evaluation.pairs import compare_pairs
 from nufleet.orchestrator.evaluation.results import EvaluationResult, FlightRecord
 from nufleet.orchestrator.flights.labels import BASELINE, NO_PRIOR

@@ -84,6 +84,45 @@ def test_a_process_that_was_frozen_while_its_robot_took_off_begins_no_motion(
     assert (sortie.begun, robot.begun, robot.ended) == (True, 1, 0)
 
 
+def test_a_robot_that_is_stopped_while_it_takes_off_knows_it_and_lands(robot: PuppetRobot) -> None:
+    sortie, nothing, switch = Sortie(robot), Samples(np.empty(0), np.empty(0)), HaltSwitch()
+    called_off: list[bool] = []
+
+    def taking_off() -> None:
+        called_off.append(robot.called_off())
+        switch.halt(Outcome.ABORTED, "stopped by hand")
+        called_off.append(robot.called_off())
+
+    def performed() -> Steps[Played]:
+        yield lambda: pytest.fail("it moves")
+        return Played(Outcome.COMPLETED, "", nothing)
+
+    robot.on_begin = taking_off
+    played = make(sortie.move(switch, lambda: None, nothing, performed))
+    assert called_off == [False, True]
+    assert (played.outcome, played.reason, played.fault) == (
+        Outcome.ABORTED,
+        "stopped by hand",
+        None,
+    )
+    assert (sortie.begun, robot.begun, robot.ended) == (False, 1, 1)
+
+
+def test_a_robot_that_stays_on_the_ground_for_a_stop_was_stopped_and_did_not_fail(
+    robot: PuppetRobot,
+) -> None:
+    sortie, nothing, switch = Sortie(robot), Samples(np.empty(0), np.empty(0)), HaltSwitch()
+
+    def staying() -> None:
+        switch.halt(Outcome.ABORTED, "stopped by hand")
+        raise RobotError("it was called off before take-off")
+
+    robot.on_begin = staying
+    played = make(sortie.move(switch, lambda: None, nothing, lambda: pytest.fail("it moves")))
+    assert (played.outcome, played.reason) == (Outcome.ABORTED, "stopped by hand")
+    assert (sortie.begun, robot.ended) == (False, 1)
+
+
 @pytest.mark.parametrize("released", [True, False])
 def test_a_robot_that_is_stopped_as_it_is_disconnected_is_not_connected(
     robot: PuppetRobot, released: bool

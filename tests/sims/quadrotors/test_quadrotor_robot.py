@@ -17,10 +17,12 @@ from nufleet.sims.quadrotors.driver import DRIVER
 from nufleet.sims.quadrotors.environment import environment
 from nufleet.sims.quadrotors.flight import CHUNK_SAMPLES
 from nufleet.sims.quadrotors.robot import Quadrotor
-from nufleet.sims.quadrotors.settings import QuadrotorSettings
+from nufleet.sims.quadrotors.settings import QuadrotorSettings, SensorNoise
 
 Respond = Callable[[Robot, float, int], complex]
 Chordal = Callable[[complex, complex], float]
+
+SILENCE = SensorNoise(position_m=0.0, velocity_m_s=0.0, tilt_rad=0.0)
 
 FLEET = ["target", "source-1", "source-2", "source-3", "source-4", "source-5"]
 
@@ -204,6 +206,22 @@ def test_the_same_seed_measures_the_same_and_another_something_else(
 
     np.testing.assert_array_equal(outputs(11), outputs(11))
     assert np.abs(outputs(11) - outputs(12)).max() > 0.001
+
+
+@pytest.mark.parametrize("late", [2.0, 2.5])
+def test_references_arrive_late_by_the_delay_however_they_are_split(
+    late: float, paper_settings: dict[str, QuadrotorSettings], fresh: Callable[[str], Robot]
+) -> None:
+    quiet = paper_settings["target"].model_copy(update={"noise": SILENCE, "delay_s": late * 0.02})
+    delayed = DRIVER.build({"late": quiet}, np.random.default_rng(0))["late"]
+    delayed.connect()
+    references = sinusoid(2.0, 3.0, 0.1)
+    samples = np.arange(len(references))
+    arriving = np.zeros_like(references)
+    arriving[:, 0] = np.interp(samples - late, samples, references[:, 0])
+    pieces = [delayed.step(references[0])[np.newaxis], delayed.run(references[1:40])]
+    measured = np.concatenate([*pieces, delayed.run(references[40:])])
+    np.testing.assert_allclose(measured, fresh("quiet-target").run(arriving), atol=1e-6)
 
 
 @pytest.mark.parametrize("name", FLEET)
