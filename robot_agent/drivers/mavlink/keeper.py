@@ -61,7 +61,7 @@ class Keeper:
         self._held = None
 
     def repeat(self, message: Any) -> None:
-        """Send a message again and again; None ends it. Set-points are sent never again."""
+        """Send a message again and again; None ends it. No set-points are sent any more."""
         self._cut, self._repeated = True, message
 
     def beat(self, now_s: float) -> float:

@@ -95,6 +95,8 @@ class Link:
     def _fail(self, transport: Transport, error: Exception) -> None:
         """Close a port that cannot be read, so that the next line opens it again."""
         with self._lock:
+            if self._transport is not transport:
+                return  # the last line was closed meanwhile, and the port with it
             self._transport = None
             self.failure = (
                 f"{self._url}: nothing arrives any more: {error}; check the cable or the network, "
