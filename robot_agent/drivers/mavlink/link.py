@@ -205,7 +205,7 @@ class LinkLine:
             try:
                 due_s = ear.beat(time.monotonic())
                 self._failure = ""
-            except Exception as error:  # noqa: BLE001 - set-points must go on
+            except Exception as error:  # noqa: BLE001 - one failure must not end the thread
                 if not self._failure:
                     _log.exception("set-points and heartbeats could not be sent")
                 self._failure = f"set-points and heartbeats cannot be sent: {error!r}"
