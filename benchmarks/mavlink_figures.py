@@ -49,7 +49,7 @@ SETTINGS = MavlinkSettings(
     profile="px4",
     url="udpin://127.0.0.1:14540",
     axes=(MavlinkAxis(name="x", amplitude_max=0.5, velocity_max=1.0, acceleration_max=3.0),),
-    idle_s=None,
+    idle_s=3600.0,
 )
 
 

@@ -31,6 +31,9 @@ LANDS_M_S, FALLS_M_S2 = 0.7, 9.81
 DISARMS_S = 0.5
 """Time on the ground after a landing until it disarms."""
 
+GROUND_STATION_LOST_S = 5.0
+"""Silence of the system that ArduPilot watches that ends guided mode (FS_GCS_TIMEOUT)."""
+
 EMPTY = 0.1
 """Charge at which it returns by itself."""
 
@@ -86,6 +89,9 @@ class SimulatedVehicle:
         """Whether it has a position estimate."""
         self.refuses: dict[int, str] = {}
         """Commands that it denies, and what it says about them."""
+        ardupilot = settings.profile == "ardupilot"
+        self.parameters = {"SYSID_MYGCS": 245.0, "FS_GCS_ENABLE": 5.0} if ardupilot else {}
+        """Parameters that it tells, by name."""
         self.answers_timesync = True
         self.sends_position = True
         self.interval_min_s = 1e-3
@@ -98,6 +104,7 @@ class SimulatedVehicle:
         """Commands that arrived."""
         self._set_point: tuple[float, FloatArray, FloatArray] | None = None
         self._stamp_ms = -1
+        self._watched_s = math.inf
         self._arrivals: deque[float] = deque(maxlen=3)
         self._acting: deque[tuple[float, FloatArray, FloatArray]] = deque()
         self._aim = self._ground.copy()
@@ -175,11 +182,18 @@ class SimulatedVehicle:
         kind = message.get_type()
         if kind == "TIMESYNC" and not message.tc1 and self.answers_timesync:
             return [dialect.MAVLink_timesync_message(round(1e9 * self.clock_s(now_s)), message.ts1)]
+        if kind == "HEARTBEAT" and message.get_srcSystem() == self.parameters.get("SYSID_MYGCS"):
+            self._watched_s = now_s
         target = getattr(message, "target_system", self._settings.system_id)
         if target not in {0, self._settings.system_id}:
             return []
         if kind == "SET_POSITION_TARGET_LOCAL_NED":
             self._take_set_point(message, now_s)
+        if kind == "PARAM_REQUEST_READ" and message.param_id in self.parameters:
+            name = message.param_id
+            return [
+                dialect.MAVLink_param_value_message(name.encode(), self.parameters[name], 9, 2, 0)
+            ]
         if kind == "COMMAND_LONG":
             self.commands.append(message.command)
             if message.command in self.refuses:
@@ -295,17 +309,26 @@ class SimulatedVehicle:
         self._aim = self.position
         return ACCEPTED
 
-    def _tick(self) -> None:
-        if self.in_air:
-            self.charge = max(0.0, self.charge - TICK_S / self._settings.flight_time_s)
+    def _watch(self) -> None:
+        """Act on its failsafes."""
         obeys = self.mode in {"offboard", "guided"}
         last_s = self._set_point[0] if self._set_point else -math.inf
         if self.armed and self.mode == "offboard" and self._now_s - last_s > SET_POINT_LOST_S:
             self.say("Failsafe activated: offboard control lost, landing")
             self.take_over("land")
+        silent_s = self._now_s - self._watched_s
+        acts = bool(self.parameters.get("FS_GCS_ENABLE"))
+        if self.armed and self.mode == "guided" and acts and silent_s > GROUND_STATION_LOST_S:
+            self.say("GCS Failsafe")
+            self.take_over("land")
         if self.in_air and obeys and self.charge < EMPTY:
             self.say("Low battery: returning to launch")
             self.take_over("return")
+
+    def _tick(self) -> None:
+        if self.in_air:
+            self.charge = max(0.0, self.charge - TICK_S / self._settings.flight_time_s)
+        self._watch()
         if not self.armed:
             self._fall()
             return
@@ -317,7 +340,7 @@ class SimulatedVehicle:
                 self._climbs_to = None
         elif self.mode in {"land", "return"}:
             self._aim = self._aim - np.array([0.0, 0.0, LANDS_M_S * TICK_S])
-        elif obeys and self._set_point is not None:
+        elif self.mode in {"offboard", "guided"} and self._set_point is not None:
             if self._set_point[1][2] > self._ground[2] + 0.01:
                 self.in_air = True
             return

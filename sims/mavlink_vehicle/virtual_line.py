@@ -65,6 +65,8 @@ class VirtualLine:
         """The vehicle at its far end."""
         self.silent = False
         """Whether all packets are lost; may be set at any time."""
+        self.failure = ""
+        """Why nothing is carried any more, as a driver is told; may be set at any time."""
         self.source: object = "vehicle"
         """Address that the vehicle's packets seem to come from."""
         self.at: list[tuple[float, Callable[[], None]]] = []

@@ -30,7 +30,7 @@ TARGET, OTHER = LoopSettings(), LoopSettings(omega_rad_s=5.0, damping=0.6, delay
 
 def flown(loop: LoopSettings = TARGET, *, seed: int = 0, **changes: object) -> Air:
     vehicle = VehicleSettings(loop=loop)
-    return air(ROUGH, vehicle, seed=seed, idle_s=None, tracking=TRACKING, **changes)
+    return air(ROUGH, vehicle, seed=seed, idle_s=3600.0, tracking=TRACKING, **changes)
 
 
 def response(loop: LoopSettings, omega_rad_s: FloatArray) -> FloatArray:

@@ -44,6 +44,7 @@ class Keeper:
         self._last_s = -1.0
         self._holding = False
         self._repeated: Any = None
+        self._cut = False
         self._heartbeat_s = self._timesync_s = -1.0
 
     def sent(self, held: Any, now_s: float) -> None:
@@ -60,8 +61,8 @@ class Keeper:
         self._held = None
 
     def repeat(self, message: Any) -> None:
-        """Send a message again and again, instead of set-points; None ends it."""
-        self._held, self._repeated = None, message
+        """Send a message again and again; None ends it. No set-points are sent any more."""
+        self._cut, self._repeated = True, message
 
     def beat(self, now_s: float) -> float:
         """Send what is due; return when something is due next."""
@@ -85,7 +86,7 @@ class Keeper:
         if repeated is not None:
             self._send(repeated)
             return min(due_s, now_s + REPEAT_S)
-        if held is None:
+        if held is None or self._cut:
             return min(due_s, now_s + self._sample_time_s)
         wait = 1 if self._holding else LATE_SAMPLES
         hold_s = self._last_s + wait * self._sample_time_s

@@ -44,5 +44,9 @@ class Line(Protocol):
     def wait(self, until_s: float, condition: Callable[[], bool] | None = None) -> bool:
         """Wait until a time, or until a condition holds after a message; return whether it does."""
 
+    @property
+    def failure(self) -> str:
+        """Why nothing is carried any more; empty as long as it is."""
+
     def heard_systems(self) -> tuple[int, ...]:
         """Return the system ids of all autopilots that were heard, also those of others."""

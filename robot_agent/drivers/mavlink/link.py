@@ -34,6 +34,8 @@ class Link:
         self._sources: dict[int, Any] = {}
         self.heard: set[int] = set()
         """System ids of the autopilots that were heard."""
+        self.failure = ""
+        """Why nothing arrives any more; empty as long as the port can be read."""
 
     def add(self, line: LinkLine) -> None:
         """Open the port for a line.
@@ -43,6 +45,9 @@ class Link:
         """
         with self._lock:
             if self._transport is None:
+                if self._reader is not None:
+                    self._reader.join()  # it closes the port that failed
+                self.failure = ""
                 self._transport = opened(self._address, self._url)
                 self._reader = threading.Thread(
                     target=self._read, args=(self._transport,), name=f"mavlink-{self._url}"
@@ -55,7 +60,7 @@ class Link:
         """Close the port after its last line."""
         with self._lock:
             self._lines.pop(line.vehicle, None)
-            if self._lines or self._transport is None:
+            if self._lines:
                 return
             transport, self._transport = self._transport, None
             reader, self._reader = self._reader, None
@@ -63,7 +68,8 @@ class Link:
             self.heard.clear()
         if reader is not None and reader is not threading.current_thread():
             reader.join()
-        transport.close()
+        if transport is not None:
+            transport.close()
 
     def send(self, data: bytes, system: int) -> None:
         """Send a packet to a system; it is lost if that was never heard on a port that waits."""
@@ -78,18 +84,37 @@ class Link:
             try:
                 data, source = transport.receive()
             except Exception as error:  # noqa: BLE001 - serial ports raise errors of their own
-                _log.warning("%s: nothing arrives any more: %s", self._url, error)
+                self._fail(transport, error)
                 return
-            if not data:
-                continue
-            parser = parsers.get(source)
-            if parser is None:
-                parser = parsers[source] = dialect.MAVLink(None)
-                parser.robust_parsing = True
-            now_s = time.monotonic()
-            for message in parser.parse_buffer(data) or ():
-                if message.get_type() != "BAD_DATA":
-                    self._deliver(message, source, now_s)
+            try:
+                if data:
+                    self._parse(data, source, parsers)
+            except Exception:  # noqa: BLE001 - one bad packet must not end the thread
+                _log.exception("%s: a packet from %s could not be read", self._url, source)
+
+    def _fail(self, transport: Transport, error: Exception) -> None:
+        """Close a port that cannot be read, so that the next line opens it again."""
+        with self._lock:
+            if self._transport is not transport:
+                return  # the last line was closed meanwhile, and the port with it
+            self._transport = None
+            self.failure = (
+                f"{self._url}: nothing arrives any more: {error}; check the cable or the network, "
+                "and release the robot to connect it again"
+            )
+        _log.warning("%s", self.failure)
+        with suppress(OSError):
+            transport.close()
+
+    def _parse(self, data: bytes, source: Any, parsers: dict[Any, Any]) -> None:
+        parser = parsers.get(source)
+        if parser is None:
+            parser = parsers[source] = dialect.MAVLink(None)
+            parser.robust_parsing = True
+        now_s = time.monotonic()
+        for message in parser.parse_buffer(data) or ():
+            if message.get_type() != "BAD_DATA":
+                self._deliver(message, source, now_s)
 
     def _deliver(self, message: Any, source: Any, now_s: float) -> None:
         system, component = message.get_srcSystem(), message.get_srcComponent()
@@ -114,6 +139,7 @@ class LinkLine:
         self._closed = threading.Event()
         self._beating: threading.Thread | None = None
         self._ear: Ear | None = None
+        self._failure = ""
 
     def open(self, ear: Ear) -> None:
         """Open the port, and begin to beat."""
@@ -154,6 +180,11 @@ class LinkLine:
                 self._changed.wait(min(left_s, POLL_S))
         return True
 
+    @property
+    def failure(self) -> str:
+        """Why the port cannot be read, or set-points cannot be sent; empty if all is well."""
+        return self._failure or self._link.failure
+
     def heard_systems(self) -> tuple[int, ...]:
         """Return the system ids of all autopilots on the port."""
         return tuple(sorted(self._link.heard))
@@ -171,5 +202,12 @@ class LinkLine:
 
     def _beat(self, ear: Ear) -> None:
         while not self._closed.is_set():
-            due_s = ear.beat(time.monotonic())
+            try:
+                due_s = ear.beat(time.monotonic())
+                self._failure = ""
+            except Exception as error:  # noqa: BLE001 - one failure must not end the thread
+                if not self._failure:
+                    _log.exception("set-points and heartbeats could not be sent")
+                self._failure = f"set-points and heartbeats cannot be sent: {error!r}"
+                due_s = time.monotonic() + POLL_S
             self._closed.wait(max(0.0, due_s - time.monotonic()))

@@ -107,6 +107,8 @@ class Profile:
     """Whether it takes off by MAV_CMD_NAV_TAKEOFF in that mode rather than by set-points."""
     id_parameter: str
     """Parameter that holds its system id."""
+    counts_heartbeats: bool
+    """Whether it tells by our heartbeats, rather than by set-points, that we are there."""
 
     def mode_parameters(self, mode: str) -> tuple[float, float, float]:
         """Return the first parameters of MAV_CMD_DO_SET_MODE for a mode."""
@@ -129,9 +131,9 @@ class Profile:
         )
 
 
-PX4 = Profile("PX4", PX4_AUTOPILOT, PX4_MODES, "offboard", 1.2, False, "MAV_SYS_ID")
+PX4 = Profile("PX4", PX4_AUTOPILOT, PX4_MODES, "offboard", 1.2, False, "MAV_SYS_ID", False)
 ARDUPILOT = Profile(
-    "ArduPilot", ARDUPILOT_AUTOPILOT, COPTER_MODES, "guided", 0.0, True, "SYSID_THISMAV"
+    "ArduPilot", ARDUPILOT_AUTOPILOT, COPTER_MODES, "guided", 0.0, True, "SYSID_THISMAV", True
 )
 PROFILES = {"px4": PX4, "ardupilot": ARDUPILOT}
 """The profiles, by their names in fleet files."""

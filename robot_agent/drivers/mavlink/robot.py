@@ -16,7 +16,7 @@ from nufleet.robot_agent.drivers.mavlink.vehicle import Vehicle
 from nufleet.robot_agent.motion.monitor import rest_error_max
 from nufleet.robot_agent.robot import Record, Robot
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.errors import RobotDownError, RobotError
+from nufleet.shared.errors import OutsideLimitsError, RobotDownError, RobotError
 from nufleet.shared.robots.health import Health
 from nufleet.shared.robots.spec import RobotSpec
 
@@ -64,6 +64,7 @@ class MavlinkRobot(Robot):
         self._name, self._settings, self._new_line = name, settings, line
         self._spec = settings.spec
         self._columns = [AXES.index(axis.name) for axis in settings.axes]
+        self._others = [column for column in range(len(AXES)) if column not in self._columns]
         self._vehicle: Vehicle | None = None
         self._line: Line | None = None
         self._next_s = 0.0
@@ -161,6 +162,7 @@ class MavlinkRobot(Robot):
         if self._seen is None:
             vehicle = self._wait_until_due()
             newest = vehicle.measured()
+            self._check_others(newest.position)
             self._seen = np.stack(
                 [self._output(newest.position), newest.velocity[self._columns]], axis=1
             )
@@ -255,7 +257,7 @@ class MavlinkRobot(Robot):
         if vehicle is None:
             return
         try:
-            if self._ground is not None and not vehicle.health().reason:
+            if self._ground is not None and not vehicle.out_of_hand():
                 self.end()
         finally:
             self._vehicle, self._ground = None, None
@@ -282,6 +284,17 @@ class MavlinkRobot(Robot):
     def _output(self, position: FloatArray) -> FloatArray:
         output: FloatArray = (position - self._origin)[self._columns]
         return output
+
+    def _check_others(self, position: FloatArray) -> None:
+        """Check that the vehicle stays where it is along what is not an axis."""
+        most_m = self._settings.other_axes_error_m
+        for column in self._others:
+            away_m = float((position - self._origin)[column])
+            if abs(away_m) > most_m:
+                raise OutsideLimitsError(
+                    f"{self._name} is {away_m:.2f} m away from its origin along {AXES[column]}, "
+                    f"which is not one of its axes; other_axes_error_m is {most_m:g} m"
+                )
 
     def _place_origin(self, ground: FloatArray) -> None:
         settings = self._settings

@@ -20,6 +20,10 @@ def _checked_url(url: str) -> str:
     return url
 
 
+FENCE_SHARE = 3.0
+"""Default geofence, as a multiple of the largest reference."""
+
+
 class MavlinkAxis(Strict):
     """One axis, with the limits on its reference and its measured output; see `AxisSpec`."""
 
@@ -33,14 +37,28 @@ class MavlinkAxis(Strict):
     """Largest acceleration of the reference, in m/s²."""
     output_min: float | None = None
     output_max: float | None = None
-    """Limits on the measured position around the origin (a geofence), in m; None for none."""
+    """Limits on the measured position around the origin (a geofence), in m; None for
+    `FENCE_SHARE` times the largest reference."""
     together: bool = True
     """Whether the axis may move at the same time as another in a test."""
 
-    @property
-    def spec(self) -> AxisSpec:
-        """The axis as the agent knows it."""
-        return AxisSpec(unit="m", **self.model_dump())
+    def spec(self, tracking: TrackingLimits | None) -> AxisSpec:
+        """Return the axis as the agent knows it.
+
+        Args:
+            tracking: Limits on the paths of the robot.
+        """
+        fence_m = FENCE_SHARE * self.reach_m(tracking)
+        given = self.model_dump()
+        given["output_min"] = -fence_m if self.output_min is None else self.output_min
+        given["output_max"] = fence_m if self.output_max is None else self.output_max
+        return AxisSpec(unit="m", **given)
+
+    def reach_m(self, tracking: TrackingLimits | None) -> float:
+        """Return the largest distance of a reference from 0, in a test or on a path."""
+        if tracking is None:
+            return self.amplitude_max
+        return max(self.amplitude_max, tracking.position_max + tracking.correction_max)
 
 
 class MavlinkSettings(Strict):
@@ -73,7 +91,7 @@ class MavlinkSettings(Strict):
     """Time after which a transient of the position loop is negligible."""
     tracking: TrackingLimits | None = None
     """Limits on paths; without them the robot accepts only frequency tests."""
-    idle_s: Positive | None = 20.0
+    idle_s: Positive = 20.0
     """Time without a motion after which the vehicle lands."""
 
     height_m: Annotated[float, Field(ge=0.3, le=100)] = 1.5
@@ -85,6 +103,9 @@ class MavlinkSettings(Strict):
     """Direction of the nose, anticlockwise from the east; None for as it stands."""
     climb_m_s: Annotated[float, Field(gt=0, le=3)] = 0.7
     """Speed of take-off and of the ways to the origin."""
+    other_axes_error_m: Positive = 0.5
+    """Distance from the origin, along each direction that is not an axis, at which a motion ends
+    and the vehicle lands."""
     feed_forward: bool = True
     """Whether set-points hold the velocity of the reference, too."""
 
@@ -118,10 +139,10 @@ class MavlinkSettings(Strict):
                 f"own_system_id: {self.own_system_id} is the vehicle's own system_id; give the "
                 "driver another one"
             )
-        deepest = next((axis for axis in self.axes if axis.name == "z"), None)
-        if deepest is not None and deepest.amplitude_max > self.height_m - GROUND_CLEARANCE_M:
+        deepest_m = max((a.reach_m(self.tracking) for a in self.axes if a.name == "z"), default=0.0)
+        if deepest_m > self.height_m - GROUND_CLEARANCE_M:
             raise ValueError(
-                f"axes: z moves {deepest.amplitude_max:g} m down from a height_m of "
+                f"axes: z moves {deepest_m:g} m down from a height_m of "
                 f"{self.height_m:g} m; at least {GROUND_CLEARANCE_M:g} m above the ground must be "
                 "left"
             )
@@ -137,7 +158,7 @@ class MavlinkSettings(Strict):
         """The robot as its agent knows it."""
         return RobotSpec(
             kind=self.kind,
-            axes=tuple(axis.spec for axis in self.axes),
+            axes=tuple(axis.spec(self.tracking) for axis in self.axes),
             simulated=False,
             **{name: getattr(self, name) for name in _OF_THE_SPEC},
         )

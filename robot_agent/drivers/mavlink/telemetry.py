@@ -88,6 +88,8 @@ class Telemetry:
         """Measurement with the latest time stamp."""
         self.charge: float | None = None
         """Charge of the battery, 0 to 1."""
+        self.charged_s = 0.0
+        """Our time when the charge arrived."""
         self.voltage_v: float | None = None
         self.estimator: int | None = None
         """Flags of its estimator."""
@@ -97,6 +99,8 @@ class Telemetry:
         """Why its measurements cannot be trusted any more; empty as long as they can."""
         self.acknowledged: dict[int, int] = {}
         """Last result of each command since it was asked, MAV_RESULT by MAV_CMD."""
+        self.parameters: dict[str, float] = {}
+        """Values of the vehicle's parameters that arrived, by name."""
         self._texts: deque[tuple[float, str]] = deque(maxlen=4)
         self._sequence: int | None = None
         self._expected = self._arrived = 1.0
@@ -221,18 +225,20 @@ class Telemetry:
         if message.target_system in self._answers_to:
             self.acknowledged[message.command] = message.result
 
-    def _take_battery_status(self, message: Any, arrived_s: float) -> None:
+    def _take_param_value(self, message: Any, arrived_s: float) -> None:
         del arrived_s
+        self.parameters[message.param_id.rstrip("\0")] = message.param_value
+
+    def _take_battery_status(self, message: Any, arrived_s: float) -> None:
         if message.id == 0 and message.battery_remaining >= 0:
-            self.charge = message.battery_remaining / 100
+            self.charge, self.charged_s = message.battery_remaining / 100, arrived_s
         cells = [cell for cell in message.voltages if cell != 0xFFFF]
         if message.id == 0 and cells:
             self.voltage_v = sum(cells) / 1000
 
     def _take_sys_status(self, message: Any, arrived_s: float) -> None:
-        del arrived_s
         if message.battery_remaining >= 0:
-            self.charge = message.battery_remaining / 100
+            self.charge, self.charged_s = message.battery_remaining / 100, arrived_s
         if message.voltage_battery not in {0, 0xFFFF}:
             self.voltage_v = message.voltage_battery / 1000
 

@@ -8,17 +8,12 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
+from nufleet.robot_agent.drivers.mavlink import failsafe
+from nufleet.robot_agent.drivers.mavlink.condition import present_charge, weakness
 from nufleet.robot_agent.drivers.mavlink.keeper import Keeper
 from nufleet.robot_agent.drivers.mavlink.line import Line
-from nufleet.robot_agent.drivers.mavlink.profiles import (
-    ARDUPILOT_AUTOPILOT,
-    ESTIMATOR_ATTITUDE,
-    ESTIMATOR_GUESSES,
-    ESTIMATOR_POSITION,
-    PROFILES,
-    PX4_AUTOPILOT,
-    RESULTS,
-)
+from nufleet.robot_agent.drivers.mavlink.opening import check_kind, helpful_messages
+from nufleet.robot_agent.drivers.mavlink.profiles import PROFILES, RESULTS
 from nufleet.robot_agent.drivers.mavlink.settings import MavlinkSettings
 from nufleet.robot_agent.drivers.mavlink.telemetry import Measurement, Telemetry
 from nufleet.shared.errors import RobotDownError, RobotError
@@ -45,11 +40,12 @@ RATE_SHARE = 0.7
 CUT_ANSWER_S = 0.15
 """Time in which `cut` waits for an answer; the command is repeated afterwards, too."""
 
+CUT_SURE_S = 1.0
+"""Time after which a command that was sent before the cut no longer arrives: only then does a
+heartbeat that says "disarmed" end the repetition."""
+
 FORCE = 21196.0
 """Second parameter of MAV_CMD_COMPONENT_ARM_DISARM that disarms in the air, too."""
-
-TAKES_NO_HOLD = {1: "a fixed-wing aircraft", 10: "a ground vehicle", 11: "a boat", 12: "submarine"}
-"""Values of MAV_TYPE that cannot hover at reference 0."""
 
 
 class Vehicle:
@@ -69,6 +65,8 @@ class Vehicle:
         """Whether the vehicle follows our set-points; that can end at any time."""
         self.cut_off = False
         """Whether its motors were cut."""
+        self._cut_s = math.inf
+        self._asked: int | None = None
 
     def receive(self, message: Any, source: object, arrived_s: float) -> None:
         """Take a message that came from an address."""
@@ -76,6 +74,10 @@ class Vehicle:
 
     def beat(self, now_s: float) -> float:
         """Send what is due; return when something is due next."""
+        heartbeat = self.telemetry.heartbeat
+        newer = heartbeat is not None and heartbeat.arrived_s > self._cut_s + CUT_SURE_S
+        if newer and not self.armed:
+            self.keeper.repeat(None)
         return self.keeper.beat(now_s)
 
     def open(self) -> None:
@@ -94,7 +96,9 @@ class Vehicle:
                 f"{FOUND_S:g} s{heard}: check the address, the cable or radio, and "
                 f"{self.profile.id_parameter}"
             )
-        self._check_kind()
+        assert telemetry.heartbeat is not None  # noqa: S101 - was waited for
+        check_kind(telemetry.heartbeat, self.profile, settings)
+        self._check_failsafe()
         self._request_messages()
         if not self._until(lambda: telemetry.newest is not None, FOUND_S):
             raise RobotError(
@@ -121,16 +125,21 @@ class Vehicle:
 
         Raises:
             RobotError: It is refused, or not answered.
+            RobotDownError: The motors were cut meanwhile.
         """
         answers = self.telemetry.acknowledged
+        in_progress = dialect.MAV_RESULT_IN_PROGRESS
+        self._asked = command  # before the check, so that a cut sees what may still be sent
         answers.pop(command, None)
         for confirmation in range(ASKED_TIMES):
+            self._check_not_cut()
             self._line.send(self._command(command, confirmation, parameters))
             if not self._until(lambda: command in answers, ANSWER_S):
                 self._check_trouble()
                 continue
-            self._until(lambda: answers[command] != dialect.MAV_RESULT_IN_PROGRESS, FOUND_S)
-            result = answers[command]
+            self._until(lambda: answers.get(command, in_progress) != in_progress, FOUND_S)
+            result = answers.get(command, in_progress)
+            self._asked = None
             if result == dialect.MAV_RESULT_ACCEPTED:
                 return
             why = RESULTS.get(result, f"its result is {result}")
@@ -163,17 +172,20 @@ class Vehicle:
         Raises:
             RobotError: The vehicle refuses, or does not answer; it is asked again and again.
         """
-        self.cut_off = True
         command = dialect.MAV_CMD_COMPONENT_ARM_DISARM
         parameters = (0.0, FORCE)
         if self._settings.kill == "flight-termination":
             command, parameters = dialect.MAV_CMD_DO_FLIGHTTERMINATION, (1.0, 0.0)
         message = self._command(command, 0, parameters)
         answers = self.telemetry.acknowledged
+        self.cut_off = True
+        ambiguous = self._asked == command
         answers.pop(command, None)
         self.keeper.repeat(message)
         self._line.send(message)
-        if not self._until(lambda: command in answers, CUT_ANSWER_S):
+        if command == dialect.MAV_CMD_COMPONENT_ARM_DISARM:
+            self._cut_s = self._line.now_s()
+        if not self._line.wait(self._line.now_s() + CUT_ANSWER_S, lambda: command in answers):
             raise RobotError(
                 f"{self.profile.name} did not answer the command that cuts its motors within "
                 f"{CUT_ANSWER_S:g} s; it is repeated every 50 ms until the robot is released"
@@ -183,7 +195,15 @@ class Vehicle:
             raise RobotError(
                 f"{self.profile.name} does not cut its motors: {RESULTS.get(result, result)}"
             )
-        self.keeper.repeat(None)
+        if ambiguous:
+            self._asked = None
+            raise RobotError(
+                f"{self.profile.name} was being armed or disarmed, and its answer does not say "
+                "which: the command that cuts its motors is repeated until it says that it is "
+                "disarmed; ask again to make sure"
+            )
+        if command == dialect.MAV_CMD_DO_FLIGHTTERMINATION:  # never asked for anything else
+            self.keeper.repeat(None)
 
     @property
     def mode(self) -> str:
@@ -216,6 +236,7 @@ class Vehicle:
         """
         newest, now_s = self.telemetry.newest, self._line.now_s()
         if newest is None or now_s - newest.arrived_s > LOST_S:
+            self._give_up()
             raise RobotDownError(
                 f"nothing has been measured for {LOST_S:g} s: only the vehicle's own failsafe, or "
                 f"a pilot, can land it{self.telemetry.words(now_s)}"
@@ -240,12 +261,13 @@ class Vehicle:
 
     def health(self) -> Health:
         """Return its condition."""
-        telemetry, settings = self.telemetry, self._settings
-        charge, flight_s = telemetry.charge, settings.flight_time_s
+        telemetry, settings, now_s = self.telemetry, self._settings, self._line.now_s()
+        charge, flight_s = present_charge(telemetry, now_s), settings.flight_time_s
         endurance_s = None
         if charge is not None and flight_s is not None:
             endurance_s = max(0.0, charge - settings.battery_min) * flight_s
-        reason = self._why_not()
+        broken = self.out_of_hand() or self._line.failure
+        reason = broken or weakness(telemetry, settings, now_s)
         return Health(
             ready=not reason,
             reason=reason,
@@ -254,9 +276,10 @@ class Vehicle:
             link=telemetry.arriving,
         )
 
-    def _why_not(self) -> str:
-        telemetry, settings, now_s = self.telemetry, self._settings, self._line.now_s()
-        heartbeat, newest, charge = telemetry.heartbeat, telemetry.newest, telemetry.charge
+    def out_of_hand(self) -> str:
+        """Return why the vehicle does not answer or obey; nothing if it does."""
+        telemetry, now_s = self.telemetry, self._line.now_s()
+        heartbeat, newest = telemetry.heartbeat, telemetry.newest
         if self.cut_off:
             return "its motors were cut"
         if heartbeat is None or newest is None:
@@ -270,18 +293,6 @@ class Vehicle:
         lost = self._lost_control()
         if lost:
             return f"{lost}{telemetry.words(now_s)}"
-        flags = telemetry.estimator
-        if flags is not None:
-            guesses = flags & ESTIMATOR_GUESSES or not flags & ESTIMATOR_POSITION
-            if guesses or not flags & ESTIMATOR_ATTITUDE:
-                what = "position" if flags & ESTIMATOR_ATTITUDE else "attitude"
-                return f"its estimator has no {what} (flags {flags:#x}){telemetry.words(now_s)}"
-        if charge is not None and charge < settings.battery_min:
-            volts = "" if telemetry.voltage_v is None else f" ({telemetry.voltage_v:.2f} V)"
-            return (
-                f"its battery is at {100 * charge:.0f} %{volts}, and {100 * settings.battery_min:g}"
-                " % are needed: charge it"
-            )
         return ""
 
     def _lost_control(self) -> str:
@@ -295,23 +306,36 @@ class Vehicle:
 
     def _check_trouble(self) -> None:
         if self.telemetry.trouble:
+            self._give_up()
             raise RobotDownError(self.telemetry.trouble)
 
-    def _check_kind(self) -> None:
-        heartbeat = self.telemetry.heartbeat
-        assert heartbeat is not None  # noqa: S101 - was waited for
-        known = {PX4_AUTOPILOT: "PX4", ARDUPILOT_AUTOPILOT: "ArduPilot"}
-        found = known.get(heartbeat.autopilot)
-        if found is not None and found != self.profile.name:
-            raise RobotError(
-                f"system {self._settings.system_id} runs {found}, and the fleet file says "
-                f"profile = {self._settings.profile!r}"
-            )
-        if heartbeat.vehicle_type in TAKES_NO_HOLD:
-            raise RobotError(
-                f"system {self._settings.system_id} is {TAKES_NO_HOLD[heartbeat.vehicle_type]}, "
-                "which cannot hover at reference 0"
-            )
+    def _give_up(self) -> None:
+        """Have it land if it can still hear us: held set-points would only keep it in the air."""
+        if self.controlled and not self.cut_off and self.mode == self.profile.obeys:
+            land = (0.0, 0.0, 0.0, math.nan)
+            self._line.send(self._command(dialect.MAV_CMD_NAV_LAND, 0, land))
+        self.keeper.release()
+
+    def _check_not_cut(self) -> None:
+        if self.cut_off:
+            raise RobotDownError("its motors were cut")
+
+    def _check_failsafe(self) -> None:
+        if not self.profile.counts_heartbeats:
+            return
+        settings, parameters = self._settings, self.telemetry.parameters
+        for _ in range(ASKED_TIMES):
+            for name in failsafe.NEEDED:
+                self._line.send(
+                    dialect.MAVLink_param_request_read_message(
+                        settings.system_id, settings.component_id, name.encode(), -1
+                    )
+                )
+            if self._until(lambda: failsafe.known(parameters), ANSWER_S):
+                break
+        reason = failsafe.unwatched(parameters, settings.own_system_id)
+        if reason:
+            raise RobotError(reason)
 
     def _request_messages(self) -> None:
         settings = self._settings
@@ -323,20 +347,8 @@ class Vehicle:
             float(measured),
             interval_us,
         )
-        estimator = (
-            dialect.MAVLINK_MSG_ID_ESTIMATOR_STATUS
-            if self.profile.autopilot == PX4_AUTOPILOT
-            else dialect.MAVLINK_MSG_ID_EKF_STATUS_REPORT
-        )
-        wanted = {
-            dialect.MAVLINK_MSG_ID_HEARTBEAT: 5.0,
-            dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
-            dialect.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
-            dialect.MAVLINK_MSG_ID_BATTERY_STATUS: 1.0,
-            estimator: 2.0,
-        }
         # Helpful and not needed: their answers are not waited for.
-        for message, rate_hz in wanted.items():
+        for message, rate_hz in helpful_messages(self.profile).items():
             parameters = (float(message), 1e6 / rate_hz)
             self._line.send(self._command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0, parameters))
 
@@ -370,7 +382,10 @@ class Vehicle:
             )
 
     def _until(self, condition: Any, within_s: float) -> bool:
-        return self._line.wait(self._line.now_s() + within_s, condition)
+        until_s = self._line.now_s() + within_s
+        holds = self._line.wait(until_s, lambda: self.cut_off or condition())
+        self._check_not_cut()
+        return holds
 
     def _command(self, command: int, confirmation: int, parameters: tuple[float, ...]) -> Any:
         seven = (*parameters, *(0.0,) * (7 - len(parameters)))

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from mavlink_air import Air, air
 
-from nufleet.shared.errors import RobotDownError, RobotError
+from nufleet.shared.errors import OutsideLimitsError, RobotDownError, RobotError
 from nufleet.sims.mavlink_vehicle.vehicle import VehicleSettings
 from nufleet.sims.mavlink_vehicle.virtual_line import LinkSettings
 
+SYS_STATUS, BATTERY_STATUS = 1, 147
 ARM, TAKE_OFF, LAND, INTERVAL, TERMINATE = 400, 22, 21, 511, 185
 
 
@@ -79,6 +80,39 @@ def test_nothing_moves_on_an_empty_battery_and_the_charge_is_compared_with_the_m
     half.wait(2.0)
     health = half.robot.health()
     assert (health.ready, health.battery, health.endurance_s) == (True, 0.5, 250.0)
+
+
+def test_a_charge_that_no_longer_arrives_is_not_taken_for_the_present_one() -> None:
+    silent = air(flight_time_s=1000.0)
+    silent.robot.connect()
+    silent.wait(2.0)
+    for message in (SYS_STATUS, BATTERY_STATUS):
+        del silent.vehicle._interval_s[message]
+    silent.wait(9.0)
+    assert silent.robot.health().battery == 0.9
+    silent.wait(3.0)
+    health = silent.robot.health()
+    assert (health.ready, health.battery, health.endurance_s) == (False, None, None)
+    with pytest.raises(RobotError, match=r"charge of its battery has not arrived for 1[12] s"):
+        silent.robot.begin()
+
+
+def test_a_vehicle_with_a_low_battery_is_landed_before_it_is_released() -> None:
+    low = air().in_the_air()
+    low.vehicle.charge = 0.2
+    low.wait(2.0)
+    assert not low.robot.health().ready
+    low.robot.disconnect()
+    assert (low.vehicle.armed, low.vehicle.commands[-1]) == (False, LAND)
+
+
+def test_a_port_that_cannot_be_read_is_the_reason_that_nothing_moves() -> None:
+    cut = air()
+    cut.robot.connect()
+    cut.line.failure = "serial:///dev/ttyUSB0:57600: nothing arrives any more: unplugged"
+    with pytest.raises(RobotError, match="nothing arrives any more: unplugged"):
+        cut.robot.begin()
+    assert ARM not in cut.vehicle.commands
 
 
 def test_a_vehicle_that_does_not_arm_says_why_in_its_own_words() -> None:
@@ -175,11 +209,48 @@ def test_a_vehicle_that_falls_silent_for_good_is_given_up() -> None:
     flown.robot.disconnect()
 
 
-def test_a_driver_that_dies_has_the_vehicle_land_by_its_failsafe() -> None:
-    flown = air().in_the_air()
+@pytest.mark.parametrize("profile", ["px4", "ardupilot"])
+def test_a_driver_that_dies_has_the_vehicle_land_by_its_failsafe(profile: str) -> None:
+    flown = air(profile=profile).in_the_air()
     flown.line.close()  # nothing beats any more
-    flown.wait(6.0)
+    flown.wait(12.0)
     assert (flown.vehicle.mode, flown.vehicle.armed) == ("land", False)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "says"),
+    [
+        (
+            {"SYSID_MYGCS": 255.0, "FS_GCS_ENABLE": 5.0},
+            "watches system 255 .* set SYSID_MYGCS = 245",
+        ),
+        (
+            {"MAV_GCS_SYSID": 1.0, "FS_GCS_ENABLE": 5.0},
+            "watches system 1 .* set MAV_GCS_SYSID = 245",
+        ),
+        (
+            {"SYSID_MYGCS": 245.0, "FS_GCS_ENABLE": 0.0},
+            "does nothing when .* set FS_GCS_ENABLE = 5",
+        ),
+        ({}, "does not tell SYSID_MYGCS or MAV_GCS_SYSID, and FS_GCS_ENABLE"),
+    ],
+)
+def test_an_ardupilot_that_would_not_notice_that_the_driver_dies_is_refused(
+    parameters: dict[str, float], says: str
+) -> None:
+    unaware = air(profile="ardupilot")
+    unaware.vehicle.parameters = parameters
+    with pytest.raises(RobotError, match=says):
+        unaware.robot.connect()
+
+
+def test_a_vehicle_that_drifts_along_what_is_not_an_axis_leaves_its_limits() -> None:
+    flown = air().in_the_air()
+    at(flown, 0.5, lambda: flown.vehicle.loop.put(np.array([0.0, 0.0, 2.1])))
+    with pytest.raises(
+        OutsideLimitsError, match=r"0\.\d+ m away from its origin along z, which is"
+    ):
+        flown.hold(2.0)
 
 
 def test_time_stamps_that_go_back_and_two_vehicles_with_one_id_are_found_out() -> None:
@@ -229,6 +300,65 @@ def test_a_cut_that_is_not_answered_is_said_and_repeated_until_it_arrives() -> N
     flown.line.silent = False
     flown.wait(0.2)
     assert not flown.vehicle.armed
+
+
+def stays_on_the_ground(flown: Air) -> bool:
+    sent = flown.vehicle.set_points
+    flown.wait(3.0)
+    return not flown.vehicle.armed and flown.vehicle.set_points <= sent + 1
+
+
+@pytest.mark.parametrize(
+    ("profile", "after_s"), [("px4", 0.5), ("px4", 1.45), ("ardupilot", 0.003)]
+)
+def test_a_vehicle_whose_motors_are_cut_before_it_is_armed_is_not_armed(
+    profile: str, after_s: float
+) -> None:
+    flown = air(profile=profile)
+    flown.robot.connect()
+    at(flown, after_s, flown.robot.kill)
+    with pytest.raises(RobotDownError, match="its motors were cut"):
+        flown.robot.begin()
+    assert stays_on_the_ground(flown)
+
+
+def test_a_cut_is_repeated_until_the_vehicle_says_that_it_is_disarmed() -> None:
+    flown = air()
+    flown.robot.connect()
+    send = flown.line.send
+
+    def sends(message: object) -> None:
+        arms = getattr(message, "command", 0) == ARM and getattr(message, "param1", 0.0) == 1.0
+        if arms:  # the order to arm is overtaken by the cut, and its answer is taken for the cut's
+            flown.line.send = send  # type: ignore[method-assign]
+            with pytest.raises(RobotError, match="was being armed or disarmed, and its answer"):
+                flown.robot.kill()
+        send(message)
+
+    flown.line.send = sends  # type: ignore[method-assign]
+    with pytest.raises(RobotDownError, match="its motors were cut"):
+        flown.robot.begin()
+    assert stays_on_the_ground(flown)
+    asked = len(flown.vehicle.commands)
+    flown.wait(1.0)
+    assert len(flown.vehicle.commands) == asked  # the repetition has ended
+
+
+@pytest.mark.parametrize("profile", ["px4", "ardupilot"])
+def test_a_vehicle_that_is_given_up_is_not_kept_in_the_air(profile: str) -> None:
+    blind, restarted = air(profile=profile).in_the_air(), air(profile=profile).in_the_air()
+    blind.vehicle.sends_position = False
+    with pytest.raises(RobotError, match="no LOCAL_POSITION_NED has arrived"):
+        blind.hold(2.0)
+    with pytest.raises(RobotDownError, match="nothing has been measured for 3 s"):
+        blind.robot.rest()
+    restarted.vehicle.clock_jump_s = -100.0
+    with pytest.raises(RobotDownError, match="went back by"):
+        restarted.hold(2.0)
+    for flown in (blind, restarted):
+        flown.wait(6.0)
+        assert (flown.vehicle.mode, flown.vehicle.armed) == ("land", False)
+        assert flown.vehicle.commands.count(LAND) == 1
 
 
 def test_a_landing_that_is_refused_is_said() -> None:

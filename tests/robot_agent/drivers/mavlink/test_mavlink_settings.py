@@ -15,6 +15,14 @@ from nufleet.shared.errors import FleetFileError
 from nufleet.shared.robots.drivers import check_settings, load_driver, shared_thing
 from nufleet.shared.robots.fleet_file import read_fleet_file, validated_settings
 
+DEEP = {
+    "position_max": 1.0,
+    "speed_max": 1.0,
+    "acceleration_max": 2.0,
+    "correction_max": 0.4,
+    "correction_speed_max": 0.5,
+}
+
 
 @pytest.mark.parametrize(
     ("changes", "says"),
@@ -31,6 +39,8 @@ from nufleet.shared.robots.fleet_file import read_fleet_file, validated_settings
         ({"axes": [{**X_AND_Y[0], "name": "north"}]}, "axes.0.name: must be 'x', 'y' or 'z'"),
         ({"axes": [X_AND_Y[0], X_AND_Y[0]]}, "axis names must differ"),
         ({"axes": [{**X_AND_Y[0], "name": "z"}], "height_m": 0.6}, "above the ground must be left"),
+        ({"axes": [{**X_AND_Y[0], "name": "z"}], "tracking": DEEP}, "z moves 1.4 m down from"),
+        ({"idle_s": None}, "idle_s: must be a valid number"),
         ({"axes": [{**X_AND_Y[0], "output_max": 0.1}]}, "closer to 0 than its amplitude_max"),
         ({"sample_time_s": 1.0}, "sample_time_s: must be less than or equal to 0.25"),
         ({"omega_max_rad_s": 200.0}, "omega_max_rad_s must be below the Nyquist frequency"),
@@ -51,6 +61,13 @@ def test_the_limits_of_the_fleet_file_are_those_of_the_robot() -> None:
     spec = settings(axes=fenced, kind="my-quad", idle_s=7.0).spec
     assert (spec.kind, spec.simulated, spec.idle_s) == ("my-quad", False, 7.0)
     assert (spec.axis("x").output_min, spec.axis("x").output_max) == (-0.8, 0.9)
+
+
+def test_an_axis_without_a_fence_has_one_of_three_times_its_largest_reference() -> None:
+    axis = settings().spec.axis("x")
+    assert (axis.output_min, axis.output_max) == (-1.5, 1.5)
+    axis = settings(tracking=DEEP).spec.axis("x")
+    assert (axis.output_min, axis.output_max) == pytest.approx((-4.2, 4.2))
 
 
 def test_the_fleet_files_of_the_documentation_are_accepted(tmp_path: Path) -> None:
