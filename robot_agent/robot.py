@@ -99,9 +99,13 @@ class Robot(ABC):
     called_off: Callable[[], bool] = staticmethod(_never)
     """Whether the motion for which the robot begins has been stopped meanwhile; set by the agent.
 
-    A driver whose `begin` takes a while asks just before it arms and just before it takes off, and
-    raises `RobotError` instead of going through with it.
+    A driver whose `begin` takes a while calls `check_wanted` before arming and before take-off.
     """
+
+    def check_wanted(self) -> None:
+        """Raise RobotError if the motion for which the robot begins has been stopped meanwhile."""
+        if self.called_off():
+            raise RobotError("it was stopped before it took off")
 
     @property
     @abstractmethod

@@ -155,16 +155,21 @@ class Flight:
         telemetry.forget_variances()
         return telemetry.wait_for(lambda: telemetry.steady, timeout_s)
 
-    def take_off(self) -> None:
+    def take_off(self, check_wanted: Callable[[], None]) -> None:
         """Find out where it is, arm, and climb to the height of its origin.
+
+        Args:
+            check_wanted: Raises RobotError if it is to stay on the ground after all.
 
         Raises:
             RobotError: It does not know where it is, stands too far away, or does not get there.
             RobotDownError: The drone no longer responds to commands.
         """
         self._find_position()
+        check_wanted()
         self._arm()
         self.airborne = self._guarded = True
+        check_wanted()
         self.newest()
         height_m, takes_s = self._settings.origin_m[2], self._settings.takeoff_s
         self._climb_to(height_m, takes_s, lambda: self._link.take_off(height_m, takes_s))

@@ -90,7 +90,7 @@ class Crazyflie(Robot):
         hindrance = self.health().reason
         if hindrance:
             raise RobotError(f"{self._name} does not take off: {hindrance}")
-        flight.take_off()
+        flight.take_off(self.check_wanted)
         self.rest()
 
     def end(self) -> None:

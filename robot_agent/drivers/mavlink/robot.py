@@ -116,8 +116,10 @@ class MavlinkRobot(Robot):
         line.wait(line.now_s() + vehicle.profile.stream_s)
         vehicle.enter(vehicle.profile.obeys)
         self._ground = ground  # from here on it has to be ended
+        self.check_wanted()
         vehicle.arm()
         vehicle.controlled = True
+        self.check_wanted()
         above = ground + np.array([0.0, 0.0, self._settings.height_m])
         if vehicle.profile.climbs_itself:
             vehicle.keeper.release()

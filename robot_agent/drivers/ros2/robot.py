@@ -290,8 +290,7 @@ class Ros2Robot(Robot):
 
     def _beginning(self) -> Link:
         link = self._commandable()
-        if self.called_off():
-            raise RobotError(f"{self._name} was stopped before it took off")
+        self.check_wanted()
         return link
 
     def _uncut(self) -> str:

@@ -298,6 +298,10 @@ def turn_left(lab: Bench) -> None:
     lab.drone.plant.quaternion = np.array([0.0, 0.0, 1.0, 1.0]) / np.sqrt(2)
 
 
+def be_called_off(lab: Bench) -> None:
+    lab.robot.called_off = lambda: True
+
+
 def go_empty(lab: Bench) -> None:
     lab.drone.ailments.battery_v = 3.0
 
@@ -308,6 +312,7 @@ def go_empty(lab: Bench) -> None:
         ({}, go_empty, "does not take off: its battery is empty: 3.00 V"),
         ({"estimator": "kalman"}, lose_position, "it does not know its position"),
         ({}, be_two, "two drones"),
+        ({}, be_called_off, "it was stopped before it took off"),
         ({}, turn_left, "cf is turned by 90 degrees"),
         ({"origin_m": (3.0, 0.0, 0.5)}, None, r"stands at \(0\.03, -0\.02\) m, 2\.97 m from its"),
         ({"parameters": {"posCtlPid.yKp": 2.0}}, None, "no parameter 'posCtlPid.yKp'"),

@@ -322,6 +322,21 @@ def test_a_vehicle_whose_motors_are_cut_before_it_is_armed_is_not_armed(
     assert stays_on_the_ground(flown)
 
 
+@pytest.mark.parametrize("profile", ["px4", "ardupilot"])
+@pytest.mark.parametrize("armed", [False, True])
+def test_a_vehicle_that_is_stopped_before_it_takes_off_stays_on_the_ground(
+    profile: str, *, armed: bool
+) -> None:
+    flown = air(profile=profile)
+    flown.robot.connect()
+    answers = iter([False] if armed else [])
+    flown.robot.called_off = lambda: next(answers, True)
+    with pytest.raises(RobotError, match="it was stopped before it took off"):
+        flown.robot.begin()
+    flown.robot.end()
+    assert stays_on_the_ground(flown)
+
+
 def test_a_cut_is_repeated_until_the_vehicle_says_that_it_is_disarmed() -> None:
     flown = air()
     flown.robot.connect()
