@@ -41,6 +41,9 @@ class Sortie:
         """
         if switch.order is not None:
             return Played(*switch.order, nothing)
+        hindered = hindrance()
+        if hindered is not None:
+            return Played(Outcome.ABORTED, hindered, nothing)
         begins = not self.begun
         self._robot.called_off = lambda: switch.order is not None
         try:

@@ -79,9 +79,21 @@ def test_a_process_that_was_frozen_while_its_robot_took_off_begins_no_motion(
         yield lambda: pytest.fail("it moves")
         return Played(Outcome.COMPLETED, "", nothing)
 
-    played = make(sortie.move(HaltSwitch(), lambda: "it was frozen", nothing, performed))
+    hindrances = iter([None, "it was frozen"])
+    played = make(sortie.move(HaltSwitch(), lambda: next(hindrances), nothing, performed))
     assert (played.outcome, played.reason) == (Outcome.ABORTED, "it was frozen")
     assert (sortie.begun, robot.begun, robot.ended) == (True, 1, 0)
+
+
+def test_a_process_that_was_frozen_before_its_robot_takes_off_leaves_it_on_the_ground(
+    robot: PuppetRobot,
+) -> None:
+    sortie, nothing = Sortie(robot), Samples(np.empty(0), np.empty(0))
+    stays = make(
+        sortie.move(HaltSwitch(), lambda: "it was frozen", nothing, lambda: pytest.fail("it moves"))
+    )
+    assert (stays.outcome, stays.reason) == (Outcome.ABORTED, "it was frozen")
+    assert (sortie.begun, robot.begun) == (False, 0)
 
 
 def test_a_robot_that_is_stopped_while_it_takes_off_knows_it_and_lands(robot: PuppetRobot) -> None:
