@@ -12,8 +12,8 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PIP_INSTALL = .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile -c constraints.txt
 # Some packages hold files for other versions of Python, which do not compile; nothing imports those.
 COMPILE_INSTALLED = .venv/bin/python -m compileall -q -j 0 .venv/lib >/dev/null || true
-# Many tests wait for processes; running two at a time takes little more than half the time.
-TEST_PROCESSES ?= 2
+# Many tests wait for processes; three at a time keep two cores busy.
+TEST_PROCESSES ?= 3
 # Tools that the tests need and pip does not install: a software renderer for pictures of recordings,
 # a real PostgreSQL server, networks that can be cut in two, and clocks that are wrong.
 SYSTEM_PACKAGES = mesa-vulkan-drivers postgresql iproute2 libfaketime
