@@ -11,7 +11,7 @@ PRINTED = """
 starting a router
 │ source-2 │ 0.0212 │ 94.3 % │
 │ source-4 │ 0.3883 │ -32.1 % │
-wrote /tmp/runs/20260102-lab-demo in 12 s
+wrote runs/20260102-lab-demo in 12 s
 """
 
 

@@ -145,7 +145,7 @@ class VirtualLink:
 
 
 class Lab:
-    """A robot and its link, which is opened anew at each connection."""
+    """A robot and its link; every connection opens a new one."""
 
     def __init__(self, own: Ros2Settings, **start: float) -> None:
         self.links: list[VirtualLink] = []
