@@ -56,9 +56,10 @@ from nufleet.orchestrator.cli.types import DrawingName, PositiveNumber
     help=(
         "Inverse model in front of the robot's own controller: the prior that was transferred to "
         "it, on each axis the one from its closest source (`by-axis`), a mixture of all of them, "
-        "its model of itself from all that it has flown (`own`), a model learned online from nothing, "
-        "or none (`baseline`). `auto` takes the mixture if there are several priors, by axis if "
-        "`transfer --source best` chose them so, the prior if there is one, otherwise the baseline."
+        "its model of itself from all that it has flown (`own`), a model learned online from "
+        "nothing, or none (`baseline`). `auto` takes the mixture if there are several priors, "
+        "by axis if `transfer --source best` chose them so, the prior if there is one, "
+        "otherwise the baseline."
     ),
 )
 @click.option(
