@@ -15,6 +15,7 @@ from fleet_lab import submitted
 
 from benchmarks.faults.lab import KEYS, Lab
 from benchmarks.faults.program import PATIENCE_S, wait_until
+from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
 from nufleet.shared.wire.frame import stop_frame
 from nufleet.shared.wire.messages import GoalRequest
@@ -37,16 +38,18 @@ with transport.open_client(sys.argv[1], timeout_s=120.0) as session:
 
 
 @contextmanager
-def frozen_reader(endpoint: str) -> Iterator[None]:
-    """Have a program be robot b that reads what it is sent, and freeze it."""
+def frozen_reader(endpoint: str, fleet: Fleet) -> Iterator[None]:
+    """Have a program be robot b, and freeze it once the fleet sees it: it reads no longer."""
     with subprocess.Popen(
         [sys.executable, "-c", READER, endpoint], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as program:
         assert program.stdout is not None
         assert program.stdout.readline() == b"reads\n"
         process = psutil.Process(program.pid)
-        process.suspend()
         try:
+            # What it has declared may not have left it yet, and would stay in it if it froze now.
+            fleet.wait_for(("b",), timeout_s=PATIENCE_S)
+            process.suspend()
             wait_until(lambda: process.status() == psutil.STATUS_STOPPED)
             yield
         finally:
@@ -76,8 +79,7 @@ def test_a_stop_behind_one_that_a_full_link_holds_up_arrives_soon_all_the_same(l
 
     filler = threading.Thread(target=fill)
     with open_client(lab.endpoint, timeout_s=PATIENCE_S) as stopping:
-        with frozen_reader(lab.endpoint):
-            fleet.wait_for(("b",), timeout_s=PATIENCE_S)
+        with frozen_reader(lab.endpoint, fleet):
             filler.start()
             try:
                 before = -1
