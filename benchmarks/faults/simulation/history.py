@@ -112,7 +112,7 @@ class History:
                 which was cancelled, or for this owner, which was interrupted.
         """
         if (robot, goal_id) in self.cancelled:
-            raise Violation(f"{now_s:.3f}: {robot} begins {goal_id}, and confirmed its cancellation")
+            raise Violation(f"{now_s:.3f}: {robot} begins {goal_id}, which it said is cancelled")
         if robot in self.stopped_since:
             raise Violation(
                 f"{now_s:.3f}: {robot} begins {goal_id}, and was stopped at "
