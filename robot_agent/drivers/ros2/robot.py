@@ -250,7 +250,7 @@ class Ros2Robot(Robot):
         return link
 
     def _engage(self, role: str) -> None:
-        """Arm or take off, unless the robot is not wanted any more, or nobody knows where it is."""
+        """Arm or take off, unless the robot is not wanted any more or not measured."""
         link = self._commandable()
         self.check_wanted()
         self._here()
