@@ -31,7 +31,7 @@ STATEMENTS_BY_TEST = 8
 STATEMENTS_BY_ROUND = 2
 """To find what earlier orchestrators left."""
 
-ROUNDS = 3
+ROUNDS = 10
 """Rounds of which one must cost no more; a busy machine adds heartbeats and repeated questions."""
 
 
