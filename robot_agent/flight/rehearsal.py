@@ -20,6 +20,7 @@ from nufleet.robot_agent.flight.own_model import HIGH, OwnModel
 from nufleet.robot_agent.flight.rehearsed_robot import LoopDraw, RehearsedRobot
 from nufleet.robot_agent.flight.state_model import StateModel
 from nufleet.robot_agent.flight.tracking import track
+from nufleet.robot_agent.flight.unseen import unseen
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
 from nufleet.shared.paths.references import approach
@@ -80,6 +81,11 @@ class Rehearsal:
             raise RobotError("the robot has no model of itself yet")
         states = memory.states(spec, state_names)
         return Rehearsal(spec, memory, model, states, desired, forecast)
+
+    @property
+    def unseen(self) -> str:
+        """What of the path is unlike all motions that the robot knows itself from; may be empty."""
+        return unseen(self.model, self.spec.axes, self.desired)
 
     def predicted(self, way: ForeseenWay, *, draws: int = DRAWS) -> PredictedError:
         """Return the error that is to be measured in a flight along the path.
