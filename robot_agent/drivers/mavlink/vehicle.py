@@ -138,7 +138,7 @@ class Vehicle:
             raise
         self.controlled = False
         self.keeper.release()
-        self.telemetry.landed = None  # until it tells anew
+        self.telemetry.landed = None  # until it tells again
 
     def check_disarmed(self) -> bool:
         """Wait until it is certain whether it is armed; return whether it is not.
