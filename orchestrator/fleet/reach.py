@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -158,7 +159,12 @@ class FleetChoice:
         return self.file.study.band_rad_s
 
     def connection(
-        self, console: Console, robots: tuple[str, ...] = (), *, wait_s: float = 0.0
+        self,
+        console: Console,
+        robots: tuple[str, ...] = (),
+        *,
+        wait_s: float = 0.0,
+        appeared: Callable[[int, int], None] = lambda there, of: None,
     ) -> AbstractContextManager[Connection]:
         """Return a context manager that starts the fleet, or joins the running one.
 
@@ -166,6 +172,8 @@ class FleetChoice:
             console: Console for progress messages.
             robots: Names of the robots that have to be alive in a running fleet.
             wait_s: Longest time to wait for them, in s.
+            appeared: Callback that receives how many robots of a fleet that is started are there,
+                and of how many.
 
         Raises:
             InvalidInputError: The endpoint was stored without its secrets.
@@ -185,4 +193,5 @@ class FleetChoice:
             processes=reach.processes,
             realtime=reach.realtime,
             state_folder=None if reach.state_folder is None else Path(reach.state_folder),
+            appeared=appeared,
         )

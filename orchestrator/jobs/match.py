@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -15,7 +16,7 @@ from nufleet.orchestrator.conduct.preflight import check_names
 from nufleet.orchestrator.conduct.simulator_copy import SimulatorCopy
 from nufleet.orchestrator.jobs.consent import carried_out
 from nufleet.orchestrator.jobs.rank import RankCommand, rank
-from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.orchestrator.jobs.terminal import bars_shown, stderr_console
 from nufleet.orchestrator.repository.records import TrialStatus
 from nufleet.orchestrator.runs.folder import study_id_of
 from nufleet.orchestrator.study.settings_fit import fit_settings
@@ -143,12 +144,12 @@ def fitted(
             if one.intent.robot == name and one.plan is not None
         ]
     own = [one.response for one in trials if one.intent.robot == result.robot and one.response]
-    with console.status("fitting") as status:
+    with bars_shown(console, "simulations at most") as shown:
         fit = fit_settings(
             own,
             lambda values: simulator.responses(values, played),
             simulator.settings(),
-            lambda k, most: status.update(f"fitting: simulation {k} of at most {most}"),
+            partial(shown, "fitting"),
         )
     console.print(fit.words(result.robot, name))
     if fit.untold:
