@@ -22,7 +22,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -122,7 +122,7 @@ def crazyflie(link: Link, loop: LoopSettings, seed: int) -> Iterator[Bench]:
 def ros2(link: Link, loop: LoopSettings, seed: int) -> Iterator[Bench]:
     """A robot on ROS 2, in another process; run by .venv-ros2/bin/python (see `make test-ros2`)."""
     # So late that a process which waits for a processor has taken the set-points in time.
-    loop = replace(loop, delay_s=0.2)
+    loop = loop.model_copy(update={"delay_s": 0.2})
     plant = PlantSettings(
         domain_id=1 + os.getpid() % 100,
         omega_0_rad_s=loop.omega_rad_s,
