@@ -131,8 +131,14 @@ class FleetChoice:
         """Name of the fleet; None for the only one that runs at the router."""
         return self.reach.fleet_name if self.file is None else self.file.name
 
-    def target(self, named: str | None) -> str:
+    def target(
+        self, named: str | None, asked: str = "which robot needs experience? Name it with --target"
+    ) -> str:
         """Return the target: the robot that was named, or the one that the fleet file names.
+
+        Args:
+            named: Name that was given; None without one.
+            asked: What a person is asked if neither of them names one.
 
         Raises:
             InvalidInputError: Neither of them names one.
@@ -143,7 +149,7 @@ class FleetChoice:
             where = "`nufleet fleet status` lists the robots"
             if self.file is not None:
                 where = f"there are {', '.join(self.file.robots)}"
-            raise InvalidInputError(f"which robot needs experience? Name it with --target; {where}")
+            raise InvalidInputError(f"{asked}; {where}")
         return self.file.study.target
 
     def band_rad_s(self, given: tuple[float, float] | None) -> tuple[float, float] | None:

@@ -69,6 +69,7 @@ class MatchCommand(RankCommand):
 
 def match_and_print(command: MatchCommand) -> bool:
     """Compare, print the result, and return whether the best simulator is close enough."""
+    _check_robots(command)
     simulator = None if command.fit is None else _to_fit(command, command.fit)
     result = carried_out(command, match)
     if result is None:
@@ -88,6 +89,16 @@ def match_and_print(command: MatchCommand) -> bool:
         f"{result.psi:.3f}, and at most {command.psi_max:g} is allowed[/]"
     )
     return False
+
+
+def _check_robots(command: MatchCommand) -> None:
+    """Raise InvalidInputError unless there are a robot and simulators to compare with it."""
+    choice = command.fleet()
+    robot = choice.target(command.target, "which robot are they to match? Name it with --robot")
+    if robot in (command.sources or ()):
+        raise InvalidInputError(f"{robot} is the robot, and cannot be among its --simulators")
+    if choice.file is not None and set(choice.file.robots) <= {robot}:
+        raise InvalidInputError(f"there is no simulator besides {robot} in the fleet file")
 
 
 def _to_fit(command: MatchCommand, names: tuple[str, ...]) -> SimulatorCopy:
