@@ -177,7 +177,7 @@ def test_many_robots_are_looked_at_before_the_lower_end_of_the_band_and_few_from
         assert question is not None
         return question.omega_rad_s[0]
 
-    assert lowest_rad_s(3) == pytest.approx(2 * BAND[0])
+    assert lowest_rad_s(3) == pytest.approx(1.25 * 2 * BAND[0])
     assert lowest_rad_s(30) > 3 * BAND[0]
 
 
