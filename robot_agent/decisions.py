@@ -493,17 +493,19 @@ class Decisions:
         self, request: GoalRequest, sha256: str
     ) -> tuple[goal_machine.Goals, goal_machine.Accepted | Refusal]:
         goal_id, owner, sender = request.goal_id, request.owner, _commander(request)
-        refusal = self._refusal_to_command(sender)
+        submitted = goal_machine.submit(self._goals, goal_id=goal_id, owner=owner, digest=sha256)
+        answer = self._refusal_to_command(sender) or submitted[1]
+        # An orchestrator also waits for the end of a motion whose owner is gone.
         self._waiting = ownership.waiting_next(
             self._waiting,
             sender,
-            refusal,
+            answer if isinstance(answer, Refusal) else None,
             held=self._commander,
             alive=self._owners_alive,
             now_s=self._clock(),
         )
-        if refusal is not None:
-            return self._goals, refusal
+        if answer is not submitted[1]:
+            return self._goals, answer
         if goal_machine.recognise(self._goals, goal_id=goal_id, digest=sha256) is None:
             if self._shutting_down:
                 return self._goals, Refusal(
@@ -515,7 +517,7 @@ class Decisions:
             ) or supervisor.refusal_to_start(self._supervision, owner=owner, owner_alive=alive)
             if refusal is not None:
                 return self._goals, refusal
-        return goal_machine.submit(self._goals, goal_id=goal_id, owner=owner, digest=sha256)
+        return submitted
 
     def _supervise(self, event: supervisor.Event) -> None:
         self._supervision, halt = supervisor.supervise(self._supervision, event)

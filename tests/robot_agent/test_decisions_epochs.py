@@ -120,6 +120,19 @@ def test_whoever_waits_under_a_higher_epoch_commands_the_robot_next(tmp_path: Pa
         begun(decisions, "b", "o-2", 4)
 
 
+def test_an_owner_that_returns_while_its_motion_ends_does_not_outrun_the_one_that_waits(
+    tmp_path: Path,
+) -> None:
+    with agent_on(tmp_path, *OWNERS) as decisions:
+        motion = begun(decisions, "a", "o-1", 3)
+        decisions.owner_lost("o-1")  # the robot comes to rest
+        assert take(decisions, "b", "o-2", 4)[0] == "busy"
+        decisions.owner_appeared("o-1")
+        decisions.ended(result_of(motion), None)
+        assert take(decisions, "c", "o-1", 3)[0] == "busy"
+        begun(decisions, "b", "o-2", 4)
+
+
 def test_nobody_waits_for_an_orchestrator_that_waited_and_is_gone(tmp_path: Path) -> None:
     with agent_on(tmp_path, *OWNERS) as decisions:
         motion = begun(decisions, "a", "o-1", 3)
@@ -271,7 +284,7 @@ class Rivals(RuleBasedStateMachine):
 
     def _begins(self, sender: Commander) -> bool:
         """Whether the robot has to begin a new motion for a sender; notes who waits from now on."""
-        held, moving = self.decisions.commander, self.motion
+        held = self.decisions.commander
         obeyed = held is None or sender.epoch > held.epoch or sender == held
         if held is not None and not obeyed and sender.epoch in (0, held.epoch):
             obeyed = held.owner not in self.alive or (held.owner, 0) == (sender.owner, sender.epoch)
@@ -283,11 +296,10 @@ class Rivals(RuleBasedStateMachine):
         ):
             self.waiting = None
         next_epoch = 0 if self.waiting is None else self.waiting.epoch
-        if moving is None:
+        if self.motion is None:
             return sender.owner in self.alive and obeyed and sender.epoch >= next_epoch
-        others = {moving.goal.owner} & self.alive - {sender.owner}
         takes_over = obeyed and sender.epoch > 0 and sender != held
-        if others and takes_over and sender.owner in self.alive and sender.epoch >= next_epoch:
+        if takes_over and sender.owner in self.alive and sender.epoch >= next_epoch:
             self.waiting, self.asked_s = sender, self.clock.now_s
         return False
 

@@ -248,7 +248,7 @@ class MotionThread:
             name = call.__name__
             if name == "begin" and job.goal is not None:
                 history, now_s = self._agent.history, self._world.now_s
-                history.takes_off(now_s, self._agent.name, job.goal.goal_id, job.goal.owner)
+                history.may_move(now_s, self._agent.name, job.goal.goal_id, job.goal.owner)
             try:
                 answer, error = call(), None
             except Violation:

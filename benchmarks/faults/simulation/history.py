@@ -69,8 +69,11 @@ class History:
     unready: dict[str, float] = field(default_factory=dict)
     """Time by robot since which its agent knows that it is not ready; absent if it is ready."""
 
-    took_off: set[tuple[str, str]] = field(default_factory=set)
-    """Robot and goal id of each goal for which a robot took off."""
+    accepted: dict[tuple[str, str], float] = field(default_factory=dict)
+    """Time by robot and goal id at which the robot accepted the goal."""
+
+    cancelled: set[tuple[str, str]] = field(default_factory=set)
+    """Robot and goal id of each goal whose cancellation the robot confirmed."""
 
     excuses: set[tuple[str, str]] = field(default_factory=set)
     """Robot and code of each refusal for which there has been a cause."""
@@ -105,9 +108,11 @@ class History:
         """Check that a robot may begin to move for a goal, or take off for it.
 
         Raises:
-            Violation: The robot is stopped or not ready, or must not move any more for this owner,
-                which was interrupted.
+            Violation: The robot is stopped or not ready, or must not move any more for this goal,
+                which was cancelled, or for this owner, which was interrupted.
         """
+        if (robot, goal_id) in self.cancelled:
+            raise Violation(f"{now_s:.3f}: {robot} begins {goal_id}, which it said is cancelled")
         if robot in self.stopped_since:
             raise Violation(
                 f"{now_s:.3f}: {robot} begins {goal_id}, and was stopped at "
@@ -119,10 +124,11 @@ class History:
                 f"{self.unready[robot]:.3f}"
             )
         interrupted_s = self.interrupted.get(owner)
-        on_its_way = (robot, goal_id) in self.took_off  # its cancellation may have been lost
-        if interrupted_s is not None and now_s > interrupted_s and not on_its_way:
+        # One that it accepted before may wait for its landing or take-off, and the first
+        # cancellation may have been lost.
+        if interrupted_s is not None and self.accepted[robot, goal_id] > interrupted_s:
             raise Violation(
-                f"{now_s:.3f}: {robot} begins {goal_id} for {owner}, which was interrupted, and "
+                f"{now_s:.3f}: {robot} accepted {goal_id} of {owner}, which was interrupted, and "
                 f"nothing can have been in transit since {interrupted_s:.3f}"
             )
         silent_s = self.silent_after.get((robot, owner))
@@ -131,11 +137,6 @@ class History:
                 f"{now_s:.3f}: {robot} begins {goal_id} for {owner}, whose interrupt had returned "
                 f"at {silent_s:.3f}"
             )
-
-    def takes_off(self, now_s: float, robot: str, goal_id: str, owner: str) -> None:
-        """Record that a robot takes off for a goal; raises Violation if it may not."""
-        self.may_move(now_s, robot, goal_id, owner)
-        self.took_off.add((robot, goal_id))
 
     def asked(self, now_s: float, robot: str, what: str) -> None:
         """Check that a robot's driver may be asked for something.

@@ -243,7 +243,10 @@ class SimulatedAgent:
                 return decisions.result(body)
             case "cancel":
                 goal_id, sender = body
-                return decisions.cancel(goal_id, sender)
+                refusal = decisions.cancel(goal_id, sender)
+                if refusal is None:
+                    self.history.cancelled.add((self.name, goal_id))
+                return refusal
             case "acknowledge":
                 goal_ids, sender = body
                 return decisions.acknowledge(goal_ids, sender)
@@ -269,6 +272,7 @@ class SimulatedAgent:
             return refusal
         accepted, motion = self.decisions.take(request)
         if motion is not None:
+            self.history.accepted[self.name, request.goal_id] = self.world.now_s
             self.motions.begin(motion)
         return accepted
 
