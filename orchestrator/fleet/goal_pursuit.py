@@ -47,7 +47,10 @@ REFUSALS_PATIENCE_S = 30.0
 """Time in s for which such refusals are tolerated in all, if one cause follows another."""
 
 REST_PATIENCE_S = 90.0
-"""Time in s that a robot has to come to rest after a cancel; longer than any driver's `rest`."""
+"""Time in s that a robot has to come to rest after a cancel; longer than any driver's `rest`.
+
+A goal waits as long for the end of another motion, since its own is next.
+"""
 
 ASK_AGAIN_S = 0.05
 LOOK_AGAIN_S = 0.5
@@ -112,7 +115,6 @@ class Pursuit:
         self._lost = ""
         self._progress = 0.0
         self._abandoned = list(abandoned)
-        self._rest_patience_s = REST_PATIENCE_S if self._abandoned else REFUSAL_PATIENCE_S
         self._open: set[Question] = set()
         self._not_before_s: dict[Question, float] = {}
         self._unanswered: tuple[int, float] | None = None
@@ -247,9 +249,8 @@ class Pursuit:
                 self._not_before_s[question] = now_s + ASK_AGAIN_S
 
     def _note_goal_refused(self, error: RefusedError, now_s: float) -> None:
-        patience_s = {"busy": self._rest_patience_s}.get(
-            error.code, REFUSAL_PATIENCE_S if error.code in PASSING else 0.0
-        )
+        passes_s = REFUSAL_PATIENCE_S if error.code in PASSING else 0.0
+        patience_s = REST_PATIENCE_S if error.code == "busy" else passes_s
         if not self._outlasts(Question.GOAL, error.code, patience_s, now_s):
             self._not_before_s[Question.GOAL] = now_s + ASK_AGAIN_S
         else:

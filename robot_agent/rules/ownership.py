@@ -35,7 +35,7 @@ WAITS_S = 5.0
 """Time in s after which an orchestrator that has not asked again no longer waits.
 
 One that is there asks again after 3 s even if an answer is lost. The others put up with a busy
-robot for 10 s, so that no study loses a robot to one that has given up.
+robot for much longer, so that no study loses a robot to one that has given up.
 """
 
 

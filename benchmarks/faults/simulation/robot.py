@@ -13,6 +13,7 @@ from benchmarks.faults.simulation.disk import Disk, DiskJournal
 from benchmarks.faults.simulation.driver import MotionThread, SimulatedDriver
 from benchmarks.faults.simulation.history import History, Motion, Violation
 from benchmarks.faults.simulation.network import Network, Node, OnAnswer
+from benchmarks.faults.simulation.turn import Turn
 from benchmarks.faults.simulation.world import World
 from nufleet.robot_agent.commands import Commands
 from nufleet.robot_agent.decisions import Assignment, Decisions
@@ -183,6 +184,7 @@ class SimulatedAgent:
         self.boot_id = f"{robot.name}-boot-{robot.lives}"
         self._outdated = self.world.now_s < robot.outdated_until_s
         self._publishing = False
+        self._turn = Turn(robot.name)
         self._freezes = Freezes(self.world.now_s)
         journal: Any = DiskJournal(robot.disk)
         changed: Any = _Changed(self)
@@ -210,6 +212,8 @@ class SimulatedAgent:
 
     def told(self, kind: str, name: str, alive: bool) -> None:
         if kind == "orchestrator":
+            if not alive:
+                self._turn.lost(name)
             (self.decisions.owner_appeared if alive else self.decisions.owner_lost)(name)
             self.motions.look()
 
@@ -272,8 +276,11 @@ class SimulatedAgent:
             return refusal
         accepted, motion = self.decisions.take(request)
         if motion is not None:
+            self._turn.accepted(request, self.world.now_s)
             self.history.accepted[self.name, request.goal_id] = self.world.now_s
             self.motions.begin(motion)
+        elif isinstance(accepted, Refusal) and accepted.code == "busy":
+            self._turn.refused(request, self.world.now_s)
         return accepted
 
     def frozen(self) -> str | None:
