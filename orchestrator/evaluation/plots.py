@@ -28,6 +28,9 @@ from nufleet.shared.errors import InvalidInputError
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+BOXED_MIN = 5
+"""Smallest number of studies whose estimates have a box; fewer are drawn as dots."""
+
 __all__ = ["fig4", "fig7", "paths", "scatter"]
 
 
@@ -35,8 +38,8 @@ def fig4(png: Path, studies: Sequence[StudyEstimates]) -> None:
     """Draw how ψ̂*_n scatters over repeated studies, at the second and at the last iteration.
 
     This corresponds to the paper's Fig. 4. Boxes span the quartiles and show the median; whiskers
-    reach to the last value within 1.5 box lengths; dots are single studies. Sources are sorted by
-    the median of their last estimates.
+    reach to the last value within 1.5 box lengths; dots are single studies, which have no box if
+    they are few. Sources are sorted by the median of their last estimates.
 
     Args:
         png: File to write.
@@ -74,7 +77,9 @@ def fig4(png: Path, studies: Sequence[StudyEstimates]) -> None:
 
 
 def _box(axes: Axes, place: float, values: list[float], colour: str, *, bold: bool) -> None:
-    if not values:
+    if len(values) < BOXED_MIN:
+        face = colour if bold else "white"
+        axes.plot([place] * len(values), values, "o", color=colour, mfc=face, ms=7)
         return
     width = 1.8 if bold else 1.0
     line = {"color": colour, "linewidth": width}
