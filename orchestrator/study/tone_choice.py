@@ -25,6 +25,9 @@ SAMPLES_MIN = 256
 LOW_SPACING = 1.15
 """Least ratio of neighbouring tones in a test that reaches down to the band's lower end."""
 
+LOW_TONES = 1.5
+"""Least number of tones per axis in such a test of several axes."""
+
 STEP = 2
 """Spacing of the tones, in harmonics of 2π/T, where T is the measuring time.
 
@@ -144,7 +147,7 @@ def first_look(
     wanted = math.ceil(wanted_s * high / (2 * math.pi))
     highest = max(periods, math.ceil(wanted * (len(axes) + 1) / 2))
     if len(axes) > 1:
-        longer = max(math.ceil(1.5 * periods), _fewest_periods(band_rad_s, len(axes)))
+        longer = max(math.ceil(1.5 * periods), _fewest_periods(band_rad_s, 2 * len(axes)))
         highest = max(highest, longer)
     # Of more harmonics than that, every second one would be more than `TONES_MAX` per axis.
     most = STEP * TONES_MAX * len(axes)
@@ -187,6 +190,10 @@ def lowest_look(
         The test, or `first` with these axes where that begins lower; of several axes, each of which
         takes its turn in playing the lowest tone, then the shorter of the two.
     """
+    if len(axes) > 1:
+        # With a tone or two on each axis, one disturbed tone would spoil the test.
+        enough = _fewest_periods(band_rad_s, math.ceil(LOW_TONES * len(axes)))
+        lowest_rad_s = max(band_rad_s[0], min(lowest_rad_s, band_rad_s[1] / (enough + 1e-6)))
     while lowest_rad_s < first.omega_rad_s[0] or len(axes) > 1:
         # Robots refuse tones below their band, so that the lowest must not be rounded down.
         base = lowest_rad_s * (1 + 1e-9)
@@ -200,7 +207,7 @@ def lowest_look(
         choice = ToneChoice(2 * math.pi / base, tuple(harmonics), axes)
         if lowest_rad_s >= first.omega_rad_s[0] and choice.measure_s >= first.measure_s:
             break
-        if len(harmonics) < len(axes):
+        if len(harmonics) < LOW_TONES * len(axes):
             break
         if choice.duration_s(spec) <= spec.duration_max_s:
             return choice
@@ -255,11 +262,11 @@ def turns_of(axes: tuple[int, ...]) -> list[tuple[int, ...]]:
     return [axes[turn:] + axes[:turn] for turn in range(len(axes))]
 
 
-def _fewest_periods(band_rad_s: tuple[float, float], axes: int) -> int:
-    """Return how many periods of the band's upper end hold two tones for each of several axes."""
+def _fewest_periods(band_rad_s: tuple[float, float], tones: int) -> int:
+    """Return how many periods of the band's upper end hold a number of tones on several axes."""
     low, high = band_rad_s
     highest = 1
-    while len(free_of_products(range(math.ceil(highest * low / high), highest + 1))) < 2 * axes:
+    while len(free_of_products(range(math.ceil(highest * low / high), highest + 1))) < tones:
         highest += STEP
     return highest
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 ARMS = Path(__file__).with_name("arms.toml")
+CRAZYFLIES_4_AXES = Path(__file__).with_name("crazyflies_4_axes.toml")
 HOVERING = Path(__file__).with_name("hovering.toml")
 OFF_CENTRE = Path(__file__).with_name("off_centre.toml")
 PAPER_LINEAR = Path(__file__).with_name("paper_linear.toml")

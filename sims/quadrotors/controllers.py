@@ -17,17 +17,24 @@ HEIGHT_TIME_CONSTANT_S = 0.5
 
 
 def firmware_setpoint(position: jax.Array, velocity: jax.Array) -> jax.Array:
-    """Return crazyflow's full-state command for a horizontal position and velocity.
+    """Return crazyflow's full-state command for a position and its velocity.
 
     Args:
-        position: Horizontal position in m, shape (2,).
-        velocity: Horizontal velocity in m/s, shape (2,).
+        position: Horizontal position in m, shape (2,), or that, the height above the hovering
+            height in m and the heading in rad, shape (4,).
+        velocity: Its change per second, in the same shape; the controller takes no rate of the
+            heading.
 
     Returns:
-        The command, shape (16,), at the hovering height and with zero yaw.
+        The command, shape (16,); for a horizontal position at the hovering height, heading along x.
     """
-    command = jnp.zeros(16).at[0:2].set(position).at[2].set(HOVER_HEIGHT_M)
-    return command.at[3:5].set(velocity).at[12].set(1.0)  # no rotation: yaw stays zero
+    command = jnp.zeros(16).at[0:2].set(position[:2]).at[2].set(HOVER_HEIGHT_M)
+    command = command.at[3:5].set(velocity[:2]).at[12].set(1.0)
+    if len(position) == 2:
+        return command
+    height, half = HOVER_HEIGHT_M + position[2], position[3] / 2
+    command = command.at[2].set(height).at[5].set(velocity[2])
+    return command.at[11].set(jnp.sin(half)).at[12].set(jnp.cos(half))
 
 
 class GroundStation(NamedTuple):

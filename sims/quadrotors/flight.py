@@ -10,7 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from nufleet.shared.arrays import FloatArray
-from nufleet.sims.quadrotors.controllers import GroundStation, firmware_setpoint, offboard_command
+from nufleet.sims.quadrotors.controllers import (
+    HOVER_HEIGHT_M,
+    GroundStation,
+    firmware_setpoint,
+    offboard_command,
+)
 from nufleet.sims.quadrotors.moving_air import MovingAir, drag_force, next_gust
 from nufleet.sims.quadrotors.settings import CONTROL_HZ, PHYSICS_HZ, SAMPLE_TIME_S
 
@@ -36,7 +41,8 @@ class Plant(NamedTuple):
     """Air that resists the vehicle; None for air at rest."""
 
     reference: jax.Array
-    """Last reference in m, shape (2,)."""
+    """Last reference in m, shape (2,); of four axes, with the height in m and the heading in rad,
+    shape (4,)."""
 
     velocity_gain: jax.Array
     """1 if the velocity of the reference is sent along with it, else 0."""
@@ -48,7 +54,9 @@ class Track(NamedTuple):
     states: FloatArray
     """Position [m], velocity [m/s] and tilt [rad] along x and y, shape (samples + 1, 2, 3).
 
-    The tilt is the thrust's, and positive where it accelerates the vehicle along the axis."""
+    The tilt is the thrust's, and positive where it accelerates the vehicle along the axis. Where
+    height and heading are axes, too, shape (samples + 1, 4, 3), with the height above the hovering
+    height, the heading [rad], their changes per second, and no tilt."""
 
     height_m: FloatArray
     """Height, shape (samples + 1,)."""
@@ -80,11 +88,13 @@ class Flight:
                 plant = _sample(step, plant, references[k])
                 return plant, rows.at[k + 1].set(_row(plant))
 
-            rows = jnp.zeros((CHUNK_SAMPLES + 1, 8)).at[0].set(_row(plant))
+            row = _row(plant)
+            rows = jnp.zeros((CHUNK_SAMPLES + 1, len(row))).at[0].set(row)
             moved: tuple[Plant, jax.Array] = jax.lax.fori_loop(0, count, body, (plant, rows))
             return moved
 
-        references = jnp.zeros((CHUNK_SAMPLES, 2))
+        self._axes = len(example.reference)
+        references = jnp.zeros((CHUNK_SAMPLES, self._axes))
         self._advance = jax.jit(advance).lower(example, references, jnp.int32(0)).compile()
 
     def fly(self, plant: Plant, references: FloatArray) -> tuple[Plant, Track]:
@@ -92,7 +102,7 @@ class Flight:
 
         Args:
             plant: Plant at the beginning.
-            references: Horizontal positions in m, shape (samples, 2), at least one sample.
+            references: References of all axes, shape (samples, axes), at least one sample.
 
         Returns:
             The plant after the last reference has acted, and its track.
@@ -100,12 +110,13 @@ class Flight:
         pieces = []
         for first in range(0, len(references), CHUNK_SAMPLES):
             piece = references[first : first + CHUNK_SAMPLES]
-            padded = np.zeros((CHUNK_SAMPLES, 2), dtype=np.float32)
+            padded = np.zeros((CHUNK_SAMPLES, self._axes), dtype=np.float32)
             padded[: len(piece)] = piece
             plant, rows = self._advance(plant, padded, np.int32(len(piece)))
             pieces.append(np.asarray(rows, dtype=np.float64)[: len(piece) + 1])
         rows = np.concatenate([*(piece[:-1] for piece in pieces), pieces[-1][-1:]])
-        return plant, Track(rows[:, :6].reshape(-1, 2, 3), rows[:, 6], rows[:, 7])
+        states = rows[:, :-2].reshape(len(rows), self._axes, 3)
+        return plant, Track(states, rows[:, -2], rows[:, -1])
 
 
 def _sample(step: Step, plant: Plant, reference: jax.Array) -> Plant:
@@ -152,7 +163,18 @@ def _row(plant: Plant) -> jax.Array:
     thrust = _thrust_axis(plant)
     tilt = jnp.arctan2(thrust[:2], thrust[2])
     states = jnp.stack([position[:2], velocity[:2], tilt], axis=1)
+    if len(plant.reference) == 4:
+        rate = plant.data.states.ang_vel[0, 0, 2]
+        height = jnp.stack([position[2] - HOVER_HEIGHT_M, velocity[2], jnp.zeros_like(rate)])
+        heading = jnp.stack([_heading(plant), rate, jnp.zeros_like(rate)])
+        states = jnp.concatenate([states, height[jnp.newaxis], heading[jnp.newaxis]])
     return jnp.concatenate([states.ravel(), position[2:], thrust[2:]])
+
+
+def _heading(plant: Plant) -> jax.Array:
+    """Return the angle in rad by which the body's x axis is turned from that of the world."""
+    x, y, z, w = plant.data.states.quat[0, 0]
+    return jnp.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def _thrust_axis(plant: Plant) -> jax.Array:

@@ -1,4 +1,4 @@
-"""A simulated quadrotor as a Robot: two horizontal axes, held at its hovering height."""
+"""A simulated quadrotor as a Robot: two horizontal axes, and height and heading if asked for."""
 
 from __future__ import annotations
 
@@ -25,6 +25,9 @@ HOVER_SETTLE_S = 20.0
 """Time to hover after the start. The firmware's height integrator fills within 7 s; after that the
 vehicle hovers where it will stay."""
 
+RATE_PER_ANGLE_1_S = 5.0
+"""Noise of the heading's rate per noise of the heading, as of velocity per position."""
+
 REST = RestRule(speed=0.5, position_max=0.02, velocity_max=0.02, patience_s=30.0)
 
 
@@ -40,20 +43,18 @@ class Quadrotor(SimulatedRobot):
         rng: np.random.Generator,
     ) -> None:
         noise = settings.noise
-        sigma = np.array([noise.position_m, noise.velocity_m_s, noise.tilt_rad])
-        super().__init__(
-            name,
-            _spec(settings),
-            STATE_NAMES,
-            MeasurementNoise(np.tile(sigma, (2, 1)), rng),
-            REST,
-        )
+        sigma = np.tile([noise.position_m, noise.velocity_m_s, noise.tilt_rad], (settings.axes, 1))
+        if settings.axes == 4:
+            sigma[2, 2] = 0.0  # neither has a tilt
+            sigma[3] = noise.tilt_rad, RATE_PER_ANGLE_1_S * noise.tilt_rad, 0.0
+        super().__init__(name, _spec(settings), STATE_NAMES, MeasurementNoise(sigma, rng), REST)
         self._flight = flight
         self._fresh_plant = plant
         self._plant = plant
         # The delay is `late` whole samples, and a share of one more.
         late, self._share_late = divmod(settings.delay_s / SAMPLE_TIME_S, 1.0)
-        self._on_the_way = np.zeros((int(late) + 1, 2))
+        self._on_the_way = np.zeros((int(late) + 1, settings.axes))
+        self._hovers_at_m = 0.0
 
     @property
     def flown_by(self) -> tuple[Flight, Plant]:
@@ -63,8 +64,13 @@ class Quadrotor(SimulatedRobot):
     def _start(self) -> FloatArray:
         self._plant = self._fresh_plant
         self._on_the_way = np.zeros_like(self._on_the_way)
-        hover = np.zeros((round(HOVER_SETTLE_S / SAMPLE_TIME_S), 2))
-        return np.asarray(self._play(hover)[-1])
+        self._hovers_at_m = 0.0
+        hover = np.zeros((round(HOVER_SETTLE_S / SAMPLE_TIME_S), len(self.spec.axes)))
+        state = np.array(self._play(hover)[-1])
+        if len(state) == 4:
+            # The firmware believes in another mass, and hovers lower than it was told to.
+            self._hovers_at_m, state[2, 0] = float(state[2, 0]), 0.0
+        return state
 
     def _play(self, references: FloatArray) -> FloatArray:
         sent = np.concatenate([self._on_the_way, references])
@@ -73,6 +79,8 @@ class Quadrotor(SimulatedRobot):
         arriving = later + self._share_late * (earlier - later)
         self._plant, track = self._flight.fly(self._plant, arriving)
         self._raise_if_crashed(track)
+        if self._hovers_at_m:
+            track.states[:, 2, 0] -= self._hovers_at_m
         return track.states
 
     def _raise_if_crashed(self, track: Track) -> None:
@@ -103,6 +111,24 @@ def _spec(settings: QuadrotorSettings) -> RobotSpec:
         )
         for name in ("x", "y")
     )
+    more = settings.height_and_heading
+    if more is not None:
+        axes += (
+            AxisSpec(
+                name="z",
+                unit="m",
+                amplitude_max=more.height_amplitude_m,
+                velocity_max=more.height_velocity_m_s,
+                acceleration_max=more.height_acceleration_m_s2,
+            ),
+            AxisSpec(
+                name="yaw",
+                unit="rad",
+                amplitude_max=more.heading_amplitude_rad,
+                velocity_max=more.heading_velocity_rad_s,
+                acceleration_max=more.heading_acceleration_rad_s2,
+            ),
+        )
     return RobotSpec(
         kind="quadrotor",
         axes=axes,
@@ -112,5 +138,5 @@ def _spec(settings: QuadrotorSettings) -> RobotSpec:
         duration_max_s=settings.flight_time_max_s,
         settling_time_s=settings.settling_time_s,
         simulated=True,
-        tracking=settings.tracking,
+        tracking=settings.tracking if more is None else None,
     )

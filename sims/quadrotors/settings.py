@@ -155,10 +155,36 @@ class ReferenceLimits(Strict):
     """Largest acceleration."""
 
 
+class HeightAndHeading(Strict):
+    """Limits on the references of height and heading.
+
+    The height of a Crazyflie is stiffer than its position, and its heading is turned by the drag of
+    the rotors alone, whose torque is small.
+    """
+
+    height_amplitude_m: Positive = 0.2
+    """Largest amplitude of the height, about the hovering height."""
+
+    height_velocity_m_s: Positive = 0.4
+    """Largest velocity of the height."""
+
+    height_acceleration_m_s2: Positive = 1.2
+    """Largest acceleration of the height."""
+
+    heading_amplitude_rad: Positive = 0.4
+    """Largest amplitude of the heading."""
+
+    heading_velocity_rad_s: Positive = 0.6
+    """Largest angular velocity of the heading."""
+
+    heading_acceleration_rad_s2: Positive = 1.6
+    """Largest angular acceleration of the heading."""
+
+
 class QuadrotorSettings(Strict):
     """One simulated quadrotor.
 
-    Its reference is the horizontal position.
+    Its reference is the horizontal position, and height and heading where they have limits.
     """
 
     vehicle: Annotated[MellingerVehicle | AttitudeVehicle, Field(discriminator="controller")]
@@ -180,6 +206,11 @@ class QuadrotorSettings(Strict):
 
     limits: ReferenceLimits = ReferenceLimits()
     """Limits on frequency tests."""
+
+    height_and_heading: HeightAndHeading | None = None
+    """Limits on height and heading, which are axes `z` and `yaw` then; None to hold both. Only the
+    Mellinger controller takes them. A vehicle with these axes, which differ in their units, takes
+    frequency tests only, and no paths."""
 
     # The room is 3 m wide. The paper flies at up to 0.9 m/s; 2 m/s² needs a tilt of 12 degrees,
     # which every vehicle of the fleet can fly. A correction at about two thirds of the path's own
@@ -206,3 +237,17 @@ class QuadrotorSettings(Strict):
     # of the fleet and at every frequency.
     settling_time_s: NonNegative = 4.0
     """Time in which the vehicle settles after a change of its reference."""
+
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+        return 2 if self.height_and_heading is None else 4
+
+    @model_validator(mode="after")
+    def _follows_height_and_heading(self) -> QuadrotorSettings:
+        if self.height_and_heading is not None and self.vehicle.controller != "mellinger":
+            raise ValueError(
+                "height_and_heading needs the controller 'mellinger': the other one holds the "
+                "height and the heading on board"
+            )
+        return self

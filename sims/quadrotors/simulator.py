@@ -49,7 +49,7 @@ class Hangar:
 
     def __init__(self) -> None:
         self._simulators: dict[tuple[str, str], tuple[Any, Step]] = {}
-        self._flights: dict[tuple[str, str, bool], Flight] = {}
+        self._flights: dict[tuple[str, str, bool, int], Flight] = {}
         # Otherwise MuJoCo would write its warnings to a file in the working directory.
         mujoco.set_mju_user_warning(lambda message: log.debug("mujoco: %s", message))
 
@@ -64,19 +64,19 @@ class Hangar:
         if isinstance(vehicle, MellingerVehicle):
             simulator, step = self._simulator(vehicle.airframe, vehicle.dynamics, "state")
             data, station = _crazyflie(simulator, vehicle), None
-            kind = (vehicle.dynamics, "state", settings.air is not None)
+            kind = (vehicle.dynamics, "state", settings.air is not None, settings.axes)
         else:
             # The airframe only provides the structure: every parameter that acts is replaced.
             simulator, step = self._simulator("cf2x_L250", "so_rpy_rotor_drag", "attitude")
             data, station = _attitude_vehicle(simulator, vehicle), _ground_station(vehicle)
-            kind = ("so_rpy_rotor_drag", "attitude", settings.air is not None)
+            kind = ("so_rpy_rotor_drag", "attitude", settings.air is not None, settings.axes)
         position = data.states.pos.at[..., 2].set(HOVER_HEIGHT_M)
         data = data.replace(states=data.states.replace(pos=position))
         gain = jnp.float32(1.0 if settings.velocity_reference else 0.0)
         air = None
         if settings.air is not None:
             air = moving_air(settings.air, int(rng.integers(2**31)))
-        plant = Plant(data, station, air, jnp.zeros(2), gain)
+        plant = Plant(data, station, air, jnp.zeros(settings.axes), gain)
         if kind not in self._flights:
             self._flights[kind] = Flight(step, plant)
         return self._flights[kind], plant

@@ -139,3 +139,4 @@ def test_each_axis_plays_two_tones_at_first_and_later_down_to_the_lower_end(axes
     assert lowest.omega_rad_s[0] <= 1.25 * 2 * 0.2 * (1 + 1e-6)
     assert lowest.measure_s <= first.measure_s
     assert all(len(lowest.omegas_of(place)) >= 1 for place in range(axes))
+    assert len(lowest.harmonics) >= 1.5 * axes
