@@ -3,6 +3,8 @@
 `python -m benchmarks.ros2_plant '{"namespace": "/cf1", ...}'` runs it until its standard input
 ends. Each component of the pose, or each joint, is y'' = ω₀² (r - y) - 2 ζ ω₀ y', where r is the
 set-point that arrived last, `delay_s` after it did. Its own clock may differ from this computer's.
+With `publishes_clock` it is a simulation, whose clock advances evenly, and waits for set-points
+that come late because the driver's process waits for a processor.
 """
 
 from __future__ import annotations
@@ -40,6 +42,7 @@ class PlantSettings:
     loss: float = 0.0
     clock_ahead_s: float = 0.0
     clock_rate: float = 1.0
+    wall_clock: bool = False
     stamped: bool = True
     services: bool = True
     battery: float | None = 0.9
@@ -47,8 +50,15 @@ class PlantSettings:
     falls_silent_after: int | None = None
     refuses: tuple[str, ...] = ()
     publishes_clock: bool = False
+    speed: float = 1.0
     reliability: str = "reliable"
     seed: int = 0
+
+
+SIMULATED_FROM_S = 1000.0
+WAITS_AFTER_S = 0.04
+"""Time in a simulation without a set-point after which it waits for one, for `WAITS_S` at most."""
+WAITS_S = 0.5
 
 
 class Loop:
@@ -103,7 +113,11 @@ class Plant:
         )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        now_s = time.monotonic()
+        self._simulated_s = SIMULATED_FROM_S
+        # When the last set-point was sent in the simulation, and heard here; None for none of late.
+        self._commanded_s: tuple[float, float] | None = None
+        self._wall_s = time.time() - time.monotonic()
+        now_s = self._now_s()
         self._loops = {
             name: Loop(settings, settings.start.get(name, 0.0), now_s)
             for name in settings.components
@@ -148,28 +162,44 @@ class Plant:
             if name in ("take_off", "land") and "z" in self._loops:
                 self._landing = name == "land"  # set-points still on their way are not followed
                 z = self.settings.start.get("z", 0.0) if self._landing else 1.0
-                self._loops["z"].command(z, time.monotonic())
+                self._loops["z"].command(z, self._now_s())
             return answer
 
         return serve
 
     def run(self) -> None:
-        period_s = 1 / self.settings.rate_hz
+        simulates, period_s = self.settings.publishes_clock, 1 / self.settings.rate_hz
+        every_s = period_s / self.settings.speed if simulates else period_s
         due_s = time.monotonic()
         print("ready", flush=True)
         while not select.select([sys.stdin], [], [], 0)[0]:
-            wait_s = min([due_s] + [one[0] for one in self._coming[:1]]) - time.monotonic()
+            coming_s = [one[0] for one in self._coming[:1] if not simulates]
+            wait_s = min([due_s, *coming_s]) - time.monotonic()
             self._executor.spin_once(timeout_sec=max(0.0, wait_s))
             now_s = time.monotonic()
-            while self._coming and self._coming[0][0] <= now_s:
+            while self._coming and self._coming[0][0] <= self._now_s():
                 heapq.heappop(self._coming)[2]()
-            if now_s >= due_s:
+            if now_s >= due_s and not self._waits(now_s):
                 self._take_all()
-                self._measure(time.monotonic())
-                due_s = max(due_s + period_s, now_s - period_s)
+                self._simulated_s += period_s
+                self._measure(self._now_s())
+                due_s = max(due_s + every_s, now_s - every_s)
         self._executor.shutdown()
         self._node.destroy_node()
         self._context.try_shutdown()
+
+    def _now_s(self) -> float:
+        return self._simulated_s if self.settings.publishes_clock else time.monotonic()
+
+    def _waits(self, now_s: float) -> bool:
+        """Return whether the simulation waits for a set-point."""
+        if self._commanded_s is None or not self.settings.publishes_clock:
+            return False
+        sent_s, heard_s = self._commanded_s
+        if now_s - heard_s > WAITS_S:
+            self._commanded_s = None
+            return False
+        return self._simulated_s - sent_s > WAITS_AFTER_S
 
     def _take_all(self) -> None:
         """Take the set-points that have been sent, so that the robot has moved by them."""
@@ -190,7 +220,12 @@ class Plant:
     def _hear(self, message: Any, info: Any) -> None:
         self._heard += 1
         # When it was sent, and not when this process got a processor to take it.
-        sent_s = time.monotonic() - 1e-9 * (time.time_ns() - info["source_timestamp"])
+        waited_s = 1e-9 * (time.time_ns() - info["source_timestamp"])
+        sent_s = self._now_s() - min(max(waited_s, 0.0), 1.0)
+        if self.settings.publishes_clock:
+            stamp = message.header.stamp
+            sent_s = stamp.sec + 1e-9 * stamp.nanosec
+            self._commanded_s = (sent_s, time.monotonic())
         at_s = self._arrives_s("in", sent_s)
         if at_s is None or self._killed or self._landing:
             return
@@ -214,10 +249,13 @@ class Plant:
             name: loop.output(now_s) + settings.noise_std * self._rng.standard_normal()
             for name, loop in self._loops.items()
         }
-        stamp_ns = time.time_ns() + round(1e9 * settings.clock_ahead_s)
-        stamp_ns += round((settings.clock_rate - 1) * (time.monotonic_ns() % 10**12))
         if settings.publishes_clock:
-            stamp_ns = time.monotonic_ns()
+            stamp_s = now_s
+        elif settings.wall_clock:
+            stamp_s = time.time()
+        else:  # a steady one: a computer's time of day is set again and again
+            stamp_s = self._wall_s + settings.clock_rate * now_s
+        stamp_ns = round(1e9 * (stamp_s + settings.clock_ahead_s))
         if settings.goes_back_every is not None and count // settings.goes_back_every % 2:
             stamp_ns -= 1_000_000_000
         message = _measured(self._new, settings, values, stamp_ns if settings.stamped else 0)

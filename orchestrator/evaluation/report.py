@@ -59,7 +59,7 @@ def evaluation_table(result: EvaluationResult) -> Table:
         table.add_row(
             source.robot,
             f"{source.psi:.3f}",
-            f"{source.psi_std:.3f}",
+            "<0.001" if source.psi_std < 0.0005 else f"{source.psi_std:.3f}",
             _predicted(source.predicted_rms_m),
             *_cells(source),
             style="bold green" if place == 0 else None,

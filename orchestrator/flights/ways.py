@@ -40,6 +40,9 @@ class WayRecord(Strict):
     """Percentage by which that is below the baseline's; None until both were flown."""
     taken_back: str | None = None
     """Why the guard withdrew it in flight; None if it did not, or if it was not flown."""
+    unseen: str | None = None
+    """What of the path is unlike all motions that the target knows itself from, and what to do; in
+    the record of the baseline."""
     reason: str | None = None
     """Why nothing is expected of it."""
 
@@ -60,6 +63,7 @@ class WayRecord(Strict):
             predicted_rms_m=predicted.rms,
             predicted_low_m=predicted.low,
             predicted_high_m=predicted.high,
+            unseen=found.reason or None,
         )
 
     @property
@@ -93,6 +97,11 @@ class Foresight:
     def now(self) -> dict[str, PredictedError]:
         """Error of every way that can be flown now, by its name."""
         return _predicted(self._split()[0])
+
+    @property
+    def unseen(self) -> str | None:
+        """What of the path is unlike all motions that the target knows itself from, if any."""
+        return next((way.unseen for way in self.ways if way.unseen), None)
 
     @property
     def later(self) -> tuple[WayRecord, ...]:

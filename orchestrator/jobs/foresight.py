@@ -81,6 +81,8 @@ def say_expected(run: Opening, target: Description, way: ForeseenWay, leg: Leg, 
     except _UNANSWERED as error:
         run.console.print(f"[yellow]{leg.title}: no error could be predicted: {error}[/]")
         return
+    if foresight.unseen is not None:
+        run.console.print(f"[yellow]{leg.title}: {foresight.unseen}[/]")
     record = foresight.ways[-1]
     if record.predicted is None:
         run.console.print(f"[yellow]{leg.title}: no error is predicted: {record.reason}[/]")

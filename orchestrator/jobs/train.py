@@ -20,6 +20,7 @@ from nufleet.orchestrator.history.tables import experiences_table
 from nufleet.orchestrator.jobs.commands import FleetCommand, MovingCommand
 from nufleet.orchestrator.jobs.consent import carried_out
 from nufleet.orchestrator.jobs.opening import Opening
+from nufleet.orchestrator.jobs.terminal import bars_shown
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.wire.messages import Description
 
@@ -75,17 +76,19 @@ def train(command: TrainCommand, console: Console) -> TrainResult:
             keep(trained)
             console.print(f"  [green]{trained.lesson.robot} offers it now[/]")
 
-        trained = train_robots(
-            fleet,
-            pilot,
-            tuple(descriptions.values()),
-            command.architectures,
-            folder.path / "experiences",
-            seed=command.seed,
-            duration_s=command.duration_s,
-            say=lambda robot, what: console.print(f"  {robot} {what}"),
-            on_trained=on_trained,
-        )
+        with bars_shown(console, "steps at most") as shown:
+            trained = train_robots(
+                fleet,
+                pilot,
+                tuple(descriptions.values()),
+                command.architectures,
+                folder.path / "experiences",
+                seed=command.seed,
+                duration_s=command.duration_s,
+                say=lambda robot, what: console.print(f"  {robot} {what}"),
+                on_step=lambda robot, done, most: shown(f"training {robot}", done, most),
+                on_trained=on_trained,
+            )
         pilot.acknowledge_all()
         result = TrainResult.of(trained, str(folder.path))
         folder.write_document(TRAINING, result)

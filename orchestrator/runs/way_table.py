@@ -57,6 +57,8 @@ def way_parts(foresight: Foresight) -> Iterator[RenderableType]:
     yield table
     for name, reason in _missing(foresight):
         yield f"  {name}: {reason}"
+    if foresight.unseen is not None:
+        yield f"[yellow]{foresight.target}: {foresight.unseen}[/]"
     yield f"[bold]{advice(foresight)}[/]"
 
 
@@ -75,6 +77,8 @@ def way_markdown(result: RankResult) -> list[str]:
     table = [f"| {name} | {error} |" for _, name, error in _rows(foresight)]
     missing = [f"- {name}: {reason}" for name, reason in _missing(foresight)]
     title = [f"{_title(foresight)}:", "", "| way | expected error |", "|---|---|"]
+    if foresight.unseen is not None:
+        missing.append(f"- {foresight.target}: {foresight.unseen}")
     return [f"**{advice(foresight)}**", "", *title, *table, "", *missing]
 
 

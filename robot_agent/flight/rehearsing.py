@@ -84,9 +84,13 @@ def _frame(stream: IO[bytes]) -> bytes:
 
 
 def foreseen(way: ForeseenWay, rehearsal: Rehearsal) -> Foreseen:
-    """Return what is expected of one way to fly the rehearsed path."""
+    """Return what is expected of one way to fly the rehearsed path.
+
+    With the baseline's comes what of the path is unlike all motions that the robot knows of itself.
+    """
+    seen = rehearsal.unseen if way.inverse == "baseline" else ""
     try:
-        return Foreseen(predicted=rehearsal.predicted(way))
+        return Foreseen(predicted=rehearsal.predicted(way), reason=seen)
     except NufleetError as error:
         return Foreseen(code="rehearsal", reason=str(error))
 

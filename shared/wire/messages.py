@@ -334,7 +334,8 @@ class Foreseen(Strict):
     code: Name | None = None
     """Kind of refusal where there is no prediction, as for a flight; for programs."""
     reason: Reason = ""
-    """Why there is no prediction; for people."""
+    """Why there is no prediction, or else what of the path is unlike all that it rests on; for
+    people."""
 
     @model_validator(mode="after")
     def _either(self) -> Foreseen:

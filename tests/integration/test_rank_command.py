@@ -103,7 +103,7 @@ def test_rank_prints_the_documented_json_alone_on_stdout(paper: Ranked) -> None:
     for (way, _), found in ways.items():
         assert list(found) == [
             *("way", "own_flight_s", "predicted_rms_m", "predicted_low_m", "predicted_high_m"),
-            *("rms_m", "reduction_percent", "taken_back", "reason"),
+            *("rms_m", "reduction_percent", "taken_back", "unseen", "reason"),
         ]
         if way.startswith("source"):
             assert found["predicted_rms_m"] is None

@@ -67,6 +67,7 @@ def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """A robot's process that gets no processor for a while is no robot that is lost."""
     for module in (robot, resampling):
         monkeypatch.setattr(module, "LOST_MAX_S", 5.0)
+    monkeypatch.setattr(robot, "GAP_MAX_S", 20.0)
 
 
 @pytest.fixture

@@ -27,11 +27,18 @@ SPACING_MIN = 0.4
 JUMP_MAX_S = 1.0
 """Time by which a message may be faster than the fastest one before it."""
 
+JUMP_AFTER_S = 2.0
+"""Time for which messages have to have come before: the first one may have waited for long."""
+
 AHEAD_MAX_S = 0.02
 """Time by which a synchronised stamp may lie ahead of its arrival."""
 
 DRIFT_MAX = 1e-3
 """Largest difference in rate between two clocks; more is no clock, but too few messages."""
+
+ASTRAY_MAX_S = 0.02
+"""Time by which a larger difference in rate may make the clocks differ over the messages compared;
+delays of the first and last of them explain as much."""
 
 DRIFT_SPAN_S = 5.0
 """Shortest span of messages from which a difference in rate is estimated."""
@@ -47,6 +54,9 @@ class Arrived:
     """Time of its arrival, on the driver's clock."""
     values: Mapping[str, float]
     """Value of each component or joint."""
+    late_s: float = 0.0
+    """How much longer than the fastest messages it took to arrive; for synchronised clocks, how
+    long it took."""
 
 
 class Arrivals:
@@ -74,7 +84,7 @@ class Arrivals:
         self._kept: deque[Arrived] = deque(maxlen=KEPT)
         self._count = 0
         self._problem: str | None = None
-        self._least_delay_s = math.inf
+        self._least_delay_s = self._usual_delay_s = math.inf
         self._others: frozenset[str] = frozenset()
 
     def take(self, stamp_s: float | None, arrived_s: float, values: Mapping[str, float]) -> None:
@@ -100,7 +110,8 @@ class Arrivals:
                 self._problem = self._problem or problem
             elif self._problem is None and stamp_s is not None:
                 needed = {name: values[name] for name in self._components}
-                self._kept.append(Arrived(stamp_s, arrived_s, needed))
+                late_s = self._late_s(stamp_s, arrived_s, last)
+                self._kept.append(Arrived(stamp_s, arrived_s, needed, late_s))
                 self._count += 1
             self._changed.notify_all()
 
@@ -159,6 +170,16 @@ class Arrivals:
         values = [[kept[i].values[name] for name in self._components] for i in apart]
         return stamp_s[apart], np.array(values).reshape(-1, len(self._components))
 
+    def _late_s(self, stamp_s: float, arrived_s: float, last: Arrived | None) -> float:
+        """Return how late a message has arrived."""
+        if self._stamps == "synchronised":
+            return arrived_s - stamp_s
+        # The clocks may drift apart, which makes all messages appear later and later.
+        drifted_s = 0.0 if last is None else DRIFT_MAX * (stamp_s - last.stamp_s)
+        delay_s = arrived_s - stamp_s
+        self._usual_delay_s = min(self._usual_delay_s + drifted_s, delay_s)
+        return delay_s - self._usual_delay_s
+
     def _wrong(
         self,
         stamp_s: float | None,
@@ -190,7 +211,8 @@ class Arrivals:
         # A message that waited arrives late, and none arrives early.
         jump_s = self._least_delay_s - (arrived_s - stamp_s)
         self._least_delay_s = min(self._least_delay_s, arrived_s - stamp_s)
-        if JUMP_MAX_S < jump_s < math.inf:
+        known_s = arrived_s - self._kept[0].arrived_s if self._kept else 0.0
+        if known_s > JUMP_AFTER_S and jump_s > JUMP_MAX_S:
             return f"the time stamps on {self._topic} jumped by {jump_s:.3g} s: its clock was set"
         if self._stamps == "synchronised" and stamp_s > arrived_s + AHEAD_MAX_S:
             return (
@@ -229,12 +251,22 @@ def on_receiving_clock(stamp_s: FloatArray, arrived_s: FloatArray) -> FloatArray
     Args:
         stamp_s: Time stamps, shape (messages,), increasing.
         arrived_s: Times of arrival, shape (messages,).
+
+    Raises:
+        RobotError: The clocks differ in rate by more than clocks do.
     """
     origin_s = float(stamp_s.mean())
     along_s, late_s = stamp_s - origin_s, arrived_s - stamp_s
     if np.ptp(along_s) < DRIFT_SPAN_S:
         return stamp_s + float(late_s.min())
-    rate = drift(stamp_s, late_s, drift_max=DRIFT_MAX)
+    rate = drift(stamp_s, late_s, drift_max=math.inf)
+    if (abs(rate) - DRIFT_MAX) * np.ptp(along_s) > ASTRAY_MAX_S:
+        raise RobotError(
+            f"the time stamps of the measurements run {abs(rate):.2%} "
+            f"{'slower' if rate > 0 else 'faster'} than this computer's clock, more than clocks "
+            'do: correct the clock of their publisher, or state stamps = "arrival"'
+        )
+    rate = float(np.clip(rate, -DRIFT_MAX, DRIFT_MAX))
     offset_s = float(np.min(late_s - rate * along_s))
     placed: FloatArray = stamp_s + offset_s + rate * along_s
     return placed

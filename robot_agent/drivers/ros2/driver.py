@@ -23,6 +23,12 @@ class Ros2Driver:
     environment: Mapping[str, str] = {}
     """Environment variables that the process of a robot needs."""
 
+    def address(self, settings: Ros2Settings) -> str:
+        """Return where one robot takes its set-points; another one may not take the same."""
+        domain = settings.domain_id
+        known = "ROS_DOMAIN_ID" if domain is None else domain
+        return f"{settings.full(settings.command.topic)} in the ROS domain {known}"
+
     def build(
         self, settings: Mapping[str, Ros2Settings], rng: np.random.Generator
     ) -> Mapping[str, Robot]:

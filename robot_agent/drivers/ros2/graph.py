@@ -98,12 +98,15 @@ def writing_problem(
     return None
 
 
-def service_problem(name: str, services: Mapping[str, Sequence[str]]) -> str | None:
+def service_problem(
+    name: str, services: Mapping[str, Sequence[str]], *, both_ways: bool = False
+) -> str | None:
     """Return why a service cannot be called.
 
     Args:
         name: Full name of the service.
         services: Types of all services, by name.
+        both_ways: Whether it has to arm and to disarm.
     """
     if name not in services:
         like = [
@@ -116,6 +119,11 @@ def service_problem(name: str, services: Mapping[str, Sequence[str]]) -> str | N
         return (
             f"the service {name} is of type {_listed(services[name])}; only "
             f"{' and '.join(SERVICE_TYPES)} can be called"
+        )
+    if both_ways and SERVICE_TYPES[1] not in services[name]:
+        return (
+            f"the service {name} is of type {SERVICE_TYPES[0]}, which arms and cannot disarm: name "
+            "the service that does as services.disarm"
         )
     return None
 

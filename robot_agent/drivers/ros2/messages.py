@@ -131,8 +131,11 @@ def message_of(
     """
     message = make(topic.type)
     if hasattr(message, "header"):
-        message.header.frame_id = topic.frame_id
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(now_ns, NS_PER_S)
+        message.header.frame_id = topic.frame
+        # A joint trajectory controller rejects a point that came after its time, which the stamp 0
+        # prevents: the trajectory begins when it comes.
+        stamp_ns = 0 if topic.type == JOINT_COMMAND else now_ns
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, NS_PER_S)
     if topic.type in TWISTS:
         _fill_twist(getattr(message, "twist", message), point, topic)
     elif topic.type == JOINT_COMMAND:

@@ -20,8 +20,8 @@ from nufleet.robot_agent.drivers.ros2.graph import (
     service_problem,
     writing_problem,
 )
+from nufleet.robot_agent.drivers.ros2.link import Link
 from nufleet.robot_agent.drivers.ros2.messages import Battery, SetPoint, measured, message_of
-from nufleet.robot_agent.drivers.ros2.robot import Link
 from nufleet.robot_agent.drivers.ros2.settings import TF, Qos, Ros2Settings
 from nufleet.shared.errors import RobotError
 
@@ -88,6 +88,8 @@ class RosNode(Link):
             self._await_clock()
             self.arrivals.next(FIRST_WITHIN_S)
             self.arrivals.next(FIRST_WITHIN_S)  # a stamp that repeats or goes back shows here
+            while settings.battery is not None and self.charge() is None:
+                time.sleep(0.05)
             self._opened = opened.pop_all()
 
     def now_s(self) -> float:
@@ -114,9 +116,9 @@ class RosNode(Link):
         now_ns = self._node.get_clock().now().nanoseconds
         command, sample_time_s = self._settings.command, self._settings.sample_time_s
         message = message_of(point, command, now_ns, sample_time_s, _new)
-        sent_s, self._sent_s = self.now_s(), time.monotonic()
+        self._sent_s = self.now_s()
         self._publisher.publish(message)
-        return sent_s
+        return self._sent_s
 
     def keep_sending(self, resend: Callable[[], None] | None) -> None:
         """Call a function whenever one and a half samples pass without a set-point; None stops."""
@@ -213,7 +215,8 @@ class RosNode(Link):
         if said is None:
             return
         if self._settings.use_sim_time:
-            self.arrivals.take(said.stamp_s, self.now_s(), said.values)
+            if (simulated_s := self.now_s()) > 0:  # /clock has come, too
+                self.arrivals.take(said.stamp_s, simulated_s, said.values)
             return
         now_s, now_ns = time.monotonic(), time.time_ns()
         # The middleware has received it a little earlier; some of them do not say when.
@@ -233,10 +236,7 @@ class RosNode(Link):
 
     def _repeat(self) -> None:
         resend = self._resend
-        if (
-            resend is not None
-            and time.monotonic() - self._sent_s > 1.5 * self._settings.sample_time_s
-        ):
+        if resend is not None and self.now_s() - self._sent_s > 1.5 * self._settings.sample_time_s:
             with suppress(RobotError):  # its motors were cut just now, as every other call says
                 resend()
 
@@ -244,11 +244,11 @@ class RosNode(Link):
         """Wait until all topics and services are as they should be, and have been for a while."""
         begun_s = well_s = time.monotonic()
         while time.monotonic() - well_s < SETTLED_S:
-            problem = self._problem()
+            problem = self.problem()
             if problem is not None:
                 well_s = time.monotonic()
                 if well_s - begun_s > FOUND_WITHIN_S:
-                    raise RobotError(f"{problem} ({self._domain()})")
+                    raise RobotError(problem)
             time.sleep(0.1)
         kinds = dict(self._node.get_service_names_and_types())
         self._clients: dict[str, tuple[Any, str, bool]] = {}
@@ -260,8 +260,13 @@ class RosNode(Link):
                 raise RobotError(f"the service {name} is listed, and does not take requests")
             self._clients[role] = (client, name, kind == SERVICE_TYPES[1])
 
-    def _problem(self) -> str | None:
+    def problem(self) -> str | None:
         """Return what is wrong with topics and services now; None if nothing is."""
+        problem = self._problem()
+        domain = self._node.context.get_domain_id()
+        return None if problem is None else f"{problem} (ROS domain {domain})"
+
+    def _problem(self) -> str | None:
         node, settings = self._node, self._settings
         topics = dict(node.get_topic_names_and_types())
         command, reading, battery = settings.command, settings.measurement, settings.battery
@@ -290,12 +295,14 @@ class RosNode(Link):
                 name, BATTERY, found, reliability="best_effort", topics=topics
             )
         services = dict(node.get_service_names_and_types())
-        named = settings.services.named.values()
-        missing = (service_problem(settings.full(one), services) for one in named)
-        return problem or next((one for one in missing if one is not None), None)
-
-    def _domain(self) -> str:
-        return f"ROS domain {self._node.context.get_domain_id()}"
+        named = settings.services.named
+        wrong = (
+            service_problem(
+                settings.full(name), services, both_ways=role == "arm" and "disarm" not in named
+            )
+            for role, name in named.items()
+        )
+        return problem or next((one for one in wrong if one is not None), None)
 
     def _await_clock(self) -> None:
         """Wait until a simulation's clock advances, in steps that are small enough."""

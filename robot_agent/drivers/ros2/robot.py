@@ -5,16 +5,15 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Protocol
 
 import numpy as np
 
-from nufleet.robot_agent.drivers.ros2.clocks import Arrivals
-from nufleet.robot_agent.drivers.ros2.landing import not_on_ground
-from nufleet.robot_agent.drivers.ros2.messages import SetPoint
+from nufleet.robot_agent.drivers.ros2.landing import Ground
+from nufleet.robot_agent.drivers.ros2.link import Link
 from nufleet.robot_agent.drivers.ros2.setpoints import Places
 from nufleet.robot_agent.drivers.ros2.settings import TWISTS, Ros2Settings
 from nufleet.robot_agent.motion.monitor import LOST_MAX_S
+from nufleet.robot_agent.motion.pace import GAP_MAX_S
 from nufleet.robot_agent.robot import Record, Robot
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import OutsideLimitsError, RobotDownError, RobotError
@@ -37,41 +36,8 @@ KILL_REQUESTS = 3
 LOOK_S = 0.1
 """Interval at which a wait looks whether the motors were cut."""
 
-
-class Link(Protocol):
-    """What a robot needs of ROS 2. Times are in s on one clock; simulated time if there is one."""
-
-    arrivals: Arrivals
-    """Measurements."""
-
-    def now_s(self) -> float:
-        """Return the time."""
-
-    def wait_until(self, due_s: float) -> None:
-        """Wait; raises RobotError if the clock stands still."""
-
-    def send(self, point: SetPoint) -> float:
-        """Send a set-point now, and return when."""
-
-    def keep_sending(self, resend: Callable[[], None] | None) -> None:
-        """Call a function whenever one and a half samples pass without a set-point; None stops."""
-
-    def call(self, role: str, engage: bool, timeout_s: float, requests: int = 1) -> None:
-        """Call a service by what it does, and wait for its answer; raises RobotError.
-
-        Any thread may call; `engage` is what a SetBool is given. A request that is not answered is
-        repeated until there are `requests`, evenly over the time.
-        """
-
-    def charge(self) -> float | None:
-        """Return the newest charge of the battery, 0 to 1; None if it is not known yet.
-
-        Raises:
-            RobotError: The charge is wrong or too old, or the link itself has failed.
-        """
-
-    def close(self) -> None:
-        """Leave ROS 2."""
+STOPS = 5
+"""Set-points that stop a robot which is commanded velocities: a single one may be lost."""
 
 
 class Ros2Robot(Robot):
@@ -95,14 +61,15 @@ class Ros2Robot(Robot):
         # From the request on: the robot is neither armed nor moved before it is connected again.
         self._kill_asked = False
         self._begun = False
-        # Whether the robot may be armed, may have left the ground, and where the ground is.
-        self._started = self._left_ground = False
-        self._ground_z: float | None = None
+        self._ground = Ground(name, settings)
         self._places = Places(settings)
         # The last place commanded. A set-point of a motion and a repetition from the link's thread
         # must not overtake one another.
         self._place = self._places.rest
         self._sending = threading.Lock()
+        # When the robot that has begun was sent its last set-point, and why it is sent no more.
+        self._commanded_s: float | None = None
+        self._stalled: str | None = None
         # Times at which the samples since the last rest were sent, and the next one is due.
         self._sent_s: list[float] = []
         self._due_s: float | None = None
@@ -115,8 +82,9 @@ class Ros2Robot(Robot):
     def connect(self) -> None:
         """Reach the robot's topics and services; nothing is sent yet."""
         self.disconnect()
+        if self._down is not None:  # it has fallen, and may have been carried away
+            self._ground.disarmed()
         self._down, self._kill_asked = None, False
-        self._started = self._left_ground = False
         self._places = Places(self._settings)
         self._forget()
         self._link = self._open(self._name, self._settings)
@@ -124,27 +92,24 @@ class Ros2Robot(Robot):
     def begin(self) -> None:
         """Arm and take off by the robot's services, then go to the origin by set-points."""
         self._check_fence()
-        link, services = self._beginning(), self._settings.services
-        if not self._started:
-            high = not self._settings.joints and "z" in self._settings.measured
-            self._ground_z, self._started = self._height() if high else None, True
+        link, services = self._commandable(), self._settings.services
+        self.check_wanted()
+        problem = link.problem()
+        if problem is not None:
+            raise RobotError(problem)
+        self._ground.arm(self._height() if self._settings.reports_height else None)
         if services.arm is not None:
-            try:
-                link.call("arm", True, services.timeout_s)
-            finally:
-                if self._kill_asked:  # it may have been armed after its motors were cut
-                    self._disarm(link)
+            self._engage("arm")
         if services.take_off is not None:
-            self._beginning()
-            self._left_ground = True
-            link.call("take_off", True, services.timeout_s)
+            self._engage("take_off")
             self._pause(services.take_off_s)
+            self._ground.check_left(self._height())
         self._commandable()
         here = self._here()[: len(self._settings.commanded)]
         self._places.begin(here)
         # Where the robot is, on the side of the turn from which the way is shortest.
         self._place = self._places.rest + self._places.away(here)
-        self._begun = True
+        self._begun, self._commanded_s, self._stalled = True, None, None
         self._send(self._place)
         link.keep_sending(self._resend)
         self._go(self._places.rest)
@@ -158,23 +123,19 @@ class Ros2Robot(Robot):
         """
         link, services = self._reached(), self._settings.services
         self._let_stand(link)
-        if not self._started:
+        ground = self._ground
+        if not ground.armed:
             return
         refusal = ""
-        if self._left_ground:
+        if ground.left:
             try:
                 link.call("land", True, services.timeout_s)
             except RobotError as error:  # a robot that did not take off need not land
                 refusal = f"{error}; "
             self._pause(services.land_s, landing=True)
-        ground_z = self._ground_z
-        if ground_z is not None and (self._left_ground or services.disarms):
-            why = not_on_ground(
-                self._height,
-                ground_z,
-                services.land_tolerance_m,
-                link.now_s,
-                lambda: self._pause(LOOK_S, landing=True),
+        if ground.z is not None and (ground.left or services.disarms):
+            why = ground.not_seen(
+                self._height, link.now_s, lambda: self._pause(LOOK_S, landing=True)
             )
             if why is not None:
                 raise RobotError(
@@ -182,7 +143,7 @@ class Ros2Robot(Robot):
                     f"ground: {why}; land it by hand"
                 )
         self._disarm(link)
-        self._started = self._left_ground = False
+        ground.disarmed()
 
     def measure_output(self) -> FloatArray:
         """Wait for the next measurement, shape (axes,)."""
@@ -236,6 +197,7 @@ class Ros2Robot(Robot):
         try:
             self._here()
             charge = link.charge()
+            reason = link.problem() or ""
         except RobotError as error:
             reason = str(error)
         if battery is not None and charge is not None:
@@ -288,10 +250,19 @@ class Ros2Robot(Robot):
             raise RobotError(self._uncut())
         return link
 
-    def _beginning(self) -> Link:
+    def _engage(self, role: str) -> None:
+        """Arm or take off, unless the robot is not wanted any more or not measured."""
         link = self._commandable()
         self.check_wanted()
-        return link
+        self._here()
+        self._ground.left |= role == "take_off"
+        try:
+            link.call(role, True, self._settings.services.timeout_s)
+        finally:
+            if self._kill_asked:  # this request may have reached the robot after that one
+                with suppress(RobotError):
+                    link.call("kill", True, KILL_MAX_S, KILL_REQUESTS)
+                self._disarm(link)
 
     def _uncut(self) -> str:
         return (
@@ -303,6 +274,8 @@ class Ros2Robot(Robot):
         link = self._commandable()
         if not self._begun:
             raise RobotError(f"{self._name} has not begun: it takes no set-points yet")
+        if self._stalled is not None:
+            raise RobotError(self._stalled)
         return link
 
     def _here(self) -> FloatArray:
@@ -314,44 +287,66 @@ class Ros2Robot(Robot):
             topic = self._settings.full(self._settings.measurement.topic)
             since = "" if age_s is None else f" for {age_s:.2g} s"
             raise RobotError(f"nothing came on {topic}{since}: check its publisher and the network")
+        if arrived.late_s > LOST_MAX_S:
+            raise RobotError(
+                f"what comes on {self._settings.full(self._settings.measurement.topic)} is "
+                f"{arrived.late_s:.2g} s old: check the network, and the load of its computers"
+            )
         return np.array([*arrived.values.values()])
 
     def _send(self, place: FloatArray) -> float:
         """Send the set-point of a place, and return when."""
         with self._sending:
+            link = self._moving()
             before, self._place = self._place, place
-            return self._publish(before)
+            return self._publish(link, before)
 
     def _resend(self) -> None:
         with self._sending:
-            stays = self._kill_asked and self._settings.command.type not in TWISTS
-            if self._begun and self._down is None and not stays:
-                self._publish(self._place)
+            if not self._begun or self._down is not None:
+                return
+            # A robot that is commanded velocities is stopped when it is commanded no more.
+            if self._settings.command.type in TWISTS:
+                self._publish(self._reached(), self._place)
+            elif not self._kill_asked and self._stalled is None:
+                self._publish(self._moving(), self._place)
 
-    def _publish(self, before: FloatArray) -> float:
+    def _publish(self, link: Link, before: FloatArray) -> float:
+        silent_s = 0.0 if self._commanded_s is None else link.now_s() - self._commanded_s
+        if silent_s > GAP_MAX_S and self._stalled is None:
+            self._stalled = (
+                f"{self._name} was sent no set-point for {silent_s:.2g} s, since this process "
+                "stood still, and what the robot did meanwhile is not known"
+            )
+            self._moving()
         here = None
-        if self._settings.command.type in TWISTS and not self._kill_asked:
+        still = self._kill_asked or self._stalled is not None
+        if self._settings.command.type in TWISTS and not still:
             with suppress(RobotError):  # a robot that is not measured stands still
                 here = self._here()
-        return self._reached().send(self._places.set_point(self._place, before, here))
+        self._commanded_s = link.send(self._places.set_point(self._place, before, here))
+        return self._commanded_s
 
     def _let_stand(self, link: Link) -> None:
         """Send no more set-points; a robot that is commanded velocities is stopped."""
         link.keep_sending(None)
         with self._sending:
             begun, self._begun = self._begun, False
-            if begun and self._settings.command.type in TWISTS:
-                link.send(self._places.set_point(self._place, self._place, None))
+        if not begun or self._settings.command.type not in TWISTS:
+            return
+        for _ in range(STOPS):
+            sent_s = link.send(self._places.set_point(self._place, self._place, None))
+            with suppress(RobotError):  # the clock of a simulation stands still
+                link.wait_until(sent_s + self._spec.sample_time_s)
 
     def _go(self, place: FloatArray) -> None:
         """Go to a place by set-points, and wait until the robot has settled."""
         link = self._moving()
-        due_s = link.now_s()
+        due_s = link.now_s() + self._spec.sample_time_s
         for step in self._places.way(self._place, place):
-            due_s = max(due_s + self._spec.sample_time_s, link.now_s() - LOST_MAX_S)
             link.wait_until(due_s)
-            self._moving()
-            self._send(step)
+            self._here()
+            due_s = self._send(step) + self._spec.sample_time_s
         self._pause(self._spec.settling_time_s)
 
     def _pause(self, lasts_s: float, *, landing: bool = False) -> None:

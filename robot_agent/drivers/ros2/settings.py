@@ -51,8 +51,9 @@ class CommandTopic(Strict):
         "trajectory_msgs/msg/JointTrajectory",
     ]
     """Type of its messages. A trajectory has one point, which is due one sample later."""
-    frame_id: str = "map"
-    """Frame in the messages' headers."""
+    frame_id: str | None = None
+    """Frame in the messages' headers; None for `base_link` of a TwistStamped in the frame of the
+    body, and for `map` otherwise."""
     velocity: bool = False
     """Whether points of trajectories also state the velocity of the reference."""
     gain_1_s: Positive | None = None
@@ -71,6 +72,12 @@ class CommandTopic(Strict):
                 "gain_1_s belongs to a Twist, which commands velocities, and only to it"
             )
         return self
+
+    @property
+    def frame(self) -> str:
+        """Frame in the messages' headers."""
+        in_body = self.type in TWISTS and self.twist_frame == "body"
+        return self.frame_id or ("base_link" if in_body else "map")
 
 
 class MeasurementTopic(Strict):
@@ -120,21 +127,21 @@ class Services(Strict):
     arm: RosName | None = None
     """Arms; a SetBool also disarms."""
     disarm: RosName | None = None
-    """Disarms, if `arm` is a Trigger."""
+    """Disarms; required if `arm` is a Trigger."""
     take_off: RosName | None = None
     """Takes off."""
     land: RosName | None = None
     """Lands."""
     kill: RosName | None = None
     """Cuts the motors."""
-    take_off_s: NonNegative = 5.0
+    take_off_s: Annotated[float, Field(ge=0, le=20)] = 5.0
     """Time from the answer of `take_off` until the robot hovers."""
-    land_s: NonNegative = 5.0
+    land_s: Annotated[float, Field(ge=0, le=14)] = 5.0
     """Time from the answer of `land` after which the robot is expected on the ground. It is
     disarmed only after it was seen there."""
     land_tolerance_m: Positive = 0.15
     """Distance of the measured z from where the robot was armed at which it is on the ground."""
-    timeout_s: Annotated[float, Field(gt=0, le=30)] = 10.0
+    timeout_s: Annotated[float, Field(gt=0, le=14)] = 10.0
     """Longest time until a service answers, except `kill`."""
 
     @model_validator(mode="after")
@@ -276,6 +283,11 @@ class Ros2Settings(Strict):
         turned = ("yaw",) if self.command.type in TWISTS else ()
         landed = () if self.services.land is None else ("z",)
         return tuple(dict.fromkeys((*self.commanded, *turned, *landed)))
+
+    @property
+    def reports_height(self) -> bool:
+        """Whether a z is measured."""
+        return not self.joints and "z" in self.measured
 
     def full(self, name: str) -> str:
         """Return a name with the namespace before it unless it is absolute."""

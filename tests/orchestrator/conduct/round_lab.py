@@ -16,6 +16,7 @@ from nufleet.orchestrator.conduct.replay import OpenTest, round_of
 from nufleet.orchestrator.conduct.trial_log import TrialLog
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.repository.records import TrialRecord, TrialStatus
+from nufleet.orchestrator.repository.repository import Repository
 from nufleet.orchestrator.repository.study_store import StudyStore
 from nufleet.orchestrator.study.interface import Question
 from nufleet.orchestrator.study.outcomes import TestOutcome
@@ -41,10 +42,14 @@ class Lab:
     client: Session
     fleet: Fleet
     stack: ExitStack
-    studies: StudyStore
+    repository: Repository
     epoch: int = 1
     attempts: list[tuple[str, int, str]] = field(default_factory=list)
     agents: dict[str, Agent] = field(default_factory=dict)
+
+    @property
+    def studies(self) -> StudyStore:
+        return self.repository.studies
 
     @property
     def epochs(self) -> dict[str, int]:
@@ -123,6 +128,6 @@ def join_lab(
     fleet = Fleet(client, KEYS, "orchestrator-test")
     fleet.wait_for(ROBOTS, timeout_s=PATIENCE_S)
     repository = stack.enter_context(kept_study(tmp_path, STUDY, (*ROBOTS, "r9")))
-    lab = Lab(endpoint, robots, client, fleet, stack, repository.studies, agents=agents)
+    lab = Lab(endpoint, robots, client, fleet, stack, repository, agents=agents)
     fleet.hold(lab.epochs)
     return lab

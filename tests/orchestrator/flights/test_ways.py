@@ -87,3 +87,11 @@ def test_nothing_is_chosen_where_nothing_could_be_predicted() -> None:
     found = foresight(way("baseline", None))
     assert found.chosen is None
     assert "could be predicted" in advice(found)
+
+
+def test_what_of_a_path_was_never_seen_comes_with_the_baseline_and_is_told_of_the_path() -> None:
+    error = PredictedError(rms=0.06, low=0.05, high=0.07)
+    found = Foreseen(predicted=error, reason="it has never moved y")
+    seen = foresight(WayRecord.of("baseline", 20.0, found), OWN)
+    assert (seen.unseen, foresight(BASELINE, OWN).unseen) == ("it has never moved y", None)
+    assert (seen.chosen, seen.ways[0].reason) == ("own", None)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 from robots_that_learn import LaggedRobot, double_integrator
@@ -15,11 +18,13 @@ from nufleet.robot_agent.motion.perform import perform
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.errors import InvalidInputError, RobotError
 from nufleet.shared.experience.layout import InverseLayout
+from nufleet.shared.models.error_belief import ErrorBelief
 from nufleet.shared.models.error_response import ErrorBasis
 from nufleet.shared.paths.trajectories import travel
 from nufleet.shared.wire.messages import ForeseenWay, Outcome
 from nufleet.shared.wire.motions import (
     Flight,
+    PredictedError,
     RichFlight,
     Tracking,
     TrackingDetails,
@@ -54,6 +59,33 @@ def none(states: tuple[str, ...], sample_time_s: float) -> ForeseenWay:
         architecture="state", states=states, sample_time_s=sample_time_s, horizon_samples=10
     )
     return ForeseenWay(inverse="zero-prior", layout=known)
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A robot that has flown a path once, which it may fly again while learning from nothing."""
+
+    robot: LaggedRobot
+    memory: Memory
+    way: ForeseenWay
+    rehearsal: Rehearsal
+    predicted: PredictedError
+    """What two rehearsals show of the way."""
+
+    def of_axes(self, change: Callable[[ErrorBelief], ErrorBelief]) -> PredictedError:
+        """Return what two rehearsals show if something else is believed of every axis."""
+        model = self.rehearsal.model
+        other = replace(model, axes=tuple(change(axis) for axis in model.axes))
+        return replace(self.rehearsal, model=other).predicted(self.way, draws=2)
+
+
+@pytest.fixture(scope="module")
+def known() -> Known:
+    robot, memory = LaggedRobot(noise_std_m=1e-3), Memory(None)
+    flown(robot, Tracking(desired=PATH, inverse="baseline"), memory)
+    way = none(robot.state_names, robot.spec.sample_time_s)
+    rehearsal = Rehearsal.of(robot.spec, robot.state_names, memory, PATH)
+    return Known(robot, memory, way, rehearsal, rehearsal.predicted(way, draws=2))
 
 
 def test_a_rehearsed_robot_answers_as_its_response_says_sample_by_sample() -> None:
@@ -104,21 +136,14 @@ def test_states_beside_the_output_are_rehearsed_once_they_were_observed() -> Non
     assert expected.low <= flown(robot, way.along(path), memory) <= expected.high
 
 
-def test_the_same_flight_is_expected_to_have_the_same_error_again() -> None:
-    robot, memory = LaggedRobot(noise_std_m=1e-3), Memory(None)
-    flown(robot, Tracking(desired=PATH, inverse="baseline"), memory)
-    way = none(robot.state_names, robot.spec.sample_time_s)
-    rehearsal = Rehearsal.of(robot.spec, robot.state_names, memory, PATH)
-    assert rehearsal.predicted(way, draws=2) == rehearsal.predicted(way, draws=2)
+def test_the_same_flight_is_expected_to_have_the_same_error_again(known: Known) -> None:
+    assert known.of_axes(lambda axis: axis) == known.predicted
 
 
-def test_a_rehearsal_moves_nothing_and_teaches_the_robot_nothing() -> None:
-    robot, memory = LaggedRobot(noise_std_m=1e-3), Memory(None)
-    flown(robot, Tracking(desired=PATH, inverse="baseline"), memory)
-    samples, known = robot.samples, dict(memory.flown_s)
-    way = none(robot.state_names, robot.spec.sample_time_s)
-    Rehearsal.of(robot.spec, robot.state_names, memory, PATH).predicted(way, draws=2)
-    assert (robot.samples, dict(memory.flown_s)) == (samples, known)
+def test_a_rehearsal_moves_nothing_and_teaches_the_robot_nothing(known: Known) -> None:
+    samples, seconds = known.robot.samples, dict(known.memory.flown_s)
+    known.rehearsal.predicted(known.way, draws=2)
+    assert (known.robot.samples, dict(known.memory.flown_s)) == (samples, seconds)
 
 
 def test_a_robot_that_knows_nothing_of_itself_cannot_rehearse() -> None:
@@ -133,6 +158,22 @@ def test_a_state_that_was_never_observed_is_named() -> None:
     rehearsal = Rehearsal.of(robot.spec, ("position", "tilt"), memory, PATH)
     with pytest.raises(InvalidInputError, match="tilt"):
         rehearsal.predicted(none(("position", "tilt"), robot.spec.sample_time_s))
+
+
+def test_an_error_like_that_of_the_likeliest_robot_is_expected_where_drawn_ones_do_worse(
+    known: Known,
+) -> None:
+    doubted = known.of_axes(lambda axis: replace(axis, factor=200 * axis.factor))
+    measured = flown(known.robot, known.way.along(PATH), Memory.imported(*known.memory.exported()))
+    assert doubted.low <= measured < 0.1 * doubted.rms
+
+
+def test_an_error_that_may_not_grow_with_the_motion_may_be_smaller_by_what_is_not_known(
+    known: Known,
+) -> None:
+    largest = 0.1 * float(np.std(PATH, axis=0).min())
+    held = known.of_axes(lambda axis: replace(axis, bounded=1.0, largest=largest))
+    assert held.low < 0.1 * known.predicted.low < held.high
 
 
 def test_few_rehearsals_bound_the_next_error_as_often_as_they_say() -> None:

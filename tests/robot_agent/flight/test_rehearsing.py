@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from io import BytesIO
 
 import numpy as np
@@ -64,6 +65,16 @@ def test_a_way_that_fails_is_answered_and_the_next_one_is_rehearsed() -> None:
     assert (first.predicted, first.code) == (None, "rehearsal")
     assert "no longer has a prior" in first.reason
     assert second.predicted is not None
+    assert second.reason == rehearsal.unseen == ""
+
+
+def test_what_of_the_path_was_never_seen_comes_with_the_error_of_the_baseline() -> None:
+    task, memory = read_task(BytesIO(a_task(a_robot())))
+    known = Rehearsal.of(task.spec, task.state_names, memory, task.desired)
+    axes = tuple(replace(axis, largest=0.01) for axis in known.model.axes)
+    found = foreseen(BASELINE, replace(known, model=replace(known.model, axes=axes)))
+    assert "its motions until now were smaller than this path" in found.reason
+    assert found.predicted is not None
 
 
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.5, 0.99])

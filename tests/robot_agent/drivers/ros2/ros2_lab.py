@@ -79,12 +79,14 @@ class VirtualLink:
         self.velocity: dict[str, float] = {}
         self.time_s = self.sent_at_s = 1000.0
         self.sent: list[SetPoint] = []
+        self.sent_s: list[float] = []
         self.calls: list[tuple[str, bool]] = []
         self.refusals: dict[str, str] = {}
         self.battery: float | None = None
         self.resend: Callable[[], None] | None = None
         self.silent = self.closed = False
-        self.stamp_offset_s = 77.0
+        self.stamp_offset_s, self.delay_s = 77.0, 0.002
+        self.found: str | None = None
         self.at_call: Callable[[], None] = lambda: None
         self.lift_m, self.share = 1.0, 0.1
         self.kill_requests = 0
@@ -101,7 +103,7 @@ class VirtualLink:
         if not self.silent:
             stamp_s = self.time_s + self.stamp_offset_s
             self.taken_s = self.time_s
-            self.arrivals.take(stamp_s, self.time_s + 0.002, dict(self.place))
+            self.arrivals.take(stamp_s - self.delay_s, self.time_s, dict(self.place))
         period_s = self.settings.sample_time_s
         if self.resend is not None and self.time_s - self.sent_at_s > 1.5 * period_s:
             self.resend()
@@ -116,6 +118,7 @@ class VirtualLink:
 
     def send(self, point: SetPoint) -> float:
         self.sent.append(point)
+        self.sent_s.append(self.time_s)
         self.sent_at_s = self.time_s
         if self.settings.command.type in TWISTS:
             self.velocity = dict(point.velocities)
@@ -137,6 +140,9 @@ class VirtualLink:
             self.goal["z"] = self.lift_m if role == "take_off" else 0.0
         self.at_call()
 
+    def problem(self) -> str | None:
+        return self.found
+
     def charge(self) -> float | None:
         return self.battery
 
@@ -149,9 +155,10 @@ class Lab:
 
     def __init__(self, own: Ros2Settings, **start: float) -> None:
         self.links: list[VirtualLink] = []
+        self.start = start
 
         def opened(_: str, described: Ros2Settings) -> VirtualLink:
-            self.links.append(VirtualLink(described, start))
+            self.links.append(VirtualLink(described, self.start))
             return self.links[-1]
 
         self.robot = Ros2Robot("cf-1", own, opened)

@@ -43,9 +43,16 @@ def test_few_messages_tell_an_offset_and_no_drift() -> None:
     assert found_s == pytest.approx([1.003, 1.013, 1.023])
 
 
-def test_clocks_that_differ_by_more_than_clocks_do_are_not_believed() -> None:
+@pytest.mark.parametrize(("rate", "said"), [(1.005, "0.50% slower"), (0.995, "0.50% faster")])
+def test_clocks_that_differ_by_more_than_clocks_do_are_refused(rate: float, said: str) -> None:
     stamp_s = np.arange(0.0, 10.0, 0.01)
-    found_s = on_receiving_clock(stamp_s, 1.01 * stamp_s + 5.0)
+    with pytest.raises(RobotError, match=f"run {said} than this computer's clock"):
+        on_receiving_clock(stamp_s, rate * stamp_s + 5.0)
+
+
+def test_delays_that_change_by_little_are_no_other_rate() -> None:
+    stamp_s = np.arange(0.0, 6.0, 0.01)
+    found_s = on_receiving_clock(stamp_s, stamp_s + 5.0 + 0.02 * (stamp_s < 0.5))
     assert np.diff(found_s).max() < 0.01 * 1.0011
 
 
@@ -71,6 +78,23 @@ def test_a_message_that_waited_is_no_jump_of_its_clock() -> None:
     for stamp_s, arrived_s in ((7.0, 1.0), (7.01, 2.5), (7.02, 2.5), (8.6, 2.6)):
         kept.take(stamp_s, arrived_s, PLACE)
     assert kept.since(0.0)[0] == pytest.approx([1.0, 1.01, 1.02, 2.6])
+
+
+@pytest.mark.parametrize(("stamps", "late_s"), [("own-clock", 0.6), ("synchronised", 0.605)])
+def test_a_measurement_knows_how_late_it_arrived_also_on_a_clock_that_drifts(
+    stamps: Any, late_s: float
+) -> None:
+    kept = arrivals(stamps)
+    drift = 0.0 if stamps == "synchronised" else 3e-4
+    for k in range(3600):
+        kept.take((1 - drift) * k, k + 0.005, PLACE)
+    newest = kept.newest()
+    assert newest is not None
+    assert newest.late_s <= 0.005 + 1e-9
+    kept.take((1 - drift) * 3600, 3600.605, PLACE)
+    newest = kept.newest()
+    assert newest is not None
+    assert newest.late_s == pytest.approx(late_s, abs=1e-3)
 
 
 def test_of_a_burst_after_a_delay_the_first_measurement_counts() -> None:
@@ -104,6 +128,7 @@ def test_a_measurement_that_cannot_be_is_refused_and_so_is_all_after_it(
     stamps: Any, second: Any, said: str
 ) -> None:
     kept = arrivals(stamps)
+    kept.take(4.0, 4.0, PLACE)
     kept.take(7.0, 7.0, PLACE)
     kept.take(*second)
     kept.take(9.0, 9.0, PLACE)
@@ -111,7 +136,14 @@ def test_a_measurement_that_cannot_be_is_refused_and_so_is_all_after_it(
         kept.newest()
     with pytest.raises(RobotError, match=said):
         kept.next(0.0)
-    assert kept.since(0.0)[1].shape == (1, 2)
+    assert kept.since(0.0)[1].shape == (2, 2)
+
+
+def test_a_first_message_that_waited_is_no_jump_of_its_clock() -> None:
+    kept = arrivals()
+    kept.take(7.0, 8.5, PLACE)
+    kept.take(8.5, 8.51, PLACE)
+    assert kept.newest() is not None
 
 
 def test_messages_about_other_joints_are_no_measurements() -> None:

@@ -92,3 +92,11 @@ def test_services_are_known_by_name_and_type() -> None:
     wrong = service_problem("/cf1/add", services)
     assert wrong is not None
     assert wrong.startswith("the service /cf1/add is of type example/srv/Add; only std_srvs/srv/")
+
+
+def test_a_service_that_arms_and_cannot_disarm_needs_one_that_does() -> None:
+    services = {"/arm": ["std_srvs/srv/Trigger"], "/both": ["std_srvs/srv/SetBool"]}
+    assert service_problem("/both", services, both_ways=True) is None
+    problem = service_problem("/arm", services, both_ways=True)
+    assert problem is not None
+    assert "name the service that does as services.disarm" in problem

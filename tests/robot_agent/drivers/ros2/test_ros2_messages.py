@@ -154,6 +154,8 @@ def test_joints_are_commanded_by_name() -> None:
     (step,) = message.points
     assert message.joint_names == ["a", "b"]
     assert (step.positions, step.velocities) == ([0.1, 0.2], [1.0, 2.0])
+    # A controller rejects a trajectory that came after its time; one without a stamp begins now.
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (0, 0)
 
 
 @pytest.mark.parametrize("stamped", [True, False])
@@ -164,6 +166,7 @@ def test_a_twist_is_in_the_frame_of_the_body_or_of_the_world(stamped: bool) -> N
     world = sent(kind, point, gain_1_s=1.0, twist_frame="world")
     if stamped:
         assert body.header.stamp.sec == 3
+        assert (body.header.frame_id, world.header.frame_id) == ("base_link", "map")
         body, world = body.twist, world.twist
     assert (body.linear.x, body.linear.y) == (pytest.approx(0.5), pytest.approx(0.0))
     assert (world.linear.x, world.linear.y, world.angular.z) == (0.0, 0.5, 0.1)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from contextlib import suppress
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,7 +13,9 @@ import pytest
 from ros2_lab import ARM, CART, DRONE, FLYING, Lab, settings
 
 from nufleet.robot_agent.driver_kit.check import check_robot
+from nufleet.robot_agent.drivers.ros2.clocks import Arrivals
 from nufleet.robot_agent.drivers.ros2.driver import DRIVER
+from nufleet.robot_agent.drivers.ros2.node import RosNode
 from nufleet.shared.errors import OutsideLimitsError, RobotDownError, RobotError
 
 BATTERY = {"topic": "battery", "motion_s": 400.0}
@@ -94,8 +99,8 @@ def test_outputs_are_recorded_at_their_stamps_on_another_clock() -> None:
     for k in range(100):
         lab.robot.step(np.array([0.2 * math.sin(0.06 * k), 0.0]))
     record = lab.robot.record()
-    # The virtual link delivers after 2 ms, which no clock can tell from an offset.
-    assert record.measured_s[-1] == pytest.approx(lab.link.taken_s + 0.002, abs=1e-6)
+    # No clock can tell the time that a message travels from an offset.
+    assert record.measured_s[-1] == pytest.approx(lab.link.taken_s, abs=1e-6)
     assert record.outputs.shape == (len(record.measured_s), 2)
 
 
@@ -209,10 +214,10 @@ def test_a_robot_outside_its_limits_is_not_moved() -> None:
 def test_a_robot_that_does_not_rise_has_not_begun() -> None:
     lab = Lab(settings(services=FLYING, hold={"z": 1.0}, idle_s=20.0))
     lab.robot.connect()
-    lab.link.lift_m = 0.0
+    lab.link.lift_m = 0.3
     send = lab.link.send
     lab.link.send = lambda point: (send(point), lab.link.goal.pop("z"))[0]  # type: ignore[method-assign]
-    with pytest.raises(RobotError, match=r"cf-1 is not at z = 1: it is 1 away"):
+    with pytest.raises(RobotError, match=r"cf-1 is not at z = 1: it is 0\.7 away"):
         lab.robot.begin()
 
 
@@ -286,7 +291,7 @@ def test_a_kill_during_arming_leaves_the_robot_disarmed_on_the_ground() -> None:
     lab.link.at_call = lambda: lab.robot.kill() if lab.link.calls[-1] == ("arm", True) else None
     with pytest.raises(RobotDownError, match="its motors were cut"):
         lab.robot.begin()
-    assert lab.link.calls == [("arm", True), ("kill", True), ("arm", False)]
+    assert lab.link.calls == [("arm", True), ("kill", True), ("kill", True), ("arm", False)]
 
 
 def test_a_robot_that_is_stopped_while_it_is_armed_does_not_take_off() -> None:
@@ -328,6 +333,8 @@ def test_a_kill_interrupts_a_take_off() -> None:
     with pytest.raises(RobotDownError):
         lab.robot.begin()
     assert lab.link.sent == []
+    # The robot may have been told to cut its motors before it was told to take off.
+    assert lab.link.calls[1:4] == [("take_off", True), ("kill", True), ("kill", True)]
 
 
 def test_without_a_service_that_cuts_motors_kill_says_so() -> None:
@@ -361,7 +368,7 @@ def test_a_measurement_that_jumps_does_not_command_any_speed() -> None:
     assert lab.link.sent[-1].velocities == {"x": -0.6, "y": 0.6, "z": 0.25}
 
 
-@pytest.mark.parametrize("leaving", ["end", "disconnect", "silence"])
+@pytest.mark.parametrize("leaving", ["end", "disconnect", "silence", "freeze"])
 def test_a_robot_that_is_commanded_velocities_is_never_left_moving(leaving: str) -> None:
     lab = Lab(settings(CART), x=0.5)
     lab.robot.connect()
@@ -372,9 +379,165 @@ def test_a_robot_that_is_commanded_velocities_is_never_left_moving(leaving: str)
         lab.link.silent = True
         for _ in range(100):
             lab.link.tick()
+    elif leaving == "freeze":
+        freeze(lab)
     else:
         getattr(lab.robot, leaving)()
-    assert lab.link.sent[-1].velocities == {}
+    # One message alone may be lost.
+    assert [point.velocities for point in lab.link.sent[-5:]] == 5 * [{}]
+
+
+def freeze(lab: Lab) -> None:
+    """Let time pass without the driver, as for a process that is stopped, and then with it."""
+    lab.link.time_s += 5.0
+    for _ in range(20):
+        with suppress(RobotError):  # as the thread of the node does
+            lab.link.tick()
+
+
+def test_a_robot_that_was_sent_nothing_for_long_is_not_moved_again_and_is_landed() -> None:
+    lab = flying()
+    before = len(lab.link.sent)
+    freeze(lab)
+    for call in (lambda: lab.robot.step(np.zeros(2)), lab.robot.rest):
+        with pytest.raises(RobotError, match=r"cf-1 was sent no set-point for 5 s, since this"):
+            call()
+    assert len(lab.link.sent) == before
+    lab.robot.end()
+    assert lab.link.calls[-2:] == [("land", True), ("arm", False)]
+
+
+def test_a_robot_that_is_measured_no_more_is_not_flown_home() -> None:
+    lab = flying()
+    lab.robot.step(np.array([0.2, 0.0]))
+    lab.link.silent = True
+    for _ in range(60):
+        lab.link.tick()
+    with pytest.raises(RobotError, match="nothing came on"):
+        lab.robot.rest()
+    assert {point.positions["x"] for point in lab.link.sent[-10:]} == {0.7}
+
+
+def test_measurements_that_arrive_long_after_they_were_taken_end_a_motion() -> None:
+    lab = flying()
+    lab.robot.step(np.zeros(2))
+    lab.link.stamp_offset_s -= 0.7
+    lab.link.time_s += 0.7
+    lab.link.tick()
+    with pytest.raises(RobotError, match=r"what comes on /cf1/measured is 0.7 s old: check the"):
+        lab.robot.step(np.zeros(2))
+    assert not lab.robot.health().ready
+
+
+def test_a_process_that_was_held_up_does_not_hurry_a_robot_home() -> None:
+    lab = flying()
+    lab.robot.step(np.array([0.3, 0.0]))
+    wait, waits = lab.link.wait_until, itertools.count()
+
+    def held_up(due_s: float) -> None:
+        wait(due_s + (0.3 if next(waits) == 20 else 0.0))
+
+    lab.link.wait_until = held_up  # type: ignore[method-assign]
+    first = len(lab.link.sent)
+    lab.robot.rest()
+    x = np.array([point.positions["x"] for point in lab.link.sent[first:]])
+    moves = np.flatnonzero(np.diff(x, prepend=0.8))
+    speeds = np.abs(np.diff(x[moves])) / np.diff(np.array(lab.link.sent_s[first:])[moves])
+    assert speeds.max() <= 0.5 * 0.6 + 1e-6
+
+
+def test_the_ground_is_where_the_robot_was_armed_also_when_it_is_connected_again() -> None:
+    lab = Lab(settings(services={"arm": "arm"}, hold={"z": 1.0}))
+    lab.robot.connect()
+    lab.robot.begin()
+    for _ in range(2):
+        with pytest.raises(RobotError, match=r"not disarmed, .*: its z is \+1.00 m from where"):
+            lab.robot.end()
+        lab.start = {"z": 1.0}  # it still hovers
+        lab.robot.connect()
+        lab.robot.begin()
+
+
+def test_a_robot_that_hovers_before_it_was_armed_is_left_as_it_is() -> None:
+    lab = Lab(settings(services=FLYING, hold={"z": 1.0}, idle_s=20.0), z=0.95)
+    lab.robot.connect()
+    with pytest.raises(RobotError, match=r"cf-1 is at z = 0.95, where it shall hover \(z = 1\)"):
+        lab.robot.begin()
+    lab.robot.end()
+    assert lab.link.calls == []
+
+
+def test_a_robot_that_answers_and_stays_on_the_ground_is_not_moved_there() -> None:
+    lab = Lab(settings(services=FLYING, idle_s=20.0))
+    lab.robot.connect()
+    lab.link.lift_m = 0.1
+    with pytest.raises(RobotError, match=r"cf-1 has not taken off: its z is \+0.10 m from"):
+        lab.robot.begin()
+    assert lab.link.sent == []
+    lab.robot.end()
+    assert lab.link.calls[2:] == [("land", True), ("arm", False)]
+
+
+def test_a_robot_that_is_measured_no_more_while_it_is_armed_does_not_take_off() -> None:
+    lab = Lab(settings(services=FLYING, idle_s=20.0))
+    lab.robot.connect()
+
+    def silence() -> None:
+        lab.link.silent = True
+        lab.link.wait_until(lab.link.time_s + 1.0)
+
+    lab.link.at_call = silence
+    with pytest.raises(RobotError, match="nothing came on /cf1/measured"):
+        lab.robot.begin()
+    assert lab.link.calls == [("arm", True)]
+
+
+def test_topics_and_services_are_looked_at_again_before_a_robot_is_armed() -> None:
+    lab = Lab(settings(services=FLYING, idle_s=20.0))
+    lab.robot.connect()
+    lab.link.found = "another program sends set-points on /cf1/command"
+    with pytest.raises(RobotError, match="another program sends set-points"):
+        lab.robot.begin()
+    assert lab.link.calls == []
+    assert lab.robot.health().reason == lab.link.found
+
+
+def test_a_simulation_that_is_slow_is_not_told_its_place_between_two_samples() -> None:
+    told: list[str] = []
+    link = SimpleNamespace(
+        _settings=settings(), _resend=lambda: told.append("again"), _sent_s=7.0, now_s=lambda: 7.01
+    )
+    RosNode._repeat(link)  # type: ignore[arg-type]
+    assert told == []
+    link.now_s = lambda: 7.04
+    RosNode._repeat(link)  # type: ignore[arg-type]
+    assert told == ["again"]
+
+
+def test_what_is_measured_before_the_first_time_of_a_simulation_is_passed_over() -> None:
+    own = settings(use_sim_time=True)
+    place, turn = dict.fromkeys("xyz", 0.0), {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+    pose = SimpleNamespace(position=SimpleNamespace(**place), orientation=SimpleNamespace(**turn))
+    message = SimpleNamespace(
+        header=SimpleNamespace(stamp=SimpleNamespace(sec=1000, nanosec=0)),
+        pose=SimpleNamespace(pose=pose),
+    )
+    kept = Arrivals("/cf1/measured", own.measured, "simulated")
+    link = SimpleNamespace(_settings=own, arrivals=kept, now_s=lambda: 0.0)
+    RosNode._received(link, message, {})  # type: ignore[arg-type]
+    assert kept.newest() is None
+    link.now_s = lambda: 1000.0
+    RosNode._received(link, message, {})  # type: ignore[arg-type]
+    newest = kept.newest()
+    assert newest is not None
+    assert newest.late_s == 0.0
+
+
+def test_two_robots_that_take_the_same_set_points_have_one_address() -> None:
+    first, second = settings(), settings(domain_id=3)
+    other = settings(namespace="/cf2")
+    assert DRIVER.address(first) == "/cf1/command in the ROS domain ROS_DOMAIN_ID"
+    assert len({DRIVER.address(one) for one in (first, settings(), second, other)}) == 3
 
 
 def test_the_driver_builds_robots_without_ros() -> None:

@@ -62,6 +62,9 @@ def test_a_pose_is_commanded_as_a_whole_joints_as_listed_and_a_twist_as_needed()
         ({"omega_max_rad_s": 200.0}, "Nyquist"),
         ({"battery": {"topic": "b", "reserve": 1.5}}, "battery.reserve"),
         ({"services": {"arm": "arm it"}}, "services.arm"),
+        # Landing and disarming have to end before the agent takes the driver for one that hangs.
+        ({"services": {"arm": "arm", "timeout_s": 20.0}}, "services.timeout_s"),
+        ({"services": {"arm": "arm", "land_s": 30.0}}, "services.land_s"),
         ({"topic": "odom"}, "topic: unknown"),
     ],
 )

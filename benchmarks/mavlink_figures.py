@@ -1,14 +1,12 @@
-"""How well responses and distances hold that are measured through drivers of real robots.
+"""How well responses and distances hold that are measured through the driver `mavlink`.
 
-Simulated vehicles of known loops fly over a link with jitter and losses, on a virtual clock, so
-that neither the machine's load nor its speed matters: the driver `mavlink` as a whole, of the
-driver `crazyflie` what packs set-points and dates measurements (`benchmarks.real_drivers` flies all
-of it, in real time). `--tests` compares every tone with the truth: it should lie in the disc that
-its test claims to hold it with 95 %. `--studies` ranks one vehicle against another, by agents and
-`nufleet.rank`, and compares ψ* with the closed form.
+The driver flies simulated vehicles of known loops over a link with jitter and losses, on a virtual
+clock, so that neither the machine's load nor its speed matters. `--tests` compares every tone with
+the truth: it should lie in the disc that its test claims to hold it with 95 %. `--studies` ranks
+one vehicle against another, by agents and `nufleet.rank`, and compares ψ* with the closed form.
 
-    python -m benchmarks.driver_figures --driver mavlink --tests 40
-    python -m benchmarks.driver_figures --driver crazyflie --studies 20
+    python -m benchmarks.mavlink_figures --tests 40
+    python -m benchmarks.mavlink_figures --studies 20
 """
 
 from __future__ import annotations
@@ -24,10 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import nufleet
-from benchmarks.real_drivers import Link, received
-from benchmarks.virtual_crazyflie import VirtualCrazyflie
 from nufleet.robot_agent.agent import Agent
-from nufleet.robot_agent.drivers.crazyflie.settings import CrazyflieSettings
 from nufleet.robot_agent.drivers.mavlink.robot import MavlinkRobot
 from nufleet.robot_agent.drivers.mavlink.settings import MavlinkAxis, MavlinkSettings
 from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
@@ -41,8 +36,6 @@ from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.messages import Outcome
 from nufleet.shared.wire.transport import open_client, open_router
-from nufleet.sims.crazyflies import plant as crazyflie_plant
-from nufleet.sims.crazyflies.peer import Air
 from nufleet.sims.mavlink_vehicle.loop import LoopSettings, frequency_response
 from nufleet.sims.mavlink_vehicle.vehicle import SimulatedVehicle, VehicleSettings
 from nufleet.sims.mavlink_vehicle.virtual_line import LinkSettings, VirtualClock, VirtualLine
@@ -69,79 +62,58 @@ class Unpaced(RobotAround):
         return self._robot.spec.model_copy(update={"simulated": True})
 
 
+Build = Callable[[LoopSettings, np.random.Generator], "Bench"]
+"""Function that builds a robot of a loop, disconnected."""
+
+
 @dataclass(frozen=True)
 class Bench:
-    """A robot, disconnected, and the exact response of the vehicle behind its link."""
+    """A robot, and the exact response of the vehicle behind its link."""
 
     robot: Robot
-    truth: Callable[[FloatArray], NDArray[np.complex128]]
-    """Function that returns z at frequencies, shape (frequencies,), in rad/s."""
+    loop: LoopSettings
+    link: LinkSettings
+    feed_forward: bool
+
+    def truth(self, omega_rad_s: FloatArray) -> NDArray[np.complex128]:
+        """Return z, shape (frequencies,)."""
+        return frequency_response(
+            self.loop,
+            omega_rad_s,
+            self.robot.spec.sample_time_s,
+            feed_forward=self.feed_forward,
+            link_delay_s=self.link.delay_s,
+            link_jitter_s=self.link.jitter_s,
+            link_loss=self.link.loss,
+        )
 
 
-Benches = Callable[[np.random.Generator], Bench]
-"""Function that builds a robot with a loop that it draws."""
+def bench(
+    own: MavlinkSettings, loop: LoopSettings, link: LinkSettings, rng: np.random.Generator
+) -> Bench:
+    """Build a robot, disconnected."""
+    settings = VehicleSettings(loop=loop, clock_drift=float(rng.uniform(-4e-5, 4e-5)))
+    clock = VirtualClock()
+    vehicle = SimulatedVehicle(settings, rng.spawn(1)[0], clock.now_s)
+    line = VirtualLine(vehicle, link, rng.spawn(1)[0], clock)
+    robot = Unpaced(MavlinkRobot("vehicle", own, lambda: line))
+    return Bench(robot, loop, link, own.feed_forward)
 
 
-def _drawn(rng: np.random.Generator) -> tuple[float, float, float]:
-    """Draw a loop: natural frequency in rad/s, damping ratio, and delay in s."""
-    return (
-        float(rng.uniform(4.5, 8.0)),
-        float(rng.uniform(0.5, 0.9)),
-        float(rng.uniform(0.02, 0.05)),
+def some_loop(rng: np.random.Generator) -> LoopSettings:
+    """Draw a loop."""
+    return LoopSettings(
+        omega_rad_s=float(rng.uniform(4.5, 8.0)),
+        damping=float(rng.uniform(0.5, 0.9)),
+        delay_s=float(rng.uniform(0.02, 0.05)),
     )
 
 
-def mavlink(link: Link, measured_by: str) -> Benches:
-    """Vehicles that are flown by the driver `mavlink`, measured by one of its messages."""
-    own = SETTINGS.model_copy(update={"measured_by": measured_by})
-    line_settings = LinkSettings(jitter_s=link.jitter_s, loss=link.loss)
+def tones(one: Bench, seed: int) -> Iterator[tuple[float, float, float]]:
+    """Play one test; yield each tone's error and the radius of its disc.
 
-    def built(rng: np.random.Generator) -> Bench:
-        omega_rad_s, damping, delay_s = _drawn(rng)
-        loop = LoopSettings(omega_rad_s=omega_rad_s, damping=damping, delay_s=delay_s)
-        settings = VehicleSettings(loop=loop, clock_drift=float(rng.uniform(-4e-5, 4e-5)))
-        clock = VirtualClock()
-        vehicle = SimulatedVehicle(settings, rng.spawn(1)[0], clock.now_s)
-        line = VirtualLine(vehicle, line_settings, rng.spawn(1)[0], clock)
-
-        def truth(omega_rad_s: FloatArray) -> NDArray[np.complex128]:
-            return frequency_response(
-                loop,
-                omega_rad_s,
-                own.sample_time_s,
-                feed_forward=own.feed_forward,
-                link_delay_s=line_settings.delay_s,
-                link_jitter_s=link.jitter_s,
-                link_loss=link.loss,
-            )
-
-        return Bench(Unpaced(MavlinkRobot("vehicle", own, lambda: line)), truth)
-
-    return built
-
-
-def crazyflie(link: Link) -> Benches:
-    """Drones whose log the driver `crazyflie` reads."""
-    own = CrazyflieSettings(uri="udp://127.0.0.1:19850", axes=("x",), parameters={})
-
-    def built(rng: np.random.Generator) -> Bench:
-        omega_rad_s, damping, delay_s = _drawn(rng)
-        loop = crazyflie_plant.LoopSettings(
-            omega_rad_s=omega_rad_s, damping_ratio=damping, delay_s=delay_s
-        )
-        robot = VirtualCrazyflie(own, loop, Air(jitter_s=link.jitter_s, loss=link.loss), rng)
-
-        def truth(omega_rad_s: FloatArray) -> NDArray[np.complex128]:
-            one_by_one = [received(link, loop, one, own.sample_time_s) for one in omega_rad_s]
-            return np.array(one_by_one)
-
-        return Bench(robot, truth)
-
-    return built
-
-
-def tones(one: Bench, seed: int) -> Iterator[tuple[float, float]]:
-    """Play one test; yield each tone's error and the radius of its disc."""
+    The last number is the radius with the unknown delay that the driver's spec declares.
+    """
     phases = 2 * np.pi * np.random.default_rng(seed).random(len(OMEGAS_RAD_S))
     asked = tuple(
         Tone(omega_rad_s=omega, phase_rad=float(phase))
@@ -165,8 +137,10 @@ def tones(one: Bench, seed: int) -> Iterator[tuple[float, float]]:
     response = estimate_frequency_response(played.samples.reference, played.samples.response, plan)
     if played.samples.timing is not None:
         response = response.delayed(played.samples.timing.clock_std_s)
-    truth = one.truth(response.omega_rad_s)
-    yield from zip(np.abs(response.z - truth), response.radius(ALPHA), strict=True)
+    errors = np.abs(response.z - one.truth(response.omega_rad_s))
+    radii = response.radius(ALPHA)
+    delayed = NORMAL_95 * response.omega_rad_s * spec.delay_uncertainty_s * np.abs(response.z)
+    yield from zip(errors, radii, np.hypot(radii, delayed), strict=True)
 
 
 def psi_exact(one: Bench, other: Bench) -> float:
@@ -176,10 +150,10 @@ def psi_exact(one: Bench, other: Bench) -> float:
     return float(np.max(np.abs(z - w) / np.sqrt((1 + np.abs(z) ** 2) * (1 + np.abs(w) ** 2))))
 
 
-def study(benches: Benches, seed: int) -> tuple[float, float, float]:
+def study(build: Build, seed: int) -> tuple[float, float, float]:
     """Rank one vehicle against another; return ψ*, its standard deviation, and the truth."""
     rng = np.random.default_rng([7, seed])
-    pair = {name: benches(rng) for name in ("target", "other")}
+    pair = {name: build(some_loop(rng), rng) for name in ("target", "other")}
     keys = FleetKeys("figures")
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         endpoint = f"unixsock-stream/{folder}/r.sock"
@@ -204,45 +178,44 @@ def study(benches: Benches, seed: int) -> tuple[float, float, float]:
     return estimate.psi, sigma, psi_exact(pair["target"], pair["other"])
 
 
-def fly_tests(benches: Benches, tests: int, seed: int) -> None:
+def fly_tests(build: Build, tests: int, seed: int) -> None:
     """Play tests on one loop each, and print how many tones lie in their discs."""
-    rows: list[tuple[float, float]] = []
+    rows: list[tuple[float, float, float]] = []
     for number in range(tests):
         rng = np.random.default_rng([seed, number])
-        one = benches(rng)
+        one = build(some_loop(rng), rng)
         one.robot.connect()
         one.robot.begin()
         rows += tones(one, number)
         one.robot.end()
         one.robot.disconnect()
-    errors, radii = np.array(rows).T
+    errors, radii, with_delay = np.array(rows).T
     print(
-        f"{int((errors <= radii).sum())} of {len(rows)} tones lie in their discs of 95 %; median "
-        f"error {np.median(errors):.2g}, median radius {np.median(radii):.2g}"
+        f"{int((errors <= radii).sum())} of {len(rows)} tones lie in their discs of 95 %, "
+        f"{int((errors <= with_delay).sum())} with the declared delay; median error "
+        f"{np.median(errors):.2g}, median radius {np.median(radii):.2g}"
     )
 
 
-def main() -> None:
-    """Parse the command line, fly, and print the shares."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--driver", choices=["crazyflie", "mavlink"], default="mavlink")
+def given_figures(description: str) -> argparse.ArgumentParser:
+    """Return a parser of what both drivers' figures are asked for by."""
+    parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--tests", type=int, default=0, help="tests of five tones each")
     parser.add_argument("--studies", type=int, default=0, help="rankings of two vehicles")
+    parser.add_argument("--delay", type=float, default=0.002, metavar="S", help="least delay")
     parser.add_argument("--jitter", type=float, default=0.008, metavar="S", help="mean of it")
     parser.add_argument("--loss", type=float, default=0.01, help="share of lost packets")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--odometry", action="store_true", help="mavlink: by ODOMETRY, whose stamps are in µs"
-    )
-    given = parser.parse_args()
-    link = Link(given.jitter, given.loss)
-    measured_by = "ODOMETRY" if given.odometry else "LOCAL_POSITION_NED"
-    benches = crazyflie(link) if given.driver == "crazyflie" else mavlink(link, measured_by)
+    return parser
+
+
+def show(build: Build, given: argparse.Namespace) -> None:
+    """Fly, and print the shares."""
     if given.tests:
-        fly_tests(benches, given.tests, given.seed)
+        fly_tests(build, given.tests, given.seed)
     held = 0
     for number in range(given.seed, given.seed + given.studies):
-        psi, sigma, truth = study(benches, number)
+        psi, sigma, truth = study(build, number)
         off = abs(psi - truth) / sigma
         held += off <= 2
         print(
@@ -250,6 +223,20 @@ def main() -> None:
         )
     if given.studies:
         print(f"{held} of {given.studies} studies within 2 σ")
+
+
+def main() -> None:
+    """Parse the command line, fly, and print the shares."""
+    parser = given_figures(__doc__.splitlines()[0])
+    parser.add_argument(
+        "--odometry", action="store_true", help="measure by ODOMETRY, whose stamps are in µs"
+    )
+    given = parser.parse_args()
+    link = LinkSettings(delay_s=given.delay, jitter_s=given.jitter, loss=given.loss)
+    settings = SETTINGS
+    if given.odometry:
+        settings = settings.model_copy(update={"measured_by": "ODOMETRY"})
+    show(lambda loop, rng: bench(settings, loop, link, rng), given)
 
 
 if __name__ == "__main__":

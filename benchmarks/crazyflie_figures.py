@@ -1,8 +1,13 @@
-"""A Crazyflie on a virtual clock: the driver's measuring part, without cflib, threads and sockets.
+"""How well responses and distances hold that are measured by the Crazyflie driver's own parts.
 
-Set-points are packed as the driver packs them, and packets are late or lost on their way to the
-simulated firmware and back. What it logs passes the driver's own telemetry, clock and record, so
-that responses are measured as in the air, and the machine's load does not matter.
+Set-points are packed as the driver packs them, and packets are late or lost on their way to a
+simulated drone of known loop and back. What it logs passes the driver's own telemetry, clock and
+record, on a virtual clock, so that the machine's load does not matter. cflib, sockets and threads
+take no part here: `benchmarks.real_drivers --driver crazyflie` measures with them, in real time.
+`--tests` and `--studies` are those of `benchmarks.mavlink_figures`.
+
+    python -m benchmarks.crazyflie_figures --tests 40
+    python -m benchmarks.crazyflie_figures --studies 20
 """
 
 from __future__ import annotations
@@ -12,7 +17,10 @@ import itertools
 import struct
 
 import numpy as np
+from numpy.typing import NDArray
 
+from benchmarks.mavlink_figures import Bench, given_figures, show
+from benchmarks.real_drivers import Link, received
 from nufleet.robot_agent.drivers.crazyflie.link import _whole_mm
 from nufleet.robot_agent.drivers.crazyflie.robot import STAMP_STD_S
 from nufleet.robot_agent.drivers.crazyflie.settings import AXES, CrazyflieSettings, spec_of
@@ -21,9 +29,10 @@ from nufleet.robot_agent.robot import Record, Robot
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.sims.crazyflies.firmware import Firmware
-from nufleet.sims.crazyflies.peer import Air
 from nufleet.sims.crazyflies.plant import KnownLoop, LoopSettings
 from nufleet.sims.crazyflies.tables import LOGGED
+from nufleet.sims.mavlink_vehicle.loop import LoopSettings as DrawnLoop
+from nufleet.sims.mavlink_vehicle.virtual_line import LinkSettings
 
 SKEW_MAX = 3e-5
 """Largest relative error of the drone's clock."""
@@ -40,10 +49,14 @@ class VirtualCrazyflie(Robot):
     """A drone of known response that hovers at its origin; nothing watches over it."""
 
     def __init__(
-        self, settings: CrazyflieSettings, loop: LoopSettings, air: Air, rng: np.random.Generator
+        self,
+        settings: CrazyflieSettings,
+        loop: LoopSettings,
+        link: LinkSettings,
+        rng: np.random.Generator,
     ) -> None:
-        self._settings, self._air, self._rng = settings, air, rng
-        self._delay_s = loop.delay_s
+        self._settings, self._link, self._rng = settings, link, rng
+        self._delay_s = loop.delay_s + link.delay_s
         self._spec = spec_of(settings).model_copy(update={"simulated": True})
         self._origin_m = np.array(settings.origin_m)
         self._columns = [AXES.index(axis) for axis in settings.axes]
@@ -123,8 +136,8 @@ class VirtualCrazyflie(Robot):
         self._last = offset
         numbers = [*_whole_mm(self._origin_m + offset), *_whole_mm(velocity)]
         packet = b"\x70\x06" + struct.pack("<hhhhhh", *(int(1000 * one) for one in numbers))
-        late_s = self._delay_s + 2 * self._air.jitter_s * self._rng.random()
-        if self._rng.random() >= self._air.loss:
+        late_s = self._delay_s + 2 * self._link.jitter_s * self._rng.random()
+        if self._rng.random() >= self._link.loss:
             self._reached_s = max(self._reached_s, self._now_s + late_s)
             self._fly(self._reached_s, packet, up=True)
 
@@ -133,8 +146,8 @@ class VirtualCrazyflie(Robot):
 
     def _down(self, packets: list[tuple[float, bytes]]) -> None:
         for sent_s, packet in packets:
-            if packet[0] == 0x52 and self._rng.random() >= self._air.loss:
-                self._fly(sent_s + self._air.jitter_s * self._rng.exponential(), packet, up=False)
+            if packet[0] == 0x52 and self._rng.random() >= self._link.loss:
+                self._fly(sent_s + self._link.jitter_s * self._rng.exponential(), packet, up=False)
 
     def _pass(self, lasts_s: float) -> None:
         until_s = self._now_s + lasts_s
@@ -148,3 +161,37 @@ class VirtualCrazyflie(Robot):
                 self._telemetry.take_state(int.from_bytes(packet[2:5], "little"), state, at_s)
         self._down(self._firmware.advance(until_s))
         self._now_s = until_s
+
+
+class DroneBench(Bench):
+    """A drone, and its exact response."""
+
+    def truth(self, omega_rad_s: FloatArray) -> NDArray[np.complex128]:
+        """Return z, shape (frequencies,)."""
+        known, link = _known(self.loop), Link(self.link.jitter_s, self.link.loss)
+        late = known.model_copy(update={"delay_s": known.delay_s + self.link.delay_s})
+        period_s = self.robot.spec.sample_time_s
+        return np.array([received(link, late, one, period_s) for one in omega_rad_s.tolist()])
+
+
+def _known(loop: DrawnLoop) -> LoopSettings:
+    return LoopSettings(
+        omega_rad_s=loop.omega_rad_s, damping_ratio=loop.damping, delay_s=loop.delay_s
+    )
+
+
+def main() -> None:
+    """Parse the command line, fly, and print the shares."""
+    given = given_figures(__doc__.splitlines()[0]).parse_args()
+    link = LinkSettings(delay_s=given.delay, jitter_s=given.jitter, loss=given.loss)
+    own = CrazyflieSettings(uri="udp://127.0.0.1:19850", axes=("x",), parameters={})
+
+    def build(loop: DrawnLoop, rng: np.random.Generator) -> Bench:
+        robot = VirtualCrazyflie(own, _known(loop), link, rng)
+        return DroneBench(robot, loop, link, feed_forward=False)
+
+    show(build, given)
+
+
+if __name__ == "__main__":
+    main()
