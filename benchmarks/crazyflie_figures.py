@@ -4,7 +4,7 @@ Set-points are packed as the driver packs them, and packets are late or lost on 
 simulated drone of known loop and back. What it logs passes the driver's own telemetry, clock and
 record, on a virtual clock, so that the machine's load does not matter. cflib, sockets and threads
 take no part here: `benchmarks.real_drivers --driver crazyflie` measures with them, in real time.
-`--tests` and `--studies` are those of `benchmarks.mavlink_figures`.
+`--tests` and `--studies` mean what they do in `benchmarks.mavlink_figures`.
 
     python -m benchmarks.crazyflie_figures --tests 40
     python -m benchmarks.crazyflie_figures --studies 20

@@ -35,7 +35,7 @@ from nufleet.sims.crazyflies.peer import Peer
 from nufleet.sims.crazyflies.plant import KnownLoop, LoopSettings
 
 UNTOLD_S = 2e-3
-"""What Linux does not tell of a delay: time spent in this process's own code."""
+"""Part of a delay that Linux does not report: time in which this process itself computes."""
 
 
 def serve(ours: Connection) -> None:
