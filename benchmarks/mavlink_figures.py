@@ -135,6 +135,8 @@ def tones(one: Bench, seed: int) -> Iterator[tuple[float, float, float]]:
         print(f"a test failed: {played.reason}", flush=True)
         return
     response = estimate_frequency_response(played.samples.reference, played.samples.response, plan)
+    if played.samples.timing is not None:
+        response = response.delayed(played.samples.timing.clock_std_s)
     errors = np.abs(response.z - one.truth(response.omega_rad_s))
     radii = response.radius(ALPHA)
     delayed = NORMAL_95 * response.omega_rad_s * spec.delay_uncertainty_s * np.abs(response.z)

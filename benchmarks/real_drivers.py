@@ -194,6 +194,7 @@ def test(bench: Bench, seed: int) -> Iterator[Found]:
         return
     timing = played.samples.timing
     response = estimate_frequency_response(played.samples.reference, played.samples.response, plan)
+    response = response.delayed(timing.clock_std_s)
     if not response.quality.usable:
         print(f"a test is not usable: {response.quality.reasons}", flush=True)
         return

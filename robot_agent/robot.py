@@ -31,6 +31,11 @@ class Record:
     outputs: FloatArray
     """Measured outputs, shape (measurements, axes), in the axes' units."""
 
+    clock_std_s: float = 0.0
+    """Standard deviation of the error, in s, that all of `measured_s` have in common in one motion,
+    as by time stamps of coarse resolution. What is unknown of the delay in all motions alike is
+    `RobotSpec.delay_uncertainty_s`."""
+
 
 def _never() -> bool:
     return False

@@ -11,8 +11,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
-import numpy as np
-
 from nufleet.orchestrator.conduct.replay import OpenTest
 from nufleet.orchestrator.fleet.goal_events import Ended
 from nufleet.orchestrator.repository.records import TrialEnd, TrialStatus
@@ -83,6 +81,7 @@ def estimated(result: GoalResult) -> FrequencyResponse:
     response = estimate_frequency_response(result.reference, result.response, plan)
     found = [*late_findings(result.late_samples, plan.samples)]
     if result.timing is not None:
+        response = response.delayed(result.timing.clock_std_s)
         found += timing_findings(result.timing, plan.sample_time_s)
     if not found:
         return response
@@ -96,7 +95,7 @@ def widened(
 ) -> FrequencyResponse:
     """Return a response whose variance includes the unknown delay of how its robot is measured.
 
-    A delay of standard deviation δ turns z by ω δ. Robots that are all measured through the same
+    Robots that are all measured through the same
     chain share its delay, so that their distances do not depend on it.
 
     Args:
@@ -104,19 +103,9 @@ def widened(
         robot: Name of its robot.
         specs: Specs of the robots that are compared, by name.
     """
-    delay_s = specs[robot].delay_uncertainty_s
-    if delay_s == 0 or len({spec.measurement for spec in specs.values()}) == 1:
+    if len({spec.measurement for spec in specs.values()}) == 1:
         return response
-
-    def turned(one: FrequencyResponse) -> FrequencyResponse:
-        return replace(
-            one, variance=one.variance + (one.omega_rad_s * delay_s * np.abs(one.z)) ** 2
-        )
-
-    matrix = response.matrix
-    if matrix is not None:
-        matrix = replace(matrix, rows=tuple(turned(row) for row in matrix.rows))
-    return replace(turned(response), matrix=matrix)
+    return response.delayed(specs[robot].delay_uncertainty_s)
 
 
 def without_the_expected(response: FrequencyResponse, spec: RobotSpec) -> FrequencyResponse:

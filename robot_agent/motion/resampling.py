@@ -59,7 +59,7 @@ def outputs_at_samples(
             f"nothing was measured for {gaps_s[worst]:.2f} s, from {at_s:.2f} s of the motion on: "
             "check the link to the robot, or its motion capture"
         )
-    return _interpolated(measured_s, outputs, sent_s), _timing(sent_s, measured_s, gaps_s, spec)
+    return _interpolated(measured_s, outputs, sent_s), _timing(record, sent_s, gaps_s, spec)
 
 
 def _check_times(times_s: FloatArray, what: str) -> None:
@@ -86,9 +86,8 @@ def _interpolated(measured_s: FloatArray, outputs: FloatArray, sent_s: FloatArra
     return spline
 
 
-def _timing(
-    sent_s: FloatArray, measured_s: FloatArray, gaps_s: FloatArray, spec: RobotSpec
-) -> Timing:
+def _timing(record: Record, sent_s: FloatArray, gaps_s: FloatArray, spec: RobotSpec) -> Timing:
+    measured_s = record.measured_s
     period_s, start_s = np.polyfit(np.arange(len(sent_s)), sent_s - sent_s[0], 1)
     regular_s = start_s + period_s * np.arange(len(sent_s))
     after = np.clip(np.searchsorted(measured_s, sent_s), 1, max(1, len(measured_s) - 1))
@@ -101,4 +100,5 @@ def _timing(
         jitter_std_s=float(np.std(sent_s - sent_s[0] - regular_s)),
         gap_max_s=float(gaps_s.max()),
         unmeasured=float(np.mean(nearest_s > spec.sample_time_s)),
+        clock_std_s=record.clock_std_s,
     )

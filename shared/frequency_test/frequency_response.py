@@ -103,6 +103,27 @@ class FrequencyResponse:
             return self.degrees
         return np.full(len(self.omega_rad_s), 2.0 * (self.segments - 1))
 
+    def delayed(self, std_s: float) -> FrequencyResponse:
+        """Return the response with a variance that includes an unknown delay of the output.
+
+        A delay δ turns z by ω δ. It is the same at all tones of a test, which their variances, one
+        by one, do not say: what is averaged over tones is less certain than they make it.
+
+        Args:
+            std_s: Standard deviation of the delay.
+        """
+
+        def turned(one: FrequencyResponse) -> FrequencyResponse:
+            more = (one.omega_rad_s * std_s * np.abs(one.z)) ** 2
+            return replace(one, variance=one.variance + more)
+
+        if std_s == 0:
+            return self
+        matrix = self.matrix
+        if matrix is not None:
+            matrix = replace(matrix, rows=tuple(turned(row) for row in matrix.rows))
+        return replace(turned(self), matrix=matrix)
+
     def radius(self, alpha: float = 0.05) -> FloatArray:
         """Return the radius ρ of the disc around each ẑ that holds z with probability 1 − α.
 

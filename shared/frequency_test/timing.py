@@ -33,6 +33,8 @@ class Timing(Strict):
     unmeasured: Annotated[float, Field(ge=0, le=1)]
     """Share of the samples without a measurement within one sample time, which were
     interpolated over a longer time."""
+    clock_std_s: NonNegative = 0.0
+    """Standard deviation of the error that the times of all measurements have in common."""
 
 
 def timing_findings(timing: Timing, sample_time_s: float) -> Iterator[Finding]:

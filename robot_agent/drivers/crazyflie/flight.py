@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from nufleet.robot_agent.drivers.crazyflie.commander import Commander
 from nufleet.robot_agent.drivers.crazyflie.condition import misplaced
 from nufleet.robot_agent.drivers.crazyflie.link import Link
 from nufleet.robot_agent.drivers.crazyflie.settings import AXES, CrazyflieSettings
@@ -27,9 +28,6 @@ GRACE_S = 0.1
 HOLD_INTERVAL_S = 0.1
 """Time without a set-point after which the last one is sent again."""
 
-ARMING_MAX_S = 3.0
-"""Time in which the drone arms."""
-
 PATIENCE_S = 10.0
 """Time beyond what is planned in which the drone settles: its estimate, its height, itself."""
 
@@ -40,17 +38,8 @@ STILL_M_S = 0.08
 COS_TILT_MIN = 0.36
 """Cosine of the tilt, 69 degrees, beyond which a motion ends."""
 
-AGAIN_S = 0.5
-"""Time after which a command that shows no effect is given again."""
-
 BLIND_S = 1.0
 """Time that a drone which is not measured has in addition to land."""
-
-STARTS_WITH_M = 0.05
-"""Change of height that shows that a climb or a landing has begun."""
-
-ARRIVES_WITHIN_M = 0.1
-"""Distance from a commanded height within which the drone has arrived there."""
 
 _log = logging.getLogger(__name__)
 
@@ -82,7 +71,7 @@ class Flight:
         self.origin_m = np.array(settings.origin_m)
         """Position of the drone at reference 0 in m, shape (3,)."""
         self._ground_m = 0.0
-        self._cut = False
+        self._commander = Commander(name, link, telemetry, lambda: self.down)
         self._sending = threading.Lock()
         self._setpoint_m: FloatArray | None = None
         self._sent_at_s = 0.0
@@ -100,7 +89,7 @@ class Flight:
     @property
     def down(self) -> str | None:
         """Reason why the drone no longer responds to commands; None while it does."""
-        if self._cut:
+        if self._commander.cut:
             return "its motors were cut"
         if self._link.lost is not None:
             return f"the link to it is lost: {self._link.lost.splitlines()[0]}"
@@ -149,7 +138,7 @@ class Flight:
     def reset_estimator(self, timeout_s: float) -> bool:
         """Let the position estimate settle on the ground; return whether it did in time."""
         telemetry = self._telemetry
-        if self._settings.estimator not in ("kalman", "ukf"):
+        if self._settings.estimator != "kalman":
             return True
         self._link.reset_estimator()
         telemetry.forget_variances()
@@ -168,12 +157,12 @@ class Flight:
         self._find_position()
         check_wanted()
         try:
-            self._arm()
+            self._commander.arm()
             check_wanted()
             self.newest()
         except RobotError:
             # The order to arm may have arrived. To land on the ground would spin the motors up.
-            self._disarm()
+            self._commander.disarm()
             raise
         self.airborne = self._guarded = True
         height_m, takes_s = self._settings.origin_m[2], self._settings.takeoff_s
@@ -197,7 +186,7 @@ class Flight:
             if self.down is not None or self.measured:
                 raise
             self._land_blind(takes_s, error)
-        self._disarm()
+        self._commander.disarm()
         self.airborne = False
 
     def send(self, offset: FloatArray, velocity: FloatArray) -> float:
@@ -207,7 +196,7 @@ class Flight:
             RobotDownError: The motors were cut.
         """
         with self._sending:
-            self._raise_if_cut()
+            self._commander.raise_if_cut()
             sent_s = self._sent_at_s = time.monotonic()
             self._setpoint_m = self.origin_m + offset
             self.offset, self.velocity = offset, velocity
@@ -299,7 +288,7 @@ class Flight:
     @property
     def flying(self) -> bool:
         """Whether its supervisor says that it is in the air."""
-        return self._says(Supervisor.FLYING)
+        return self._commander.says(Supervisor.FLYING)
 
     def raise_if_down(self) -> None:
         """Raise RobotDownError if the drone no longer responds to commands."""
@@ -307,13 +296,9 @@ class Flight:
         if why is not None:
             raise RobotDownError(f"{self._name}: {why}")
 
-    def _raise_if_cut(self) -> None:
-        if self._cut:
-            raise RobotDownError(f"{self._name}: its motors were cut")
-
     def cut_motors(self) -> None:
         """Have the firmware stop the motors: the drone falls."""
-        self._cut = True
+        self._commander.cut = True
         self._link.cut_motors()
 
     def release(self) -> None:
@@ -326,7 +311,7 @@ class Flight:
         while not self._over.wait(HOLD_INTERVAL_S / 2):
             try:
                 with self._sending:
-                    if self._cut or self._link.lost is not None:
+                    if self._commander.cut or self._link.lost is not None:
                         return
                     held_m, now_s = self._setpoint_m, time.monotonic()
                     if held_m is not None and now_s - self._sent_at_s > HOLD_INTERVAL_S:
@@ -365,82 +350,14 @@ class Flight:
         self.airborne = False
         raise RobotError(f"{self._name} was landed unseen: {why}") from why
 
-    def _says(self, bits: Supervisor) -> bool:
-        status = self._telemetry.status
-        return status is not None and status.supervisor & bits == bits
-
-    def _arm(self) -> None:
-        def arm() -> None:
-            if not self._says(Supervisor.ARMS_ITSELF):
-                self._link.arm(armed=True)
-
-        ready = Supervisor.ARMED | Supervisor.CAN_FLY
-        if not self._insist(arm, lambda: self._says(ready), ARMING_MAX_S, AGAIN_S):
-            status = self._telemetry.status
-            info = "nothing" if status is None else f"{Supervisor(status.supervisor)!r}"
-            raise RobotError(
-                self._telemetry.fault or f"{self._name} does not arm: its supervisor says {info}"
-            )
-
-    def _disarm(self) -> None:
-        def disarm() -> None:
-            self._link.stop_motors()
-            self._link.arm(armed=False)
-
-        def off() -> bool:
-            return not self._says(Supervisor.ARMED) or self._says(Supervisor.ARMS_ITSELF)
-
-        if not self._insist(disarm, off, ARMING_MAX_S, AGAIN_S):
-            raise RobotError(f"{self._name} does not disarm: keep away from it")
-
     def _climb_to(self, height_m: float, takes_s: float, command: Callable[[], None]) -> None:
-        telemetry = self._telemetry
-
-        def height() -> float:
-            newest = telemetry.newest
-            return float("nan") if newest is None else float(newest.position_m[2])
-
-        from_m = height()  # however old: a drone that is not measured has to land, too
-
-        def moved() -> bool:
-            return self.down is not None or abs(height() - from_m) > STARTS_WITH_M
-
-        def there() -> bool:
-            return self.down is not None or abs(height() - height_m) < ARRIVES_WITHIN_M
-
-        far = abs(height_m - from_m) > ARRIVES_WITHIN_M
-        again_s = max(AGAIN_S, 0.6 * takes_s)
-        began_s = time.monotonic()
-        arrived = self._insist(command, moved if far else there, takes_s + PATIENCE_S, again_s)
-        arrived = arrived and telemetry.wait_for(there, takes_s + PATIENCE_S)
-        # It is there when it is near, and the firmware has finished with it.
-        time.sleep(max(0.0, began_s + takes_s - time.monotonic()) if arrived else 0.0)
+        arrived = self._commander.climb_to(height_m, takes_s, PATIENCE_S, command)
         self.raise_if_down()
         if not arrived:
-            fails = f"does not reach a height of {height_m:.2f} m, but is at {height():.2f} m"
+            newest = self._telemetry.newest
+            at_m = float("nan") if newest is None else newest.position_m[2]
+            fails = f"does not reach a height of {height_m:.2f} m, but is at {at_m:.2f} m"
             raise RobotError(f"{self._name} {fails}" if self.measured else self._unmeasured())
-
-    def _insist(
-        self,
-        command: Callable[[], None],
-        condition: Callable[[], bool],
-        timeout_s: float,
-        again_s: float,
-    ) -> bool:
-        """Give a command, again and again since it may get lost; return whether it is obeyed.
-
-        Raises:
-            RobotDownError: The motors were cut; a command might start them again.
-        """
-        deadline_s = time.monotonic() + timeout_s
-        while True:
-            self._raise_if_cut()
-            command()
-            left_s = deadline_s - time.monotonic()
-            if self._telemetry.wait_for(condition, min(again_s, max(0.0, left_s))):
-                return True
-            if left_s <= 0 or self._telemetry.fault is not None:
-                return False
 
     def _unmeasured(self) -> str:
         return self._telemetry.fault or (

@@ -7,6 +7,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -267,9 +268,14 @@ class Link:
             crtp.init_drivers()
             # It warns twice per connection that it keeps no tables of contents.
             logging.getLogger("cflib.crazyflie.toccache").setLevel(logging.ERROR)
+            # It prints a traceback of a missing radio, which is said in words here.
+            logging.getLogger("cflib.crazyflie").addFilter(
+                lambda record: "Couldn't load link driver" not in record.getMessage()
+            )
         self._connected, self.lost = False, None
         self._heard_s = time.monotonic()
         self._cf = cf = Crazyflie()
+        guard_sending(cf)
         cf.packet_received.add_callback(self._heard)
         cf.fully_connected.add_callback(lambda _: self._tell(connected=True))
         cf.connection_failed.add_callback(lambda _, why: self._tell(lost=why))
@@ -323,6 +329,31 @@ class Link:
             ) from error
         self._blocks.append(block)
         block.start()
+
+
+def guard_sending(cf: Any) -> None:
+    """Keep a packet that cannot be sent from blocking all that follow.
+
+    cflib 0.1.34 takes a lock for each packet and leaves it taken when sending fails. Its repetition
+    of a packet that is answered at the same moment fails, too. From then on no set-point would be
+    sent, and to close the link would last forever.
+
+    Args:
+        cf: cflib's Crazyflie, not yet connected.
+    """
+    lock = cf._send_lock = threading.RLock()  # noqa: SLF001 - there is no other way
+    send = cf.send_packet
+
+    def send_packet(packet: Any, *args: Any, **named: Any) -> None:
+        try:
+            send(packet, *args, **named)
+        except Exception as error:
+            with suppress(RuntimeError):  # it failed before it took the lock
+                lock.release()
+            if not (isinstance(error, KeyError) and named.get("resend")):
+                raise
+
+    cf.send_packet = send_packet
 
 
 def _whole_mm(values: FloatArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 import numpy as np
@@ -26,6 +27,10 @@ STATE_NAMES = ("position", "velocity", "tilt")
 
 LATE_MAX_S = 0.25
 """Longest delay that the following samples make up for."""
+
+STAMP_STD_S = 1e-3 / math.sqrt(12)
+"""Standard deviation of the age of a logged state at its time stamp: the estimator, like the
+stamps, counts milliseconds, and the two keep their distance during a motion."""
 
 FIRST_MAX_S = 3.0
 """Time in which the first measurements arrive, and the position should be known."""
@@ -147,7 +152,7 @@ class Crazyflie(Robot):
             telemetry.wait_for(lambda: telemetry.dated_newest() > sent_s[-1], UNMEASURED_MAX_S)
         measured_s, positions = telemetry.dated()
         offsets = positions - flight.origin_m
-        return Record(sent_s, measured_s, offsets[:, self._columns])
+        return Record(sent_s, measured_s, offsets[:, self._columns], STAMP_STD_S)
 
     def health(self) -> Health:
         """Return its condition, as it was logged last."""

@@ -22,8 +22,11 @@ from nufleet.shared.errors import RobotError
 TAKES_NO_HOLD = {1: "a fixed-wing aircraft", 10: "a ground vehicle", 11: "a boat", 12: "submarine"}
 """Values of MAV_TYPE that cannot hover at reference 0."""
 
-STAMPS_OFF_S = 1.0
+STAMPS_OFF_S = 10.0
 """Difference between the time stamps of measurements and TIMESYNC at which two clocks make them."""
+
+TORN_S = 1.0
+"""How far the answers to TIMESYNC may contradict one another, as after a short stop of a clock."""
 
 RATE_SHARE = 0.7
 """Share of the requested telemetry rate that has to arrive."""
@@ -132,21 +135,25 @@ def _check_clock(vehicle: Vehicle, settings: MavlinkSettings, line: Line) -> Non
     clock = vehicle.telemetry.clock
 
     def error_s() -> float:
+        """Return the error, as if evenly distributed within its bound; negative if there is none
+        that all answers allow."""
         _, bound = clock.offset(np.array([line.now_s()]))
-        if bound[0] < 0:
-            return math.inf  # its answers contradict one another
-        return float(bound[0]) / math.sqrt(3)  # as if evenly distributed within the bound
+        return float(bound[0]) / math.sqrt(3)
 
-    if not vehicle.until(lambda: error_s() <= settings.delay_uncertainty_s, FOUND_S):
+    def known() -> bool:
+        return -TORN_S <= error_s() <= settings.delay_uncertainty_s
+
+    if not vehicle.until(known, FOUND_S):
         if not clock.exchanges:
             raise RobotError(
                 "the vehicle does not answer TIMESYNC, so that its time stamps tell nothing: "
                 "enable it on this link (a MAVLink 2 router may filter it)"
             )
-        if math.isinf(error_s()):
+        if error_s() < 0:
             raise RobotError(
-                "the vehicle's answers to TIMESYNC contradict one another: its clock was set, "
-                f"or two vehicles answer as system {settings.system_id}"
+                "the vehicle's answers to TIMESYNC contradict one another by "
+                f"{-2e3 * math.sqrt(3) * error_s():.3g} ms: its clock was set, or two vehicles "
+                f"answer as system {settings.system_id}"
             )
         raise RobotError(
             f"the vehicle's clock is known only to {1e3 * error_s():.2g} ms, since its "

@@ -21,8 +21,6 @@ from nufleet.shared.errors import OutsideLimitsError, RobotDownError, RobotError
 from nufleet.shared.robots.health import Health
 from nufleet.shared.robots.spec import RobotSpec
 
-STATE_NAMES = ("position", "velocity")
-
 USED = 0b1001_1100_0000
 """Type mask of a set-point of position, velocity and yaw: acceleration and yaw rate are unused."""
 
@@ -84,7 +82,7 @@ class MavlinkRobot(Robot):
     @property
     def state_names(self) -> tuple[str, ...]:
         """Position and velocity, as the vehicle's estimator measures them."""
-        return STATE_NAMES
+        return ("position", "velocity")
 
     def connect(self) -> None:
         """Find the vehicle on its address; it stays on the ground."""
@@ -206,6 +204,7 @@ class MavlinkRobot(Robot):
             np.array(self._sent_s),
             clock.ours(np.array([one.vehicle_s for one in taken])),
             (positions - self._origin)[:, self._columns],
+            telemetry.stamp_step_s / math.sqrt(12),
         )
 
     def health(self) -> Health:
@@ -234,8 +233,7 @@ class MavlinkRobot(Robot):
             if strayed_m > limit_m:
                 raise OutsideLimitsError(
                     f"{self._name} is {strayed_m:.2f} m away from its set-point, further than it "
-                    f"may move ({limit_m:g} m): it is not led back, since its position may have "
-                    "jumped"
+                    f"may move ({limit_m:g} m), and not led back: its position may have jumped"
                 )
         self._settle()
 

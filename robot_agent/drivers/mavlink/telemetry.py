@@ -85,6 +85,9 @@ class Telemetry:
         """
         self._profile, self._system_id, self._measured_by = profile, system_id, measured_by
         self._answers_to = {0, own_system_id}
+        self.stamp_step_s = 1e-3 if measured_by == "LOCAL_POSITION_NED" else 1e-6
+        """Resolution of its time stamps. A vehicle that measures every whole number of milliseconds
+        rounds all stamps alike."""
         self.clock = VehicleClock()
         """Its clock, compared with ours."""
         self.heartbeat: Heartbeat | None = None
@@ -191,7 +194,7 @@ class Telemetry:
     def _take_local_position_ned(self, message: Any, arrived_s: float) -> None:
         if self._measured_by == "LOCAL_POSITION_NED":
             # Whole milliseconds, rounded down: on average half of one is missing.
-            stamp_s = 1e-3 * message.time_boot_ms + 0.5e-3
+            stamp_s = self.stamp_step_s * (message.time_boot_ms + 0.5)
             velocity = np.array([message.vx, message.vy, message.vz])
             self._take(stamp_s, message, enu_of_ned(velocity), arrived_s)
 

@@ -16,6 +16,7 @@ from nufleet.orchestrator.conduct.attempts import (
     ATTEMPTS_IN_ALL,
     Attempts,
     Settled,
+    estimated,
     retried,
     widened,
     without_the_expected,
@@ -32,6 +33,7 @@ from nufleet.shared.frequency_test.duration import duration_s
 from nufleet.shared.frequency_test.excitation import Excitation, ExcitationPlan, Tone
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.frequency_test.quality import Finding, Quality
+from nufleet.shared.frequency_test.timing import Timing
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import GoalResult, Outcome
 
@@ -373,6 +375,15 @@ def test_a_repeated_test_is_no_shorter_and_accepted_if_the_first_was(
     again = plan_excitation(longer, spec, "r1")
     assert again.duration_s <= spec.duration_max_s
     assert again.samples >= plan.samples
+
+
+def test_a_clock_that_is_not_known_exactly_widens_the_response_of_its_test() -> None:
+    result = played(a_test())
+    times = {"period_s": 0.01, "jitter_std_s": 0.0, "gap_max_s": 0.01, "unmeasured": 0.0}
+    dated = result.model_copy(update={"timing": Timing(**times, clock_std_s=1e-3)})
+    exact, rough = estimated(result), estimated(dated)
+    np.testing.assert_allclose(rough.variance - exact.variance, (20.0 * 1e-3) ** 2, rtol=1e-3)
+    assert rough.z == exact.z
 
 
 def test_an_unknown_delay_widens_responses_unless_all_robots_are_measured_alike() -> None:

@@ -53,9 +53,10 @@ def test_outputs_are_those_at_the_moments_when_the_references_were_sent(
 def test_samples_in_a_gap_are_counted_and_reported() -> None:
     record = recorded()
     kept = (record.measured_s < 9.0) | (record.measured_s > 9.2)
-    record = Record(record.sample_s, record.measured_s[kept], record.outputs[kept])
+    record = Record(record.sample_s, record.measured_s[kept], record.outputs[kept], 3e-4)
     _, timing = outputs_at_samples(record, SAMPLES, SPEC)
     assert timing is not None
+    assert timing.clock_std_s == 3e-4
     assert timing.gap_max_s == pytest.approx(0.21)
     assert timing.unmeasured == pytest.approx(9 / SAMPLES, abs=2 / SAMPLES)
     (finding,) = timing_findings(timing, 0.02)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nufleet.robot_agent.drivers.crazyflie import flight
+from nufleet.robot_agent.drivers.crazyflie import commander, flight
 from nufleet.robot_agent.drivers.crazyflie.flight import Flight
 from nufleet.robot_agent.drivers.crazyflie.settings import CrazyflieSettings
 from nufleet.robot_agent.drivers.crazyflie.supervisor import Supervisor
@@ -64,7 +64,7 @@ class Ground:
 def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Ground]]:
     monkeypatch.setattr(flight, "UNMEASURED_MAX_S", 60.0)
     monkeypatch.setattr(flight, "HOLD_INTERVAL_S", 60.0)  # nothing is repeated
-    monkeypatch.setattr(flight, "AGAIN_S", 0.01)
+    monkeypatch.setattr(commander, "AGAIN_S", 0.01)
     monkeypatch.setattr(Flight, "next", Flight.newest)
     grounds: list[Ground] = []
     yield grounds
@@ -84,7 +84,7 @@ ARM, DISARM = "arm {'armed': True}", "arm {'armed': False}"
 def test_a_drone_that_arms_without_being_able_to_fly_is_disarmed(
     ground: Ground, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(flight, "ARMING_MAX_S", 0.05)
+    monkeypatch.setattr(commander, "ARMING_MAX_S", 0.05)
     ground.link.obeys = {ARM: lambda: ground.log(info=Supervisor.ARMED), DISARM: ground.log}
     with pytest.raises(RobotError, match="cf does not arm: its supervisor says"):
         ground.flight.take_off(lambda: None)

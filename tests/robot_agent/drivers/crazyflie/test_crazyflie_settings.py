@@ -59,6 +59,11 @@ def test_an_address_that_cannot_be_one_is_refused(uri: str, says: str) -> None:
             {"axes": ("x", "z")},
             "0.5 m high, and it may come 1 m lower (tracking.position_max + track",
         ),
+        ({"estimator": "ukf"}, "estimator: must be 'complementary' or 'kalman'"),
+        (
+            {"estimator": None, "start": {"position_m": (0.0, 0.0, 0.0)}},
+            "start is told to the estimator kalman alone",
+        ),
         ({"omega_max_rad_s": 200.0}, "below the Nyquist frequency"),
         ({"limits": {"amplitude_m": 2.0}}, "closer to 0 than its amplitude_max 2 m"),
         ({"limits": {"fence_m": 0.5}}, "lies outside limits.fence_m 0.5 m"),

@@ -14,6 +14,7 @@ from mavsdk_vehicle import MavsdkVehicle
 from polling import PATIENCE_S, wait_until
 from ports import free_port
 
+from nufleet.robot_agent.drivers.mavlink import opening
 from nufleet.robot_agent.drivers.mavlink import vehicle as vehicle_module
 from nufleet.robot_agent.drivers.mavlink.driver import DRIVER
 from nufleet.robot_agent.drivers.mavlink.robot import MavlinkRobot
@@ -30,6 +31,7 @@ def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     """How long the driver waits for a vehicle is stated on the virtual clock."""
     for name in ("FOUND_S", "SILENT_S", "LOST_S", "HEARTBEATS_S", "CUT_ANSWER_S"):
         monkeypatch.setattr(vehicle_module, name, PATIENCE_S)
+    monkeypatch.setattr(opening, "FOUND_S", PATIENCE_S)
 
 
 def robots(**systems: dict[str, object]) -> dict[str, MavlinkRobot]:
@@ -88,7 +90,7 @@ def test_two_vehicles_on_one_port_are_two_robots_and_a_third_that_is_silent_is_s
         assert one.vehicle.set_points == 0
         pair["b"].disconnect()
         assert not two.vehicle.armed
-        monkeypatch.setattr(vehicle_module, "FOUND_S", 1.5)
+        monkeypatch.setattr(opening, "FOUND_S", 1.5)
         with pytest.raises(RobotError, match=r"no heartbeat of system 3 .* heard: system 1"):
             pair["c"].connect()
         assert pair["a"].measure_output().shape == (2,)

@@ -26,6 +26,7 @@ def tone(flown: Air, omega_rad_s: float, amplitude_m: float, samples: int) -> co
         robot.step(reference)
     record = robot.record()
     assert record is not None
+    assert record.clock_std_s in (1e-3 / np.sqrt(12), 1e-6 / np.sqrt(12))
     outputs, _ = outputs_at_samples(record, samples, robot.spec)
     robot.rest()
     kernel: FloatArray = np.hanning(samples) * np.exp(-1j * omega_rad_s * k * step_s)

@@ -40,6 +40,7 @@ def test_positions_are_dated_in_the_middle_of_a_millisecond_and_the_latest_is_th
     telemetry = taken((0, placed(1000)))
     late = taken((0, placed(1000)), (2, placed(1040)), (1, placed(1020)), (3, placed(1060)))
     assert telemetry.newest is not None
+    assert (telemetry.stamp_step_s, taken(measured_by="ODOMETRY").stamp_step_s) == (1e-3, 1e-6)
     assert telemetry.newest.vehicle_s == 1.0005
     assert telemetry.newest.position.tolist() == [2.0, 1.0, 3.0]
     assert telemetry.newest.velocity.tolist() == pytest.approx([0.2, 0.1, 0.3])
