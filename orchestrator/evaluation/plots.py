@@ -13,7 +13,14 @@ from nufleet.orchestrator.evaluation.results import StudyEstimates
 from nufleet.orchestrator.evaluation.summaries import by_source, reduction
 from nufleet.orchestrator.evaluation.transfer_scatter import scatter
 from nufleet.orchestrator.evaluation.values import FlightError, FlownPath
-from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN, path_label
+from nufleet.orchestrator.flights.labels import (
+    BASELINE,
+    BY_AXIS,
+    MIXTURE,
+    NO_PRIOR,
+    OWN,
+    path_label,
+)
 from nufleet.orchestrator.runs.figures import new_figure, plain, prior_colours, save
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
@@ -249,7 +256,7 @@ def _tallness(flown: Sequence[FlownPath], row: tuple[str, float]) -> float:
 def _ordered(priors: Iterable[str]) -> list[str]:
     """Return each prior once: the flights without a source first, then the sources by name."""
     names = set(priors)
-    alone = [name for name in (BASELINE, NO_PRIOR, OWN, MIXTURE) if name in names]
+    alone = [name for name in (BASELINE, NO_PRIOR, OWN, MIXTURE, BY_AXIS) if name in names]
     return alone + sorted(names - set(alone))
 
 
