@@ -97,9 +97,11 @@ lint: .venv/installed-test
 	@echo "== installing nufleet and its dependencies (once; a minute or two)"
 	$(PIP_INSTALL) -e .
 	@echo "== compiling the code (once)"
-	$(COMPILE_INSTALLED)
-	.venv/bin/python -m compileall -q orchestrator robot_agent shared sims
-	.venv/bin/python -c 'from nufleet.shared.gaussian_process.exact import warm_up; warm_up()'
+	@# What numba compiles takes one core as long as all else takes several.
+	@($(COMPILE_INSTALLED)) & compiling=$$!; \
+	.venv/bin/python -m compileall -q orchestrator robot_agent shared sims && \
+	.venv/bin/python -c 'from nufleet.shared.gaussian_process.exact import warm_up; warm_up()'; \
+	warmed=$$?; wait $$compiling; exit $$warmed
 	@touch $@
 
 .venv/installed-test: .venv/installed-demo

@@ -123,8 +123,12 @@ def import_and_print(
     path = _output_file(out, f"{file.stem}.csv", force=force)
     points = resampled(points, spacing_m)
     described = _described(robots)
+    try:
+        report = report_of(path.stem, str(path), points, described)
+    except InvalidInputError as error:
+        size = "give its size in m with --height or --width, if it has another unit"
+        raise InvalidInputError(f"{file}: {error}; {size}") from error
     write_drawing(path, points)
-    report = report_of(path.stem, str(path), points, described)
     _print_report(report, str(path), as_json=as_json)
 
 

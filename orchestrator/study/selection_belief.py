@@ -214,7 +214,7 @@ class SelectionBelief:
             needed = -float(ndtri(delta / (2 * len(self.sources)))) * deviation
             if source != leader and chances[n] == 0.0 and float(np.mean(behind)) > needed:
                 out[source] = (
-                    f"its {what} is {np.mean(behind):.3f} ± {deviation:.3f} larger "
+                    f"its {what} is {np.mean(behind):.3f} ± {deviation:.1g} larger "
                     f"than that of {leader}"
                 )
         return out

@@ -13,8 +13,12 @@ from nufleet.shared.paths.files import read_drawing, text_of
 from nufleet.shared.paths.trajectories import POINTS_MAX, check_path
 
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-_HEADING = re.compile(rf"([xy])(?:[\s_/]*[\[(]?({'|'.join(_UNITS)})[\])]?)?")
-"""Heading of a column that is read, such as `x`, `x_m`, `x [mm]`, `x (cm)` or `x/m`."""
+_HEADING = re.compile(rf"([xy])(?:(?:[\s_/]|\bin\b)*[\[(]?({'|'.join(_UNITS)})[\])]?)?")
+"""Heading of a column that is read, such as `x`, `x_m`, `x [mm]`, `x (cm)`, `x in mm` or `x/m`."""
+_OTHER_UNIT = re.compile(r"[xy](?:\s*[\[(]\s*|\s*/\s*|\s+in\s+)(.+?)[\])]?")
+"""Heading of such a column with another unit."""
+_SEPARATOR_LINE = re.compile(r"sep=(.)", re.IGNORECASE)
+"""First line by which a spreadsheet states what separates the columns."""
 _DECIMAL_COMMAS = re.compile(
     r"[+-]?\d*,?\d*(e[+-]?\d+)?(\s+[+-]?\d*,?\d*(e[+-]?\d+)?)+", re.IGNORECASE
 )
@@ -27,7 +31,8 @@ def import_points(path: Path) -> FloatArray:
     An SVG is read by `read_drawing`. Any other file is read as a table. Its first line decides what
     separates the columns of the whole file: semicolons, tabs, commas or spaces, the first of these
     that it contains. A comma that separates nothing is a decimal comma. The table has two columns,
-    or a first line that names the columns x and y, possibly with their unit: `x [mm]`.
+    or a first line that names the columns x and y, possibly with their unit: `x [mm]`. A line such
+    as `sep=;` before all others states the separator.
 
     Args:
         path: File to read.
@@ -50,46 +55,62 @@ class _Table:
     def __init__(self, name: str) -> None:
         self._name = name
         self._separator: str | None = None
+        self._columns, self._units, self._width = [0, 1], [1.0, 1.0], 0
+        self._stated = False
+        """Whether a first line stated the separator."""
         self._marks: set[str] = set()
         """Decimal marks, a comma or a point, that numbers of the table contain."""
 
     def points(self, text: str) -> FloatArray:
         """Return the numbers of x and y, shape (n, 2)."""
         rows: list[list[float]] = []
-        columns, units, width = [0, 1], [1.0, 1.0], 0
         for number, line in enumerate(text.splitlines(), start=1):
             if not line.strip(" \t,;") or line.lstrip().startswith("#"):
                 continue
             where = f"{self._name}, line {number}"
-            if not width:
-                self._separator = _separator(line)
-                cells = self._cells(line)
-                width = len(cells)
-                named = _named_columns(cells)
-                if named is not None:
-                    columns, units = named
-                    continue
-                if width != 2:
-                    raise InvalidInputError(
-                        f"{where}: {width} columns; add a first line that names two of them x and y"
-                    )
-                if any(self._number(cell) is None for cell in cells):
-                    continue
+            if not self._width and self._heads(line, where):
+                continue
             cells = self._cells(line)
-            found = [self._number(cells[k]) if k < len(cells) else None for k in columns]
-            if len(cells) > width or None in found:
-                raise InvalidInputError(
-                    f"{where}: {self._expected(len(cells), width)}, got {line!r:.80}"
-                )
+            found = [self._number(cells[k]) if k < len(cells) else None for k in self._columns]
+            if len(cells) > self._width or None in found:
+                expected = self._expected(len(cells), self._width)
+                raise InvalidInputError(f"{where}: {expected}, got {line!r:.80}")
             if len(self._marks) > 1:
                 raise InvalidInputError(
                     f"{where}: some numbers have a decimal comma and others a decimal point; use "
                     "one of them throughout"
                 )
-            rows.append([unit * x for unit, x in zip(units, found, strict=True) if x is not None])
+            pairs = zip(self._units, found, strict=True)
+            rows.append([unit * x for unit, x in pairs if x is not None])
             if len(rows) > POINTS_MAX:
                 raise InvalidInputError(f"{self._name}: more than {POINTS_MAX} points")
         return np.array(rows, dtype=np.float64).reshape(-1, 2)
+
+    def _heads(self, line: str, where: str) -> bool:
+        """Learn the layout of the table from a first line; return whether it holds no point."""
+        stated = _SEPARATOR_LINE.fullmatch(line.strip("\"' "))
+        if stated is not None:
+            self._separator, self._stated = stated[1], True
+            return True
+        if not self._stated:
+            self._separator = _separator(line)
+        cells = self._cells(line)
+        self._width = len(cells)
+        named = _named_columns(cells)
+        if named is not None:
+            self._columns, self._units = named
+            return True
+        for cell in cells:
+            unit = _OTHER_UNIT.fullmatch(cell.lower())
+            if unit is not None:
+                raise InvalidInputError(
+                    f"{where}: the unit {unit[1]!r} is not one of {', '.join(_UNITS)}"
+                )
+        if self._width != 2:
+            raise InvalidInputError(
+                f"{where}: {self._width} columns; add a first line that names two of them x and y"
+            )
+        return any(self._number(cell) is None for cell in cells)
 
     def _cells(self, line: str) -> list[str]:
         """Return the cells of a line, without the empty ones at its end."""

@@ -38,6 +38,9 @@ def written(folder: Path, text: str, name: str = "a.csv") -> Path:
         "time [s],x [m],y [m],z [m]\n0,0,1,5\n1,2,3,5\n",
         "x [mm];y [mm]\n0;1000\n2000;3000\n",
         "x/cm\ty/cm\n0\t100\n2e2\t300\n",
+        "x in mm;y in mm\n0;1000\n2000;3000\n",
+        "sep=;\r\nx;y\r\n0,0;1,0\r\n2,0;3,0\r\n",
+        "sep=,\n0,1\n2,3\n",
     ],
 )
 def test_tables_are_understood_however_they_are_written(tmp_path: Path, text: str) -> None:
@@ -79,6 +82,7 @@ def test_a_comma_is_a_decimal_comma_where_it_separates_nothing(
         ("1,2,3\n4,5,6\n", "line 1: 3 columns; add a first line that names two of them x and y"),
         ("0,1\nnan,3\n", "point 2 contains a number that is not finite"),
         ("x,y\n0,1\n", "two different points"),
+        ("x [in];y [in]\n0;1\n2;3\n", "line 1: the unit 'in' is not one of m, cm, mm"),
         ("", "two different points"),
         ("\n".join("1,2" for _ in range(POINTS_MAX + 1)), "more than 100000 points"),
     ],
