@@ -10,7 +10,7 @@ from rich.console import Console
 
 from nufleet.orchestrator.conduct.preflight import check_robots
 from nufleet.orchestrator.evaluation.flight_documents import TRAINING, TrainResult
-from nufleet.orchestrator.experience.learning import planned_lessons
+from nufleet.orchestrator.experience.learning import check_lessons, planned_lessons
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.train import Trained, train_robots
 from nufleet.orchestrator.experience.training import check_torch
@@ -64,6 +64,8 @@ def train(command: TrainCommand, console: Console) -> TrainResult:
         robots = command.robots or there
         check_robots(robots, there)
         descriptions = fleet.describe_all(robots)
+        for description in descriptions.values():
+            check_lessons(description, command.architectures)
         folder = run.keep("train")
         run.take(descriptions, lambda: _outlook(command, descriptions))
         run.configure({"kind": "train", **asdict(command)})
