@@ -562,3 +562,22 @@ def test_the_driver_builds_robots_without_ros() -> None:
         robot.connect()
     with pytest.raises(RobotError, match="cf-1 is not connected"):
         robot.step(np.zeros(2))
+
+
+def test_whether_a_robot_has_risen_is_told_by_a_measurement_of_afterwards() -> None:
+    services = {**FLYING, "take_off_s": 0.4}
+    lab = Lab(settings(services=services, idle_s=20.0))
+    lab.robot.connect()
+    tick = lab.link.tick
+
+    def silence() -> None:
+        lab.link.silent = len(lab.link.calls) == 2
+
+    def heard_again() -> None:
+        lab.link.silent = False
+        tick()
+
+    lab.link.at_call = silence
+    lab.link.arrivals.tick = heard_again  # while the next measurement is waited for
+    lab.robot.begin()
+    assert lab.link.calls == [("arm", True), ("take_off", True)]
