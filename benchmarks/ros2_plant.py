@@ -31,6 +31,7 @@ class PlantSettings:
     domain_id: int = 0
     command: str = "geometry_msgs/msg/PoseStamped"
     measurement: str = "nav_msgs/msg/Odometry"
+    topic: str = "measured"
     components: tuple[str, ...] = ("x", "y", "z", "yaw")
     start: dict[str, float] = field(default_factory=dict)
     omega_0_rad_s: float = 6.0
@@ -133,7 +134,7 @@ class Plant:
         # Deep enough for the set-points that come while this process waits for a processor.
         qos = QoSProfile(depth=200, reliability=reliability)
         self._node.create_subscription(_type(settings.command), "command", self._hear, qos)
-        self._out = self._node.create_publisher(_type(settings.measurement), "measured", qos)
+        self._out = self._node.create_publisher(_type(settings.measurement), settings.topic, qos)
         self._battery = self._node.create_publisher(
             _type("sensor_msgs/msg/BatteryState"), "battery", 1
         )

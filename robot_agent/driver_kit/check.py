@@ -55,12 +55,13 @@ class Report(Document):
         return tuple(one for one in self.examined if one.holds is False)
 
     def __str__(self) -> str:
-        lines = []
+        lines, said = [], ""
         for one in self.examined:
             mark: Literal["ok  ", "FAIL", "-   "]
             mark = "-   " if one.holds is None else "ok  " if one.holds else "FAIL"
             lines.append(f"{mark} {one.statement}")
-            if one.observed:
+            repeated, said = one.holds is None and one.observed == said, one.observed
+            if one.observed and not repeated:
                 lines.append(f"       {one.observed}")
             if one.holds is False:
                 lines.append(f"       Mend: {one.mend}")

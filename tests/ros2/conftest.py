@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from nufleet.robot_agent.driver_kit import statements
 from nufleet.robot_agent.drivers.ros2 import robot
 from nufleet.robot_agent.motion import resampling
 
@@ -68,6 +69,8 @@ def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (robot, resampling):
         monkeypatch.setattr(module, "LOST_MAX_S", 5.0)
     monkeypatch.setattr(robot, "GAP_MAX_S", 20.0)
+    # How exactly samples keep their time is stated in virtual time.
+    monkeypatch.setattr(statements, "PERIOD_ERROR", 3.0)
 
 
 @pytest.fixture

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import queue
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +14,8 @@ import pytest
 
 from benchmarks.ros2_plant import Loop, PlantSettings
 from nufleet.robot_agent.driver_kit.check import check_robot
+from nufleet.robot_agent.drivers.crazyflie.motion_capture import MotionCapture, Sighting
+from nufleet.robot_agent.drivers.crazyflie.settings import MotionCaptureSettings
 from nufleet.robot_agent.drivers.ros2.driver import DRIVER
 from nufleet.robot_agent.drivers.ros2.settings import Ros2Settings
 from nufleet.robot_agent.robot import Robot
@@ -306,3 +310,21 @@ def test_cut_motors_stay_cut(start_plant: Start, build: Build) -> None:
         robot.step(np.zeros(1))
     robot.disconnect()
     assert plant.close()[-1] == "kill"
+
+
+def test_a_crazyflie_is_told_where_motion_capture_on_ros_2_sees_it(
+    start_plant: Start, domain: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    pose = {"measurement": "geometry_msgs/msg/PoseStamped", "topic": "pose", "services": False}
+    for name, x in (("cf1", 1.0), ("cf2", 2.0)):
+        start_plant(namespace=f"/mocap/{name}", start={"x": x}, **pose)
+    capture = MotionCapture("ros2", "/mocap")
+    seen: queue.SimpleQueue[float] = queue.SimpleQueue()
+    own = MotionCaptureSettings(system="ros2", hostname="/mocap", body="cf2")
+    sighting = Sighting(own, capture)
+    sighting.begin(lambda position: seen.put(position[0]), lambda *_: None)
+    assert [seen.get() for _ in range(5)] == pytest.approx(5 * [2.0], abs=0.01)
+    (reader,) = (one for one in threading.enumerate() if one.name.startswith("motion capture"))
+    sighting.end()
+    reader.join()

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from nufleet.robot_agent.drivers.crazyflie.ros2_poses import Ros2Poses
 from nufleet.robot_agent.drivers.crazyflie.settings import MotionCaptureSettings
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
@@ -21,11 +22,13 @@ _log = logging.getLogger(__name__)
 
 
 def connect_to(system: str, hostname: str) -> Any:
-    """Connect to a motion capture system.
+    """Connect to a motion capture system, or listen to its topics on ROS 2.
 
     Raises:
         RobotError: The package is not installed, or the system is not reached.
     """
+    if system == "ros2":
+        return Ros2Poses(hostname)
     try:
         import motioncapture
     except ImportError as error:
@@ -50,7 +53,8 @@ class MotionCapture:
             system: Kind of system.
             hostname: Host of its server.
             connect: Function that connects to it: `waitForNextFrame` of what it returns blocks,
-                and `rigidBodies` has the bodies of the frame by name.
+                and `rigidBodies` has the bodies of the frame by name. It is closed at the end if it
+                has a `close`.
         """
         self._where = (system, hostname)
         self._connect = connect
@@ -114,6 +118,8 @@ class MotionCapture:
             self._failure = f"motion capture at {self._where[1]} failed: {error!r}"
             with self._lock:
                 self._thread = None
+        finally:
+            getattr(source, "close", lambda: None)()
 
     def _deliver(self, name: str, body: Any, on_pose: OnPose) -> None:
         turned = body.rotation

@@ -79,12 +79,14 @@ class MotionCaptureSettings(Strict):
         "optitrack",
         "optitrack_closed_source",
         "qualisys",
+        "ros2",
         "vicon",
         "vrpn",
     ]
-    """Kind of system, as the package `motioncapture` names it."""
+    """Kind of system, as the package `motioncapture` names it; `ros2` for poses that a node of
+    ROS 2 publishes on `BODY/pose`, as geometry_msgs/msg/PoseStamped."""
     hostname: Annotated[str, Field(min_length=1)]
-    """Host of its server."""
+    """Host of its server; for `ros2`, the namespace of its topics, such as `/vrpn_mocap`."""
     body: Annotated[str, Field(min_length=1)]
     """Name of the drone's rigid body there."""
     attitude: bool = False

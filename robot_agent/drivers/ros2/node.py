@@ -73,6 +73,7 @@ class RosNode(Link):
         """
         self._settings = settings
         self._failure: str | None = None
+        self._closed = False
         topic = "" if settings.battery is None else settings.full(settings.battery.topic)
         self._battery = Battery(topic, time.monotonic())
         self._resend: Callable[[], None] | None = None
@@ -144,6 +145,7 @@ class RosNode(Link):
 
     def close(self) -> None:
         """Leave ROS 2; a second call does nothing."""
+        self._closed = True
         self._opened.close()
 
     def _open(self, name: str, opened: ExitStack) -> None:
@@ -262,8 +264,13 @@ class RosNode(Link):
 
     def problem(self) -> str | None:
         """Return what is wrong with topics and services now; None if nothing is."""
-        problem = self._problem()
-        domain = self._node.context.get_domain_id()
+        try:
+            problem = self._problem()
+            domain = self._node.context.get_domain_id()
+        except Exception:
+            if self._closed:  # by another thread, just now
+                return "it has been disconnected"
+            raise
         return None if problem is None else f"{problem} (ROS domain {domain})"
 
     def _problem(self) -> str | None:

@@ -103,6 +103,7 @@ class Ros2Robot(Robot):
         if services.take_off is not None:
             self._engage("take_off")
             self._pause(services.take_off_s)
+            self.measure_output()  # the newest one may be of before
             self._ground.check_left(self._height())
         self._commandable()
         here = self._here()[: len(self._settings.commanded)]

@@ -207,6 +207,7 @@ def test_a_driver_that_hangs_is_named_and_not_asked_for_more(
     goes_on.set()
     assert "has not returned" in report.failed[0].observed
     assert all(one.holds is None for one in report.examined[2 : len(STATEMENTS)])
+    assert str(report).count("not checked, since the robot failed before") == 1
 
 
 def test_a_robot_whose_examination_is_interrupted_comes_to_rest_and_lands() -> None:

@@ -16,6 +16,7 @@ from nufleet.robot_agent.drivers.crazyflie.motion_capture import (
     Sighting,
     connect_to,
 )
+from nufleet.robot_agent.drivers.crazyflie.ros2_poses import POSE, Ros2Poses
 from nufleet.robot_agent.drivers.crazyflie.settings import MotionCaptureSettings
 from nufleet.shared.errors import RobotError
 
@@ -115,3 +116,41 @@ def test_a_system_that_is_not_reached_says_which() -> None:
     capture = MotionCapture("no such kind", "mocap", connect_to)
     with pytest.raises(RobotError, match="the no such kind system at mocap was not reached"):
         capture.watch("one", lambda *_: None)
+
+
+def test_poses_on_ros_2_are_bodies_by_the_names_of_their_topics() -> None:
+    poses = Ros2Poses.__new__(Ros2Poses)  # without ROS 2
+    listened: list[tuple[str, Any]] = []
+    kinds = {
+        "/mocap/cf1/pose": [POSE],
+        "/mocap/cf1/twist": [POSE],
+        "/mocap/cf2/pose": ["geometry_msgs/msg/Pose"],
+        "/other/cf3/pose": [POSE],
+    }
+    poses._before, poses._stamps, poses._coming = "/mocap/", {}, {}
+    poses._listen = lambda topic, take: listened.append((topic, take))  # type: ignore[method-assign]
+    poses._node = SimpleNamespace(get_topic_names_and_types=lambda: list(kinds.items()))
+    poses._look()
+    poses._look()
+    assert [topic for topic, _ in listened] == ["/mocap/cf1/pose"]
+
+    def message(nanosec: int) -> SimpleNamespace:
+        place = SimpleNamespace(x=1.0, y=2.0, z=3.0)
+        header = SimpleNamespace(stamp=SimpleNamespace(sec=7, nanosec=nanosec))
+        turned = body(0.0).rotation
+        return SimpleNamespace(
+            header=header, pose=SimpleNamespace(position=place, orientation=turned)
+        )
+
+    take = listened[0][1]
+    take(message(1))
+    assert poses._coming.pop("cf1").position == [1.0, 2.0, 3.0]
+    take(message(1))  # a body that is lost may be repeated
+    assert poses._coming == {}
+    take(message(2))
+    assert [*poses._coming] == ["cf1"]
+
+
+def test_without_ros_2_its_poses_cannot_be_read() -> None:
+    with pytest.raises(RobotError, match="over ROS 2 needs rclpy and geometry_msgs"):
+        connect_to("ros2", "/mocap")

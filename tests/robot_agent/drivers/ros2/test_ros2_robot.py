@@ -514,6 +514,18 @@ def test_a_simulation_that_is_slow_is_not_told_its_place_between_two_samples() -
     assert told == ["again"]
 
 
+def test_a_link_that_is_closed_while_its_health_is_asked_for_says_so() -> None:
+    link = RosNode.__new__(RosNode)  # without ROS 2
+    link._closed = False
+
+    def closed_meanwhile() -> None:
+        link._closed = True
+        raise ValueError("the node has been destroyed")
+
+    link._problem = closed_meanwhile  # type: ignore[method-assign]
+    assert link.problem() == "it has been disconnected"
+
+
 def test_what_is_measured_before_the_first_time_of_a_simulation_is_passed_over() -> None:
     own = settings(use_sim_time=True)
     place, turn = dict.fromkeys("xyz", 0.0), {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
@@ -550,3 +562,22 @@ def test_the_driver_builds_robots_without_ros() -> None:
         robot.connect()
     with pytest.raises(RobotError, match="cf-1 is not connected"):
         robot.step(np.zeros(2))
+
+
+def test_whether_a_robot_has_risen_is_told_by_a_measurement_of_afterwards() -> None:
+    services = {**FLYING, "take_off_s": 0.4}
+    lab = Lab(settings(services=services, idle_s=20.0))
+    lab.robot.connect()
+    tick = lab.link.tick
+
+    def silence() -> None:
+        lab.link.silent = len(lab.link.calls) == 2
+
+    def heard_again() -> None:
+        lab.link.silent = False
+        tick()
+
+    lab.link.at_call = silence
+    lab.link.arrivals.tick = heard_again  # while the next measurement is waited for
+    lab.robot.begin()
+    assert lab.link.calls == [("arm", True), ("take_off", True)]
