@@ -42,7 +42,7 @@ LIKELIEST = 1.28
 of 5 % each, if the logarithm of what such a model leaves has a standard deviation of 0.15."""
 
 GUARDED = 1.1
-"""Most error that a guard promises to leave, as a multiple of the baseline's."""
+"""Most error that a guard promises to leave, as a multiple of the error of the baseline."""
 
 _TINY = float(np.finfo(np.float64).tiny)
 _SEED = 0  # every way of flying meets the same robots and the same noise, so that they compare
