@@ -121,6 +121,8 @@ def crazyflie(link: Link, loop: LoopSettings, seed: int) -> Iterator[Bench]:
 @contextmanager
 def ros2(link: Link, loop: LoopSettings, seed: int) -> Iterator[Bench]:
     """A robot on ROS 2, in another process; run by .venv-ros2/bin/python (see `make test-ros2`)."""
+    # So late that a process which waits for a processor has taken the set-points in time.
+    loop = loop.model_copy(update={"delay_s": 0.2})
     plant = PlantSettings(
         domain_id=1 + os.getpid() % 100,
         omega_0_rad_s=loop.omega_rad_s,

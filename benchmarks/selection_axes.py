@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nufleet.orchestrator.history.by_axis import sources_by_axis
 from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
 from nufleet.orchestrator.study.interface import Question, Report, Study, StudyPlan
+from nufleet.orchestrator.study.source_by_axis import sources_by_axis
 from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
 from nufleet.shared.distance.nu_gap import chordal_peak_in_band
 from nufleet.shared.frequency_test.frequency_response import (

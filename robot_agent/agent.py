@@ -202,8 +202,10 @@ class Agent:
         self._looks.append(self._report_health)
 
     def _report_health(self) -> None:
-        health, age_s = self._health.newest
-        self._decisions.reported(health, fitness.unfit(health, age_s))
+        self._decisions.reported(self._health.newest[0], self._unfit())
+
+    def _unfit(self) -> str | None:
+        return fitness.unfit(*self._health.newest)
 
     def _join(self, opened: ExitStack) -> None:
         """Open all services in the order of their dependencies; they close in reverse order."""
@@ -236,6 +238,7 @@ class Agent:
             prompt=self._prompt,
             foretold=self._forecasts.foretold,
             hindrance=self._frozen,
+            unfit=self._unfit,
         )
         opened.callback(self._motions.close)
         self._looks += [self._motions.look_after_robot, self._forecasts.look]

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, nullcontext
+from enum import Enum, auto
 from functools import partial
 
 import numpy as np
@@ -48,6 +49,13 @@ CLOSING_LOOK_S = 0.1
 _log = logging.getLogger(__name__)
 
 
+class _Job(Enum):
+    """What the thread does between motions."""
+
+    LAND = auto()
+    CLOSE = auto()
+
+
 class MotionWorker:
     """Plays the motions it is given, one after the other, and reports each end to `Decisions`."""
 
@@ -65,9 +73,10 @@ class MotionWorker:
         prompt: Callable[[], AbstractContextManager[None]] = nullcontext,
         foretold: Callable[[Tracking], PredictedError | None] = lambda motion: None,
         hindrance: Callable[[], str | None] = lambda: None,
+        unfit: Callable[[], str | None] = lambda: None,
     ) -> None:
         self._boot_id = boot_id
-        self._foretold, self._hindrance = foretold, hindrance
+        self._foretold, self._hindrance, self._unfit = foretold, hindrance, unfit
         self._robot = robot
         self._sortie = Sortie(robot)
         self._memory = memory
@@ -77,7 +86,7 @@ class MotionWorker:
         self._realtime = realtime
         self._prompt = prompt
         self._late_before = 0
-        self._jobs: queue.SimpleQueue[Assignment | Future[Message] | None] = queue.SimpleQueue()
+        self._jobs: queue.SimpleQueue[Assignment | Future[Message] | _Job] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._performing: tuple[Assignment, Performance | None] | None = None
         self._not_ended: str | None = None
@@ -104,9 +113,16 @@ class MotionWorker:
         return answer
 
     def look_after_robot(self) -> None:
-        """Check the driver, and report the motion as failed if it hangs; to be called regularly."""
+        """Check the driver, and report the motion as failed if it hangs; to be called regularly.
+
+        A robot that is in the air without a motion, and may not begin one, lands at once.
+        """
         hang = self._robot.look()
         if hang is None:
+            with self._lock:
+                idle = self._performing is None
+            if idle and self._sortie.begun and self._unfit() is not None:
+                self._jobs.put(_Job.LAND)
             return
         reason = f"{hang}: the robot may be moving and cannot be brought to rest from here"
         with self._lock:
@@ -129,7 +145,7 @@ class MotionWorker:
         Raises:
             RobotError: The driver hangs or cannot end, so the robot cannot be left at rest.
         """
-        self._jobs.put(None)
+        self._jobs.put(_Job.CLOSE)
         try:
             while self._thread.is_alive():
                 self._thread.join(CLOSING_LOOK_S)
@@ -151,10 +167,13 @@ class MotionWorker:
             except queue.Empty:
                 self._end()
                 continue
-            if job is None:
+            if job is _Job.LAND:
+                if self._unfit() is not None:
+                    self._end()
+            elif job is _Job.CLOSE:
                 self._not_ended = self._end()
                 return
-            if isinstance(job, Assignment):
+            elif isinstance(job, Assignment):
                 self._perform(job)
             else:
                 job.set_result(make(reconnected(self._sortie, self._decisions)))

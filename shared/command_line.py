@@ -48,10 +48,15 @@ def folder_option(*names: str, **settings: Any) -> Callable[[F], F]:
 
 
 class _OneLine(logging.Formatter):
-    """Prints text from the network or a driver without letting it control the terminal."""
+    """Prints text from the network or a driver without letting it control the terminal.
+
+    What another library says is preceded by its name.
+    """
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - its name there
-        return printable(super().formatMessage(record))
+        library = record.name.partition(".")[0]
+        source = "" if library == "nufleet" else f"{library}: "
+        return printable(f"{record.levelname.lower()}: {source}{record.getMessage()}")
 
 
 class EntryPointGroup(click.Group):
@@ -106,7 +111,7 @@ def command_line() -> click.Group:
 
     def begin(verbose: bool) -> None:
         handler = logging.StreamHandler(sys.stderr)
-        handler.setFormatter(_OneLine("%(name)s: %(message)s"))
+        handler.setFormatter(_OneLine())
         logging.basicConfig(level=logging.WARNING, handlers=[handler])
         if verbose:
             logging.getLogger("nufleet").setLevel(logging.INFO)

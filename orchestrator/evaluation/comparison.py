@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from nufleet.orchestrator.evaluation.results import (
     BaselineResult,
+    ByAxisResult,
     EvaluationResult,
     FlightRecord,
     SourceResult,
@@ -20,8 +21,10 @@ from nufleet.orchestrator.evaluation.ways import (
     ways_of,
     worse_than_baseline,
 )
-from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
+from nufleet.orchestrator.flights.labels import BASELINE, BY_AXIS, MIXTURE, NO_PRIOR, OWN
+from nufleet.orchestrator.study.interface import SourceEstimate
 from nufleet.orchestrator.study.predicted_errors import PredictedRms
+from nufleet.orchestrator.study.source_by_axis import sources_by_axis
 from nufleet.shared.experience.layout import Architecture
 
 
@@ -35,6 +38,18 @@ class Psi:
     """Standard deviation over the studies."""
 
 
+def order_of(psi: Mapping[str, Psi], ranking: Sequence[SourceEstimate]) -> list[str]:
+    """Return the sources, the selected one first.
+
+    Args:
+        psi: Estimated distance of each source on the first axis, by name.
+        ranking: Estimates of a ranking, the selected source first; where it compared several axes,
+            its order counts, and sources that it lost come last.
+    """
+    places = {one.robot: place for place, one in enumerate(ranking) if one.axes is not None}
+    return sorted(psi, key=lambda source: (places.get(source, len(places)), psi[source].mean))
+
+
 def summarise(
     target: str,
     flights: Sequence[FlightRecord],
@@ -45,6 +60,7 @@ def summarise(
     guarded: bool,
     run: str,
     predicted: PredictedRms | None = None,
+    ranking: Sequence[SourceEstimate] = (),
 ) -> EvaluationResult:
     """Compare the predicted distances and errors with the errors of the flights.
 
@@ -57,17 +73,20 @@ def summarise(
         guarded: Whether the guard was active in these flights.
         run: Path of the run's folder.
         predicted: RMS errors that the tests predict for these paths; None when not computed.
+        ranking: Estimates of a ranking, the selected source first; they order the sources where
+            they are over several axes.
 
     Returns:
-        The errors of all inverses and their rank correlation with the predictions; sources are in
-        ascending order of ψ̂*, and the first of them is the one selected.
+        The errors of all inverses and their rank correlation with the predictions; the first source
+        is the one selected.
     """
-    order = sorted(psi, key=lambda source: psi[source].mean)
+    ranked = {one.robot: one for one in ranking if one.axes is not None}
+    order = order_of(psi, ranking)
     first = [flight for flight in flights if flight.beyond_tests_s == 0]
     baseline = [flight for flight in first if flight.inverse == BASELINE]
     of = {
         name: inverse_result([f for f in first if f.inverse == name], baseline)
-        for name in (BASELINE, NO_PRIOR, OWN, MIXTURE, *order)
+        for name in (BASELINE, NO_PRIOR, OWN, MIXTURE, BY_AXIS, *order)
     }
     ways = ways_of(flights)
     points = points_of(ways, flights)
@@ -80,6 +99,7 @@ def summarise(
             psi=psi[source].mean,
             psi_std=psi[source].std,
             predicted_rms_m=None if predicted is None else predicted.of[source],
+            ranked=ranked.get(source),
             **of[source].model_dump(),
         )
         for source in order
@@ -96,10 +116,13 @@ def summarise(
         ),
         no_prior=of[NO_PRIOR],
         mixture=of[MIXTURE] if any(flight.inverse == MIXTURE for flight in first) else None,
+        by_axis=ByAxisResult(sources=sources_by_axis(ranking), **of[BY_AXIS].model_dump())
+        if any(flight.inverse == BY_AXIS for flight in first)
+        else None,
         own=of[OWN] if any(flight.inverse == OWN for flight in first) else None,
         sources=sources,
         selected=order[0],
-        kendall_tau=kendall_tau([s.psi for s in sources], measured),
+        kendall_tau=kendall_tau([s.distance for s in sources], measured),
         kendall_tau_trajectory=None
         if predicted is None
         else kendall_tau([predicted.of[s.robot] for s in sources], measured),

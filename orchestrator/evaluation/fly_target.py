@@ -17,10 +17,19 @@ from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.prior_custody import prior_put_back
 from nufleet.orchestrator.experience.transfer import transfer, transfer_several
 from nufleet.orchestrator.fleet.client import Fleet
-from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN, path_label
+from nufleet.orchestrator.flights.labels import (
+    BASELINE,
+    BY_AXIS,
+    MIXTURE,
+    NO_PRIOR,
+    OWN,
+    path_label,
+)
 from nufleet.orchestrator.flights.legs import Leg
 from nufleet.orchestrator.flights.pilot import PathFlight, Pilot
 from nufleet.orchestrator.flights.start_weights import mixture_of
+from nufleet.orchestrator.study.interface import SourceEstimate
+from nufleet.orchestrator.study.source_by_axis import sources_by_axis, way_with
 from nufleet.shared.errors import RefusedError
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.robots.spec import RobotSpec
@@ -68,6 +77,7 @@ def fly_target(
     guarded: bool,
     observers: Sequence[FlightObserver],
     psi: Mapping[str, float] | None = None,
+    ranking: Sequence[SourceEstimate] = (),
     own_flight_s: Sequence[float] = (0.0,),
     seed: int = 0,
     rehearse: bool = False,
@@ -75,6 +85,8 @@ def fly_target(
     done: Sequence[FlightRecord] = (),
 ) -> tuple[FlightRecord, ...]:
     """Fly a target along all legs: own model, baseline, zero prior, every source, their mixture.
+
+    Where axes differ in their closest source, it also flies with that of each axis.
 
     The target learns nothing of itself from these flights, so that all of them begin with the same
     knowledge. After further rich flights of its own it flies again with its model of itself. A path
@@ -94,6 +106,8 @@ def fly_target(
         observers: Callbacks for the beginning and the end of each flight.
         psi: Estimated distance of the sources, from which the mixture's weights start; None to
             start from equal ones.
+        ranking: Estimates of a ranking, the selected source first, which say what source is the
+            closest on each axis.
         own_flight_s: Durations of the target's own flying, rising from 0, after which it flies.
         seed: Seed of its rich flights.
         rehearse: Whether the target first predicts the error of every way on every path. The errors
@@ -117,7 +131,9 @@ def fly_target(
         return ForeseenWay(inverse=inverse, guarded=guarded, remember=False, **found)
 
     own = way("own")
-    if len(done) >= flights_planned(len(sources), len(legs), len(own_flight_s)):
+    by_axis = held_by_axis(ranking, sources)
+    points = len(own_flight_s)
+    if len(done) >= flights_planned(len(sources), len(legs), points, by_axis=bool(by_axis)):
         return tuple(done)
     with prior_put_back(fleet, pilot, target):
         alone = sources[MIXTURE_MAX:]  # more than a robot can hold at a time
@@ -130,6 +146,9 @@ def fly_target(
             for source, given in zip(sources, held, strict=False)
         }
         ways[MIXTURE] = way("mixture", mixture=mixture)
+        if by_axis:
+            each = way_with(by_axis, {one.manifest.robot: one.sha256 for one in held})
+            ways[BY_AXIS] = each.model_copy(update={"guarded": guarded, "remember": False})
         for leg in legs:
             flown.along(leg, ways, rehearse=rehearse)
         for source in alone:
@@ -145,9 +164,24 @@ def fly_target(
     return tuple(flown.records)
 
 
-def flights_planned(sources: int, legs: int, points: int) -> int:
+def flights_planned(sources: int, legs: int, points: int, *, by_axis: bool = False) -> int:
     """Return how many flights `fly_target` begins."""
-    return legs * (sources + 4 + points - 1)
+    return legs * (sources + by_axis + 4 + points - 1)
+
+
+def held_by_axis(ranking: Sequence[SourceEstimate], sources: Sequence[str]) -> dict[str, str]:
+    """Return the source of each axis, if the target may hold all of their experiences.
+
+    Args:
+        ranking: Estimates of a ranking, the selected source first.
+        sources: Sources whose experiences are flown, the selected one first.
+
+    Returns:
+        Sources by axis; empty where one source is as good on all axes, or an experience is not
+        among those that a robot can hold at a time.
+    """
+    chosen = sources_by_axis(ranking)
+    return chosen if set(chosen.values()) <= set(sources[:MIXTURE_MAX]) else {}
 
 
 class _Flown:

@@ -175,7 +175,7 @@ def _pairs(target: EvaluationResult) -> list[Pair]:
         Pair(
             target=target.target,
             source=source.robot,
-            psi=source.psi,
+            psi=source.distance,
             rms_m=source.rms_m,
             ratio=None if source.rms_m is None or not base else source.rms_m / base,
             predicted_ratio=None

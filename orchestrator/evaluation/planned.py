@@ -33,6 +33,11 @@ def planned_evaluation(plans: Sequence[EvaluationPlan], *, resumed: bool = False
                 learners.setdefault(source, learner)
     targets = ", ".join(plan.ready.plan.target for plan in plans)
     later = ["the rounds of the adaptive ranking depend on what they show"]
+    if any(plan.ready.plan.also for plan in plans):
+        later.append(
+            "where axes differ in their closest source, each path is flown once more, with that of "
+            "each axis"
+        )
     if resumed:
         later.append("what was done before the interruption is not done again")
     return Outlook(

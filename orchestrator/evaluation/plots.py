@@ -13,13 +13,23 @@ from nufleet.orchestrator.evaluation.results import StudyEstimates
 from nufleet.orchestrator.evaluation.summaries import by_source, reduction
 from nufleet.orchestrator.evaluation.transfer_scatter import scatter
 from nufleet.orchestrator.evaluation.values import FlightError, FlownPath
-from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN, path_label
+from nufleet.orchestrator.flights.labels import (
+    BASELINE,
+    BY_AXIS,
+    MIXTURE,
+    NO_PRIOR,
+    OWN,
+    path_label,
+)
 from nufleet.orchestrator.runs.figures import new_figure, plain, prior_colours, save
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+BOXED_MIN = 5
+"""Smallest number of studies whose estimates have a box; fewer are drawn as dots."""
 
 __all__ = ["fig4", "fig7", "paths", "scatter"]
 
@@ -28,8 +38,8 @@ def fig4(png: Path, studies: Sequence[StudyEstimates]) -> None:
     """Draw how ψ̂*_n scatters over repeated studies, at the second and at the last iteration.
 
     This corresponds to the paper's Fig. 4. Boxes span the quartiles and show the median; whiskers
-    reach to the last value within 1.5 box lengths; dots are single studies. Sources are sorted by
-    the median of their last estimates.
+    reach to the last value within 1.5 box lengths; dots are single studies, which have no box if
+    they are few. Sources are sorted by the median of their last estimates.
 
     Args:
         png: File to write.
@@ -67,7 +77,9 @@ def fig4(png: Path, studies: Sequence[StudyEstimates]) -> None:
 
 
 def _box(axes: Axes, place: float, values: list[float], colour: str, *, bold: bool) -> None:
-    if not values:
+    if len(values) < BOXED_MIN:
+        face = colour if bold else "white"
+        axes.plot([place] * len(values), values, "o", color=colour, mfc=face, ms=7)
         return
     width = 1.8 if bold else 1.0
     line = {"color": colour, "linewidth": width}
@@ -244,7 +256,7 @@ def _tallness(flown: Sequence[FlownPath], row: tuple[str, float]) -> float:
 def _ordered(priors: Iterable[str]) -> list[str]:
     """Return each prior once: the flights without a source first, then the sources by name."""
     names = set(priors)
-    alone = [name for name in (BASELINE, NO_PRIOR, OWN, MIXTURE) if name in names]
+    alone = [name for name in (BASELINE, NO_PRIOR, OWN, MIXTURE, BY_AXIS) if name in names]
     return alone + sorted(names - set(alone))
 
 

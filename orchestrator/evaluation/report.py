@@ -17,7 +17,15 @@ from nufleet.orchestrator.evaluation.results import (
     InverseResult,
 )
 from nufleet.orchestrator.evaluation.values import FlightError, FlownPath
-from nufleet.orchestrator.flights.labels import flight_label, path_label
+from nufleet.orchestrator.flights.labels import (
+    BY_AXIS,
+    MIXTURE,
+    NO_PRIOR,
+    OWN,
+    flight_label,
+    path_label,
+)
+from nufleet.orchestrator.study.source_by_axis import in_words, sources_by_axis
 from nufleet.shared.arrays import FloatArray
 
 PAPER_TABLE_I = {
@@ -36,6 +44,10 @@ def evaluation_table(result: EvaluationResult) -> Table:
     unit = f"m{result.unit}"
     table = Table(title=f"{result.target}, {result.architecture} inverses", title_justify="left")
     table.add_column("prior", no_wrap=True)
+    over_axes = any(source.ranked is not None for source in result.sources)
+    if over_axes:
+        table.add_column("ψ*, all axes", justify="right")
+    blank = ("",) if over_axes else ()
     for heading in (
         "ψ̂*",
         "± σ",
@@ -47,29 +59,56 @@ def evaluation_table(result: EvaluationResult) -> Table:
     ):
         table.add_column(heading, justify="right")
     own = result.baseline
-    table.add_row(
-        "baseline", "", "", _predicted(own.predicted_rms_m), _milli(own.rms_m), "", "", ""
-    )
-    table.add_row("none", "", "", "", *_cells(result.no_prior))
-    if result.own is not None:
-        table.add_row("own", "", "", "", *_cells(result.own))
-    if result.mixture is not None:
-        table.add_row("mixture", "", "", "", *_cells(result.mixture))
+    expected = _predicted(own.predicted_rms_m)
+    table.add_row("baseline", *blank, "", "", expected, _milli(own.rms_m), "", "", "")
+    for name, found in (
+        (NO_PRIOR, result.no_prior),
+        (OWN, result.own),
+        (MIXTURE, result.mixture),
+        (BY_AXIS, result.by_axis),
+    ):
+        if found is not None:
+            table.add_row(name, *blank, "", "", "", *_cells(found))
     for place, source in enumerate(result.sources):
+        ranked = "" if source.ranked is None else f"{source.ranked.psi:.3f}{source.ranked.on_axis}"
         table.add_row(
             source.robot,
+            *(ranked for _ in blank),
             f"{source.psi:.3f}",
-            f"{source.psi_std:.3f}",
+            "<0.001" if source.psi_std < 0.0005 else f"{source.psi_std:.3f}",
             _predicted(source.predicted_rms_m),
             *_cells(source),
             style="bold green" if place == 0 else None,
         )
+    over = "ψ* over all axes" if over_axes else "ψ̂*"
     table.caption = (
-        f"Kendall's τ with the error: {_or_dash(result.kendall_tau)} for ψ̂*, "
+        f"Kendall's τ with the error: {_or_dash(result.kendall_tau)} for {over}, "
         f"{_or_dash(result.kendall_tau_trajectory)} for the error predicted for these paths"
+        f"{_one_or_each(result)}"
     )
     table.caption_justify = "left"
     return table
+
+
+def _one_or_each(result: EvaluationResult) -> str:
+    """Return what one source for all axes left, beside the closest on each axis."""
+    ranking = [source.ranked for source in result.sources if source.ranked is not None]
+    if not ranking:
+        return ""
+    if result.by_axis is None:
+        differ = sources_by_axis(ranking)
+        if not differ:
+            return f"\nno axis has a closer source than {result.selected}, beyond doubt"
+        return (
+            f"\naxes differ in their closest source, {in_words(differ, ranking)}, but the target "
+            "cannot hold all of these at a time: name fewer sources to fly with that of each axis"
+        )
+    one, unit = result.sources[0], f"m{result.unit}"
+    each = ", ".join(f"{source} on {axis}" for axis, source in result.by_axis.sources.items())
+    return (
+        f"\none source for all axes, {one.robot}: {error_cell(one)} {unit}; the closest on each "
+        f"axis, {each}: {error_cell(result.by_axis)} {unit}"
+    )
 
 
 def ways_table(result: EvaluationResult) -> Table:

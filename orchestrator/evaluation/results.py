@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from nufleet.orchestrator.study.interface import SourceEstimate
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.strict import Document, NonNegative, Strict
 
@@ -22,7 +23,8 @@ class FlightRecord(Strict):
     """Name of the robot that flew."""
     inverse: str
     """Name of the source that gave the prior, `none` for a zero prior, `mixture` for one of all
-    sources, `own` for the target's model of itself, or `baseline`."""
+    sources, `by-axis` for that of the closest source on each axis, `own` for the target's model of
+    itself, or `baseline`."""
     drawing: str
     """Name of the drawing."""
     speed_m_s: NonNegative
@@ -80,7 +82,7 @@ class WayResult(InverseResult):
     """
 
     way: str
-    """`baseline`, `none`, `own`, `mixture`, or the name of a source."""
+    """`baseline`, `none`, `own`, `mixture`, `by-axis`, or the name of a source."""
     own_flight_s: NonNegative
     """Duration of the target's own rich flights before, beyond its tests. Ways that do not depend
     on them are flown once, after the tests alone."""
@@ -121,12 +123,27 @@ class SourceResult(InverseResult):
     robot: str
     """Name of the source."""
     psi: float
-    """Estimate ψ̂*_n; with repeated studies, its mean over them."""
+    """Estimate ψ̂*_n on the first axis; with repeated studies, its mean over them."""
     psi_std: NonNegative
     """Standard deviation of ψ̂*_n: over repeated studies, or as a single study estimates it."""
     predicted_rms_m: NonNegative | None = None
     """Predicted RMS error: |1 − z_T/z_S| weighted by the spectra of the paths that were flown, from
     the same tests as ψ."""
+    ranked: SourceEstimate | None = None
+    """Estimate over all axes, and on each of them, as `nufleet rank` makes it; None where one axis
+    is compared."""
+
+    @property
+    def distance(self) -> float:
+        """The estimate that sources are ordered by: over all axes, or `psi` where there is one."""
+        return self.psi if self.ranked is None else self.ranked.psi
+
+
+class ByAxisResult(InverseResult):
+    """The tracking errors with the experience of the closest source on each axis."""
+
+    sources: dict[str, str]
+    """Name of the source of each axis, by axis."""
 
 
 class BaselineResult(Strict):
@@ -157,10 +174,14 @@ class EvaluationResult(Document):
     """Errors with the target's model of itself; None when it was not flown."""
     mixture: InverseResult | None = None
     """Errors with a mixture of all sources' experiences; None when it was not flown."""
+    by_axis: ByAxisResult | None = None
+    """Errors with the experience of the closest source on each axis; None where no axis has a
+    closer source than the selected one, beyond doubt."""
     sources: tuple[SourceResult, ...]
-    """Errors with each source's experience, in ascending order of ψ̂*."""
+    """Errors with each source's experience, the selected one first: in the order of the ranking
+    over all axes, or in ascending order of ψ̂* where one axis is compared."""
     selected: str
-    """Name of the source with the smallest ψ̂*."""
+    """Name of the source that is selected."""
     kendall_tau: float | None
     """Rank correlation of ψ̂* with the sources' errors; None for fewer than two sources."""
     kendall_tau_trajectory: float | None = None

@@ -5,17 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from nufleet.orchestrator.conduct.archive import Archive
 from nufleet.orchestrator.conduct.rank_run import ReadyStudy
-from nufleet.orchestrator.evaluation.comparison import summarise
+from nufleet.orchestrator.evaluation.comparison import order_of, summarise
 from nufleet.orchestrator.evaluation.fly_target import (
     FlightObserver,
     flights_planned,
     fly_target,
+    held_by_axis,
 )
 from nufleet.orchestrator.evaluation.kept_records import KeptRecords, read_records
 from nufleet.orchestrator.evaluation.repeated_studies import (
@@ -32,7 +33,9 @@ from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.flights.legs import Leg
 from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.orchestrator.runs.folder import RunFolder, read_document
+from nufleet.orchestrator.study.interface import SourceEstimate
 from nufleet.orchestrator.study.predicted_errors import predict_rms
+from nufleet.orchestrator.study.source_by_axis import in_words
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.wire.messages import Description
 
@@ -102,16 +105,19 @@ def run_evaluation(
     before_s = _wall_time_s(folder, study.target)
     prepare_robots(fleet, pilot, library, plan, study.sources, folder, say=say)
     run_id = folder.path.name.lower()
+    # The paper's algorithm compares robots by one axis.
+    first_axis = replace(plan.ready, plan=replace(study, also=()))
     studies = repeat_study(
         fleet,
-        plan.ready,
+        first_axis,
         plan.seeds,
         run_id,
         archive,
         on_study=lambda study: say(f"study {study.seed}: " + ranking_line(study.last)),
     )
     psi = psi_of(studies.estimates)
-    order = sorted(psi, key=lambda source: psi[source].mean)
+    ranking = _tested(fleet, plan, run_id, archive, say=say)
+    order = order_of(psi, ranking)
     predicted = predict_rms(
         study.target,
         order,
@@ -121,10 +127,14 @@ def run_evaluation(
         np.random.default_rng(plan.seed),
         omega_max_rad_s=study.band_rad_s[1],
     )
-    ranking = _tested(fleet, plan, run_id, archive, say=say)
     know_itself(fleet, pilot, study.target, seed=plan.seed, say=say)
     target = fleet.describe(study.target)
-    planned = flights_planned(len(order), len(plan.legs), len(plan.own_flight_s))
+    by_axis = held_by_axis(ranking, order)
+    if by_axis:
+        say(f"axes differ in their closest source: {in_words(by_axis, ranking)}")
+    planned = flights_planned(
+        len(order), len(plan.legs), len(plan.own_flight_s), by_axis=bool(by_axis)
+    )
 
     def keep(flights: Sequence[FlightRecord]) -> EvaluationRecord:
         result = summarise(
@@ -133,6 +143,7 @@ def run_evaluation(
             psi,
             plan.architecture,
             predicted=predicted,
+            ranking=ranking,
             unit=target.spec.axis(study.axis).unit,
             guarded=plan.guarded,
             run=str(folder.path),
@@ -160,7 +171,8 @@ def run_evaluation(
             plan.architecture,
             guarded=plan.guarded,
             observers=observers,
-            psi=ranking,
+            psi={estimate.robot: estimate.psi for estimate in ranking},
+            ranking=ranking,
             own_flight_s=plan.own_flight_s,
             seed=plan.seed,
             rehearse=True,
@@ -173,19 +185,21 @@ def run_evaluation(
 
 def _tested(
     fleet: Fleet, plan: EvaluationPlan, run_id: str, archive: Archive, *, say: Say
-) -> dict[str, float]:
-    """Have the target know of itself what one ranking shows; return ψ̂* of every source."""
+) -> tuple[SourceEstimate, ...]:
+    """Have the target know of itself what one ranking shows; return the ranking's estimates."""
     study = plan.ready.plan
     if plan.forget and not has_begun(study.target, run_id, archive):
         fleet.forget_own_model(study.target)
     conclusion = rank_once(fleet, plan.ready, plan.seed, run_id, archive)
-    ranking = {estimate.robot: estimate.psi for estimate in conclusion.report.ranking}
+    ranking = conclusion.report.ranking
     target = fleet.describe(study.target)
     known = ", ".join(
         f"{axis.name} {target.own_flight_s.get(axis.name, 0.0):.0f} s" for axis in target.spec.axes
     )
     say(
-        f"ranked as by `nufleet rank`: {ranking_line(ranking)}; {study.target} knows itself from "
+        "ranked as by `nufleet rank`: "
+        + ranking_line({estimate.robot: estimate.psi for estimate in ranking})
+        + f"; {study.target} knows itself from "
         f"its tests{'' if plan.forget else ' and earlier motions'}: {known}"
     )
     return ranking

@@ -88,13 +88,9 @@ def fly_lessons(
         StudyError: The robot does not respond to steps, or no horizon can be flown.
         RobotError: A flight failed.
     """
+    check_lessons(description, architectures)
     robot, spec = description.robot, description.spec
     path, unit = practice_path(spec, robot), _unit(description)
-    if "state" in architectures and not description.state_names:
-        raise InvalidInputError(
-            f"robot {robot} measures its output alone, and an inverse of its state needs its state "
-            "measured: let it learn a preview (--architecture preview)"
-        )
     say(robot, f"flies a persistently exciting reference for {duration_s:.0f} s")
     result, details = pilot.rich(robot, duration_s=duration_s, seed=seed)
     record = LearningRecord(result.reference, details.states, details.state_names)
@@ -134,6 +130,18 @@ def fly_lessons(
             data = TrainingData(*pooled_pairs(choice.layout, record, columns))
             lessons.append(Lesson(robot, data, origin, choice))
     return tuple(lessons)
+
+
+def check_lessons(description: Description, architectures: tuple[Architecture, ...]) -> None:
+    """Raise InvalidInputError if a robot cannot fly lessons; see `fly_lessons`."""
+    robot = description.robot
+    practice_path(description.spec, robot)
+    _unit(description)
+    if "state" in architectures and not description.state_names:
+        raise InvalidInputError(
+            f"robot {robot} measures its output alone, and an inverse of its state needs its state "
+            "measured: let it learn a preview (--architecture preview)"
+        )
 
 
 def planned_lessons(

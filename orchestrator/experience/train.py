@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from nufleet.orchestrator.experience.learning import FLIGHT_S, Lesson, Say, fly_lessons
@@ -47,6 +48,7 @@ def train_robots(
     seed: int,
     duration_s: float = FLIGHT_S,
     say: Say,
+    on_step: Callable[[str, int, int], None] = lambda robot, done, most: None,
     on_trained: Callable[[Trained], None] = lambda trained: None,
 ) -> tuple[Trained, ...]:
     """Have robots learn experiences of their own; all robots fly at the same time.
@@ -60,6 +62,8 @@ def train_robots(
         seed: Seed of the flights and of the networks' first weights.
         duration_s: Duration of each rich flight.
         say: Callback that receives a robot's name and its present activity, from several threads.
+        on_step: Callback that receives, while a network is trained, its robot, the steps that are
+            done, and how many there are at most; from several threads.
         on_trained: Callback that receives each experience once its robot holds it, from several
             threads.
 
@@ -81,7 +85,8 @@ def train_robots(
         began_s = time.monotonic()
         architecture = lesson.choice.layout.architecture
         say(lesson.robot, f"has flown; its {architecture} network is trained")
-        experience = train(lesson.data, lesson.choice.layout, lesson.origin, seed=seed)
+        layout, stepped = lesson.choice.layout, partial(on_step, lesson.robot)
+        experience = train(lesson.data, layout, lesson.origin, seed=seed, stepped=stepped)
         payload, file = encode_experience(experience), f"{lesson.robot}-{architecture}.safetensors"
         (folder / file).write_bytes(payload)
         sha256, signed = install(fleet, lesson.robot, "experience", payload)

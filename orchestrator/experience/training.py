@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import pairwise
@@ -23,6 +24,9 @@ from nufleet.shared.experience.manifest import ExperienceManifest
 
 if TYPE_CHECKING:
     import torch
+
+Stepped = Callable[[int, int], None]
+"""Receives the number of optimizer steps that are done, and how many there are at most."""
 
 TRAINING_VERSION = "3"
 """Version of the training, increased whenever the same data and seed would give another network."""
@@ -98,6 +102,7 @@ def train(
     seed: int,
     points: int = POINTS,
     steps_max: int = STEPS_MAX,
+    stepped: Stepped = lambda done, most: None,
 ) -> Experience:
     """Train the paper's network, 4 × 128 ReLU (Section VI-A), on `points` of the pairs.
 
@@ -117,6 +122,8 @@ def train(
         seed: Seed of the first weights and of the batches.
         points: Number of pairs to train on, at least 500.
         steps_max: Limit on the number of optimizer steps.
+        stepped: Callback that receives the number of steps that are done, and the limit; equal to
+            the limit in the end, also when training stops before.
 
     Returns:
         The model with its manifest, whose `validation_rms` is the error on the points held back,
@@ -155,7 +162,7 @@ def train(
     if error > LINEAR_ENOUGH:
         check_torch()
         hidden = ExperienceManifest.model_fields["hidden"].default
-        network, error = _fit(linear, scaled, targets, held_back, seed, steps_max)
+        network, error = _fit(linear, scaled, targets, held_back, seed, steps_max, stepped)
         arrays = _arrays(network)
     manifest = ExperienceManifest(
         robot=origin.robot,
@@ -222,6 +229,7 @@ def _fit(
     held_back: np.ndarray,
     seed: int,
     steps_max: int,
+    stepped: Stepped,
 ) -> tuple[torch.nn.Sequential, float]:
     """Return the network with the smallest error on the points held back, and that RMS error."""
     import torch
@@ -237,6 +245,7 @@ def _fit(
         torch.tensor(held_back),
         generator,
         steps_max,
+        stepped,
     )
 
 
@@ -247,6 +256,7 @@ def _descend(
     held_back: torch.Tensor,
     generator: torch.Generator,
     steps_max: int,
+    stepped: Stepped,
 ) -> tuple[torch.nn.Sequential, float]:
     import torch
 
@@ -261,6 +271,7 @@ def _descend(
     best, best_step, best_error = copy.deepcopy(network.state_dict()), 0, float("inf")
     for step in range(steps_max + 1):
         if step % _EVALUATE_EVERY == 0 or step == steps_max:
+            stepped(step, steps_max)
             with torch.no_grad():
                 error = float(torch.mean((network(judged[0]) - judged[1]) ** 2).sqrt())
             if error < best_error:
@@ -273,6 +284,7 @@ def _descend(
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
         schedule.step()
+    stepped(steps_max, steps_max)
     network.load_state_dict(best)
     return network, best_error
 

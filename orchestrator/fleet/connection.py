@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
@@ -116,6 +116,7 @@ def started_fleet(
     processes: int | None = None,
     realtime: float | None = None,
     state_folder: Path | None = None,
+    appeared: Callable[[int, int], None] = lambda there, of: None,
 ) -> Iterator[Connection]:
     """Start the fleet of a file with a router of its own, and end both afterwards.
 
@@ -127,6 +128,7 @@ def started_fleet(
             possible.
         state_folder: Folder in which the robots keep what they learn, and find what they learned
             before; None if they begin with nothing, and leave nothing.
+        appeared: Callback that receives how many robots are there, and of how many.
 
     Yields:
         The connected fleet, with all robots of the file alive.
@@ -144,11 +146,16 @@ def started_fleet(
         started.start_agents(path, groups, endpoint, realtime, state_folder=kept)
         with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as session:
             fleet = Fleet(session, FleetKeys(file.name), new_orchestrator_id())
-            wait_for_robots(fleet, started, file)
+            wait_for_robots(fleet, started, file, appeared)
             yield Connection(fleet, file.name, tuple(file.robots))
 
 
-def wait_for_robots(fleet: Fleet, started: FleetProcesses, file: FleetFile) -> None:
+def wait_for_robots(
+    fleet: Fleet,
+    started: FleetProcesses,
+    file: FleetFile,
+    appeared: Callable[[int, int], None] = lambda there, of: None,
+) -> None:
     """Wait until all robots of a file are alive; raise at once when one of their processes died.
 
     A large fleet takes minutes on a small machine, so the time counts from the last robot that
@@ -161,6 +168,7 @@ def wait_for_robots(fleet: Fleet, started: FleetProcesses, file: FleetFile) -> N
     waited_s = 0.0
     missing = tuple(file.robots)
     while missing:
+        appeared(len(file.robots) - len(missing), len(file.robots))
         dead = started.dead()
         if dead:
             raise NufleetError("; ".join(dead))
@@ -180,3 +188,4 @@ def wait_for_robots(fleet: Fleet, started: FleetProcesses, file: FleetFile) -> N
         missing = tuple(robot for robot in missing if not fleet.watch(robot).alive)
         if len(missing) < before:
             waited_s = 0.0
+    appeared(len(file.robots), len(file.robots))

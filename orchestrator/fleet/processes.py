@@ -178,7 +178,8 @@ def _end(children: list[_Child]) -> None:
             child.process.wait(max(0.0, deadline - time.monotonic()))
         except subprocess.TimeoutExpired:
             _log.warning(
-                "%s did not end within %g s and was killed; its robots may not be at rest",
+                "%s did not end within %g s and was killed: if it moves real robots, make sure "
+                "that they are at rest",
                 child.what,
                 GRACE_S,
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -130,8 +131,14 @@ class FleetChoice:
         """Name of the fleet; None for the only one that runs at the router."""
         return self.reach.fleet_name if self.file is None else self.file.name
 
-    def target(self, named: str | None) -> str:
+    def target(
+        self, named: str | None, asked: str = "which robot needs experience? Name it with --target"
+    ) -> str:
         """Return the target: the robot that was named, or the one that the fleet file names.
+
+        Args:
+            named: Name that was given; None without one.
+            asked: What a person is asked if neither of them names one.
 
         Raises:
             InvalidInputError: Neither of them names one.
@@ -142,7 +149,7 @@ class FleetChoice:
             where = "`nufleet fleet status` lists the robots"
             if self.file is not None:
                 where = f"there are {', '.join(self.file.robots)}"
-            raise InvalidInputError(f"which robot needs experience? Name it with --target; {where}")
+            raise InvalidInputError(f"{asked}; {where}")
         return self.file.study.target
 
     def band_rad_s(self, given: tuple[float, float] | None) -> tuple[float, float] | None:
@@ -152,7 +159,12 @@ class FleetChoice:
         return self.file.study.band_rad_s
 
     def connection(
-        self, console: Console, robots: tuple[str, ...] = (), *, wait_s: float = 0.0
+        self,
+        console: Console,
+        robots: tuple[str, ...] = (),
+        *,
+        wait_s: float = 0.0,
+        appeared: Callable[[int, int], None] = lambda there, of: None,
     ) -> AbstractContextManager[Connection]:
         """Return a context manager that starts the fleet, or joins the running one.
 
@@ -160,6 +172,8 @@ class FleetChoice:
             console: Console for progress messages.
             robots: Names of the robots that have to be alive in a running fleet.
             wait_s: Longest time to wait for them, in s.
+            appeared: Callback that receives how many robots of a fleet that is started are there,
+                and of how many.
 
         Raises:
             InvalidInputError: The endpoint was stored without its secrets.
@@ -179,4 +193,5 @@ class FleetChoice:
             processes=reach.processes,
             realtime=reach.realtime,
             state_folder=None if reach.state_folder is None else Path(reach.state_folder),
+            appeared=appeared,
         )

@@ -17,6 +17,7 @@ BY_AXIS = "by-axis"
 OWN = "own"
 """Instead of a source: the robot's model of itself, inverted along the whole path."""
 
+_UNGUARDED = "-unguarded"
 _SEPARATOR = " · "
 
 
@@ -38,4 +39,13 @@ def prior_and_path(flight: str) -> tuple[str, str]:
 
 def without_guard(source: str) -> str:
     """Return the name of a source's experience that is flown without the guard."""
-    return f"{source}-unguarded"
+    return f"{source}{_UNGUARDED}"
+
+
+def guarded_name(prior: str) -> str:
+    """Return the source of a prior, whether or not it is flown with the guard.
+
+    >>> guarded_name(without_guard("source-1"))
+    'source-1'
+    """
+    return prior.removesuffix(_UNGUARDED)

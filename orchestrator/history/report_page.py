@@ -42,6 +42,7 @@ h1 { font-size: 1.5rem; margin-bottom: 0 } h2 { font-size: 1.15rem; margin-top: 
 table { border-collapse: collapse; margin: .6rem 0 1rem } caption { text-align: left; color: #444 }
 th, td { padding: .25rem .7rem; border-bottom: 1px solid #ddd; text-align: left }
 td.right, th.right { text-align: right; font-variant-numeric: tabular-nums }
+.whole { white-space: nowrap }
 img { max-width: 100%; height: auto } pre { white-space: pre-wrap; overflow-wrap: anywhere }
 @media print { body { margin: 0; max-width: none } details { display: none }
                table, img { break-inside: avoid } }
@@ -120,13 +121,16 @@ def _element(part: RenderableType) -> str:
 
 
 def _table(table: Table) -> str:
-    right = [' class="right"' if column.justify == "right" else "" for column in table.columns]
+    classes = [
+        f' class="{"right" if column.justify == "right" else ""}{" whole" * column.no_wrap}"'
+        for column in table.columns
+    ]
     heads = [
-        f"<th{side}>{_plain(column.header)}</th>"
-        for side, column in zip(right, table.columns, strict=True)
+        f"<th{kind}>{_plain(column.header)}</th>"
+        for kind, column in zip(classes, table.columns, strict=True)
     ]
     rows = [
-        "".join(f"<td{side}>{_plain(cell)}</td>" for side, cell in zip(right, row, strict=True))
+        "".join(f"<td{kind}>{_plain(cell)}</td>" for kind, cell in zip(classes, row, strict=True))
         for row in zip(*(tuple(column.cells) for column in table.columns), strict=True)
     ]
     caption = f"<caption>{_plain(table.title)}</caption>" if table.title else ""

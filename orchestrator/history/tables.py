@@ -77,12 +77,24 @@ def flights_table(flights: tuple[FlightRecord, ...]) -> Table:
         table.add_column(heading, justify="right")
     table.add_column("remarks")
     for flight in flights:
-        rms = "not finished" if flight.rms_m is None else f"{1000 * flight.rms_m:.1f}"
+        rms = "not finished" if flight.rms_m is None else _milli(flight.rms_m)
+        after = f" after {flight.own_flight_s:g} s" if flight.own_flight_s else ""
         event = flight.failure or (flight.taken_back and f"withdrawn: {flight.taken_back}") or ""
         table.add_row(
-            *(flight.target, flight.drawing, flight.inverse, f"{flight.speed_m_s:g}", rms, event)
+            *(
+                flight.target,
+                flight.drawing,
+                flight.inverse + after,
+                f"{flight.speed_m_s:g}",
+                rms,
+                event,
+            )
         )
     return table
+
+
+def _milli(value: float) -> str:
+    return "<0.1" if value < 5e-5 else f"{1000 * value:.1f}"
 
 
 def experiences_table(result: TrainResult) -> Table:

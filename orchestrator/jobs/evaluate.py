@@ -15,7 +15,7 @@ import click
 from pydantic import TypeAdapter
 from rich.console import Console
 
-from nufleet.orchestrator.conduct.preflight import check_robots
+from nufleet.orchestrator.conduct.preflight import ALL_AXES, check_robots
 from nufleet.orchestrator.conduct.rank_run import RankRequest, prepare
 from nufleet.orchestrator.evaluation.pairs import PAIRS, PairsResult, compare_pairs
 from nufleet.orchestrator.evaluation.planned import planned_evaluation
@@ -312,7 +312,7 @@ def _plan(
         band_rad_s=run.choice.band_rad_s(None),
         iterations=command.iterations,
         seed=command.seed,
-        axes=None,
+        axes=(ALL_AXES,),
     )
     ready = prepare(fleet, request, there)
     for source in ready.plan.sources:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import time
+from functools import partial
 from pathlib import Path
 
 from rich.live import Live
@@ -14,7 +15,7 @@ from nufleet.orchestrator.fleet.connection import CONNECT_TIMEOUT_S, wait_for_ro
 from nufleet.orchestrator.fleet.orchestrator_id import new_orchestrator_id
 from nufleet.orchestrator.fleet.processes import FleetProcesses, grouped
 from nufleet.orchestrator.fleet.table import fleet_table
-from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.orchestrator.jobs.terminal import bars_shown, stderr_console
 from nufleet.shared.command_line import invocation
 from nufleet.shared.errors import NufleetError
 from nufleet.shared.redaction import without_secrets
@@ -65,7 +66,8 @@ def fleet_up(
         started.start_agents(fleet_file, groups, listen, realtime)
         with open_client(listen, timeout_s=CONNECT_TIMEOUT_S) as session:
             fleet = Fleet(session, FleetKeys(file.name), new_orchestrator_id())
-            wait_for_robots(fleet, started, file)
+            with bars_shown(console, "robots") as bar:
+                wait_for_robots(fleet, started, file, partial(bar, "starting"))
             shown = without_secrets(listen)
             console.print(
                 f"{len(robots)} robots of fleet {file.name} are up at {shown} (Ctrl-C ends them)\n"

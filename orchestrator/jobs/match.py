@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -15,7 +16,7 @@ from nufleet.orchestrator.conduct.preflight import check_names
 from nufleet.orchestrator.conduct.simulator_copy import SimulatorCopy
 from nufleet.orchestrator.jobs.consent import carried_out
 from nufleet.orchestrator.jobs.rank import RankCommand, rank
-from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.orchestrator.jobs.terminal import bars_shown, stderr_console
 from nufleet.orchestrator.repository.records import TrialStatus
 from nufleet.orchestrator.runs.folder import study_id_of
 from nufleet.orchestrator.study.settings_fit import fit_settings
@@ -68,6 +69,7 @@ class MatchCommand(RankCommand):
 
 def match_and_print(command: MatchCommand) -> bool:
     """Compare, print the result, and return whether the best simulator is close enough."""
+    _check_robots(command)
     simulator = None if command.fit is None else _to_fit(command, command.fit)
     result = carried_out(command, match)
     if result is None:
@@ -87,6 +89,16 @@ def match_and_print(command: MatchCommand) -> bool:
         f"{result.psi:.3f}, and at most {command.psi_max:g} is allowed[/]"
     )
     return False
+
+
+def _check_robots(command: MatchCommand) -> None:
+    """Raise InvalidInputError unless there are a robot and simulators to compare with it."""
+    choice = command.fleet()
+    robot = choice.target(command.target, "which robot are they to match? Name it with --robot")
+    if robot in (command.sources or ()):
+        raise InvalidInputError(f"{robot} is the robot, and cannot be among its --simulators")
+    if choice.file is not None and set(choice.file.robots) <= {robot}:
+        raise InvalidInputError(f"there is no simulator besides {robot} in the fleet file")
 
 
 def _to_fit(command: MatchCommand, names: tuple[str, ...]) -> SimulatorCopy:
@@ -132,12 +144,12 @@ def fitted(
             if one.intent.robot == name and one.plan is not None
         ]
     own = [one.response for one in trials if one.intent.robot == result.robot and one.response]
-    with console.status("fitting") as status:
+    with bars_shown(console, "simulations at most") as shown:
         fit = fit_settings(
             own,
             lambda values: simulator.responses(values, played),
             simulator.settings(),
-            lambda k, most: status.update(f"fitting: simulation {k} of at most {most}"),
+            partial(shown, "fitting"),
         )
     console.print(fit.words(result.robot, name))
     if fit.untold:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -19,7 +20,7 @@ from nufleet.orchestrator.jobs.consent import Moves, agree
 from nufleet.orchestrator.jobs.motions_shown import motions_shown
 from nufleet.orchestrator.jobs.rest_report import say_who_rests
 from nufleet.orchestrator.jobs.storage import Storage
-from nufleet.orchestrator.jobs.terminal import results_console
+from nufleet.orchestrator.jobs.terminal import bars_shown, results_console
 from nufleet.orchestrator.repository.errors import LeaseHeldError
 from nufleet.orchestrator.repository.repository import Repository
 from nufleet.orchestrator.runs.folder import RunFolder, make_runs_root, study_id_of
@@ -100,8 +101,10 @@ class Opening:
             NoRouterError, InvalidInputError, RobotLostError: See `running_fleet`.
             NufleetError: The fleet cannot be started.
         """
-        opened = choice.connection(self.console, robots, wait_s=wait_s)
-        self.connection = self._stack.enter_context(opened)
+        with bars_shown(self.console, "robots") as shown:
+            appeared = partial(shown, "starting")
+            opened = choice.connection(self.console, robots, wait_s=wait_s, appeared=appeared)
+            self.connection = self._stack.enter_context(opened)
         self.choice = choice
         return self.connection
 

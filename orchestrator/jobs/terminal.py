@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 
 from rich.console import Console
 
@@ -42,29 +43,45 @@ def results_console(progress: Console, *, as_json: bool) -> Console:
 
 
 @contextmanager
-def rehearsal_shown(console: Console) -> Iterator[Callable[[int, int], None]]:
-    """Show on a terminal how many ways of flying a robot has rehearsed, and the time left.
+def bars_shown(console: Console, unit: str) -> Iterator[Callable[[str, int, int | None], None]]:
+    """Show on a terminal how far pieces of work are, and the time that they still take.
 
     Args:
         console: Console for progress; one that is no terminal shows nothing.
+        unit: What is counted, in the plural.
 
     Yields:
-        Function to call with the number of ways that are done, and of all.
+        Function to call, from any thread, with a piece of work, how much of it is done, and of how
+        much; None if that is not known yet. Its bar disappears when all of it is done.
     """
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TimeRemainingColumn
 
     with Progress(
-        "  rehearsing",
+        "  {task.description}",
         BarColumn(),
         MofNCompleteColumn(),
-        "ways, time left",
+        f"{unit}, time left",
         TimeRemainingColumn(),
         console=console,
         transient=True,
         disable=console.quiet or not console.is_terminal,
     ) as progress:
-        task = progress.add_task("", total=None)
-        yield lambda done, total: progress.update(task, completed=done, total=total)
+        tasks = dict[str, TaskID]()
+
+        def show(work: str, done: int, total: int | None) -> None:
+            if work not in tasks:
+                tasks[work] = progress.add_task(work, total=None)
+            progress.update(tasks[work], completed=done, total=total, visible=done != total)
+
+        yield show
+
+
+@contextmanager
+def rehearsal_shown(console: Console) -> Iterator[Callable[[int, int], None]]:
+    """Show how many ways of flying a robot has rehearsed; see `bars_shown`."""
+    with bars_shown(console, "ways") as shown:
+        shown("rehearsing", 0, None)
+        yield partial(shown, "rehearsing")
 
 
 def _wide_enough(console: Console) -> Console:

@@ -18,13 +18,13 @@ from nufleet.orchestrator.flights.labels import BASELINE, BY_AXIS, MIXTURE, NO_P
 from nufleet.orchestrator.flights.legs import Leg, legs_of, read_drawings
 from nufleet.orchestrator.flights.planned import Outlook, path_motion, rich_motion
 from nufleet.orchestrator.flights.start_weights import mixture_of
-from nufleet.orchestrator.history.by_axis import way_by_axis
 from nufleet.orchestrator.history.rankings import Ranking, latest_ranking
 from nufleet.orchestrator.jobs.commands import FleetCommand, MovingCommand
 from nufleet.orchestrator.jobs.consent import carried_out
 from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
 from nufleet.orchestrator.jobs.foresight import say_expected
 from nufleet.orchestrator.logs.keeping import keep_flight_responses
+from nufleet.orchestrator.study.source_by_axis import way_by_axis
 from nufleet.shared.errors import InvalidInputError, RobotError
 from nufleet.shared.experience.layout import HORIZON_SAMPLES_MAX, InverseLayout
 from nufleet.shared.wire.messages import Description, ForeseenWay

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from nufleet.orchestrator.conduct.preflight import check_robots
 from nufleet.orchestrator.evaluation.flight_documents import TRAINING, TrainResult
-from nufleet.orchestrator.experience.learning import planned_lessons
+from nufleet.orchestrator.experience.learning import check_lessons, planned_lessons
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.train import Trained, train_robots
 from nufleet.orchestrator.experience.training import check_torch
@@ -20,6 +20,7 @@ from nufleet.orchestrator.history.tables import experiences_table
 from nufleet.orchestrator.jobs.commands import FleetCommand, MovingCommand
 from nufleet.orchestrator.jobs.consent import carried_out
 from nufleet.orchestrator.jobs.opening import Opening
+from nufleet.orchestrator.jobs.terminal import bars_shown
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.wire.messages import Description
 
@@ -63,6 +64,8 @@ def train(command: TrainCommand, console: Console) -> TrainResult:
         robots = command.robots or there
         check_robots(robots, there)
         descriptions = fleet.describe_all(robots)
+        for description in descriptions.values():
+            check_lessons(description, command.architectures)
         folder = run.keep("train")
         run.take(descriptions, lambda: _outlook(command, descriptions))
         run.configure({"kind": "train", **asdict(command)})
@@ -75,17 +78,19 @@ def train(command: TrainCommand, console: Console) -> TrainResult:
             keep(trained)
             console.print(f"  [green]{trained.lesson.robot} offers it now[/]")
 
-        trained = train_robots(
-            fleet,
-            pilot,
-            tuple(descriptions.values()),
-            command.architectures,
-            folder.path / "experiences",
-            seed=command.seed,
-            duration_s=command.duration_s,
-            say=lambda robot, what: console.print(f"  {robot} {what}"),
-            on_trained=on_trained,
-        )
+        with bars_shown(console, "steps at most") as shown:
+            trained = train_robots(
+                fleet,
+                pilot,
+                tuple(descriptions.values()),
+                command.architectures,
+                folder.path / "experiences",
+                seed=command.seed,
+                duration_s=command.duration_s,
+                say=lambda robot, what: console.print(f"  {robot} {what}"),
+                on_step=lambda robot, done, most: shown(f"training {robot}", done, most),
+                on_trained=on_trained,
+            )
         pilot.acknowledge_all()
         result = TrainResult.of(trained, str(folder.path))
         folder.write_document(TRAINING, result)

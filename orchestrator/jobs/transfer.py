@@ -21,12 +21,12 @@ from nufleet.orchestrator.experience.transfer import (
 from nufleet.orchestrator.flights.labels import BY_AXIS, MIXTURE
 from nufleet.orchestrator.flights.legs import typical_leg
 from nufleet.orchestrator.flights.start_weights import mixture_of
-from nufleet.orchestrator.history.by_axis import in_words, sources_by_axis, way_by_axis
 from nufleet.orchestrator.history.rankings import Ranking, latest_ranking
 from nufleet.orchestrator.jobs.commands import FleetCommand
 from nufleet.orchestrator.jobs.foresight import say_expected
 from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.terminal import stderr_console
+from nufleet.orchestrator.study.source_by_axis import in_words, sources_by_axis, way_by_axis
 from nufleet.orchestrator.study.verdict import Verdict
 from nufleet.shared.errors import InvalidInputError, RefusedError
 from nufleet.shared.experience.layout import Architecture

@@ -2,7 +2,8 @@
 
 A source is as far away as on its worst axis, ψ*_n = max over axes i and frequencies of ψ_n,i(ω);
 where axes answer to each other, the matrices of all responses are compared. The mean square error
-on a trajectory adds up over the axes, each with its share of the trajectory's motion.
+on a trajectory adds up over the axes, each with its share of the trajectory's motion, and with what
+one axis does to another.
 """
 
 from __future__ import annotations
@@ -12,14 +13,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
+from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge, Coupling
 from nufleet.orchestrator.belief.response_belief import ResponseModel
 from nufleet.orchestrator.belief.resting_gain import draw_resting
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.coupled_distance import coupled_belief, matrix_draws, matters
+from nufleet.orchestrator.study.errors_across import ErrorsAcross
 from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.orchestrator.study.selection_belief import PredictedErrors, SelectionBelief
-from nufleet.orchestrator.study.trajectory_spectrum import Spectrum, spectra_of
+from nufleet.orchestrator.study.trajectory_spectrum import Spectrum, joined, spectra_of
 from nufleet.shared.arrays import ComplexArray, FloatArray
 
 Draws = Mapping[str, ComplexArray]
@@ -64,6 +66,7 @@ class Comparison:
         self._spectra = spectra_of(plan)
         drawn = [next(iter(self._spectra.values())).omega_rad_s] if self._spectra else []
         self._drawn_rad_s = np.concatenate([self.omega_rad_s, *drawn])
+        self._across: tuple[tuple[Coupling, ...], ErrorsAcross] | None = None
         self._draws: dict[tuple[str, str], tuple[ResponseModel, ComplexArray]] = {}
         self._matrices: dict[str, tuple[list[ComplexArray], ComplexArray | None]] = {}
 
@@ -74,22 +77,44 @@ class Comparison:
         together = _together(by_axis, self._spectra)
         if len(self._plan.axes) == 1:
             return Compared(together, by_axis, draws, ())
+        errors, findings = self._errors_across(together.errors, draws, sources)
         coupled, finding = self._coupled(draws, sources)
+        findings = (finding, *findings)
         if coupled is None:
-            return Compared(together, by_axis, draws, (finding,))
+            return Compared(replace(together, errors=errors), by_axis, draws, findings)
         count = coupled.psi.shape[1]
         draws = {
             name: {axis: z[:count] for axis, z in drawn.items()} for name, drawn in draws.items()
         }
-        findings = [finding]
-        if together.errors is not None:
-            parts = together.errors.parts[:, :count]
-            coupled = replace(coupled, errors=replace(together.errors, parts=parts))
-            findings.append(
-                "errors on the trajectory add up over the axes, and leave out what one axis does "
-                "to another"
-            )
-        return Compared(coupled, by_axis, draws, tuple(findings))
+        if errors is not None:
+            errors = replace(errors, parts=errors.parts[:, :count])
+        return Compared(replace(coupled, errors=errors), by_axis, draws, findings)
+
+    def _errors_across(
+        self,
+        errors: PredictedErrors | None,
+        draws: Mapping[str, Draws],
+        sources: Sequence[str],
+    ) -> tuple[PredictedErrors | None, tuple[str, ...]]:
+        """Add to errors on a trajectory what one axis of the target does to another."""
+        if errors is None:
+            return None, ()
+        target = self._robots[self._plan.target]
+        if self._across is None or self._across[0] != target.couplings:
+            count = self._settings.samples
+            drawn = ErrorsAcross.of(target, self._spectra, count, self._rng)
+            self._across = target.couplings, drawn
+        across = self._across[1]
+        if not across.z:
+            return errors, ()
+        grid, motion = len(self.omega_rad_s), joined(self._spectra)
+        parts = errors.parts.copy()
+        for place, name in enumerate(sources):
+            own = {axis: z[:, grid:] for axis, z in draws[name].items()}
+            left = across.on(self._plan.axes, motion, own)
+            pairs = left.reshape(len(left), -1, parts.shape[2])
+            parts[place] += np.sum(np.abs(pairs) ** 2, axis=1)
+        return replace(errors, parts=parts), (across.finding,)
 
     def _draw(self, name: str) -> Draws:
         """Return samples of a robot on every axis on which it was tested."""

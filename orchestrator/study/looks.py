@@ -119,7 +119,7 @@ class Looks:
         found = {}
         for name in names:
             for lowest in self.lowest[name]:
-                least_rad_s = REACHED * float(lowest.omega_rad_s[0])
+                least_rad_s = _reached(lowest.axes) * float(lowest.omega_rad_s[0])
                 reached = {axis: self._known(name, axis).lowest_rad_s for axis in lowest.axes}
                 axis = max(reached, key=lambda place: reached[place])
                 if name not in found and reached[axis] > least_rad_s:
@@ -212,11 +212,13 @@ class Looks:
         )
         lowest = self._lowest_of(name, first)
         lowest_s, first_s = lowest.duration_s(spec), first.duration_s(spec)
-        cheaper = len(self._robots) * (lowest_s - first_s) <= CLAIMED * lowest_s
+        cheaper = 0 <= len(self._robots) * (lowest_s - first_s) <= CLAIMED * lowest_s
         return lowest if len(group) > 1 and cheaper else first
 
     def _lowest_of(self, name: str, first: ToneChoice) -> ToneChoice:
         lowest_rad_s = self._settings.lowest * self._plan.band_rad_s[0]
+        # Each axis needs a test of its own for this tone, which is the shorter the higher it is.
+        lowest_rad_s *= REACHED / _reached(first.axes)
         spec = self._robots[name].spec
         return lowest_look(self._plan.band_rad_s, spec, lowest_rad_s, first, first.axes)
 
@@ -239,6 +241,14 @@ class Looks:
             limit if one is None else min(one, limit)
             for one, limit in zip(wanted, most, strict=True)
         )
+
+
+def _reached(axes: tuple[int, ...]) -> float:
+    """Return how much higher than in its lowest look an axis may have played its lowest tone.
+
+    A lowest look of several axes uses that margin itself.
+    """
+    return REACHED if len(axes) == 1 else 1.0 + 1e-6
 
 
 def turned(choice: ToneChoice) -> list[ToneChoice]:

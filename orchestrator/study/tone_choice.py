@@ -122,7 +122,9 @@ def first_look(
     closely spaced tones, that is a long measuring time. A test of such a robot costs its settling
     time anyway. The measuring part therefore lasts a share of the settling time or a number of
     periods of the band's upper end, whichever is longer, and at least `SAMPLES_MIN` samples.
-    Several axes share the tones, so that each further one lengthens it by half as much.
+    Several axes share the tones: what resonances and samples require is lengthened by half for each
+    further axis, the number of periods by half at most unless an axis would play fewer than two
+    tones.
 
     Args:
         band_rad_s: Lowest and highest frequency in rad/s.
@@ -139,8 +141,11 @@ def first_look(
     """
     high = band_rad_s[1]
     wanted_s = max(share_of_settling * spec.settling_time_s, SAMPLES_MIN * spec.sample_time_s)
-    highest = max(periods, math.ceil(wanted_s * high / (2 * math.pi)))
-    highest = math.ceil(highest * (len(axes) + 1) / 2)
+    wanted = math.ceil(wanted_s * high / (2 * math.pi))
+    highest = max(periods, math.ceil(wanted * (len(axes) + 1) / 2))
+    if len(axes) > 1:
+        longer = max(math.ceil(1.5 * periods), _fewest_periods(band_rad_s, len(axes)))
+        highest = max(highest, longer)
     # Of more harmonics than that, every second one would be more than `TONES_MAX` per axis.
     most = STEP * TONES_MAX * len(axes)
     highest = min(highest, math.ceil(most / (1 - band_rad_s[0] / high)))
@@ -177,8 +182,12 @@ def lowest_look(
         lowest_rad_s: Frequency in rad/s of the lowest tone, whose period is the measuring time.
         first: First test of the robot, which the robot allows.
         axes: Places of the axes that play; the first of them plays the lowest tone.
+
+    Returns:
+        The test, or `first` with these axes where that begins lower; of several axes, each of which
+        takes its turn in playing the lowest tone, then the shorter of the two.
     """
-    while lowest_rad_s < first.omega_rad_s[0]:
+    while lowest_rad_s < first.omega_rad_s[0] or len(axes) > 1:
         # Robots refuse tones below their band, so that the lowest must not be rounded down.
         base = lowest_rad_s * (1 + 1e-9)
         top = math.floor(band_rad_s[1] / base)
@@ -189,7 +198,11 @@ def lowest_look(
             if harmonic >= max(harmonics[-1] + STEP, math.ceil(spaced)):
                 harmonics.append(harmonic)
         choice = ToneChoice(2 * math.pi / base, tuple(harmonics), axes)
-        if len(harmonics) >= len(axes) and choice.duration_s(spec) <= spec.duration_max_s:
+        if lowest_rad_s >= first.omega_rad_s[0] and choice.measure_s >= first.measure_s:
+            break
+        if len(harmonics) < len(axes):
+            break
+        if choice.duration_s(spec) <= spec.duration_max_s:
             return choice
         lowest_rad_s *= LOW_SPACING
     return replace(first, axes=axes)
@@ -240,6 +253,15 @@ def closer_looks(
 def turns_of(axes: tuple[int, ...]) -> list[tuple[int, ...]]:
     """Return the axes in each of the orders in which they can be dealt tones in turn."""
     return [axes[turn:] + axes[:turn] for turn in range(len(axes))]
+
+
+def _fewest_periods(band_rad_s: tuple[float, float], axes: int) -> int:
+    """Return how many periods of the band's upper end hold two tones for each of several axes."""
+    low, high = band_rad_s
+    highest = 1
+    while len(free_of_products(range(math.ceil(highest * low / high), highest + 1))) < 2 * axes:
+        highest += STEP
+    return highest
 
 
 def _playable(harmonics: Sequence[int], axes: tuple[int, ...]) -> tuple[int, ...]:

@@ -11,6 +11,7 @@ from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge
 from nufleet.orchestrator.belief.resting_gain import draw_resting
 from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.belief.shared_doubt import share_doubt
+from nufleet.orchestrator.study.errors_across import ErrorsAcross
 from nufleet.orchestrator.study.interface import SourceEstimate, StudyPlan
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum, joined, spectra_of
 from nufleet.orchestrator.study.verdict import TransferPrediction, predict_transfer
@@ -50,8 +51,8 @@ def judge_transfers(
 ) -> Judgement:
     """Judge the transfer from the sources that were tested to the target.
 
-    Errors add up over the axes, each with its share of the motion. What one axis does to another is
-    left out.
+    Errors add up over the axes, each with its share of the motion, and with what one axis does to
+    another; see `nufleet.orchestrator.study.errors_across`.
 
     Args:
         plan: Plan of the study; the verdicts are for its `motion` or, where it has none, for a
@@ -76,6 +77,7 @@ def judge_transfers(
     if plan.target not in known:
         return Judgement({}, ())
     drawn = {robot: _drawn(it, flat, spectra, rng) for robot, it in known.items()}
+    crossed = ErrorsAcross.of(known[plan.target], spectra, SAMPLES, rng)
 
     def predict(source: str, axes: Sequence[str], motion: Spectrum | None) -> TransferPrediction:
         """Predict over the band of one axis, where there is no motion, or on the motion."""
@@ -84,8 +86,13 @@ def judge_transfers(
             np.concatenate([drawn[robot][axis][:, part] for axis in axes], axis=1)
             for robot in (source, plan.target)
         )
+        across = None
+        if motion is not None and motion.power.any() and crossed.z:
+            own = {axis: z[:, CURVE_POINTS:] for axis, z in drawn[source].items()}
+            across = crossed.on(axes, motion, own), crossed.on(axes, motion)
         return predict_transfer(
             *((source, at_source), (plan.target, at_target), motion or flat, plan.band_rad_s),
+            across=across,
             delta=delta,
         )
 
@@ -97,8 +104,8 @@ def judge_transfers(
             {axis: predict(source, [axis], spectra[axis]) for axis in plan.axes if plan.also},
         )
     findings = [f for it in known.values() for f in it.findings]
-    if any(one.couplings for one in known.values()):
-        findings.append("the verdicts add up over the axes, and leave out what one does to another")
+    if crossed.z:
+        findings.append(crossed.finding)
     findings += [
         finding
         for source in sources

@@ -126,6 +126,7 @@ def predict_transfer(
     spectrum: Spectrum,
     tested_band_rad_s: tuple[float, float],
     *,
+    across: tuple[ComplexArray, ComplexArray] | None = None,
     delta: float = 0.05,
 ) -> TransferPrediction:
     """Judge a transfer in one direction; exchange source and target to judge the other.
@@ -137,6 +138,8 @@ def predict_transfer(
             the same shape.
         spectrum: Spectrum of the trajectory to be flown, or a flat one.
         tested_band_rad_s: Lowest and highest frequency in rad/s at which responses were measured.
+        across: Samples of the errors that other axes leave, with transfer and without, relative to
+            the trajectory's root mean square, shape (samples, components); None of a single axis.
         delta: Accepted probability of a wrong verdict.
     """
     (source_name, z_source), (target_name, z_target) = source, target
@@ -144,10 +147,14 @@ def predict_transfer(
     # Parseval: the norm over frequencies, weighted with the roots of the power shares, is the root
     # mean square error relative to the trajectory's.
     scale = np.sqrt(spectrum.shares)
-    error_with = Interval.of_magnitude(left_with * scale, delta)
-    error_without = Interval.of_magnitude(left_without * scale, delta)
-    relative = np.linalg.norm(left_with * scale, axis=1) / np.maximum(
-        np.linalg.norm(left_without * scale, axis=1), GAIN_MIN
+    all_with, all_without = left_with * scale, left_without * scale
+    if across is not None:
+        all_with = np.concatenate([all_with, across[0]], axis=1)
+        all_without = np.concatenate([all_without, across[1]], axis=1)
+    error_with = Interval.of_magnitude(all_with, delta)
+    error_without = Interval.of_magnitude(all_without, delta)
+    relative = np.linalg.norm(all_with, axis=1) / np.maximum(
+        np.linalg.norm(all_without, axis=1), GAIN_MIN
     )
     helps = float(np.mean(relative < 1))
     reduction = Interval.of(1 - relative, delta)

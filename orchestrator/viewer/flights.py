@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from nufleet.orchestrator.flights.labels import BASELINE, prior_and_path
 from nufleet.orchestrator.viewer.events import TrackingSamplesEvent
 from nufleet.shared.arrays import FloatArray
+
+EARLIER_MAX = 12
+"""Limit on the number of earlier flights along the same path that stay in a picture."""
+
+FOLLOW_S = 10.0
+"""When several robots fly at once, a picture follows one until it has been idle for this many
+seconds."""
 
 PAUSE_S = 1.0
 """Longest gap between samples of one flight. After a longer one the path is being flown again: the
@@ -73,10 +81,24 @@ class Flight:
         """RMS distance to the path over the known samples, in the unit of the axes."""
         return math.sqrt(float(np.mean(np.sum((self.actual - self.desired) ** 2, axis=1))))
 
+    @property
+    def errors_milli(self) -> FloatArray:
+        """Distance to the path in thousandths of the unit of the axes, shape (samples,)."""
+        return np.asarray(1e3 * np.linalg.norm(self.actual - self.desired, axis=1))
+
     def continued_by(self, event: TrackingSamplesEvent) -> bool:
         """Return whether the samples of an event continue this flight."""
         pause_s = event.t_s - (self.time_s[-1] + self.sample_time_s)
         return event.flight == self.label and abs(pause_s) < PAUSE_S
+
+    def compares_with(self, other: Flight | None) -> bool:
+        """Return whether another flight is of the same robot along the same path."""
+        return other is not None and (other.robot, other.path) == (self.robot, self.path)
+
+    def result(self, so_far: str = "") -> str:
+        """Return who gave the prior, and the RMS error until now."""
+        taken_back = "" if self.taken_back_s is None else ", withdrawn"
+        return f"{self.prior}  {self.rms_error * 1e3:.1f}{so_far}{taken_back}"
 
     def add(self, event: TrackingSamplesEvent) -> None:
         """Append the samples of an event."""
@@ -89,6 +111,61 @@ class Flight:
     def at(self, t_s: float) -> int:
         """Return the index of the last sample up to a time; 0 when there is none."""
         return max(0, int(np.searchsorted(self.time_s, t_s + 1e-6, side="right")) - 1)
+
+
+class Row(NamedTuple):
+    """A row of a list of flights."""
+
+    text: str
+    """The text."""
+    prior: str | None = None
+    """Who gave the prior of the flight, whose colour the text has; None for a heading."""
+
+
+class Compared:
+    """The flights of a robot along one path: the one in progress, and earlier ones."""
+
+    def __init__(self) -> None:
+        self.flight: Flight | None = None
+        self.earlier: list[Flight] = []
+
+    def takes(self, flight: Flight) -> bool:
+        """Return whether a flight is the one in progress now, which replaces an earlier one.
+
+        When several robots fly at once, one is followed until it has been idle for `FOLLOW_S`.
+        """
+        before = self.flight
+        if before is flight:
+            return True
+        others: list[Flight] = []
+        if before is not None:
+            idle_s = flight.time_s[-1] - before.time_s[-1]
+            if before.robot != flight.robot and idle_s < FOLLOW_S:
+                return False
+            if flight.compares_with(before):
+                others = [*self.earlier, before]
+        # A flight that is flown or sent again replaces its earlier version.
+        self.earlier = [other for other in others if other.label != flight.label][-EARLIER_MAX:]
+        self.flight = flight
+        return True
+
+    @property
+    def whole(self) -> bool:
+        """Whether the flight in progress went as far along the path as every earlier one."""
+        lengths = [len(earlier.time_s) for earlier in self.earlier]
+        return self.flight is not None and len(self.flight.time_s) >= max(lengths, default=np.inf)
+
+    def rows(self) -> list[Row]:
+        """Return the path and its flights, the smallest error on top, the current one last."""
+        flight = self.flight
+        if flight is None:
+            return []
+        done = sorted([*self.earlier, *[flight] * self.whole], key=lambda one: one.rms_error)
+        rows = [Row(flight.path), Row(f"RMS error [m{flight.unit}]")]
+        rows += [Row(one.result(), one.prior) for one in done]
+        if not self.whole:
+            rows.append(Row(flight.result(" so far"), flight.prior))
+        return rows
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,9 @@ import rerun.blueprint as rrb
 
 from nufleet.orchestrator.viewer.draw.axes import HEIGHT, WIDTH
 from nufleet.orchestrator.viewer.draw.differences import RADIUS
+from nufleet.orchestrator.viewer.draw.errors import HEIGHT as ERRORS_HEIGHT
+from nufleet.orchestrator.viewer.draw.errors import PLOT as COMPARED
+from nufleet.orchestrator.viewer.draw.errors import WIDTH as ERRORS_WIDTH
 from nufleet.orchestrator.viewer.draw.palette import GROUND
 from nufleet.orchestrator.viewer.draw.path_axes import PLOT
 from nufleet.orchestrator.viewer.draw.sphere import EYE
@@ -40,7 +43,11 @@ def tracking(shown: Shown, log: rrb.View) -> rrb.Container:
     if len(inverse) > AXES_BESIDE_MAX:
         inverse = [rrb.Tabs(*inverse)]
     return rrb.Horizontal(
-        rrb.Vertical(*places, _error(shown), row_shares=[*[64 / len(places)] * len(places), 36]),
+        rrb.Vertical(
+            *places,
+            rrb.Tabs(_compared(shown), _error(shown)),
+            row_shares=[*[64 / len(places)] * len(places), 36],
+        ),
         rrb.Vertical(
             *inverse,
             rrb.Tabs(_weights(), _share()) if shown.mixed else _share(),
@@ -60,6 +67,17 @@ def _paths() -> rrb.View:
         background=GROUND,
         visual_bounds=rrb.VisualBounds2D(
             x_range=[-16.0, WIDTH + 58.0], y_range=[-14.0, HEIGHT + 20.0]
+        ),
+    )
+
+
+def _compared(shown: Shown) -> rrb.View:
+    return rrb.Spatial2DView(
+        origin=f"/{COMPARED}",
+        name=f"Tracking error |e| [m{shown.unit}] of all flights along the path, each from 0 s",
+        background=GROUND,
+        visual_bounds=rrb.VisualBounds2D(
+            x_range=[-18.0, ERRORS_WIDTH + 74.0], y_range=[-14.0, ERRORS_HEIGHT + 17.0]
         ),
     )
 

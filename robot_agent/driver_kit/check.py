@@ -15,6 +15,7 @@ from nufleet.robot_agent.driver_kit.subject import Subject
 from nufleet.robot_agent.motion.watched_robot import SLOW_CALL_MAX_S
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.errors import RobotError
+from nufleet.shared.interrupts import Interrupts
 from nufleet.shared.robots.drivers import load_driver
 from nufleet.shared.strict import Document, Reason, Strict
 
@@ -80,8 +81,36 @@ def check_robot(
         name: Name of the robot, for the report.
         moves: Whether the robot may be moved.
         cuts: Whether its motors may be cut in motion; None for simulated robots alone.
+
+    Raises:
+        KeyboardInterrupt: A person ended the examination. The robot was brought to rest, landed and
+            disconnected first; the message says whether it is at rest.
     """
     subject = Subject(robot)
+    with Interrupts(f"{name} is coming to rest, then this ends by itself"):
+        try:
+            return _report(subject, name, moves=moves, cuts=cuts)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(_brought_to_rest(subject, name)) from None
+
+
+def _brought_to_rest(subject: Subject, name: str) -> str:
+    """Bring an interrupted robot to rest, land and disconnect it; return how that went."""
+    robot = subject.robot
+    calls = [subject.rest, subject.end, robot.disconnect] if subject.up else [robot.disconnect]
+    failures = []
+    for call in calls:
+        try:
+            _within_time(call)
+        except Exception as error:  # noqa: BLE001 - a driver under examination may raise anything
+            failures.append(_words(error))
+    if failures:
+        return f"{name} did not report to be at rest ({'; '.join(failures)}): look at it"
+    return f"{name} is at rest"
+
+
+def _report(subject: Subject, name: str, *, moves: bool, cuts: bool | None) -> Report:
+    robot = subject.robot
     if cuts is None:
         cuts = robot.spec.simulated
     examined: list[Examined] = []
@@ -134,7 +163,7 @@ def assert_keeps_contract(robot: Robot | str, **settings: Any) -> None:
 def _observed(statement: Statement, subject: Subject) -> tuple[str | None, bool]:
     """Return what was observed instead of a statement, and whether the robot is in doubt now."""
     try:
-        return _within_time(lambda: statement.check(subject)), False
+        return _within_time(lambda: statement.check(subject), subject.interrupted), False
     except Exception as error:  # noqa: BLE001 - a driver under examination may raise anything
         return _words(error), True
 
@@ -147,7 +176,8 @@ def _words(error: Exception) -> str:
     return f"the driver raised {error!r}, where only RobotError is expected"
 
 
-def _within_time(call: Callable[[], T]) -> T:
+def _within_time(call: Callable[[], T], interrupted: threading.Event | None = None) -> T:
+    """Return what a call returns; after an interrupt, say so and wait until it has ended."""
     done: Future[T] = Future()
 
     def work() -> None:
@@ -157,8 +187,15 @@ def _within_time(call: Callable[[], T]) -> T:
             done.set_exception(error)
 
     # A daemon, since no thread can end a driver that hangs.
-    threading.Thread(target=work, name="driver under examination", daemon=True).start()
-    return done.result(STATEMENT_MAX_S)
+    working = threading.Thread(target=work, name="driver under examination", daemon=True)
+    working.start()
+    try:
+        return done.result(STATEMENT_MAX_S)
+    except KeyboardInterrupt:
+        if interrupted is not None:
+            interrupted.set()
+        working.join(STATEMENT_MAX_S)
+        raise
 
 
 def _examined(statement: Statement, holds: bool | None, observed: str) -> Examined:

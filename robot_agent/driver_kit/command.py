@@ -53,7 +53,11 @@ def check(
             f"{name} is real: it will take off if it flies, and move by {axes}",
             instead="--still to move nothing",
         )
-    report = check_robot(built, name=name, moves=not still, cuts=True if kill else None)
+    try:
+        report = check_robot(built, name=name, moves=not still, cuts=True if kill else None)
+    except KeyboardInterrupt as interrupt:
+        click.echo(str(interrupt), err=True)
+        raise
     if as_json:
         click.echo(report.document())
     else:

@@ -117,7 +117,7 @@ def _reports_health(subject: Subject) -> str | None:
     moves=True,
 )
 def _begins(subject: Subject) -> str | None:
-    subject.robot.begin()
+    subject.begin()
     return None
 
 
@@ -313,10 +313,10 @@ def _comes_to_rest(subject: Subject) -> str | None:
     moves=True,
 )
 def _begins_again(subject: Subject) -> str | None:
-    subject.robot.end()
-    subject.robot.begin()
+    subject.end()
+    subject.begin()
     failure = _rests_at_zero(subject)
-    subject.robot.end()
+    subject.end()
     return failure
 
 
@@ -345,16 +345,17 @@ def _disconnects(subject: Subject) -> str | None:
 def _can_be_killed(subject: Subject) -> str | None:
     robot = subject.robot
     robot.connect()
-    robot.begin()
+    subject.begin()
     subject.play(np.zeros((3, len(robot.spec.axes))))
     began_s = time.monotonic()
     try:
         robot.kill()
     except RobotError:
         robot.rest()
-        robot.end()
+        subject.end()
         robot.disconnect()
         return None
+    subject.up = False
     took_s = time.monotonic() - began_s
     try:
         robot.step(np.zeros(len(robot.spec.axes)))

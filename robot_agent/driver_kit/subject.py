@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -39,11 +40,29 @@ class Subject:
     lasted_s: float = 0.0
     """Duration of the last motion on the wall clock."""
 
+    up: bool = False
+    """Whether the robot may be moving, or ready to: it was begun, and not ended since."""
+
+    interrupted: threading.Event = field(default_factory=threading.Event)
+    """Whether no further reference is to be played, because a person ends the examination."""
+
+    def begin(self) -> None:
+        """Let the robot get ready to move."""
+        self.up = True
+        self.robot.begin()
+
+    def end(self) -> None:
+        """Let it land and disarm."""
+        self.robot.end()
+        self.up = False
+
     def play(self, references: FloatArray) -> FloatArray:
         """Play references, shape (samples, axes), sample by sample, as an agent would."""
         spec, outputs = self.robot.spec, np.full(references.shape, np.nan)
         began_s = time.monotonic()
         for k, reference in enumerate(references):
+            if self.interrupted.is_set():
+                raise RobotError("interrupted")
             output = self.robot.step(reference)
             if np.shape(output) != (len(spec.axes),) or not np.isfinite(output).all():
                 raise RobotError(f"`step` returned {output!r} at sample {k}")

@@ -20,11 +20,13 @@ from page_story import Story
 from polling import PATIENCE_S, wait_until
 
 from nufleet.orchestrator.fleet.client import Fleet
+from nufleet.orchestrator.jobs import train
 from nufleet.orchestrator.repository.address import default_url
 from nufleet.orchestrator.repository.records import Origin
 from nufleet.orchestrator.repository.repository import open_repository
 from nufleet.orchestrator.runs.rank_result import RankResult
 from nufleet.orchestrator.runs.verdict_table import verdict_parts
+from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.file import decode_experience
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.messages import Description, RobotStatus
@@ -436,6 +438,16 @@ def test_what_nobody_can_learn_or_pass_on_is_refused(
     typed: Typed, lab: Workplace, arguments: tuple[str, ...], words: tuple[str, ...]
 ) -> None:
     refused(typed, lab, *arguments, words=words)
+
+
+def test_a_robot_that_cannot_learn_is_refused_before_the_run_has_a_folder(
+    typed: Typed, lab: Workplace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def check_lessons(description: Description, architectures: object) -> None:
+        raise InvalidInputError(f"robot {description.robot} cannot learn")
+
+    monkeypatch.setattr(train, "check_lessons", check_lessons)
+    refused(typed, lab, "train", "--robot", "source-1", words=("source-1 cannot learn",))
 
 
 def test_without_a_prior_there_is_none_to_fly_with(typed: Typed, lab: Workplace) -> None:

@@ -104,3 +104,22 @@ def test_a_fit_that_cannot_be_made_is_refused_before_anything_starts(
     assert refused.returncode == 2
     assert words in " ".join(refused.stderr.split())
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("robots", "options", "words"),
+    [
+        ("a b", (), "which robot are they to match? Name it with --robot; there are a, b"),
+        ("a b", ("--robot", "a", "--simulators", "a"), "a is the robot, and cannot be among its"),
+        ("a", ("--robot", "a"), "there is no simulator besides a in the fleet file"),
+    ],
+)
+def test_a_match_of_nothing_is_refused_in_its_own_words(
+    tmp_path: Path, typed: Typed, robots: str, options: tuple[str, ...], words: str
+) -> None:
+    own = 'driver = "double_integrator"\nsettings = { alpha = 0.9, beta = 0.003 }\n'
+    tables = (f"[robots.{robot}]\n{own}" for robot in robots.split())
+    (tmp_path / "two.toml").write_text("\n".join(['schema = 1\nname = "two"', *tables]))
+    refused = typed("match", "--fleet", "two.toml", *options, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert words in " ".join(refused.stderr.split())

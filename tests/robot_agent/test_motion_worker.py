@@ -30,11 +30,11 @@ class Clock:
 class Hanging:
     """A worker whose driver stays in one call, on a clock that is set, until it is let go."""
 
-    def __init__(self, clock: Clock, *, simulated: bool = True) -> None:
+    def __init__(self, clock: Clock, *, simulated: bool = True, idle_s: float = 0.01) -> None:
         self.clock = clock
         self.inside, self.let_go = threading.Event(), threading.Event()
         self.puppet = PuppetRobot(
-            puppet_spec(simulated=simulated).model_copy(update={"idle_s": 0.01})
+            puppet_spec(simulated=simulated).model_copy(update={"idle_s": idle_s})
         )
         robot = WatchedRobot(self.puppet, realtime=None)
         memory = Memory(None)
@@ -42,8 +42,11 @@ class Hanging:
         self.decisions = Decisions("boot", planner, Unrecorded(), threading.Event())
         self.decisions.owner_appeared("o")
         robot.connect()
+        self.unfit: str | None = None
         self.worker = MotionWorker(
-            "a", "boot", robot, memory, self.decisions, Mock(), Mock(), realtime=None
+            *("a", "boot", robot, memory, self.decisions, Mock(), Mock()),
+            realtime=None,
+            unfit=lambda: self.unfit,
         )
 
     def hang(self) -> None:
@@ -93,6 +96,19 @@ def test_a_driver_that_hangs_as_its_idle_robot_lands_is_a_fault(hanging: Hanging
     hanging.look_until_it_hangs()
     assert "has not returned from 'end'" in str(hanging.decisions.fault)
     assert isinstance(hanging.release(), Refusal)
+
+
+def test_a_robot_that_may_not_move_any_more_does_not_stay_in_the_air(clock: Clock) -> None:
+    flown, landed = Hanging(clock, idle_s=3600.0), threading.Event()
+    flown.puppet.on_end = landed.set
+    flown.begin("one")
+    assert flown.result("one").outcome is Outcome.COMPLETED
+    flown.worker.look_after_robot()
+    flown.unfit = "its battery is empty"
+    assert not landed.is_set()
+    flown.worker.look_after_robot()
+    assert landed.wait(PATIENCE_S)
+    flown.worker.close()
 
 
 def test_a_goal_that_waits_behind_a_driver_that_hangs_ends(hanging: Hanging) -> None:

@@ -77,7 +77,7 @@ def test_more_messages_are_those_of_nufleet_alone() -> None:
         "logging.getLogger('nufleet.fleet').info('its own')"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
-    assert done.stderr == "nufleet.fleet: its own\n"
+    assert done.stderr == "info: its own\n"
 
 
 def test_an_error_of_the_system_that_nobody_foresaw_is_not_hidden(
@@ -103,7 +103,7 @@ def test_what_others_said_cannot_command_the_terminal() -> None:
     )
     done = subprocess.run([sys.executable, "-c", script, "fail"], capture_output=True, text=True)
     assert done.returncode == 1, done.stderr
-    assert done.stderr == "net: key ?]0;owned?\nerror: robot a refused: ?[31mno\nand why\n"
+    assert done.stderr == "warning: net: key ?]0;owned?\nerror: robot a refused: ?[31mno\nand why\n"
 
 
 def refusal(*arguments: str) -> str:

@@ -11,6 +11,7 @@ from nufleet.orchestrator.flights.colours import (
     colour_at,
     free_place,
 )
+from nufleet.orchestrator.flights.labels import guarded_name
 
 Colour = Shade
 
@@ -33,6 +34,10 @@ GROUND: Colour = (16, 18, 22)
 
 ALARM: Colour = (235, 90, 90)
 """Colour of marks where the guard acted."""
+
+
+UNGUARDED = 0.6
+"""Brightness of flights without the guard."""
 
 
 def subdued(colour: Colour, share: float) -> Colour:
@@ -66,10 +71,13 @@ class Palette:
         """Return the colour of flights, given by the source of their prior, BASELINE, NO_PRIOR
             or OWN.
 
-        A source without a colour is assigned one.
+        A source without a colour is assigned one. A flight without the guard is paler.
         """
         known = WITHOUT_SOURCE.get(prior)
-        return self.give(prior) if known is None else known.on_dark
+        if known is not None:
+            return known.on_dark
+        source = guarded_name(prior)
+        return self.give(source) if source == prior else subdued(self.give(source), UNGUARDED)
 
     def of(self, robot: str) -> Colour:
         """Return the colour of a robot; `QUIET` while it has none of its own."""

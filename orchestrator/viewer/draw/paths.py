@@ -14,10 +14,10 @@ from nufleet.orchestrator.viewer.draw.marks import (
     send,
 )
 from nufleet.orchestrator.viewer.draw.outline import thinned
-from nufleet.orchestrator.viewer.draw.palette import GROUND, TEXT, WANTED, Colour, Palette, subdued
+from nufleet.orchestrator.viewer.draw.palette import GROUND, TEXT, WANTED, Palette, subdued
 from nufleet.orchestrator.viewer.draw.path_axes import METRES, PLOT, draw_axes
 from nufleet.orchestrator.viewer.draw.path_frame import PathAxes, axes_around
-from nufleet.orchestrator.viewer.flights import Flight
+from nufleet.orchestrator.viewer.flights import Compared, Flight, Row
 from nufleet.shared.arrays import FloatArray
 
 FRAME_S, TRAIL_S = 0.25, 2.0
@@ -33,13 +33,6 @@ TRAIL_POINTS, BODY_POINTS = 60, 400
 BODY, EARLIER = 0.75, 0.45
 """Brightness of the flight in progress before its trail, and of earlier flights."""
 
-EARLIER_MAX = 12
-"""Limit on the number of earlier flights along the same path that stay in the picture."""
-
-FOLLOW_S = 10.0
-"""When several robots fly at once, the view follows one until it has been idle for this many
-seconds."""
-
 
 class Paths:
     """A view of the path, the current and earlier flights, and where priors were withdrawn."""
@@ -48,45 +41,34 @@ class Paths:
         self._stream = stream
         self._palette = palette
         self._axes: PathAxes | None = None
-        self._earlier: list[Flight] = []
-        self._flight: Flight | None = None
+        self._compared = Compared()
         self._longest: FloatArray = np.empty((0, 2))
         self._drawn = 0
         self._begun = False
 
     def draw(self, flight: Flight) -> None:
         """Draw the new samples of a flight of a robot with two or more axes."""
-        if self._flight is not flight:
-            if self._waits_for_another(flight):
-                return
-            self._begin(flight)
+        before = self._compared.flight
+        if not self._compared.takes(flight):
+            return
+        if flight is not before:
+            self._begin(flight, before)
         first, self._drawn = self._drawn, len(flight.time_s)
         self._draw_path(flight)
-        self._draw_trail(flight, _frames(flight.time_s, first, FRAME_S, and_last=True))
-        body = _frames(flight.time_s, first, BODY_FRAME_S, and_last=False)
+        self._draw_trail(flight, frames(flight.time_s, first, FRAME_S, and_last=True))
+        body = frames(flight.time_s, first, BODY_FRAME_S, and_last=False)
         self._draw_body(flight, body)
-        if body or flight.taken_back_s is not None or self._whole(flight):
+        if body or flight.taken_back_s is not None or self._compared.whole:
             self._draw_names(flight)
         self._draw_places(flight)
 
-    def _waits_for_another(self, flight: Flight) -> bool:
-        shown = self._flight
-        if shown is None or shown.robot == flight.robot:
-            return False
-        return bool(flight.time_s[-1] < shown.time_s[-1] + FOLLOW_S)
-
-    def _begin(self, flight: Flight) -> None:
+    def _begin(self, flight: Flight, before: Flight | None) -> None:
         if not self._begun:
             self._begun = True
             self._draw_once()
-        before, self._flight = self._flight, flight
         self._drawn = 0
-        if before is not None and (before.robot, before.path) == (flight.robot, flight.path):
-            # A flight that is flown or sent again replaces its earlier version.
-            others = [f for f in (*self._earlier, before) if f.label != flight.label]
-            self._earlier = others[-EARLIER_MAX:]
-        else:
-            self._earlier, self._longest, self._axes = [], np.empty((0, 2)), None
+        if not flight.compares_with(before):
+            self._longest, self._axes = np.empty((0, 2)), None
         with drawn_at(self._stream, flight.time_s[0]):
             self._draw_earlier()
             for what in ("actual", "places", "taken_back"):
@@ -161,7 +143,7 @@ class Paths:
 
     def _draw_earlier(self) -> None:
         """Draw the earlier flights, those with smaller errors on top."""
-        flights = sorted(self._earlier, key=lambda flight: -flight.rms_error)
+        flights = sorted(self._compared.earlier, key=lambda flight: -flight.rms_error)
         self._stream.log(
             f"{METRES}/earlier",
             lines_2d(
@@ -173,7 +155,7 @@ class Paths:
 
     def _draw_places(self, flight: Flight) -> None:
         """Draw a ring at each place where a prior was withdrawn; this flight's ring has a label."""
-        taken = [f for f in (*self._earlier, flight) if f.taken_back_s is not None]
+        taken = [f for f in (*self._compared.earlier, flight) if f.taken_back_s is not None]
         if not taken:
             return
         colours = [self._palette.of_prior(f.prior) for f in taken]
@@ -196,38 +178,20 @@ class Paths:
                     labels_2d(places[-1:], ["prior withdrawn"], colours[-1:]),
                 )
 
-    def _whole(self, flight: Flight) -> bool:
-        """Return whether a flight went as far along the path as every earlier one."""
-        lengths = [len(earlier.time_s) for earlier in self._earlier]
-        return bool(lengths) and len(flight.time_s) >= max(lengths)
-
     def _draw_names(self, flight: Flight) -> None:
-        """List the flights on the right by error, the smallest on top, the current one last."""
-        done = sorted(self._earlier, key=lambda f: f.rms_error)
-        whole = self._whole(flight)
-        if whole:
-            done = sorted([*done, flight], key=lambda f: f.rms_error)
-        rows: list[tuple[str, Colour]] = [
-            (flight.path, TEXT),
-            (f"RMS error [m{flight.unit}]", TEXT),
-            *((_result(f), self._palette.of_prior(f.prior)) for f in done),
-        ]
-        if not whole:
-            rows.append((_result(flight, " so far"), self._palette.of_prior(flight.prior)))
+        rows = self._compared.rows()
         places = [[WIDTH + 26.0, 8.0 * k] for k in range(len(rows))]
         with drawn_at(self._stream, flight.time_s[-1]):
-            self._stream.log(
-                f"{PLOT}/names",
-                labels_2d(places, [text for text, _ in rows], [colour for _, colour in rows]),
-            )
+            self._stream.log(f"{PLOT}/names", labels_of(rows, places, self._palette))
 
 
-def _result(flight: Flight, so_far: str = "") -> str:
-    taken_back = "" if flight.taken_back_s is None else ", withdrawn"
-    return f"{flight.prior}  {flight.rms_error * 1e3:.1f}{so_far}{taken_back}"
+def labels_of(rows: list[Row], places: list[list[float]], palette: Palette) -> rr.Points2D:
+    """Return the rows of a list of flights as texts, each in the colour of its prior."""
+    colours = [TEXT if row.prior is None else palette.of_prior(row.prior) for row in rows]
+    return labels_2d(places, [row.text for row in rows], colours)
 
 
-def _frames(time_s: FloatArray, first: int, every_s: float, *, and_last: bool) -> list[int]:
+def frames(time_s: FloatArray, first: int, every_s: float, *, and_last: bool) -> list[int]:
     """Return the indices of the samples, from `first` on, at which a new frame begins."""
     # The small term keeps a sample exactly on a frame's boundary from rounding into the one before.
     frame = np.floor((time_s - time_s[0]) / every_s + 1e-9)

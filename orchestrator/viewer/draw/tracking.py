@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import rerun as rr
 
+from nufleet.orchestrator.viewer.draw.errors import Errors
 from nufleet.orchestrator.viewer.draw.marks import send
 from nufleet.orchestrator.viewer.draw.palette import Palette
 from nufleet.orchestrator.viewer.draw.paths import Paths
@@ -23,6 +24,7 @@ class Tracking:
         self._stream = stream
         self._shown = shown
         self._paths = Paths(stream, palette)
+        self._errors = Errors(stream, palette)
         self._signals = Signals(stream, palette)
         self._outcomes = Outcomes()
         self._tabled_s: float | None = None
@@ -49,7 +51,7 @@ class Tracking:
     def end(self) -> None:
         """Write the outcomes of the last flights, of which parts came since the last table."""
         for flight in self._flights.values():
-            self._table(flight)
+            self._end(flight)
 
     def _take(self, event: TrackingSamplesEvent) -> None:
         flight = self._flights.get(event.robot)
@@ -59,7 +61,7 @@ class Tracking:
         if flight is not None:
             self._draw_new(flight)
             self._signals.end(flight)
-            self._table(flight)
+            self._end(flight)
         mixed = event.weights is not None
         self._shown.tracking(event.axes, event.unit, event.t_s, mixed=mixed)
         self._flights[event.robot] = Flight.begun_by(event)
@@ -67,10 +69,15 @@ class Tracking:
     def _draw_new(self, flight: Flight) -> None:
         if len(flight.axes) > 1:
             self._paths.draw(flight)
+        self._errors.draw(flight)
         self._signals.draw(flight)
         now_s = float(flight.time_s[-1])
         if self._tabled_s is None or abs(now_s - self._tabled_s) >= TABLE_EVERY_S:
             self._table(flight)
+
+    def _end(self, flight: Flight) -> None:
+        self._errors.draw(flight, over=True)
+        self._table(flight)
 
     def _table(self, flight: Flight) -> None:
         self._tabled_s = float(flight.time_s[-1])

@@ -46,12 +46,12 @@ def condition(
     if status is None:
         return Health(ready=False, reason=why or "it has sent nothing yet")
     charge = charge_of(settings.battery, status.battery_v)
-    if why is None and status.battery_v < settings.battery.empty_v:
+    if why is None and not status.battery_v >= settings.battery.empty_v:
         why = (
             f"its battery is empty: {status.battery_v:.2f} V, below {settings.battery.empty_v:g} V "
             "(battery.empty_v); charge it"
         )
-    if why is None and status.variance_m2 > LOST_M2 and settings.estimator != "complementary":
+    if why is None and not status.variance_m2 <= LOST_M2 and settings.estimator != "complementary":
         why = (
             f"it does not know its position: the variance is {status.variance_m2:.2g} m². Can "
             "it see its base stations, or can the motion capture system see it?"
@@ -68,14 +68,20 @@ def condition(
 
 def misplaced(settings: CrazyflieSettings, stands: Measurement) -> str | None:
     """Return why a drone does not take off from where it stands; None if it may."""
-    x_m, y_m, _ = stands.position_m.tolist()
-    origin_x_m, origin_y_m, _ = settings.origin_m
+    x_m, y_m, z_m = stands.position_m.tolist()
+    origin_x_m, origin_y_m, origin_z_m = settings.origin_m
     away_m = math.hypot(x_m - origin_x_m, y_m - origin_y_m)
     if away_m > settings.start_within_m:
         return (
             f"stands at ({x_m:.2f}, {y_m:.2f}) m, {away_m:.2f} m from its origin "
             f"({origin_x_m:g}, {origin_y_m:g}) m; at most {settings.start_within_m:g} m are "
             "allowed (start_within_m): carry it there, or correct origin_m"
+        )
+    above_m, (lower_m, setting) = origin_z_m - z_m, settings.lowest
+    if above_m <= lower_m:
+        return (
+            f"stands at a height of {z_m:.2f} m, and its origin is {above_m:.2f} m above that; a "
+            f"motion may lead {lower_m:g} m lower ({setting}): raise origin_m, or check the frame"
         )
     if abs(stands.yaw_rad) > YAW_MAX_RAD:
         return (

@@ -167,10 +167,15 @@ class Flight:
         """
         self._find_position()
         check_wanted()
-        self._arm()
+        try:
+            self._arm()
+            check_wanted()
+            self.newest()
+        except RobotError:
+            # The order to arm may have arrived. To land on the ground would spin the motors up.
+            self._disarm()
+            raise
         self.airborne = self._guarded = True
-        check_wanted()
-        self.newest()
         height_m, takes_s = self._settings.origin_m[2], self._settings.takeoff_s
         self._climb_to(height_m, takes_s, lambda: self._link.take_off(height_m, takes_s))
         self.offset, self.velocity = self.offset_of(self.newest()), np.zeros(3)
@@ -202,8 +207,7 @@ class Flight:
             RobotDownError: The motors were cut.
         """
         with self._sending:
-            if self._cut:
-                raise RobotDownError(f"{self._name}: its motors were cut")
+            self._raise_if_cut()
             sent_s = self._sent_at_s = time.monotonic()
             self._setpoint_m = self.origin_m + offset
             self.offset, self.velocity = offset, velocity
@@ -218,11 +222,12 @@ class Flight:
             RobotDownError: The drone no longer responds to commands.
         """
         telemetry, settings = self._telemetry, self._settings
+        fence_m = settings.limits.fence_m
         since: list[float] = []
 
         def still() -> bool:
             newest = telemetry.newest
-            if self.down is not None or newest is None:
+            if self.down is not None or newest is None or self._strayed_m > fence_m:
                 return True
             away_m = np.abs(self.offset_of(newest)[self._columns]).max()
             if away_m > settings.rest_within_m or np.linalg.norm(newest.velocity_m_s) > STILL_M_S:
@@ -232,7 +237,7 @@ class Flight:
             return bool(since) and newest.device_s - since[0] >= STILL_S
 
         rested = telemetry.wait_for(still, settings.settling_time_s + PATIENCE_S)
-        self.raise_if_down()
+        self.check_near()
         if not rested:
             away_m = self.offset_of(self.newest())
             where = ", ".join(f"{AXES[k]} at {away_m[k]:.3g} m" for k in self._columns)
@@ -246,31 +251,65 @@ class Flight:
         """Check that it still flies as it should.
 
         Raises:
-            OutsideLimitsError: It has lost its height.
+            OutsideLimitsError: It has lost its place along something that is no axis.
             RobotDownError: The drone no longer responds to commands.
             RobotError: It tilts too far, or what it logs contradicts itself.
         """
         self.raise_if_down()
         if self._telemetry.fault is not None:
             raise RobotError(self._telemetry.fault)
-        height_m = self.offset_of(measured)[2]
-        limit_m = self._settings.limits.height_error_m
-        if "z" not in self._settings.axes and abs(height_m) > limit_m:
-            raise OutsideLimitsError(
-                f"{self._name} is {height_m:+.2f} m off its height; {limit_m:g} m are allowed "
-                "(limits.height_error_m)"
-            )
+        limits = self._settings.limits
+        watched = [("x", limits.fence_m), ("y", limits.fence_m), ("z", limits.height_error_m)]
+        for (axis, limit_m), away_m in zip(watched, self.offset_of(measured), strict=True):
+            if axis not in self._settings.axes and abs(away_m) > limit_m:
+                place, name = ("height", "height_error_m") if axis == "z" else (axis, "fence_m")
+                raise OutsideLimitsError(
+                    f"{self._name} is {away_m:+.2f} m off its {place}; {limit_m:g} m are allowed "
+                    f"(limits.{name})"
+                )
         if measured.thrust_axis[2] < COS_TILT_MIN:
             raise RobotError(
                 f"{self._name} tilts to a cosine of {measured.thrust_axis[2]:.2f}: drive it more "
                 "gently"
             )
 
+    def check_near(self) -> None:
+        """Check that it is near enough to its set-point to be led back from there.
+
+        Raises:
+            OutsideLimitsError: It is not; its position has jumped, or it does not follow.
+            RobotDownError: The drone no longer responds to commands.
+        """
+        self.raise_if_down()
+        strayed_m, limit_m = self._strayed_m, self._settings.limits.fence_m
+        if strayed_m > limit_m:
+            raise OutsideLimitsError(
+                f"{self._name} is {strayed_m:.2f} m away from its set-point, and at most "
+                f"{limit_m:g} m are allowed (limits.fence_m): it is not led back, since its "
+                "position may have jumped"
+            )
+
+    @property
+    def _strayed_m(self) -> float:
+        newest = self._telemetry.newest
+        if newest is None or not self.measured:
+            return 0.0
+        return float(np.abs(self.offset_of(newest) - self.offset).max())
+
+    @property
+    def flying(self) -> bool:
+        """Whether its supervisor says that it is in the air."""
+        return self._says(Supervisor.FLYING)
+
     def raise_if_down(self) -> None:
         """Raise RobotDownError if the drone no longer responds to commands."""
         why = self.down
         if why is not None:
             raise RobotDownError(f"{self._name}: {why}")
+
+    def _raise_if_cut(self) -> None:
+        if self._cut:
+            raise RobotDownError(f"{self._name}: its motors were cut")
 
     def cut_motors(self) -> None:
         """Have the firmware stop the motors: the drone falls."""
@@ -352,7 +391,7 @@ class Flight:
             return not self._says(Supervisor.ARMED) or self._says(Supervisor.ARMS_ITSELF)
 
         if not self._insist(disarm, off, ARMING_MAX_S, AGAIN_S):
-            raise RobotError(f"{self._name} has landed and does not disarm: keep away from it")
+            raise RobotError(f"{self._name} does not disarm: keep away from it")
 
     def _climb_to(self, height_m: float, takes_s: float, command: Callable[[], None]) -> None:
         telemetry = self._telemetry
@@ -388,13 +427,20 @@ class Flight:
         timeout_s: float,
         again_s: float,
     ) -> bool:
-        """Give a command, again and again since it may get lost; return whether it is obeyed."""
+        """Give a command, again and again since it may get lost; return whether it is obeyed.
+
+        Raises:
+            RobotDownError: The motors were cut; a command might start them again.
+        """
         deadline_s = time.monotonic() + timeout_s
-        while (left_s := deadline_s - time.monotonic()) > 0 and self._telemetry.fault is None:
+        while True:
+            self._raise_if_cut()
             command()
-            if self._telemetry.wait_for(condition, min(again_s, left_s)):
+            left_s = deadline_s - time.monotonic()
+            if self._telemetry.wait_for(condition, min(again_s, max(0.0, left_s))):
                 return True
-        return False
+            if left_s <= 0 or self._telemetry.fault is not None:
+                return False
 
     def _unmeasured(self) -> str:
         return self._telemetry.fault or (

@@ -68,7 +68,7 @@ class Link:
         """Why the link is lost; None while it is not."""
 
     def open(self) -> None:
-        """Connect, set the parameters and begin to log.
+        """Connect and begin to log.
 
         Raises:
             RobotError: It cannot be reached, or its firmware lacks something.
@@ -76,14 +76,21 @@ class Link:
         deadline_s = time.monotonic() + CONNECTING_MAX_S
         while not self._attempt(deadline_s):
             _log.info("%s: connecting again, since packets got lost", self._settings.uri)
-        for name, value in self._wanted_parameters().items():
-            self.set_parameter(name, value)
         self._log(STATE_VARIABLES, self._settings.log_period_s, self._telemetry.take_state)
         self._log(
             STATUS_VARIABLES,
             STATUS_PERIOD_S,
             lambda _, values, arrived_s: self._telemetry.take_status(values, arrived_s),
         )
+
+    def set_up(self) -> None:
+        """Set the parameters that the settings ask for.
+
+        Raises:
+            RobotError: There is no such parameter, or it is not confirmed.
+        """
+        for name, value in self._wanted_parameters().items():
+            self.set_parameter(name, value)
 
     def close(self) -> None:
         """Stop logging and close the link; does nothing when it is closed.

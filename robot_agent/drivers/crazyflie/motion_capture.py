@@ -59,6 +59,7 @@ class MotionCapture:
         self._thread: threading.Thread | None = None
         self._failure: str | None = None
         self._seen: frozenset[str] = frozenset()
+        self._unsent: set[str] = set()
 
     @property
     def failure(self) -> str | None:
@@ -107,12 +108,28 @@ class MotionCapture:
                     watchers = dict(self._watchers)
                 for body, on_pose in watchers.items():
                     if body in seen:
-                        _deliver(seen[body], on_pose)
+                        self._deliver(body, seen[body], on_pose)
         except Exception as error:  # noqa: BLE001 - of a foreign library, and told as it is
             _log.exception("motion capture at %s failed", self._where[1])
             self._failure = f"motion capture at {self._where[1]} failed: {error!r}"
             with self._lock:
                 self._thread = None
+
+    def _deliver(self, name: str, body: Any, on_pose: OnPose) -> None:
+        turned = body.rotation
+        position = np.asarray(body.position, dtype=np.float64)
+        quaternion = np.array([turned.x, turned.y, turned.z, turned.w], dtype=np.float64)
+        # Some systems name bodies that they do not see, with a pose of NaN.
+        if not np.isfinite(position).all() or not np.isfinite(quaternion).all():
+            return
+        try:
+            on_pose(position, quaternion)
+        except Exception:  # noqa: BLE001 - the link of one drone must not blind the others
+            if name not in self._unsent:
+                _log.exception("poses of body %r cannot be sent to its drone", name)
+            self._unsent.add(name)
+        else:
+            self._unsent.discard(name)
 
     def _goes_on(self) -> bool:
         with self._lock:
@@ -142,8 +159,9 @@ class Sighting:
         self._seen_s = None
 
         def take(position_m: FloatArray, quaternion: FloatArray) -> None:
-            now_s = self._seen_s = time.monotonic()
+            now_s = time.monotonic()
             if now_s < self._due_s:
+                self._seen_s = now_s
                 return
             interval_s = 1 / self._settings.rate_hz
             self._due_s = max(self._due_s + interval_s, now_s)
@@ -151,6 +169,7 @@ class Sighting:
                 send_pose(position_m, quaternion)
             else:
                 send_position(position_m)
+            self._seen_s = now_s  # a pose that could not be sent tells the drone nothing
 
         self._capture.watch(self._settings.body, take)
 
@@ -170,12 +189,3 @@ class Sighting:
             known = ", ".join(sorted(self._capture.bodies)) or "none"
             return f"motion capture does not see body {self._settings.body!r}; it sees {known}"
         return None
-
-
-def _deliver(body: Any, on_pose: OnPose) -> None:
-    turned = body.rotation
-    position = np.asarray(body.position, dtype=np.float64)
-    quaternion = np.array([turned.x, turned.y, turned.z, turned.w], dtype=np.float64)
-    # Some systems name bodies that they do not see, with a pose of NaN.
-    if np.isfinite(position).all() and np.isfinite(quaternion).all():
-        on_pose(position, quaternion)

@@ -30,6 +30,11 @@ LATE_MAX_S = 0.25
 FIRST_MAX_S = 3.0
 """Time in which the first measurements arrive, and the position should be known."""
 
+FLIES_ALREADY = (
+    "it was in the air when it was connected, and is left alone until it has landed: land it from "
+    "where it was started, or cut its motors with `nufleet stop --kill`"
+)
+
 
 class Crazyflie(Robot):
     """A Crazyflie under the position controller of its firmware."""
@@ -51,6 +56,7 @@ class Crazyflie(Robot):
         self._telemetry = Telemetry(settings.log_period_s)
         self._link: Link | None = None
         self._flight: Flight | None = None
+        self._found_flying = self._is_set_up = False
         # Since it rested: when references were sent, and when the next one is due; what `observe`
         # saw, which `step` returns, too.
         self._sent_s: list[float] = []
@@ -78,8 +84,9 @@ class Crazyflie(Robot):
                 self._sighting.begin(link.send_position, link.send_pose)
             self._wait_for_first()
             self._flight = flight = Flight(self._name, self._settings, link, telemetry)
-            # Whether it knows is in its health; it may be carried to where it does.
-            flight.reset_estimator(FIRST_MAX_S)
+            self._found_flying = flight.flying
+            if not self._found_flying:
+                self._set_up(link, flight)
         except BaseException:
             self.disconnect()
             raise
@@ -90,6 +97,8 @@ class Crazyflie(Robot):
         hindrance = self.health().reason
         if hindrance:
             raise RobotError(f"{self._name} does not take off: {hindrance}")
+        if self._link is not None and not self._is_set_up:
+            self._set_up(self._link, flight)
         flight.take_off(self.check_wanted)
         self.rest()
 
@@ -144,6 +153,9 @@ class Crazyflie(Robot):
         """Return its condition, as it was logged last."""
         flight, sighting = self._flight, self._sighting
         down = "it is not connected" if flight is None else flight.down or flight.failure
+        if flight is not None and self._found_flying:
+            self._found_flying = flight.flying  # it may have landed meanwhile
+            down = down or (FLIES_ALREADY if self._found_flying else None)
         blind = None if sighting is None else sighting.hindrance(UNMEASURED_MAX_S)
         return condition(self._settings, self._telemetry, down, blind, time.monotonic())
 
@@ -158,6 +170,7 @@ class Crazyflie(Robot):
     def rest(self) -> None:
         """Glide to reference 0 from the last reference, and wait until it is still there."""
         flight, limits = self._flying(), self._settings.limits
+        flight.check_near()
         path = glide(
             flight.offset,
             flight.velocity,
@@ -168,7 +181,7 @@ class Crazyflie(Robot):
         self._forget()
         for offset, velocity in zip(*path, strict=True):
             self._wait_for_sample()
-            flight.raise_if_down()
+            flight.check_near()
             flight.send(offset, velocity)
         flight.send(np.zeros(3), np.zeros(3))
         self._forget()
@@ -184,12 +197,22 @@ class Crazyflie(Robot):
                 flight.land()
         finally:
             self._flight = self._link = None
+            self._is_set_up = False
             if flight is not None:
                 flight.release()
             if self._sighting is not None:
                 self._sighting.end()
             self._forget()
             link.close()
+
+    def _set_up(self, link: Link, flight: Flight) -> None:
+        """Set the parameters and let it find out where it is; in the air both could bring it down.
+
+        Whether it knows is in its health; it may be carried to where it does.
+        """
+        link.set_up()
+        flight.reset_estimator(FIRST_MAX_S)
+        self._is_set_up = True
 
     def _wait_for_first(self) -> None:
         telemetry = self._telemetry

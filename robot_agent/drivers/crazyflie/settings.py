@@ -33,8 +33,9 @@ class Limits(Strict):
     acceleration_m_s2: Positive = 1.6
     """Largest acceleration."""
     fence_m: Positive = 1.0
-    """Distance from the origin on each moving axis beyond which a motion ends and the drone lands;
-    also half the edge of the space for tracked paths."""
+    """Horizontal distance from the origin, and along z if that is an axis, beyond which a motion
+    ends and the drone lands; also half the edge of the space for tracked paths. A drone that is
+    further than this from its set-point lands where it is: its position may have jumped."""
     height_error_m: Positive = 0.3
     """The same for the height, where z is no axis."""
 
@@ -183,7 +184,7 @@ class CrazyflieSettings(Strict):
                 f"log_period_s {self.log_period_s:g} s is longer than sample_time_s "
                 f"{self.sample_time_s:g} s: not every sample would be measured"
             )
-        lower_m, why = self._lowest()
+        lower_m, why = self.lowest
         if self.origin_m[2] <= lower_m:
             raise ValueError(
                 f"origin_m is {self.origin_m[2]:g} m high, and it may come {lower_m:g} m lower "
@@ -200,8 +201,9 @@ class CrazyflieSettings(Strict):
             raise ValueError(describe_validation(error)) from error
         return self
 
-    def _lowest(self) -> tuple[float, str]:
-        """Return how far below its origin a motion may lead, in m, and by which settings."""
+    @property
+    def lowest(self) -> tuple[float, str]:
+        """How far below its origin a motion may lead, in m, and by which settings."""
         limits, tracking = self.limits, self.tracking
         if "z" not in self.axes:
             return limits.height_error_m, "limits.height_error_m"

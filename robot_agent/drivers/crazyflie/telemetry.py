@@ -123,8 +123,9 @@ class Telemetry:
         """Take a block of the status."""
         battery, supervisor, *variances = (float(values[name]) for name, _ in STATUS_VARIABLES)
         with self._changed:
-            self._variances.append(max(variances))
-            self.status = Status(arrived_s, battery, int(supervisor), max(variances))
+            variance_m2 = float(np.max(variances))  # NaN if one of them is
+            self._variances.append(variance_m2)
+            self.status = Status(arrived_s, battery, int(supervisor), variance_m2)
             self._changed.notify_all()
 
     def forget_variances(self) -> None:

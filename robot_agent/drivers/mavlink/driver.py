@@ -11,7 +11,6 @@ from nufleet.robot_agent.drivers.mavlink.line import Line
 from nufleet.robot_agent.drivers.mavlink.link import Link, LinkLine
 from nufleet.robot_agent.drivers.mavlink.robot import MavlinkRobot
 from nufleet.robot_agent.drivers.mavlink.settings import MavlinkSettings
-from nufleet.shared.errors import FleetFileError
 
 
 class MavlinkDriver:
@@ -28,24 +27,15 @@ class MavlinkDriver:
         """Return the port of a robot: robots on one port run in one process."""
         return settings.url
 
+    def address(self, settings: MavlinkSettings) -> str:
+        """Return the address at which only one robot of a fleet may be."""
+        return f"system {settings.system_id} at {settings.url}"
+
     def build(
         self, settings: Mapping[str, MavlinkSettings], rng: np.random.Generator
     ) -> Mapping[str, MavlinkRobot]:
-        """Build the robots, disconnected, by name.
-
-        Raises:
-            FleetFileError: Two of them are one vehicle.
-        """
+        """Build the robots, disconnected, by name."""
         del rng  # nothing is simulated
-        owners: dict[tuple[str, int], str] = {}
-        for name, own in settings.items():
-            other = owners.setdefault((own.url, own.system_id), name)
-            if other != name:
-                raise FleetFileError(
-                    f"{other} and {name} both are system {own.system_id} at {own.url}: give each "
-                    "vehicle its own id (PX4 MAV_SYS_ID, ArduPilot SYSID_THISMAV), and its "
-                    "system_id in the fleet file"
-                )
         links = {own.url: Link(own.url) for own in settings.values()}
         return {
             name: MavlinkRobot(name, own, _lines(links[own.url], own))

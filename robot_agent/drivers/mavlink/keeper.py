@@ -44,7 +44,7 @@ class Keeper:
         self._last_s = -1.0
         self._holding = False
         self._repeated: Any = None
-        self._cut = False
+        self._cut = self._abandoned = False
         self._heartbeat_s = self._timesync_s = -1.0
 
     def sent(self, held: Any, now_s: float) -> None:
@@ -55,10 +55,18 @@ class Keeper:
             now_s: Time at which it was sent.
         """
         self._held, self._last_s, self._holding = held, now_s, False
+        self._abandoned = False
 
     def release(self) -> None:
         """Send no set-points any more."""
         self._held = None
+
+    def abandon(self) -> None:
+        """Send neither set-points nor heartbeats, as if this computer were gone.
+
+        The vehicle's failsafe then lands it: PX4 misses set-points, ArduPilot heartbeats.
+        """
+        self._held, self._abandoned = None, True
 
     def repeat(self, message: Any) -> None:
         """Send a message again and again; None ends it. No set-points are sent any more."""
@@ -68,16 +76,17 @@ class Keeper:
         """Send what is due; return when something is due next."""
         if now_s >= self._heartbeat_s:
             self._heartbeat_s = now_s + HEARTBEAT_S
-            self._send(
-                dialect.MAVLink_heartbeat_message(
-                    dialect.MAV_TYPE_ONBOARD_CONTROLLER,
-                    dialect.MAV_AUTOPILOT_INVALID,
-                    0,
-                    0,
-                    dialect.MAV_STATE_ACTIVE,
-                    3,
+            if not self._abandoned:
+                self._send(
+                    dialect.MAVLink_heartbeat_message(
+                        dialect.MAV_TYPE_ONBOARD_CONTROLLER,
+                        dialect.MAV_AUTOPILOT_INVALID,
+                        0,
+                        0,
+                        dialect.MAV_STATE_ACTIVE,
+                        3,
+                    )
                 )
-            )
         if now_s >= self._timesync_s:
             self._timesync_s = now_s + TIMESYNC_S
             self._send(dialect.MAVLink_timesync_message(0, self._clock.request(now_s)))

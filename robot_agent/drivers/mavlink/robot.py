@@ -11,8 +11,9 @@ from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 from nufleet.robot_agent.drivers.mavlink.frames import ned_of_enu, yaw_of_other_frame
 from nufleet.robot_agent.drivers.mavlink.line import Line
+from nufleet.robot_agent.drivers.mavlink.opening import open_vehicle
 from nufleet.robot_agent.drivers.mavlink.settings import AXES, MavlinkSettings
-from nufleet.robot_agent.drivers.mavlink.vehicle import Vehicle
+from nufleet.robot_agent.drivers.mavlink.vehicle import SILENT_S, Vehicle
 from nufleet.robot_agent.motion.monitor import rest_error_max
 from nufleet.robot_agent.robot import Record, Robot
 from nufleet.shared.arrays import FloatArray
@@ -93,7 +94,7 @@ class MavlinkRobot(Robot):
         self._ground = None
         self._reset()
         try:
-            self._vehicle.open()
+            open_vehicle(self._vehicle, self._settings, self._line)
         except BaseException:
             self._vehicle.close()
             self._vehicle = None
@@ -115,8 +116,8 @@ class MavlinkRobot(Robot):
         self._send(ground, np.zeros(3))  # and again and again, before PX4 enters the mode
         line.wait(line.now_s() + vehicle.profile.stream_s)
         vehicle.enter(vehicle.profile.obeys)
-        self._ground = ground  # from here on it has to be ended
         self.check_wanted()
+        self._ground = ground  # from here on it has to be ended
         vehicle.arm()
         vehicle.controlled = True
         self.check_wanted()
@@ -128,19 +129,21 @@ class MavlinkRobot(Robot):
         else:
             self._last = ground
             self._glide(above)
-        self.rest()
+        self._settle()
 
     def end(self) -> None:
         """Land where it is, and disarm."""
-        vehicle, line = self._connected()
+        vehicle, _ = self._connected()
         self._reset()
-        if self._ground is None or not vehicle.armed:
-            self._ended(vehicle)
-            return
+        flies = self._ground is not None
+        if flies and (vehicle.armed if vehicle.controlled else not vehicle.check_disarmed()):
+            self._land()
+        self._ended(vehicle)
+
+    def _land(self) -> None:
+        vehicle, line = self._connected()
         vehicle.check_obeys()
-        vehicle.ask("landing", dialect.MAV_CMD_NAV_LAND, 0.0, 0.0, 0.0, math.nan)
-        vehicle.controlled = False  # it lands in a mode of its own
-        vehicle.keeper.release()
+        vehicle.land()
 
         def down() -> bool:
             return not vehicle.armed or vehicle.telemetry.landed is True
@@ -150,7 +153,6 @@ class MavlinkRobot(Robot):
             raise RobotError(f"{self._name} has not landed after {LANDING_MAX_S:g} s")
         if not line.wait(line.now_s() + 2.0, lambda: not vehicle.armed):
             vehicle.ask("disarming", dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0.0)
-        self._ended(vehicle)
 
     def measure_output(self) -> FloatArray:
         """Wait for the next measurement; return the position, shape (axes,)."""
@@ -226,6 +228,20 @@ class MavlinkRobot(Robot):
         self._reset()
         if self._ground is None:
             return
+        newest, limit_m = vehicle.telemetry.newest, self._settings.stray_max_m
+        if newest is not None and line.now_s() - newest.arrived_s <= SILENT_S:
+            strayed_m = float(np.abs(newest.position - self._last).max())
+            if strayed_m > limit_m:
+                raise OutsideLimitsError(
+                    f"{self._name} is {strayed_m:.2f} m away from its set-point, further than it "
+                    f"may move ({limit_m:g} m): it is not led back, since its position may have "
+                    "jumped"
+                )
+        self._settle()
+
+    def _settle(self) -> None:
+        vehicle, line = self._connected()
+        self._reset()
         vehicle.check_obeys()
         self._glide(self._origin)
         near = [0.5 * rest_error_max(self._spec, axis) for axis in self._spec.axes]
@@ -336,14 +352,7 @@ class MavlinkRobot(Robot):
         """Lead the set-point to a place along a raised cosine, no faster than `climb_m_s`."""
         begins = self._last
         distance_m = float(np.linalg.norm(to - begins))
-        slowest = min([self._settings.climb_m_s, *(a.velocity_max for a in self._spec.axes)])
-        gentlest = min(axis.acceleration_max for axis in self._spec.axes)
-        # d (1 − cos π t / τ) / 2 reaches the speed π d / 2 τ and the acceleration π² d / 2 τ².
-        lasts_s = max(
-            math.pi * distance_m / 2 / slowest,
-            math.pi * math.sqrt(distance_m / 2 / gentlest),
-        )
-        samples = math.ceil(lasts_s / self._spec.sample_time_s)
+        samples = math.ceil(self._settings.way_s(distance_m) / self._spec.sample_time_s)
         self._due_s = None
         for k in range(1, samples + 1):
             place = begins + (to - begins) * (1 - math.cos(math.pi * k / samples)) / 2
@@ -360,6 +369,7 @@ class MavlinkRobot(Robot):
             due_s = now_s
         line.wait(due_s)
         vehicle.check_obeys()
+        vehicle.check_in_touch()
         if not self._sent_s:
             vehicle.telemetry.record()
         self._next_s = due_s + self._spec.sample_time_s

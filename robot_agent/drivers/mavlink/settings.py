@@ -146,12 +146,34 @@ class MavlinkSettings(Strict):
                 f"{self.height_m:g} m; at least {GROUND_CLEARANCE_M:g} m above the ground must be "
                 "left"
             )
+        climbs_s = self.way_s(self.height_m)
+        if climbs_s > CLIMB_MAX_S:
+            raise ValueError(
+                f"height_m: the climb to {self.height_m:g} m takes {climbs_s:.0f} s within "
+                f"climb_m_s and the limits of the axes; at most {CLIMB_MAX_S:g} s are allowed"
+            )
         if self.telemetry_hz * math.pi < self.omega_max_rad_s:
             raise ValueError(
                 f"telemetry_hz: {self.telemetry_hz:g} measurements a second cannot tell "
                 f"{self.omega_max_rad_s:g} rad/s"
             )
         return self
+
+    def way_s(self, distance_m: float) -> float:
+        """Return how long a way along a raised cosine lasts, in s, within the limits of all axes.
+
+        d (1 − cos π t / τ) / 2 reaches the speed π d / 2 τ and the acceleration π² d / 2 τ².
+        """
+        slowest = min([self.climb_m_s, *(axis.velocity_max for axis in self.axes)])
+        gentlest = min(axis.acceleration_max for axis in self.axes)
+        return math.pi * max(distance_m / 2 / slowest, math.sqrt(distance_m / 2 / gentlest))
+
+    @property
+    def stray_max_m(self) -> float:
+        """Distance from its set-point, in m, from which a vehicle is not led back any more."""
+        fences = [axis.spec(self.tracking) for axis in self.axes]
+        reach_m = [(one.output_max or 0.0) - (one.output_min or 0.0) for one in fences]
+        return max(self.other_axes_error_m, max(reach_m) / 2)
 
     @property
     def spec(self) -> RobotSpec:
@@ -166,6 +188,9 @@ class MavlinkSettings(Strict):
 
 GROUND_CLEARANCE_M = 0.2
 """Height above the ground below which no reference leads."""
+
+CLIMB_MAX_S = 30.0
+"""Longest climb: an agent takes a driver that does not return for a minute for one that hangs."""
 
 _OF_THE_SPEC = (
     "sample_time_s",

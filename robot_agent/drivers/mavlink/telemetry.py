@@ -17,7 +17,11 @@ from nufleet.robot_agent.drivers.mavlink.profiles import Profile
 from nufleet.shared.arrays import FloatArray
 
 BACK_MAX_S = 1.0
-"""How far a time stamp may lie before the newest one: a packet that others overtook."""
+"""How far a time stamp may lie before the newest one, since others overtake a packet, or ahead of
+the time that has passed since."""
+
+NED_FRAMES = (1, 20)
+"""MAV_FRAME_LOCAL_NED, and MAV_FRAME_LOCAL_FRD, as ArduPilot calls it."""
 
 KEPT_AT_REST = 16
 """Number of measurements that are kept while no motion is recorded."""
@@ -193,6 +197,12 @@ class Telemetry:
 
     def _take_odometry(self, message: Any, arrived_s: float) -> None:
         if self._measured_by == "ODOMETRY":
+            if message.frame_id not in NED_FRAMES:
+                self.trouble = (
+                    f"its ODOMETRY is in frame {message.frame_id}, and MAV_FRAME_LOCAL_NED (1) is "
+                    "needed: set measured_by = 'LOCAL_POSITION_NED'"
+                )
+                return
             velocity = np.array([message.vx, message.vy, message.vz])
             if message.child_frame_id != message.frame_id:  # the body's frame
                 velocity = rotated(np.array(message.q), velocity)
@@ -203,11 +213,15 @@ class Telemetry:
         if not np.isfinite(position).all():
             return  # no position: its age says so
         taken, newest = Measurement(stamp_s, arrived_s, position, velocity), self.newest
-        if newest is not None and stamp_s < newest.vehicle_s - BACK_MAX_S:
+        step_s = 0.0 if newest is None else stamp_s - newest.vehicle_s
+        ahead_s = 0.0 if newest is None else step_s - (arrived_s - newest.arrived_s)
+        if step_s < -BACK_MAX_S or ahead_s > BACK_MAX_S:
+            went = (
+                f"went back by {-step_s:.3g} s" if step_s < 0 else f"jumped {ahead_s:.3g} s ahead"
+            )
             self.trouble = (
-                f"the time stamps of {self._measured_by} went back by "
-                f"{newest.vehicle_s - stamp_s:.3g} s: the vehicle restarted, or two vehicles "
-                f"answer as system {self._system_id}; give each its own "
+                f"the time stamps of {self._measured_by} {went}: the vehicle restarted, its clock "
+                f"was set, or two vehicles answer as system {self._system_id}; give each its own "
                 f"{self._profile.id_parameter}"
             )
         if self._recorded is not None:

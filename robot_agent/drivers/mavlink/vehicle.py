@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from nufleet.robot_agent.drivers.mavlink import failsafe
 from nufleet.robot_agent.drivers.mavlink.condition import present_charge, weakness
 from nufleet.robot_agent.drivers.mavlink.keeper import Keeper
 from nufleet.robot_agent.drivers.mavlink.line import Line
-from nufleet.robot_agent.drivers.mavlink.opening import check_kind, helpful_messages
 from nufleet.robot_agent.drivers.mavlink.profiles import PROFILES, RESULTS
 from nufleet.robot_agent.drivers.mavlink.settings import MavlinkSettings
 from nufleet.robot_agent.drivers.mavlink.telemetry import Measurement, Telemetry
@@ -33,9 +31,6 @@ LOST_S = 3.0
 
 HEARTBEATS_S = 3.5
 """Time without a heartbeat, sent once a second, from which on the link counts as lost."""
-
-RATE_SHARE = 0.7
-"""Share of the requested telemetry rate that has to arrive."""
 
 CUT_ANSWER_S = 0.15
 """Time in which `cut` waits for an answer; the command is repeated afterwards, too."""
@@ -80,36 +75,6 @@ class Vehicle:
             self.keeper.repeat(None)
         return self.keeper.beat(now_s)
 
-    def open(self) -> None:
-        """Find the vehicle, have it send what is needed, and compare the clocks.
-
-        Raises:
-            RobotError: It does not answer, or it lacks what a motion needs.
-        """
-        settings, telemetry = self._settings, self.telemetry
-        self._line.open(self)
-        if not self._until(lambda: telemetry.heartbeat is not None, FOUND_S):
-            others = [f"{i}" for i in self._line.heard_systems() if i != settings.system_id]
-            heard = f"; others were heard: system {', '.join(others)}" if others else ""
-            raise RobotError(
-                f"no heartbeat of system {settings.system_id} arrived at {settings.url} within "
-                f"{FOUND_S:g} s{heard}: check the address, the cable or radio, and "
-                f"{self.profile.id_parameter}"
-            )
-        assert telemetry.heartbeat is not None  # noqa: S101 - was waited for
-        check_kind(telemetry.heartbeat, self.profile, settings)
-        self._check_failsafe()
-        self._request_messages()
-        if not self._until(lambda: telemetry.newest is not None, FOUND_S):
-            raise RobotError(
-                f"no {settings.measured_by} arrived within {FOUND_S:g} s: the vehicle has no "
-                "position estimate (GPS, optical flow or motion capture)"
-                f"{telemetry.words(self._line.now_s())}"
-            )
-        self._check_rate()
-        self._check_clock()
-        self._check_trouble()
-
     def close(self) -> None:
         """Leave the vehicle alone."""
         self.keeper.release()
@@ -133,11 +98,11 @@ class Vehicle:
         answers.pop(command, None)
         for confirmation in range(ASKED_TIMES):
             self._check_not_cut()
-            self._line.send(self._command(command, confirmation, parameters))
-            if not self._until(lambda: command in answers, ANSWER_S):
-                self._check_trouble()
+            self._line.send(self.command(command, confirmation, parameters))
+            if not self.until(lambda: command in answers, ANSWER_S):
+                self.check_trouble()
                 continue
-            self._until(lambda: answers.get(command, in_progress) != in_progress, FOUND_S)
+            self.until(lambda: answers.get(command, in_progress) != in_progress, FOUND_S)
             result = answers.get(command, in_progress)
             self._asked = None
             if result == dialect.MAV_RESULT_ACCEPTED:
@@ -153,16 +118,54 @@ class Vehicle:
         """Switch to a mode, and wait until the vehicle says that it is in it."""
         set_mode = dialect.MAV_CMD_DO_SET_MODE
         self.ask(f"{mode} mode", set_mode, *self.profile.mode_parameters(mode))
-        if not self._until(lambda: self.mode == mode, HEARTBEATS_S):
+        if not self.until(lambda: self.mode == mode, HEARTBEATS_S):
             raise RobotError(
                 f"{self.profile.name} acknowledged {mode} mode, but stays in {self.mode} mode"
                 f"{self.telemetry.words(self._line.now_s())}"
             )
 
+    def land(self) -> None:
+        """Have it land in a mode of its own.
+
+        Raises:
+            RobotError: It is refused, or not answered. Then it is left to its failsafe, which lands
+                a vehicle that hears nothing more.
+        """
+        try:
+            self.ask("landing", dialect.MAV_CMD_NAV_LAND, 0.0, 0.0, 0.0, math.nan)
+        except RobotError:
+            self.keeper.abandon()
+            raise
+        self.controlled = False
+        self.keeper.release()
+        self.telemetry.landed = None  # until it tells again
+
+    def check_disarmed(self) -> bool:
+        """Wait until it is certain whether it is armed; return whether it is not.
+
+        An order to arm that was not answered may still have been obeyed.
+
+        Raises:
+            RobotError: It does not say.
+        """
+        sure_s = self._line.now_s() + CUT_SURE_S
+
+        def told() -> bool:
+            heartbeat = self.telemetry.heartbeat
+            return heartbeat is not None and heartbeat.arrived_s > sure_s
+
+        if not self.until(told, CUT_SURE_S + HEARTBEATS_S):
+            self.keeper.abandon()
+            raise RobotError(
+                f"{self.profile.name} does not say whether it is armed: keep away from it"
+                f"{self.telemetry.words(self._line.now_s())}"
+            )
+        return not self.armed
+
     def arm(self) -> None:
         """Arm the motors, and wait until they are."""
         self.ask("arming", dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0)
-        if not self._until(lambda: self.armed, HEARTBEATS_S):
+        if not self.until(lambda: self.armed, HEARTBEATS_S):
             words = self.telemetry.words(self._line.now_s())
             raise RobotError(f"the vehicle acknowledged arming, but is not armed{words}")
 
@@ -176,7 +179,7 @@ class Vehicle:
         parameters = (0.0, FORCE)
         if self._settings.kill == "flight-termination":
             command, parameters = dialect.MAV_CMD_DO_FLIGHTTERMINATION, (1.0, 0.0)
-        message = self._command(command, 0, parameters)
+        message = self.command(command, 0, parameters)
         answers = self.telemetry.acknowledged
         self.cut_off = True
         ambiguous = self._asked == command
@@ -216,13 +219,19 @@ class Vehicle:
         """Whether its motors are armed."""
         return self.telemetry.heartbeat is not None and self.telemetry.heartbeat.armed
 
+    def check_trouble(self) -> None:
+        """Check that its measurements can be trusted; raises RobotDownError."""
+        if self.telemetry.trouble:
+            self._give_up()
+            raise RobotDownError(self.telemetry.trouble)
+
     def check_obeys(self) -> None:
         """Check that it still follows our set-points.
 
         Raises:
             RobotDownError: It does not.
         """
-        self._check_trouble()
+        self.check_trouble()
         lost = self._lost_control()
         if lost:
             self.keeper.release()
@@ -232,14 +241,20 @@ class Vehicle:
         """Check that the vehicle can still be heard.
 
         Raises:
-            RobotDownError: It is silent for more than `LOST_S`: only its own failsafe can land it.
+            RobotDownError: It measures nothing for `LOST_S`, or sends no heartbeat for
+                `HEARTBEATS_S`: only its own failsafe can land it.
         """
         newest, now_s = self.telemetry.newest, self._line.now_s()
+        lost = ""
         if newest is None or now_s - newest.arrived_s > LOST_S:
+            lost = f"nothing has been measured for {LOST_S:g} s"
+        elif not self._beats(now_s):
+            lost = f"no heartbeat has arrived for {HEARTBEATS_S:g} s, so its mode is not known"
+        if lost:
             self._give_up()
             raise RobotDownError(
-                f"nothing has been measured for {LOST_S:g} s: only the vehicle's own failsafe, or "
-                f"a pilot, can land it{self.telemetry.words(now_s)}"
+                f"{lost}: only the vehicle's own failsafe, or a pilot, can land it"
+                f"{self.telemetry.words(now_s)}"
             )
 
     def measured(self) -> Measurement:
@@ -304,90 +319,37 @@ class Vehicle:
             return self.profile.left_for(self.mode)
         return "" if self.armed else "the vehicle disarmed its motors"
 
-    def _check_trouble(self) -> None:
-        if self.telemetry.trouble:
-            self._give_up()
-            raise RobotDownError(self.telemetry.trouble)
-
     def _give_up(self) -> None:
-        """Have it land if it can still hear us: held set-points would only keep it in the air."""
-        if self.controlled and not self.cut_off and self.mode == self.profile.obeys:
+        """Have it land, by its failsafe if it does not hear us, rather than keep it in the air."""
+        if not self.controlled or self.cut_off or self.mode != self.profile.obeys:
+            self.keeper.release()
+            return
+        if self._beats(self._line.now_s()):  # else a pilot may fly it by now
             land = (0.0, 0.0, 0.0, math.nan)
-            self._line.send(self._command(dialect.MAV_CMD_NAV_LAND, 0, land))
-        self.keeper.release()
+            self._line.send(self.command(dialect.MAV_CMD_NAV_LAND, 0, land))
+        self.keeper.abandon()
+
+    def _beats(self, now_s: float) -> bool:
+        heartbeat = self.telemetry.heartbeat
+        return heartbeat is not None and now_s - heartbeat.arrived_s <= HEARTBEATS_S
 
     def _check_not_cut(self) -> None:
         if self.cut_off:
             raise RobotDownError("its motors were cut")
 
-    def _check_failsafe(self) -> None:
-        if not self.profile.counts_heartbeats:
-            return
-        settings, parameters = self._settings, self.telemetry.parameters
-        for _ in range(ASKED_TIMES):
-            for name in failsafe.NEEDED:
-                self._line.send(
-                    dialect.MAVLink_param_request_read_message(
-                        settings.system_id, settings.component_id, name.encode(), -1
-                    )
-                )
-            if self._until(lambda: failsafe.known(parameters), ANSWER_S):
-                break
-        reason = failsafe.unwatched(parameters, settings.own_system_id)
-        if reason:
-            raise RobotError(reason)
+    def until(self, condition: Callable[[], bool], within_s: float) -> bool:
+        """Wait until a condition holds; return whether it does.
 
-    def _request_messages(self) -> None:
-        settings = self._settings
-        measured = getattr(dialect, f"MAVLINK_MSG_ID_{settings.measured_by}")
-        interval_us = 1e6 / settings.telemetry_hz
-        self.ask(
-            f"{settings.measured_by} at {settings.telemetry_hz:g} Hz",
-            dialect.MAV_CMD_SET_MESSAGE_INTERVAL,
-            float(measured),
-            interval_us,
-        )
-        # Helpful and not needed: their answers are not waited for.
-        for message, rate_hz in helpful_messages(self.profile).items():
-            parameters = (float(message), 1e6 / rate_hz)
-            self._line.send(self._command(dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0, parameters))
-
-    def _check_rate(self) -> None:
-        wanted_hz, telemetry = self._settings.telemetry_hz, self.telemetry
-        if not self._until(lambda: telemetry.rate_hz > RATE_SHARE * wanted_hz, FOUND_S):
-            self._check_trouble()
-            raise RobotError(
-                f"{wanted_hz:g} {self._settings.measured_by} a second were asked for, and "
-                f"{telemetry.rate_hz:.3g} arrive: raise the rate of this link in the vehicle (PX4 "
-                "MAV_x_RATE and SER_x_BAUD, ArduPilot SERIALx_BAUD), or lower telemetry_hz"
-            )
-
-    def _check_clock(self) -> None:
-        clock, settings = self.telemetry.clock, self._settings
-
-        def error_s() -> float:
-            _, bound = clock.offset(np.array([self._line.now_s()]))
-            return float(bound[0]) / math.sqrt(3)  # as if evenly distributed within the bound
-
-        if not self._until(lambda: error_s() <= settings.delay_uncertainty_s, FOUND_S):
-            if not clock.exchanges:
-                raise RobotError(
-                    "the vehicle does not answer TIMESYNC, so that its time stamps tell nothing: "
-                    "enable it on this link (a MAVLink 2 router may filter it)"
-                )
-            raise RobotError(
-                f"the vehicle's clock is known only to {1e3 * error_s():.2g} ms, since its "
-                f"answers take long, and delay_uncertainty_s is "
-                f"{1e3 * settings.delay_uncertainty_s:g} ms: use a faster link, or state more"
-            )
-
-    def _until(self, condition: Any, within_s: float) -> bool:
+        Raises:
+            RobotDownError: The motors were cut.
+        """
         until_s = self._line.now_s() + within_s
         holds = self._line.wait(until_s, lambda: self.cut_off or condition())
         self._check_not_cut()
         return holds
 
-    def _command(self, command: int, confirmation: int, parameters: tuple[float, ...]) -> Any:
+    def command(self, command: int, confirmation: int, parameters: tuple[float, ...]) -> Any:
+        """Return the message with a command, MAV_CMD, and its first parameters."""
         seven = (*parameters, *(0.0,) * (7 - len(parameters)))
         settings = self._settings
         return dialect.MAVLink_command_long_message(

@@ -197,6 +197,7 @@ class Ros2Robot(Robot):
         try:
             self._here()
             charge = link.charge()
+            reason = link.problem() or ""
         except RobotError as error:
             reason = str(error)
         if battery is not None and charge is not None:

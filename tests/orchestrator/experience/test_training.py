@@ -86,7 +86,13 @@ def linear_data(unexplained: float) -> TrainingData:
 
 def test_a_network_that_is_not_trained_is_the_linear_inverse() -> None:
     pairs = linear_data(unexplained=0.02)
-    experience = train(pairs, LAYOUT, ORIGIN, seed=0, points=1000, steps_max=0)
+    told: list[tuple[int, int]] = []
+
+    def stepped(done: int, most: int) -> None:
+        told.append((done, most))
+
+    experience = train(pairs, LAYOUT, ORIGIN, seed=0, points=1000, steps_max=0, stepped=stepped)
+    assert told[-1] == (0, 0)
     assert experience.manifest.hidden == (128, 128, 128, 128)
     exact = linear_data(unexplained=0.0)
     np.testing.assert_allclose(NetworkInverse(experience)(exact.inputs), exact.gamma, atol=0.02)

@@ -27,16 +27,21 @@ class Appearing:
         return SimpleNamespace(alive=self.at_s[robot] <= self.waited_s)
 
 
-def wait(fleet: Any) -> None:
+def wait(fleet: Any) -> list[int]:
+    """Wait for a fleet; return how many robots were there, each time that this was told."""
     started: Any = SimpleNamespace(dead=list)
     file: Any = SimpleNamespace(robots=dict.fromkeys(fleet.at_s))
-    wait_for_robots(fleet, started, file)
+    there: list[int] = []
+    wait_for_robots(fleet, started, file, lambda count, of: there.append(count))
+    return there
 
 
 def test_a_large_fleet_may_take_long_as_long_as_robots_keep_appearing() -> None:
     fleet = Appearing({f"r{number}": 50.0 * number for number in range(10)})
-    wait(fleet)
+    there = wait(fleet)
     assert fleet.waited_s == 450.0
+    assert there == sorted(there)
+    assert set(there) == set(range(11))
 
 
 def test_robots_that_do_not_start_are_named_but_not_hundreds_of_them() -> None:

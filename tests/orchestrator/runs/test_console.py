@@ -9,6 +9,7 @@ from random_loops import SPEC
 from rich.console import Console
 
 from nufleet.orchestrator.jobs.terminal import (
+    bars_shown,
     rehearsal_shown,
     results_console,
     stderr_console,
@@ -55,3 +56,16 @@ def test_a_rehearsal_is_shown_on_a_terminal_alone() -> None:
             shown(1, 4)
         assert isinstance(console.file, io.StringIO)
         assert ("1/4" in console.file.getvalue()) == terminal
+
+
+def test_each_piece_of_work_has_a_bar_until_it_is_done() -> None:
+    console = Console(file=io.StringIO(), force_terminal=True, width=100)
+    with bars_shown(console, "robots") as shown:
+        shown("starting", 0, 4)
+        shown("training a", 20, 1500)
+        shown("starting", 4, 4)
+    assert isinstance(console.file, io.StringIO)
+    drawn = console.file.getvalue()
+    assert "training a" in drawn
+    assert "20/1500" in drawn
+    assert "4/4" not in drawn

@@ -101,3 +101,41 @@ def test_a_robot_that_was_measured_to_settle_slowly_is_waited_for() -> None:
     known.axes["x"].settling_time_s = 3 * SPEC.settling_time_s
     test = looks.excitation("robot", looks.first["robot"])
     assert test.settle_s == pytest.approx(3 * share * SPEC.settling_time_s)
+
+
+def looks_over(axes: int) -> Looks:
+    """The tests of four robots with this many axes, which settle soon."""
+    (axis,) = SPEC.axes
+    names = tuple(f"axis-{n}" for n in range(axes))
+    each = tuple(axis.model_copy(update={"name": name}) for name in names)
+    spec = SPEC.model_copy(update={"axes": each, "settling_time_s": 4.0})
+    robots = ("target", "source-1", "source-2", "source-3")
+    plan = StudyPlan("target", robots[1:], (0.2, 8.0), 8, names[0], also=names[1:])
+    known = {name: AxesKnowledge(name, spec, 8.0, names) for name in robots}
+    return Looks(plan, AdaptiveSettings(), known)
+
+
+def least_s(axes: int) -> float:
+    """Robot time of a first look at all robots, and of the lowest looks of the two in a claim."""
+    looks = looks_over(axes)
+    first, (lowest,) = looks.first["target"], looks.lowest["target"]
+    reached = first.omega_rad_s[0] <= 1.25 * 2 * 0.2 * (1 + 1e-6)
+    first_s, lowest_s = (looks.duration_s("target", one) for one in (first, lowest))
+    return 4 * first_s + 2 * (axes - reached) * lowest_s
+
+
+@pytest.mark.parametrize(("axes", "times"), [(2, 1.3), (3, 1.65), (4, 2.0)])
+def test_tests_of_several_axes_take_little_more_robot_time_than_those_of_one(
+    axes: int, times: float
+) -> None:
+    assert least_s(axes) <= times * least_s(1)
+
+
+@pytest.mark.parametrize("axes", [2, 3, 4, 5])
+def test_each_axis_plays_two_tones_at_first_and_later_down_to_the_lower_end(axes: int) -> None:
+    looks = looks_over(axes)
+    first, (lowest,) = looks.first["target"], looks.lowest["target"]
+    assert all(len(first.omegas_of(place)) >= 2 for place in range(axes))
+    assert lowest.omega_rad_s[0] <= 1.25 * 2 * 0.2 * (1 + 1e-6)
+    assert lowest.measure_s <= first.measure_s
+    assert all(len(lowest.omegas_of(place)) >= 1 for place in range(axes))

@@ -12,6 +12,7 @@ from recording_reader import column, entities, scalars
 from study_events import iteration_event
 from tracking_events import SAMPLE_TIME_S, flight, parts
 
+from nufleet.orchestrator.viewer.draw.errors import HEIGHT, WIDTH
 from nufleet.orchestrator.viewer.events import MessageEvent, TakenBackEvent, ViewerEvent
 from nufleet.orchestrator.viewer.rerun_sink import RerunSink
 from nufleet.orchestrator.viewer.writer import RerunWriter
@@ -199,6 +200,29 @@ def test_the_table_at_the_end_holds_the_error_of_the_whole_last_flight(tmp_path:
     away = late.actual - late.desired
     rms_mm = 1e3 * np.sqrt(np.mean(np.sum(away**2, axis=1)))
     assert f"{rms_mm:.1f}" in table(tmp_path / "run.rrd")
+
+
+def test_errors_along_the_same_path_are_compared_from_the_start_of_each_flight(
+    tmp_path: Path,
+) -> None:
+    flights = [flight("baseline"), flight("s1", t_s=15.0, late_s=0.05)]
+    flights += [flight("s2", t_s=30.0, late_s=0.02)]
+    path = record(tmp_path / "run.rrd", *flights, taken_back(32.0, "s2"))
+    earlier = column(path, "/tracking/compared/earlier", "LineStrips2D:strips")[-1]
+    (last,) = column(path, "/tracking/compared/flight", "LineStrips2D:strips")[-1]
+    assert isinstance(earlier, list)
+    # All begin at the left edge and end at the same time; three heights below one another.
+    for line in (*earlier, last):
+        assert line[0][0] == 0.0
+        assert line[-1][0] == pytest.approx(499 / 500 * WIDTH, rel=1e-3)
+    baseline, s1, s2 = (HEIGHT - line[0][1] for line in (*earlier, last))
+    assert (s1 / baseline, s2 / baseline) == pytest.approx((0.5, 0.2), rel=0.01)
+    ((mark,),) = column(path, "/tracking/compared/taken_back", "Points2D:positions")[-1:]
+    assert mark[0] == pytest.approx(2.0 / 10.0 * WIDTH, rel=0.01)
+    # Another path begins with an empty plot.
+    other = flight("s1", path="pear · 0.6 m/s", t_s=60.0)
+    path = record(tmp_path / "other.rrd", *flights, other)
+    assert column(path, "/tracking/compared/earlier", "LineStrips2D:strips")[-1] == []
 
 
 def test_the_names_are_ordered_by_error_and_the_one_that_flies_comes_last(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 from types import SimpleNamespace
 from typing import Any
@@ -206,6 +207,53 @@ def test_a_driver_that_hangs_is_named_and_not_asked_for_more(
     goes_on.set()
     assert "has not returned" in report.failed[0].observed
     assert all(one.holds is None for one in report.examined[2 : len(STATEMENTS)])
+
+
+def test_a_robot_whose_examination_is_interrupted_comes_to_rest_and_lands() -> None:
+    calls = []
+
+    class Interrupted(Follower):
+        def begin(self) -> None:
+            calls.append("begin")
+            self.inner.begin()
+
+        def step(self, reference: FloatArray) -> FloatArray:
+            if "step" not in calls:
+                calls.append("step")
+                main = threading.main_thread().ident
+                assert main is not None
+                signal.pthread_kill(main, signal.SIGINT)
+            return self.inner.step(reference)
+
+        def rest(self) -> None:
+            calls.append("rest")
+            self.inner.rest()
+
+        def end(self) -> None:
+            calls.append("end")
+            self.inner.end()
+
+        def disconnect(self) -> None:
+            calls.append("disconnect")
+            self.inner.disconnect()
+
+    with pytest.raises(KeyboardInterrupt, match=r"^r is at rest$"):
+        check_robot(Interrupted(), name="r")
+    assert calls[-3:] == ["rest", "end", "disconnect"]
+
+
+def test_an_interrupted_robot_that_does_not_come_to_rest_is_named() -> None:
+    def step(self: Follower, reference: FloatArray) -> FloatArray:
+        main = threading.main_thread().ident
+        assert main is not None
+        signal.pthread_kill(main, signal.SIGINT)
+        raise RobotError("the link is gone")
+
+    def rest(self: Follower) -> None:
+        raise RobotError("the link is gone")
+
+    with pytest.raises(KeyboardInterrupt, match=r"did not report .*the link is gone"):
+        check_robot(breach(step=step, rest=rest), name="r")
 
 
 def test_a_test_of_a_driver_fails_with_the_report() -> None:

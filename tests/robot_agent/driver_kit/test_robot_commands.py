@@ -91,6 +91,10 @@ def test_a_package_is_not_written_over_another_or_under_a_bad_name(tmp_path: Pat
     for words, said in (
         (["cart", "--folder", str(tmp_path)], "exists already"),
         (["Cart-1", "--folder", str(tmp_path / "new")], "lower-case letter"),
+        *(
+            ([taken, "--folder", str(tmp_path / "new")], "has this name; add something to it")
+            for taken in ("class", "types", "numpy", "nufleet", "crazyflie")
+        ),
     ):
         result = run(new, *words)
         assert said in str(result.exception)

@@ -168,6 +168,27 @@ def test_an_emergency_stop_is_repeated_until_the_supervisor_confirms_it(
         wait_until(lambda: not any("-stop" in one.name for one in threading.enumerate()))
 
 
+def test_a_drone_that_is_in_the_air_when_it_is_connected_is_left_alone_until_it_has_landed() -> (
+    None
+):
+    with bench(estimator="kalman", parameters={"posCtlPid.xKp": 1.8}) as lab:
+        lab.drone.armed = lab.drone.thrusting = True
+        lab.drone.plant.position_m[2] = 0.5
+        lab.drone._target = (lab.drone.plant.position_m.copy(), np.zeros(3))
+        lab.robot.connect()
+        with pytest.raises(
+            RobotError, match="does not take off: it was in the air when it was con"
+        ):
+            lab.robot.begin()
+        assert lab.drone.parameters["posCtlPid.xKp"] == 0.0
+        assert lab.drone.parameters["stabilizer.estimator"] == 0
+        lab.drone._stop(locked=False)
+        wait_until(lambda: lab.robot.health().ready)
+        lab.robot.begin()
+        assert lab.drone.parameters["posCtlPid.xKp"] == pytest.approx(1.8)
+        assert lab.drone.parameters["stabilizer.estimator"] == 2
+
+
 def test_closing_a_link_sends_no_zero_thrust_to_a_drone_that_may_fly() -> None:
     with bench() as lab:
         lab.robot.connect()
@@ -208,7 +229,7 @@ def test_a_drone_that_loses_its_height_lands(monkeypatch: pytest.MonkeyPatch) ->
         plant = lab.drone.plant
         follow = plant.follow
         monkeypatch.setattr(plant, "follow", lambda *_: None)
-        plant.position_m = np.array([0.0, 0.0, 1.5])
+        plant.position_m = np.array([0.0, 0.0, 1.2])
         with pytest.raises(OutsideLimitsError, match=r"\+\d\.\d+ m off its height; 0\.3 m"):
             lab.fly(500)
         monkeypatch.setattr(plant, "follow", follow)

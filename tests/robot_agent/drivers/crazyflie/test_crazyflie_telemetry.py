@@ -55,6 +55,8 @@ def test_the_charge_and_the_time_in_the_air_follow_from_the_voltage() -> None:
     [
         (heard(3.2), None, None, 0.1, "its battery is empty: 3.20 V, below 3.3 V"),
         (heard(3.7, 4.0), None, None, 0.1, "it does not know its position"),
+        (heard(3.7, float("nan")), None, None, 0.1, "it does not know its position"),
+        (heard(float("nan")), None, None, 0.1, "its battery is empty: nan V"),
         (heard(), None, None, 1.5, "it has sent nothing for 1.5 s"),
         (heard(), None, "motion capture is off", 0.1, "motion capture is off"),
         (heard(3.2), "it has crashed", None, 0.1, "it has crashed"),
@@ -67,6 +69,23 @@ def test_a_drone_that_cannot_fly_says_why(
     health = condition(SETTINGS, telemetry, down, blind, now_s)
     assert not health.ready
     assert health.reason.startswith(says)
+
+
+def test_one_variance_that_is_no_number_counts_as_much_as_all_three() -> None:
+    telemetry = Telemetry(0.01)
+    telemetry.take_status({**status(3.7), "kalman.varPY": float("nan")}, 0.0)
+    assert not condition(SETTINGS, telemetry, None, None, 0.1).ready
+
+
+@pytest.mark.parametrize(("stands_m", "may"), [(0.1, True), (0.25, False), (0.6, False)])
+def test_a_drone_that_stands_too_near_below_its_origin_does_not_take_off(
+    stands_m: float, may: bool
+) -> None:
+    telemetry = heard()
+    telemetry.take_state(0, {**STATE, "stateEstimate.z": stands_m}, 0.0)
+    assert telemetry.newest is not None
+    why = misplaced(SETTINGS, telemetry.newest)
+    assert why is None if may else "motion may lead 0.3 m lower (limits.height_" in str(why)
 
 
 @pytest.mark.parametrize(

@@ -88,6 +88,28 @@ def test_a_body_that_is_named_but_not_seen_is_not_told(monkeypatch: pytest.Monke
     assert "the server is gone" in str(one.hindrance(1e9))
 
 
+def test_a_drone_whose_link_fails_does_not_keep_the_others_from_knowing_where_they_are() -> None:
+    system = FakeSystem()
+    capture = MotionCapture("vicon", "mocap", lambda *_: system)
+    one, two = sighting(capture, "one"), sighting(capture, "two")
+    told: list[float] = []
+
+    def fail(*_: object) -> None:
+        raise OSError("the link is closed")
+
+    one.begin(fail, fail)
+    two.begin(lambda position: told.append(position[0]), lambda *_: None)
+    system.frames.put({"one": body(1.0), "two": body(2.0)})
+    system.frames.put({"one": body(1.0), "two": body(3.0)})
+    wait_until(lambda: told[:1] == [2.0])
+    assert "does not see body 'one'" in str(one.hindrance(1e9))
+    assert two.hindrance(1e9) is None
+    two.end()
+    one.end()
+    system.frames.put({})
+    wait_until(lambda: "motion capture at mocap" not in {t.name for t in threading.enumerate()})
+
+
 def test_a_system_that_is_not_reached_says_which() -> None:
     pytest.importorskip("motioncapture")
     capture = MotionCapture("no such kind", "mocap", connect_to)

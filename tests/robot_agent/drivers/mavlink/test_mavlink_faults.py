@@ -258,7 +258,7 @@ def test_time_stamps_that_go_back_and_two_vehicles_with_one_id_are_found_out() -
     restarted.robot.connect()
     restarted.vehicle.clock_jump_s = -100.0
     restarted.wait(0.5)
-    says = "time stamps of LOCAL_POSITION_NED went back by 99.5 s: the vehicle restarted, or"
+    says = "time stamps of LOCAL_POSITION_NED went back by 99.5 s: the vehicle restarted, its"
     assert says in restarted.robot.health().reason
     with pytest.raises(RobotError, match="two vehicles answer as system 1; give each its own MAV"):
         restarted.robot.begin()

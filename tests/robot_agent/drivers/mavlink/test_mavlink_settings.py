@@ -12,9 +12,10 @@ from mavlink_air import X_AND_Y, settings
 from nufleet.robot_agent.drivers.mavlink.driver import DRIVER
 from nufleet.robot_agent.drivers.mavlink.settings import MavlinkSettings
 from nufleet.shared.errors import FleetFileError
-from nufleet.shared.robots.drivers import check_settings, load_driver, shared_thing
+from nufleet.shared.robots.drivers import check_settings, load_driver, settings_of, shared_thing
 from nufleet.shared.robots.fleet_file import read_fleet_file, validated_settings
 
+AXIS = '{ name = "x", amplitude_max = 0.4, velocity_max = 0.8, acceleration_max = 2.0 }'
 DEEP = {
     "position_max": 1.0,
     "speed_max": 1.0,
@@ -40,6 +41,7 @@ DEEP = {
         ({"axes": [X_AND_Y[0], X_AND_Y[0]]}, "axis names must differ"),
         ({"axes": [{**X_AND_Y[0], "name": "z"}], "height_m": 0.6}, "above the ground must be left"),
         ({"axes": [{**X_AND_Y[0], "name": "z"}], "tracking": DEEP}, "z moves 1.4 m down from"),
+        ({"height_m": 20.0}, "height_m: the climb to 20 m takes 45 s within climb_m_s and the"),
         ({"idle_s": None}, "idle_s: must be a valid number"),
         ({"axes": [{**X_AND_Y[0], "output_max": 0.1}]}, "closer to 0 than its amplitude_max"),
         ({"sample_time_s": 1.0}, "sample_time_s: must be less than or equal to 0.25"),
@@ -80,12 +82,17 @@ def test_the_fleet_files_of_the_documentation_are_accepted(tmp_path: Path) -> No
         check_settings(read_fleet_file(path), path)
 
 
-def test_robots_on_one_port_share_a_process_and_must_be_different_systems() -> None:
+def test_robots_on_one_port_share_a_process_and_must_be_different_systems(tmp_path: Path) -> None:
     assert load_driver("mavlink") is DRIVER
     one, two = settings(), settings(system_id=2)
     shared = {shared_thing(DRIVER, lambda own=own: own) for own in (one, two)}
     assert shared == {"udpin://127.0.0.1:14540"}
     rng = np.random.default_rng(0)
     assert set(DRIVER.build({"a": one, "b": two}, rng)) == {"a", "b"}
-    with pytest.raises(FleetFileError, match="a and b both are system 1 at udpin"):
-        DRIVER.build({"a": one, "b": settings()}, rng)
+    table = 'driver = "mavlink"\n[robots.{0}.settings]\nprofile = "px4"\n{1}\n'
+    own = 'url = "udpin://127.0.0.1:14540"\naxes = [' + AXIS + "]"
+    path = tmp_path / "lab.toml"
+    robots = "".join(f"[robots.{name}]\n" + table.format(name, own) for name in ("a", "b"))
+    path.write_text(f'schema = 1\nname = "lab"\n{robots}')
+    with pytest.raises(FleetFileError, match=r"same address, system 1 at udpin://127.0.0.1:14540"):
+        settings_of(read_fleet_file(path), path, ["b"], DRIVER)

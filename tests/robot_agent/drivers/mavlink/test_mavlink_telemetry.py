@@ -11,9 +11,9 @@ from nufleet.robot_agent.drivers.mavlink.profiles import PX4
 from nufleet.robot_agent.drivers.mavlink.telemetry import Telemetry
 
 
-def taken(*messages: tuple[int, Any]) -> Telemetry:
+def taken(*messages: tuple[int, Any], measured_by: str = "LOCAL_POSITION_NED") -> Telemetry:
     """What is known after messages, each with its number on the link."""
-    telemetry = Telemetry(PX4, 1, 245, "LOCAL_POSITION_NED")
+    telemetry = Telemetry(PX4, 1, 245, measured_by)
     packer, parser = dialect.MAVLink(None, srcSystem=1, srcComponent=1), dialect.MAVLink(None)
     for at, (number, message) in enumerate(messages):
         packer.seq = number % 256
@@ -46,6 +46,32 @@ def test_positions_are_dated_in_the_middle_of_a_millisecond_and_the_latest_is_th
     assert late.newest is not None
     assert late.newest.vehicle_s == 1.0605
     assert late.trouble == ""
+
+
+@pytest.mark.parametrize(
+    ("stamps_ms", "says"),
+    [
+        ((1000, 1020, 1040), ""),
+        ((1000, 1900, 1920), ""),  # they waited, and arrive together
+        ((2000, 1020), ""),
+        ((3000, 1020), "went back by 1.98 s"),
+        ((1000, 3020), "jumped 2 s ahead"),
+    ],
+)
+def test_time_stamps_that_jump_are_no_dates(stamps_ms: tuple[int, ...], says: str) -> None:
+    telemetry = taken(*((k, placed(at_ms)) for k, at_ms in enumerate(stamps_ms)))
+    assert says in telemetry.trouble
+    assert bool(says) == bool(telemetry.trouble)
+
+
+@pytest.mark.parametrize(("frame", "known"), [(1, True), (20, True), (4, False), (21, False)])
+def test_an_odometry_in_another_frame_is_no_position(frame: int, known: bool) -> None:
+    pose = (1.0, 2.0, -3.0, [1.0, 0.0, 0.0, 0.0])
+    message = dialect.MAVLink_odometry_message(
+        1_000_000, frame, 12, *pose, *(0.0,) * 6, [0.0] * 21, [0.0] * 21
+    )
+    telemetry = taken((0, message), measured_by="ODOMETRY")
+    assert (telemetry.newest is not None, telemetry.trouble == "") == (known, known)
 
 
 @pytest.mark.parametrize(("every", "share"), [(1, 1.0), (2, 0.5), (10, 0.1)])

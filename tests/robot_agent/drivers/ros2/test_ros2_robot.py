@@ -499,6 +499,7 @@ def test_topics_and_services_are_looked_at_again_before_a_robot_is_armed() -> No
     with pytest.raises(RobotError, match="another program sends set-points"):
         lab.robot.begin()
     assert lab.link.calls == []
+    assert lab.robot.health().reason == lab.link.found
 
 
 def test_a_simulation_that_is_slow_is_not_told_its_place_between_two_samples() -> None:

@@ -3,27 +3,12 @@
 from __future__ import annotations
 
 from learned_things import experience
+from rankings_by_axis import RANKING, estimate
 
-from nufleet.orchestrator.history.by_axis import in_words, sources_by_axis, way_by_axis
-from nufleet.orchestrator.study.interface import AxisEstimate, SourceEstimate
+from nufleet.orchestrator.study.interface import SourceEstimate
+from nufleet.orchestrator.study.source_by_axis import in_words, sources_by_axis, way_by_axis
 from nufleet.shared.experience.file import decode_experience, digest
 from nufleet.shared.wire.messages import ExperienceOffer
-
-
-def estimate(robot: str, spread: float = 0.01, **psi: float) -> SourceEstimate:
-    worst = max(psi.values())
-    axes = {
-        axis: AxisEstimate(value, value - spread, value + spread, 1.0)
-        for axis, value in psi.items()
-    }
-    return SourceEstimate(robot, worst, worst - spread, worst + spread, 1.0, 1, axes=axes)
-
-
-RANKING = (
-    estimate("even", x=0.13, y=0.13),
-    estimate("like-x", x=0.02, y=0.28),
-    estimate("like-y", x=0.31, y=0.03),
-)
 
 
 def offer(robot: str, *axes: str) -> ExperienceOffer:

@@ -48,9 +48,17 @@ def way_by_axis(
         for axis, source in chosen.items()
     ):
         return None
-    by_axis = tuple(
-        AxisPrior(axis=axis, sha256=held[source].sha256) for axis, source in chosen.items()
-    )
+    return way_with(chosen, {source: prior.sha256 for source, prior in held.items()})
+
+
+def way_with(chosen: Mapping[str, str], held: Mapping[str, str]) -> ForeseenWay:
+    """Return the way in which each axis takes the experience of a given source.
+
+    Args:
+        chosen: Sources by axis.
+        held: SHA-256 of the experience that the robot holds of each source, by source.
+    """
+    by_axis = tuple(AxisPrior(axis=axis, sha256=held[source]) for axis, source in chosen.items())
     return ForeseenWay(inverse="prior", prior_sha256=by_axis[0].sha256, prior_by_axis=by_axis)
 
 

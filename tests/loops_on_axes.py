@@ -1,0 +1,61 @@
+"""Robots with one loop on each axis, and what tests of several axes give of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from random_loops import SPEC, Loop
+
+from nufleet.shared.frequency_test.excitation import Excitation
+from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
+from nufleet.shared.frequency_test.matrix_response import MatrixResponse
+from nufleet.shared.frequency_test.quality import Finding, Quality
+from nufleet.shared.robots.spec import RobotSpec
+
+AXES = ("x", "y")
+Loops = Mapping[str, Loop]
+
+
+def spec_of(*alone: str) -> RobotSpec:
+    (axis,) = SPEC.axes
+    axes = tuple(
+        axis.model_copy(update={"name": name, "together": name not in alone}) for name in AXES
+    )
+    return SPEC.model_copy(update={"axes": axes})
+
+
+def answer(
+    loops: Loops,
+    test: Excitation,
+    deviation: float,
+    rng: np.random.Generator,
+    across: float = 0.0,
+    silent: str | None = None,
+) -> FrequencyResponse:
+    """Return what a test gives of loops, each of which adds a share of itself to the others."""
+    nothing = Quality(warnings=(Finding(code="no-response", text="no response"),))
+    if not test.also:
+        return replace(loops[test.axis].answer(test, deviation, rng), axis=test.axis)
+    names = tuple(one.axis for one in test.played)
+    counts = [len(one.tones) for one in test.played]
+    played_by = np.repeat(np.arange(len(names)), counts)
+    omega = np.array([tone.omega_rad_s for one in test.played for tone in one.tones])
+    degrees, rows = 2.0 * (test.segments - 1), []
+    for place, name in enumerate(names):
+        share = np.where(played_by == place, 1.0, across)
+        error = deviation * rng.standard_normal((2, len(omega))) / np.sqrt(2)
+        rows.append(
+            FrequencyResponse(
+                omega_rad_s=omega,
+                z=share * loops[name].z(omega) + error[0] + 1j * error[1],
+                variance=deviation**2 * rng.chisquare(degrees, len(omega)) / degrees,
+                segments=test.segments,
+                quality=nothing if name == silent else Quality(),
+                amplitude=0.1,
+            )
+        )
+    matrix = MatrixResponse(names, played_by, tuple(rows), np.eye(len(names), dtype=complex))
+    first = matrix.entry(0, 0)
+    return FrequencyResponse(**{**vars(first), "matrix": matrix})
