@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from operator import call
 from typing import Any
 
 import numpy as np
@@ -192,6 +193,7 @@ def run_study(
     observers: Sequence[RankingObserver],
     draws: bool = True,
     foresee: Callable[[RankResult], RankResult] = lambda result: result,
+    draw: Callable[[Callable[[], None]], object] = call,
 ) -> RunRecord:
     """Run a stored study from its current state to its end, and keep its results in the folder.
 
@@ -205,6 +207,7 @@ def run_study(
         draws: Whether plots are drawn.
         foresee: Function that adds to the result, before it is stored, what the target expects of
             each way to fly.
+        draw: Function that has the plots drawn, by what it is given, now or later.
 
     Returns:
         The record that was also written to the folder.
@@ -258,7 +261,8 @@ def run_study(
     record = record.model_copy(update={"result": foresee(result)})
     folder.write_record(record)
     if draws:
-        write_plots(folder.path, record, recorder.curves, _true_psi(ready, recorder.curves))
+        curves = recorder.curves
+        draw(lambda: write_plots(folder.path, record, curves, _true_psi(ready, curves)))
     write_report(folder.path, record, draws=draws)
     why = report.stopped_because or f"selected {record.result.selected}"
     studies.end(study.study_id, StudyStatus.COMPLETE, why, json.loads(record.result.document()))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
 import click
@@ -73,7 +74,10 @@ def demo(command: DemoCommand, console: Console) -> DemoResult:
         seed=command.seed,
         axes=None,
     )
-    with FlyingRun(command, console) as run:
+    drawing: list[Future[None]] = []
+    # The plots of the ranking are drawn while robots fly. The run is left first, so that an
+    # interrupt brings the robots to rest before it waits for the plots.
+    with ThreadPoolExecutor(1, "plots") as beside, FlyingRun(command, console) as run:
         fleet, _, there = run.reach(choice)
         ready = prepare(fleet, request, there)
         run.fly("demo", ready.descriptions, only_simulated, live=command.live)
@@ -81,7 +85,9 @@ def demo(command: DemoCommand, console: Console) -> DemoResult:
         study = run.archive.begin(
             run.folder.study_id, "paper", ready.plan, command.seed, ready.descriptions
         )
-        record = follow_study(run, ready, study)
+        record = follow_study(
+            run, ready, study, draw=lambda plots: drawing.append(beside.submit(plots))
+        )
         run.results.print(ranking_table(record.result.ranking, record.closed_form))
         target = ready.descriptions[request.target]
         (leg,) = legs_of(read_drawings((DRAWING,)), (SPEED,), target)
@@ -98,6 +104,8 @@ def demo(command: DemoCommand, console: Console) -> DemoResult:
             say=console.print,
             observers=[KeptFlights(run)],
         )
+        for plots in drawing:
+            plots.result()
     for part in demo_parts(result):
         run.results.print(part)
     console.print(f"{time.monotonic() - began_s:.0f} s")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from datetime import UTC, datetime
+from operator import call
 
 from nufleet.orchestrator.conduct.desired_motion import TimedPath
 from nufleet.orchestrator.conduct.rank_run import ReadyStudy, run_study
@@ -24,6 +25,7 @@ def follow_study(
     ready: ReadyStudy,
     study: StudyRecord,
     foresee: Callable[[RankResult], RankResult] = lambda result: result,
+    draw: Callable[[Callable[[], None]], object] = call,
 ) -> RunRecord:
     """Run a study from its present state to its result, and show its progress; see `run_study`.
 
@@ -32,6 +34,7 @@ def follow_study(
         ready: Study, prepared and checked.
         study: The stored study.
         foresee: Function that adds to the result what the target expects of each way to fly.
+        draw: Function that has the plots drawn, by what it is given, now or later.
 
     Returns:
         The record of the run, as stored in its folder.
@@ -51,6 +54,7 @@ def follow_study(
             draws=run.draws,
             observers=[ConsoleObserver(run.console, ready.plan.iterations, specs), view],
             foresee=foresee,
+            draw=draw,
         )
     finally:
         view.stop_watching()

@@ -17,9 +17,11 @@ from nufleet.robot_agent.flight.equipment import equipment_for
 from nufleet.robot_agent.flight.forecast import Forecast, forecast_of
 from nufleet.robot_agent.flight.memory import Memory
 from nufleet.robot_agent.flight.own_model import HIGH, OwnModel
+from nufleet.robot_agent.flight.own_way import own_way
 from nufleet.robot_agent.flight.rehearsed_robot import LoopDraw, RehearsedRobot
 from nufleet.robot_agent.flight.state_model import StateModel
 from nufleet.robot_agent.flight.tracking import track
+from nufleet.robot_agent.flight.tracking_record import TrackingRecord
 from nufleet.robot_agent.flight.unseen import unseen
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
@@ -35,9 +37,12 @@ ROUGH = 0.01
 """Least standard deviation of the logarithm of a rehearsed error. Without disturbances all
 rehearsals end alike, and yet no model answers exactly as its robot does."""
 
-LIKELIEST_LEAST = 0.78
-"""Share of the error on the likeliest robot above which the next error lies with a probability of
-95 %, if the logarithm of what such a model leaves has a standard deviation of 0.15."""
+LIKELIEST = 1.28
+"""Factor by which an error may be smaller or larger than on the likeliest robot, with a probability
+of 5 % each, if the logarithm of what such a model leaves has a standard deviation of 0.15."""
+
+GUARDED = 1.1
+"""Most error that a guard promises to leave, as a multiple of the error of the baseline."""
 
 _TINY = float(np.finfo(np.float64).tiny)
 _SEED = 0  # every way of flying meets the same robots and the same noise, so that they compare
@@ -104,14 +109,25 @@ class Rehearsal:
         if way.inverse == "baseline":
             return self.forecast.baseline
         if way.inverse == "own":
-            return self.forecast.own
+            return self._own()
         motion, seeds = way.along(self.desired), np.random.SeedSequence(_SEED).spawn(draws)
-        found = predicted_from([self._flown(motion, seed) for seed in seeds])
-        # A drawn robot deviates from the likeliest one at all frequencies at once, also where
-        # neither tests nor paths have power, and nearly every deviation makes an inverse worse. So
-        # a real one may fly better than all that are drawn, as well as the likeliest one does.
-        least = LIKELIEST_LEAST * self._flown(motion, seeds[0], likeliest=True)
-        return found.model_copy(update={"low": self._may_leave() * min(found.low, least)})
+        flown = [self._flown(motion, seed) for seed in seeds]
+        found = predicted_from([record.rms_error for record in flown])
+        likeliest = self._flown(motion, seeds[0], likeliest=True)
+        kept = 0.0
+        if any(record.taken_back is not None for record in (*flown, likeliest)):
+            free = way.model_copy(update={"guarded": False}).along(self.desired)
+            most = GUARDED * self.forecast.baseline.high
+            kept = min(most, self._flown(free, seeds[0], likeliest=True).rms_error)
+        return widened(found, likeliest.rms_error, kept, self._may_leave())
+
+    def _own(self) -> PredictedError:
+        """Return the error with the robot's model of itself, which may prove to be right."""
+        axes = tuple(replace(axis, factor=np.zeros_like(axis.factor)) for axis in self.model.axes)
+        square = float(self.forecast.baseline_squares.mean())
+        right = own_way(replace(self.model, axes=axes), self.desired, square).predicted
+        found = self.forecast.own
+        return found.model_copy(update={"low": min(found.low, right.low)})
 
     def _may_leave(self) -> float:
         """Return the share of an error that is left if what may not grow with a motion does not."""
@@ -122,8 +138,8 @@ class Rehearsal:
 
     def _flown(
         self, motion: Tracking, seed: np.random.SeedSequence, *, likeliest: bool = False
-    ) -> float:
-        """Return the error of a flight on one robot, in the axes' unit.
+    ) -> TrackingRecord:
+        """Return the record of a flight on one robot.
 
         Args:
             motion: Flight.
@@ -150,7 +166,7 @@ class Rehearsal:
         )
         if record.failure is not None:
             raise RobotError(f"its rehearsal ended early: {record.failure}")
-        return record.rms_error
+        return record
 
     def _draw(self, samples: int, rng: np.random.Generator) -> LoopDraw:
         axes = self.model.axes
@@ -166,6 +182,27 @@ class Rehearsal:
             state_gains=self.states.gains,
             state_noise_std=self.states.noise_std,
         )
+
+
+def widened(
+    found: PredictedError, likeliest: float, kept: float, left: float = 1.0
+) -> PredictedError:
+    """Return what is expected with bounds that cover what hardly any drawn robot shows.
+
+    A drawn robot deviates from the likeliest one at all frequencies at once, also where neither
+    tests nor paths have power, and nearly every deviation makes an inverse worse. So a real one may
+    fly better than all that are drawn, as well as the likeliest one does. And what the guard
+    withdraws on them it may just keep on the real one.
+
+    Args:
+        found: Error that is expected from the drawn robots.
+        likeliest: Error on the likeliest robot.
+        kept: Error on it with what a guard would withdraw; 0 if it withdrew nothing.
+        left: Share of an error that is left if what may not grow with a motion does not.
+    """
+    low = left * min(found.low, likeliest / LIKELIEST)
+    high = max(found.high, kept * LIKELIEST)
+    return found.model_copy(update={"low": low, "high": high})
 
 
 def predicted_from(errors: Sequence[float]) -> PredictedError:

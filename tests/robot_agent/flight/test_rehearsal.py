@@ -10,8 +10,9 @@ import pytest
 from robots_that_learn import LaggedRobot, double_integrator
 
 from nufleet.robot_agent.flight.flights import performance_of
+from nufleet.robot_agent.flight.forecast import forecast_of
 from nufleet.robot_agent.flight.memory import Memory
-from nufleet.robot_agent.flight.rehearsal import Rehearsal, predicted_from
+from nufleet.robot_agent.flight.rehearsal import Rehearsal, predicted_from, widened
 from nufleet.robot_agent.flight.rehearsed_robot import LoopDraw, RehearsedRobot
 from nufleet.robot_agent.motion.pace import HaltSwitch
 from nufleet.robot_agent.motion.perform import perform
@@ -174,6 +175,29 @@ def test_an_error_that_may_not_grow_with_the_motion_may_be_smaller_by_what_is_no
     largest = 0.1 * float(np.std(PATH, axis=0).min())
     held = known.of_axes(lambda axis: replace(axis, bounded=1.0, largest=largest))
     assert held.low < 0.1 * known.predicted.low < held.high
+
+
+def test_an_error_as_small_as_if_the_model_were_right_is_expected_of_flying_with_it(
+    known: Known,
+) -> None:
+    model = known.rehearsal.model
+    axes = tuple(replace(axis, factor=20 * axis.factor) for axis in model.axes)
+    doubted = replace(model, axes=axes)
+    forecast = forecast_of(doubted, PATH)
+    assert forecast is not None
+    way = ForeseenWay(inverse="own")
+    found = replace(known.rehearsal, model=doubted, forecast=forecast).predicted(way)
+    assert (found.rms, found.high) == (forecast.own.rms, forecast.own.high)
+    measured = flown(known.robot, way.along(PATH), Memory.imported(*known.memory.exported()))
+    assert found.low <= measured < forecast.own.low
+
+
+def test_what_a_guard_withdraws_in_rehearsals_alone_is_expected_at_most() -> None:
+    found = PredictedError(rms=0.005, low=0.003, high=0.012)
+    assert widened(found, 0.006, 0.0) == found
+    assert widened(found, 0.006, 0.017).high > 0.02
+    assert widened(found, 0.006, 0.017).low == found.low
+    assert widened(found, 0.006, 0.0, left=0.1).low == pytest.approx(0.1 * found.low)
 
 
 def test_few_rehearsals_bound_the_next_error_as_often_as_they_say() -> None:
