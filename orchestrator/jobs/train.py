@@ -63,6 +63,7 @@ def train(command: TrainCommand, console: Console) -> TrainResult:
         fleet, name, there = run.reach(command.fleet())
         robots = command.robots or there
         check_robots(robots, there)
+        fleet.check_may_command()
         descriptions = fleet.describe_all(robots)
         for description in descriptions.values():
             check_lessons(description, command.architectures)

@@ -11,6 +11,7 @@ from nufleet import AxisSpec, Robot, RobotError, RobotSpec, SeparateRobots, Sett
 SAMPLE_TIME_S, CONTROLS = 0.02, 2  # the controller runs at 100 Hz
 INTEGRATOR = {"method": "RK23", "first_step": SAMPLE_TIME_S / CONTROLS}  # enough, and faster
 LIMITS = {"amplitude_max": 0.3, "velocity_max": 0.6, "acceleration_max": 2.0}
+CORRECTIONS = {"correction_max": 0.5, "correction_speed_max": 0.6}
 SPEC = RobotSpec(
     kind="rotorpy_drone",
     axes=tuple(AxisSpec(name=name, unit="m", **LIMITS) for name in ("x", "y")),
@@ -20,13 +21,7 @@ SPEC = RobotSpec(
     duration_max_s=300.0,
     settling_time_s=4.0,
     simulated=True,
-    tracking=TrackingLimits(
-        position_max=2.0,
-        speed_max=1.0,
-        acceleration_max=2.0,
-        correction_max=0.5,
-        correction_speed_max=0.6,
-    ),
+    tracking=TrackingLimits(position_max=2.0, speed_max=1.0, acceleration_max=2.0, **CORRECTIONS),
 )
 
 
