@@ -103,7 +103,7 @@ def without_experience(held: Sequence[ExperienceManifest]) -> InverseLayout:
     """Return the layout of learning from nothing, beside experiences of one architecture.
 
     A feedback takes the shortest horizon of the experiences, at most `HORIZON_S` unless their
-    robots' delay is longer. With a preview γ = 0 sends the path itself, whatever the horizon, and
+    robots' delay is longer. With a preview γ = 0 sends the path itself at any horizon, and
     the first layout serves.
 
     Args:
