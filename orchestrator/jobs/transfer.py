@@ -165,14 +165,22 @@ def _given(
 
 
 def _say_expected(run: Opening, robot: str) -> None:
-    """Print what the robot expects of flying with what it holds now, if it flies paths at all."""
+    """Print how the robot flies with what it holds now, if it flies paths at all, and what it
+    expects of that."""
     target = run.connection.fleet.describe(robot)
-    if target.spec.tracking is None or not target.baseline_known:
+    if target.spec.tracking is None:
         return
     root, studies = run.storage.runs_root, run.repository.studies
     found = latest_ranking(root, studies, run.connection.name, robot)
     name, way = held_way(target.priors, () if found is None else found.result.ranking)
-    say_expected(run, target, way, typical_leg(target), name)
+    if name == MIXTURE and len(target.priors) == 1:
+        source = target.priors[0].manifest.robot
+        run.results.print(
+            f"the latest ranking did not select {source}, so {robot} mixes its experience with "
+            f"none in flight; `nufleet track --target {robot} --inverse prior` flies with it alone"
+        )
+    if target.baseline_known:
+        say_expected(run, target, way, typical_leg(target), name)
 
 
 def _sources(
