@@ -17,7 +17,7 @@ from page_blocks import PAGES, ROOT, blocks
 from nufleet.shared.command_line import command_line
 from nufleet.shared.robots.fleet_file import read_fleet_file
 
-NOT_RUN_MAX = 9
+NOT_RUN_MAX = 7
 """Largest number of blocks that no test runs; each states its reason in the page's source."""
 LOADED = re.compile(r"<(?:script|link|img)[^>]+(?:src|href)=\"?([^\"\s>]+)")
 CODE = re.compile(r"`((?:shared|orchestrator|robot_agent|sims)(?:\.\w+)+)`")
