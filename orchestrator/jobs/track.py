@@ -219,8 +219,8 @@ def _layout(horizon_s: float, target: Description) -> InverseLayout:
     """
     if not target.state_names:
         raise InvalidInputError(
-            f"robot {target.robot} measures no states, so that nothing can be learned in flight; "
-            "fly it with --inverse baseline"
+            f"robot {target.robot} measures its output alone, and learning from nothing needs its "
+            "states: fly it with its model of itself, --inverse own, or transfer a preview to it"
         )
     sample_time_s = target.spec.sample_time_s
     longest_s = HORIZON_SAMPLES_MAX * sample_time_s
