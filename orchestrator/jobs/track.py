@@ -175,7 +175,7 @@ def _inverse(command: TrackCommand, target: Description, ranking: Ranking | None
     robot, guarded = target.robot, command.guarded
     wanted, estimates = command.inverse, () if ranking is None else ranking.result.ranking
     if wanted == "auto" and target.priors:
-        name, way = held_way(target.priors, estimates)
+        name, way = held_way(target.priors, ranking)
         flown = way.model_copy(update={"guarded": guarded, "learn": command.learn})
         return _Inverse(name, True, flown)
     if wanted in ("auto", "baseline"):

@@ -171,13 +171,12 @@ def _say_expected(run: Opening, robot: str) -> None:
     if target.spec.tracking is None:
         return
     root, studies = run.storage.runs_root, run.repository.studies
-    found = latest_ranking(root, studies, run.connection.name, robot)
-    name, way = held_way(target.priors, () if found is None else found.result.ranking)
+    name, way = held_way(target.priors, latest_ranking(root, studies, run.connection.name, robot))
     if name == MIXTURE and len(target.priors) == 1:
         source = target.priors[0].manifest.robot
         run.results.print(
-            f"the latest ranking did not select {source}, so {robot} mixes its experience with "
-            f"none in flight; `nufleet track --target {robot} --inverse prior` flies with it alone"
+            f"no ranking chose {source} for {robot}, which mixes its experience with none in flight"
+            f": `nufleet track --target {robot} --inverse prior` flies with it alone"
         )
     if target.baseline_known:
         say_expected(run, target, way, typical_leg(target), name)

@@ -238,7 +238,7 @@ def test_named_sources_are_transferred_in_their_order_or_not_at_all(
     assert held(sources) == ["source-2"]
 
 
-def test_a_transfer_says_that_a_source_which_no_ranking_selected_is_mixed_with_none(
+def test_a_transfer_says_that_a_source_which_no_ranking_chose_is_mixed_with_none(
     lab: Lab, tmp_path: Path
 ) -> None:
     for seed, name in enumerate(("target", "source-1")):
@@ -246,4 +246,7 @@ def test_a_transfer_says_that_a_source_which_no_ranking_selected_is_mixed_with_n
     install(lab.orchestrator().fleet, "source-1", "experience", experience("source-1", "state"))
     said = StringIO()
     transferred(lab, tmp_path, "source-1", Console(file=said, width=200))
-    assert "did not select source-1, so target mixes its experience with none" in said.getvalue()
+    assert (
+        "no ranking chose source-1 for target, which mixes its experience with none"
+        in said.getvalue()
+    )
