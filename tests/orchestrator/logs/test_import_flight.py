@@ -195,6 +195,7 @@ def test_the_command_imports_for_a_robot_of_the_repository(tmp_path: Path, fligh
     assert listed.stdout.split() == ["time_s", "reference_x", "output_x"]
     in_words = CliRunner().invoke(import_flight, [str(log), *options[:-1]], catch_exceptions=False)
     assert "this flight is stored already" in in_words.stdout
+    assert " ms ± 0 ms, 0 gaps" in in_words.stdout
     unnamed = CliRunner().invoke(import_flight, [str(log)])
     assert unnamed.exit_code == 2
     assert "--robot" in unnamed.stderr
