@@ -49,6 +49,12 @@ def test_the_pages_are_built_without_a_warning_and_loaded_without_a_network(site
         assert not [source for source in loaded if source.startswith(("http", "//"))], page.name
 
 
+def test_a_page_that_includes_a_file_shows_it(site: Path) -> None:
+    texts = {page.name: page.read_text(encoding="utf-8") for page in site.glob("*.html")}
+    assert [name for name, text in texts.items() if re.search(r"--8 ?(<|&lt;)", text)] == []
+    assert "DroneSettings" in texts["your-robot.html"]  # a class of the driver of rotorpy
+
+
 def test_every_command_is_on_the_page_of_the_commands(site: Path) -> None:
     page = (site / "commands.html").read_text(encoding="utf-8")
     for name in ("rank", "fleet up", "runs resume", "robot check", "stop", "completion"):
