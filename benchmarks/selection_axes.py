@@ -17,11 +17,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from nufleet.orchestrator.conduct.attempts import ATTEMPTS, retried
 from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
 from nufleet.orchestrator.study.interface import Question, Report, Study, StudyPlan
 from nufleet.orchestrator.study.source_by_axis import sources_by_axis
 from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
 from nufleet.shared.distance.nu_gap import chordal_peak_in_band
+from nufleet.shared.frequency_test.excitation import ExcitationPlan
 from nufleet.shared.frequency_test.frequency_response import (
     FrequencyResponse,
     estimate_frequency_response,
@@ -82,31 +84,43 @@ def random_robots(
     return robots
 
 
-def played(question: Question, robots: Robots, counts: Counts) -> dict[str, FrequencyResponse]:
-    """Return what the robots measure, and count how often the truth lies in the 95 % regions."""
-    found = {}
+def played(
+    question: Question, robots: Robots, counts: Counts
+) -> tuple[dict[str, FrequencyResponse], float]:
+    """Return what the robots measure, and the robot time in s that repeated tests took."""
+    found, repeated_s = {}, 0.0
     for name, test in question.tests.items():
-        robot = robots[name]
-        plan = plan_excitation(test, robot.spec, name)
-        reference = reference_of(plan)
-        names = [axis.name for axis in robot.spec.axes]
-        columns = [names.index(one.axis) for one in plan.played]
-        references = np.zeros((len(reference), len(names)))
-        references[:, columns] = reference.reshape(len(reference), -1)
-        output = robot.run(references)[:, columns].reshape(reference.shape)
-        robot.rest()
-        response = estimate_frequency_response(reference, output, plan)
-        if response.matrix is not None:
-            omega = response.matrix.rows[0].omega_rad_s
-            z = robot.model.graph(omega)[:, len(names) :]
-            for column, row in zip(columns, response.matrix.rows, strict=True):
-                at = np.array(columns)[response.matrix.played_by]
-                error = np.abs(row.z - z[np.arange(len(omega)), column, at])
-                counts.inside += int(np.sum(error <= row.radius()))
-                counts.entries += len(omega)
-        if response.quality.usable:
-            found[name] = response
-    return found
+        excitation, robot = test, robots[name]
+        for attempt in range(ATTEMPTS):
+            plan = plan_excitation(excitation, robot.spec, name)
+            repeated_s += plan.duration_s if attempt else 0.0
+            response = measured(robot, plan, counts)
+            if response.quality.usable:
+                found[name] = response
+                break
+            excitation = retried(excitation, plan, response.quality, robot.spec)
+    return found, repeated_s
+
+
+def measured(robot: CoupledLoops, plan: ExcitationPlan, counts: Counts) -> FrequencyResponse:
+    """Return what a test measures, and count how often the truth lies in the 95 % regions."""
+    reference = reference_of(plan)
+    names = [axis.name for axis in robot.spec.axes]
+    columns = [names.index(one.axis) for one in plan.played]
+    references = np.zeros((len(reference), len(names)))
+    references[:, columns] = reference.reshape(len(reference), -1)
+    output = robot.run(references)[:, columns].reshape(reference.shape)
+    robot.rest()
+    response = estimate_frequency_response(reference, output, plan)
+    if response.matrix is not None:
+        omega = response.matrix.rows[0].omega_rad_s
+        z = robot.model.graph(omega)[:, len(names) :]
+        for column, row in zip(columns, response.matrix.rows, strict=True):
+            at = np.array(columns)[response.matrix.played_by]
+            error = np.abs(row.z - z[np.arange(len(omega)), column, at])
+            counts.inside += int(np.sum(error <= row.radius()))
+            counts.entries += len(omega)
+    return response
 
 
 def follow(study: Study, robots: Robots, counts: Counts) -> tuple[Report, float]:
@@ -114,7 +128,8 @@ def follow(study: Study, robots: Robots, counts: Counts) -> tuple[Report, float]
     robot_s, report = 0.0, None
     while (question := study.ask()) is not None:
         robot_s += question.robot_time_s or 0.0
-        answers = played(question, robots, counts)
+        answers, repeated_s = played(question, robots, counts)
+        robot_s += repeated_s
         report = study.tell(answers, dict.fromkeys(question.tests, "not usable"))
     if report is None:
         raise ValueError("a study asks at least one question")

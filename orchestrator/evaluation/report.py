@@ -48,10 +48,12 @@ def evaluation_table(result: EvaluationResult) -> Table:
     if over_axes:
         table.add_column("ψ*, all axes", justify="right")
     blank = ("",) if over_axes else ()
+    # The paper's algorithm and its predictions take all axes for the first one.
+    first = ", 1st axis" if over_axes else ""
     for heading in (
-        "ψ̂*",
+        f"ψ̂*{first}",
         "± σ",
-        f"expected {unit}",
+        f"expected {unit}{first}",
         f"RMS {unit}",
         "less error",
         "worst / baseline",
@@ -84,6 +86,7 @@ def evaluation_table(result: EvaluationResult) -> Table:
     table.caption = (
         f"Kendall's τ with the error: {_or_dash(result.kendall_tau)} for {over}, "
         f"{_or_dash(result.kendall_tau_trajectory)} for the error predicted for these paths"
+        f"{' from the first axis alone' if over_axes else ''}"
         f"{_one_or_each(result)}"
     )
     table.caption_justify = "left"

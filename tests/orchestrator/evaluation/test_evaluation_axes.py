@@ -76,6 +76,12 @@ def test_one_source_for_all_axes_is_compared_with_the_closest_on_each() -> None:
     assert "0.280 on y" in table
 
 
+def test_what_the_first_axis_alone_predicts_is_called_so() -> None:
+    table = said(evaluated(dict(ERRORS)))
+    assert table.count("1st axis") == 2
+    assert "predicted for these paths from the first axis alone" in table
+
+
 def test_where_axes_agree_nothing_more_is_flown_and_that_is_said() -> None:
     agreeing = (estimate("even", x=0.02, y=0.03), *RANKING[1:])
     assert held_by_axis(agreeing, list(ALGORITHM_1)) == {}

@@ -102,6 +102,19 @@ def test_noise_that_disturbs_two_axes_together_is_estimated_as_such() -> None:
     assert np.mean(found) == pytest.approx(-0.8, abs=0.05)
 
 
+def test_noise_that_is_out_of_phase_on_two_axes_has_a_complex_correlation() -> None:
+    robot = robot_of(2)
+    plan = planned(robot, (0, 1))
+    reference = reference_of(plan)
+    output = robot.run(reference)
+    white = 0.003 * np.random.default_rng(0).standard_normal(len(output))
+    late = np.fft.irfft(-1j * np.fft.rfft(white), len(white))  # a quarter of a period
+    noise = np.stack([white, late], axis=1)
+    matrix = matrix_of(estimate_frequency_response(reference, output + noise, plan))
+    assert matrix.correlation[0, 1] == pytest.approx(1j, abs=0.15)
+    assert matrix.correlation[1, 0] == matrix.correlation[0, 1].conj()
+
+
 def test_the_unit_of_an_axis_scales_its_entries_and_changes_no_verdict() -> None:
     robot = robot_of(2, noise_std_m=0.002)
     plan = planned(robot, (0, 1))
