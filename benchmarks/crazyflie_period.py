@@ -282,6 +282,7 @@ def main() -> None:
         robot = WatchedRobot(driver, realtime=None)
         with Scheduler() as scheduler:
             robot.connect()
+            gc.freeze()  # as agents do
             try:
                 robot.begin()
                 scheduler.follow()
