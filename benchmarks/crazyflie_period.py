@@ -115,7 +115,8 @@ class Usage:
     def spent(self) -> Spent:
         """Return what was counted since the last call."""
         before, self._before = self._before, self._counted()
-        return Spent(*(now - then for now, then in zip(self._before, before, strict=True)))
+        stolen = tuple(b - a for a, b in zip(before[1], self._before[1], strict=True))
+        return Spent(*(b - a for a, b in zip(before[0], self._before[0], strict=True)), stolen)
 
     def _note(self, phase: str, _: object) -> None:
         if threading.get_native_id() != self._thread:
@@ -126,18 +127,19 @@ class Usage:
         else:
             self.pauses_s.append(now_s - self._collects_s)
 
-    def _counted(self) -> tuple[float, ...]:
-        stolen = int(Path("/proc/stat").read_text().split("\n", 1)[0].split()[8])
+    def _counted(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return what is counted of the thread, and for how long each processor was taken."""
+        processors = Path("/proc/stat").read_text().split("intr", 1)[0].splitlines()[1:]
+        stolen_s = [int(one.split()[8]) / os.sysconf("SC_CLK_TCK") for one in processors]
         used = resource.getrusage(resource.RUSAGE_THREAD)
         return (
             time.thread_time(),
             used.ru_stime,
             sum(self.pauses_s),
-            stolen / os.sysconf("SC_CLK_TCK"),
             used.ru_majflt,
             used.ru_minflt,
             time.time() - time.monotonic(),
-        )
+        ), tuple(stolen_s)
 
 
 @dataclass(frozen=True)
@@ -150,25 +152,31 @@ class Spent:
     """Part of it in the kernel."""
     collecting_s: float
     """Time in collections of garbage."""
-    stolen_s: float
-    """Time of all processors that the host took."""
     disk_faults: float
     """Pages that were read from a disk."""
     faults: float
     """Pages that were only mapped."""
     day_s: float
     """By how much the time of day was set."""
+    stolen: tuple[float, ...]
+    """Time in s for which the host took each processor, in steps of 10 ms."""
 
-    def divide(self, lasted_s: dict[str, float]) -> None:
-        """Divide the time in which the thread ran, as the scheduler has it.
+    def divide(self, lasted_s: dict[str, float], stolen_s: float) -> None:
+        """Divide the time in which the thread ran, as the scheduler has it, or had no cause.
 
         While the host has its processor, the scheduler shows a thread as running, and Linux does
-        not charge it for this.
+        not charge it for this. It shows one that slept as asleep until the host gives the processor
+        back that has to wake it.
+
+        Args:
+            lasted_s: Time of each cause, which is changed.
+            stolen_s: Time for which the host took a processor.
         """
         ran_s = lasted_s.pop(RAN, 0.0)
         uncharged_s = max(0.0, ran_s - self.cpu_s)
-        lasted_s[HOST] = min(self.stolen_s, uncharged_s)
-        lasted_s[UNKNOWN] += uncharged_s - lasted_s[HOST]
+        lasted_s[UNKNOWN] += uncharged_s
+        lasted_s[HOST] = min(stolen_s, lasted_s[UNKNOWN])
+        lasted_s[UNKNOWN] -= lasted_s[HOST]
         charged_s = ran_s - uncharged_s
         lasted_s[COLLECTED] = min(self.collecting_s, charged_s)
         lasted_s[KERNEL] = min(self.kernel_s, charged_s - lasted_s[COLLECTED])
@@ -183,6 +191,15 @@ class Late:
     causes_s: dict[str, float]
     """Time of each cause, and under `UNKNOWN` the time without one."""
     spent: Spent
+    stolen_s: float = 0.0
+    """Longest time for which the host took a processor, until the sample after this one: Linux
+    counts that with its next tick."""
+
+    def ends(self, after: Spent) -> None:
+        """Take what was counted during the sample after this one, and divide the time."""
+        both = zip(self.spent.stolen, after.stolen, strict=True)
+        self.stolen_s = max(now + then for now, then in both)
+        self.spent.divide(self.causes_s, self.stolen_s)
 
     @property
     def largest(self) -> str:
@@ -200,6 +217,8 @@ class Counts:
     """Why motions ended early."""
     steps_s: list[float] = field(default_factory=list)
     """By how much the time of day was set, each time."""
+    stolen: int = 0
+    """Number of samples, late or not, in which the host took a processor for 10 ms or more."""
 
 
 def causes(
@@ -242,24 +261,29 @@ def fly(
     timeline.take(scheduler.changes())
     timeline.states[thread] = State.RUNNING
     usage.spent()
+    late: Late | None = None
     for _ in range(samples):
         begins_s, spent, pauses = time.monotonic(), usage.spent(), driver.pauses
-        counted = robot.late_samples
+        if late is not None:
+            late.ends(spent)
+        late, counted = None, robot.late_samples
         try:
             robot.step(zero)
         except RobotError as error:
             counts.ended.append(str(error))
             break
         counts.played += 1
+        counts.stolen += max(spent.stolen) > 0
         timeline.take(scheduler.changes())
         lasted_s = causes(timeline, thread, before_s, begins_s, pauses)
         if robot.late_samples > counted:  # it began late, since the one before lasted long
-            spent.divide(lasted_s)
-            delay_s = begins_s - before_s - robot.spec.sample_time_s
-            counts.late.append(Late(delay_s, lasted_s, spent))
+            late = Late(begins_s - before_s - robot.spec.sample_time_s, lasted_s, spent)
+            counts.late.append(late)
         if abs(spent.day_s) > CLOCK_STEP_S:
             counts.steps_s.append(spent.day_s)
         before_s = begins_s
+    if late is not None:
+        late.ends(usage.spent())
     try:
         robot.rest()
     except RobotError as error:
@@ -306,6 +330,7 @@ def main() -> None:
         f"{1e3 * max(usage.pauses_s, default=0.0):.2g} ms at most; "
         f"{len(counts.steps_s)} steps of the time of day, "
         f"{1e3 * max(map(abs, counts.steps_s), default=0.0):.3g} ms at most; "
+        f"the host took 10 ms or more of a processor in {counts.stolen} samples; "
         f"{scheduler.lost} losses of records; load {os.getloadavg()[0]:.0f}"
     )
     show(counts)
@@ -336,7 +361,8 @@ def show(counts: Counts) -> None:
         )
         print(
             f"{1e3 * one.delay_s:.1f} ms late: {each}; {one.spent.faults:.0f} pages mapped, "
-            f"{one.spent.disk_faults:.0f} read from a disk"
+            f"{one.spent.disk_faults:.0f} read from a disk; the host took a processor for "
+            f"{1e3 * one.stolen_s:.0f} ms"
         )
 
 
