@@ -116,7 +116,8 @@ class Usage:
         """Return what was counted since the last call."""
         before, self._before = self._before, self._counted()
         stolen = tuple(b - a for a, b in zip(before[1], self._before[1], strict=True))
-        return Spent(*(b - a for a, b in zip(before[0], self._before[0], strict=True)), stolen)
+        counted = [b - a for a, b in zip(before[0], self._before[0], strict=True)]
+        return Spent(stolen, *counted)
 
     def _note(self, phase: str, _: object) -> None:
         if threading.get_native_id() != self._thread:
@@ -146,6 +147,8 @@ class Usage:
 class Spent:
     """What was counted of a thread and its machine during a sample."""
 
+    stolen: tuple[float, ...]
+    """Time in s for which the host took each processor, in steps of 10 ms."""
     cpu_s: float
     """Time on a processor that Linux charged it."""
     kernel_s: float
@@ -158,8 +161,6 @@ class Spent:
     """Pages that were only mapped."""
     day_s: float
     """By how much the time of day was set."""
-    stolen: tuple[float, ...]
-    """Time in s for which the host took each processor, in steps of 10 ms."""
 
     def divide(self, lasted_s: dict[str, float], stolen_s: float) -> None:
         """Divide the time in which the thread ran, as the scheduler has it, or had no cause.
@@ -263,7 +264,7 @@ def fly(
     usage.spent()
     late: Late | None = None
     for _ in range(samples):
-        begins_s, spent, pauses = time.monotonic(), usage.spent(), driver.pauses
+        spent, pauses = usage.spent(), driver.pauses
         if late is not None:
             late.ends(spent)
         late, counted = None, robot.late_samples
@@ -272,6 +273,8 @@ def fly(
         except RobotError as error:
             counts.ended.append(str(error))
             break
+        begins_s = robot._stepped_s  # noqa: SLF001 - by which samples are found to be late
+        assert begins_s is not None  # noqa: S101 - it has made a step
         counts.played += 1
         counts.stolen += max(spent.stolen) > 0
         timeline.take(scheduler.changes())
