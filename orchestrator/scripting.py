@@ -210,7 +210,8 @@ def track(
         speed: Largest speed on the paths, in the unit of the robot's axes per second.
         scale: Factor on the points of the drawings.
         inverse: Inverse model in front of the robot's own controller; `own` is its model of itself,
-            `auto` takes the robot's prior if it has one, otherwise none.
+            `auto` takes the robot's prior if the latest ranking chose its source or if it is a
+            preview, a mixture if it holds others, and none if it holds none.
         horizon_s: Horizon of a model that is learned from a zero prior, in s.
         learn: Whether the online Gaussian process learns in flight.
         guarded: Whether the guard may withdraw the inverse in flight.

@@ -40,6 +40,20 @@ def as_reason(text: object) -> str:
     return printable(str(text))[:REASON_MAX_CHARACTERS]
 
 
+def readable_unit(size: float, unit: str) -> tuple[float, str]:
+    """Return the unit in which an error of this size is read, and how often it is in its own.
+
+    It is a thousandth of the unit, "mm" or "mrad", for all that three digits show below 1.
+    """
+    return (1000.0, f"m{unit}") if abs(size) < 0.9995 else (1.0, unit)
+
+
+def in_thousandths(error: float, unit: str) -> str:
+    """Return an error with three digits, such as "5.1 mm", and "1.23 m" from 1 m on."""
+    factor, shown = readable_unit(error, unit)
+    return f"{factor * error:.3g} {shown}"
+
+
 def read_toml(path: Path, kind: type[NufleetError]) -> dict[str, Any]:
     """Return the contents of a TOML file.
 

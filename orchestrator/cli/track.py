@@ -57,9 +57,9 @@ from nufleet.orchestrator.cli.types import DrawingName, PositiveNumber
         "Inverse model in front of the robot's own controller: the prior that was transferred to "
         "it, on each axis the one from its closest source (`by-axis`), a mixture of all of them, "
         "its model of itself from all that it has flown (`own`), a model learned online from "
-        "nothing, or none (`baseline`). `auto` takes the mixture if there are several priors, "
-        "by axis if `transfer --source best` chose them so, the prior if there is one, "
-        "otherwise the baseline."
+        "nothing, or none (`baseline`). `auto` takes the prior if the latest ranking chose its "
+        "source or it is a preview, by axis if `transfer --source best` chose them so, otherwise a "
+        "mixture of all priors and of no experience, and without a prior the baseline."
     ),
 )
 @click.option(

@@ -32,6 +32,7 @@ from nufleet.orchestrator.study.interface import SourceEstimate
 from nufleet.orchestrator.study.source_by_axis import sources_by_axis, way_with
 from nufleet.shared.errors import RefusedError
 from nufleet.shared.experience.layout import Architecture
+from nufleet.shared.experience.manifest import without_experience
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Description, ForeseenWay
 from nufleet.shared.wire.motions import MIXTURE_MAX, PredictedError
@@ -98,8 +99,7 @@ def fly_target(
         pilot: Pilot that has the target fly.
         library: Experiences of the fleet's robots, those of the sources among them.
         target: Description of the robot that flies.
-        sources: Names of the sources. The zero prior takes the layout of the first one, so the
-            selected source comes first.
+        sources: Names of the sources, the selected one first.
         legs: Paths to fly with every inverse.
         architecture: Architecture of the sources' experiences to transfer.
         guarded: Whether the guard may withdraw a prior in flight.
@@ -140,7 +140,9 @@ def fly_target(
         held = transfer_several(fleet, library, sources[:MIXTURE_MAX], target, architecture)
         mixture = mixture_of(fleet.describe(robot).priors, psi)
         ways = {OWN: own, BASELINE: way("baseline")}
-        ways[NO_PRIOR] = way("zero-prior", layout=held[0].manifest.layout)
+        ways[NO_PRIOR] = way(
+            "zero-prior", layout=without_experience([one.manifest for one in held])
+        )
         ways |= {
             source: way("prior", prior_sha256=given.sha256)
             for source, given in zip(sources, held, strict=False)

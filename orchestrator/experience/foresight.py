@@ -21,14 +21,12 @@ from nufleet.orchestrator.flights.ways import Foresight, WayRecord
 from nufleet.shared.errors import InvalidInputError, RefusedError
 from nufleet.shared.experience.file import decode_experience
 from nufleet.shared.experience.layout import Architecture, InverseLayout
+from nufleet.shared.experience.manifest import HORIZON_S, without_experience
 from nufleet.shared.wire.messages import Description, ExperienceOffer, ForeseenWay
 from nufleet.shared.wire.motions import MIXTURE_MAX
 
 RICH_FLIGHTS_S = (15.0, 30.0, 60.0)
 """Durations of rich flights after which the error with the target's own model is predicted, too."""
-
-HORIZON_S = 0.4
-"""Horizon of learning from nothing where no source's experience suggests one."""
 
 OnForeseen = Callable[[int, int], None]
 """Callback that receives the number of ways that are rehearsed, and that of all."""
@@ -169,7 +167,8 @@ def _found(
     on_foreseen: OnForeseen,
 ) -> tuple[WayRecord, ...]:
     asked = [_Asked(BASELINE, present_s, ForeseenWay(inverse="baseline"))]
-    layout = held[0].manifest.layout if held else _layout(target)
+    manifests = [prior.manifest for prior in held]
+    layout = without_experience(manifests) if manifests else _layout(target)
     if layout is not None:
         way = ForeseenWay(inverse="zero-prior", layout=layout)
         asked.append(_Asked(NO_PRIOR, present_s, way))

@@ -83,7 +83,7 @@ def transfer_several(
     Args:
         fleet: Client of the fleet that the target belongs to.
         library: Experiences of the fleet's robots.
-        sources: Names of the sources, at least one; the mixture has the layout of the first.
+        sources: Names of the sources, at least one.
         target: Description of the robot that flies with them from now on.
         architecture: Architecture of the experiences; None takes the only one that a source has.
 

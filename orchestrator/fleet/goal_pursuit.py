@@ -74,7 +74,7 @@ class _Refusals(NamedTuple):
     """Refusals of one question in a row."""
 
     code: str
-    """Code of the latest refusals."""
+    """Code of the latest refusals; empty if the question got no answer after them."""
     since_s: float
     """Time of the first refusal with this code."""
     first_s: float
@@ -279,6 +279,9 @@ class Pursuit:
             return
         self._open.discard(question)
         self._not_before_s[question] = now_s + ASK_AGAIN_S
+        if question in self._refusals:
+            # What was refused before the silence may have passed, and have come again.
+            self._refusals[question] = self._refusals[question]._replace(code="")
         tries, since_s = self._unanswered or (0, now_s)
         self._unanswered = (tries + 1, since_s)
         if tries + 1 >= ANSWER_TRIES and now_s - since_s >= ANSWER_PATIENCE_S:

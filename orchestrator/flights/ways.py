@@ -10,6 +10,7 @@ from pydantic import model_serializer
 
 from nufleet.orchestrator.flights.labels import BASELINE, MIXTURE, NO_PRIOR, OWN
 from nufleet.shared.strict import NonNegative, Strict
+from nufleet.shared.text import in_thousandths, readable_unit
 from nufleet.shared.wire.messages import Foreseen
 from nufleet.shared.wire.motions import PredictedError
 
@@ -153,13 +154,9 @@ def advice(foresight: Foresight) -> str:
 
 def error_range(error: PredictedError, unit: str) -> str:
     """Return an error with its bounds, such as "5.1 mm (4.6 to 5.9)"."""
-    low, high = 1000 * error.low, 1000 * error.high
+    factor, _ = readable_unit(error.rms, unit)
+    low, high = factor * error.low, factor * error.high
     return f"{in_thousandths(error.rms, unit)} ({low:.3g} to {high:.3g})"
-
-
-def in_thousandths(error: float, unit: str) -> str:
-    """Return an error in thousandths of a unit, such as "5.1 mm"."""
-    return f"{1000 * error:.3g} m{unit}"
 
 
 def described(record: WayRecord, present_s: float) -> str:

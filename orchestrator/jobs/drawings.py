@@ -23,7 +23,7 @@ from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.jobs.terminal import stderr_console, stdout_console
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.paths.files import read_drawing, write_drawing
-from nufleet.shared.paths.foreign_files import import_points
+from nufleet.shared.paths.foreign_files import import_drawing
 from nufleet.shared.paths.installed import find_drawing
 from nufleet.shared.paths.shape import resampled, resized
 from nufleet.shared.wire.messages import Description
@@ -119,7 +119,8 @@ def import_and_print(
         InvalidInputError: The file cannot be read or is no drawing, or `out` exists or is not a
             CSV file.
     """
-    points = resized(import_points(file), width_m=width_m, height_m=height_m, centred=centred)
+    drawn = import_drawing(file)
+    points = resized(drawn.points, width_m=width_m, height_m=height_m, centred=centred)
     path = _output_file(out, f"{file.stem}.csv", force=force)
     points = resampled(points, spacing_m)
     described = _described(robots)
@@ -129,6 +130,12 @@ def import_and_print(
         size = "give its size in m with --height or --width, if it has another unit"
         raise InvalidInputError(f"{file}: {error}; {size}") from error
     write_drawing(path, points)
+    if drawn.ignored:
+        stderr_console().print(
+            f"not imported: {', '.join(drawn.ignored)}. A drawing is a curve in x and y; "
+            "--speed of nufleet track sets how fast it is flown",
+            markup=False,
+        )
     _print_report(report, str(path), as_json=as_json)
 
 

@@ -22,7 +22,7 @@ from nufleet.orchestrator.logs.signals import LogError
 from nufleet.orchestrator.repository.records import Origin, RobotRecord
 from nufleet.orchestrator.repository.repository import Repository
 from nufleet.orchestrator.runs.folder import make_runs_root
-from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.errors import InvalidInputError, NoRouterError
 from nufleet.shared.wire.messages import Description
 
 EARLIEST_S = datetime(2000, 1, 1, tzinfo=UTC).timestamp()
@@ -148,18 +148,34 @@ def import_log(
 def _robot(
     command: ImportCommand, repository: Repository, console: Console
 ) -> tuple[str, Description]:
-    """Return the fleet's name and the robot, as it is stored or else as it describes itself."""
-    choice = command.fleet()
-    if choice.name is not None:
-        for known in repository.robots.robots(choice.name):
-            if known.robot == command.robot:
-                return choice.name, Description(
-                    robot=known.robot, boot_id=known.boot_id, spec=known.spec
-                )
+    """Return the fleet's name and the robot, as it is stored or else as it describes itself.
+
+    Where no fleet is named, that which runs is asked first, since several may have such a robot.
+    """
+    choice, stored = command.fleet(), repository.robots.named(command.robot)
+    for known in stored:
+        if known.fleet == choice.name:
+            return _stored(known)
     list_channels(command.log)  # a log that cannot be read needs no router
-    with choice.connection(console) as (fleet, name, there):
-        check_robots((command.robot,), there)
-        return name, fleet.describe(command.robot)
+    try:
+        with choice.connection(console) as (fleet, name, there):
+            check_robots((command.robot,), there)
+            return name, fleet.describe(command.robot)
+    except NoRouterError as error:
+        if choice.name is not None or not stored:
+            raise
+        if len(stored) == 1:
+            return _stored(stored[0])
+        fleets = ", ".join(known.fleet for known in stored)
+        raise InvalidInputError(
+            f"the repository has a robot {command.robot} in each of the fleets {fleets}, and none "
+            "of them runs: name one with --fleet-name"
+        ) from error
+
+
+def _stored(known: RobotRecord) -> tuple[str, Description]:
+    found = Description(robot=known.robot, boot_id=known.boot_id, spec=known.spec)
+    return known.fleet, found
 
 
 def _measured_at(began_s: float, log: Path) -> datetime:

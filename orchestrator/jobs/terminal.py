@@ -44,7 +44,7 @@ def results_console(progress: Console, *, as_json: bool) -> Console:
 
 @contextmanager
 def bars_shown(console: Console, unit: str) -> Iterator[Callable[[str, int, int | None], None]]:
-    """Show on a terminal how far pieces of work are, and the time that they still take.
+    """Show on a terminal how far pieces of work are, since when, and the time they still take.
 
     Args:
         console: Console for progress; one that is no terminal shows nothing.
@@ -54,7 +54,14 @@ def bars_shown(console: Console, unit: str) -> Iterator[Callable[[str, int, int 
         Function to call, from any thread, with a piece of work, how much of it is done, and of how
         much; None if that is not known yet. Its bar disappears when all of it is done.
     """
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TaskID,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     with Progress(
         "  {task.description}",
@@ -62,6 +69,8 @@ def bars_shown(console: Console, unit: str) -> Iterator[Callable[[str, int, int 
         MofNCompleteColumn(),
         f"{unit}, time left",
         TimeRemainingColumn(),
+        "after",
+        TimeElapsedColumn(),
         console=console,
         transient=True,
         disable=console.quiet or not console.is_terminal,

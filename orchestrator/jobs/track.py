@@ -23,6 +23,7 @@ from nufleet.orchestrator.jobs.commands import FleetCommand, MovingCommand
 from nufleet.orchestrator.jobs.consent import carried_out
 from nufleet.orchestrator.jobs.flying import FlyingRun, KeptFlights
 from nufleet.orchestrator.jobs.foresight import say_expected
+from nufleet.orchestrator.jobs.held_way import held_way
 from nufleet.orchestrator.logs.keeping import keep_flight_responses
 from nufleet.orchestrator.study.source_by_axis import way_by_axis
 from nufleet.shared.errors import InvalidInputError, RobotError
@@ -46,8 +47,8 @@ class TrackCommand(MovingCommand, FleetCommand):
     scale: float
     """Factor on the points of the drawings."""
     inverse: InverseChoice
-    """Inverse to fly with; `auto` takes a mixture if the robot has several priors, its prior if it
-    has one, else its baseline."""
+    """Inverse to fly with; `auto` takes what suits the robot's priors (see `held_way`), and its
+    baseline if it has none."""
     horizon_s: float
     """Horizon of the inverse model that is learned from a zero prior."""
     learn: bool
@@ -173,12 +174,11 @@ def _inverse(command: TrackCommand, target: Description, ranking: Ranking | None
     """Return the inverse to fly with; raises InvalidInputError when the target does not have it."""
     robot, guarded = target.robot, command.guarded
     wanted, estimates = command.inverse, () if ranking is None else ranking.result.ranking
-    by_axis = way_by_axis(target.priors, estimates)
-    if wanted == "auto":
-        wanted = ("baseline", "prior", "mixture")[min(2, len(target.priors))]
-        if by_axis is not None and len(by_axis.asked) == len(target.priors):
-            wanted = "by-axis"  # they are what `transfer --source best` has left
-    if wanted == "baseline":
+    if wanted == "auto" and target.priors:
+        name, way = held_way(target.priors, ranking)
+        flown = way.model_copy(update={"guarded": guarded, "learn": command.learn})
+        return _Inverse(name, True, flown)
+    if wanted in ("auto", "baseline"):
         return _Inverse(BASELINE, False, ForeseenWay(inverse="baseline"))
     if wanted == "own":
         return _Inverse(OWN, True, ForeseenWay(inverse="own", guarded=guarded))
@@ -194,6 +194,7 @@ def _inverse(command: TrackCommand, target: Description, ranking: Ranking | None
         )
     learn = command.learn
     if wanted == "by-axis":
+        by_axis = way_by_axis(target.priors, estimates)
         if by_axis is None:
             raise InvalidInputError(
                 f"{robot} does not hold the experience of the closest source of every axis, or "
@@ -218,8 +219,8 @@ def _layout(horizon_s: float, target: Description) -> InverseLayout:
     """
     if not target.state_names:
         raise InvalidInputError(
-            f"robot {target.robot} measures no states, so that nothing can be learned in flight; "
-            "fly it with --inverse baseline"
+            f"robot {target.robot} measures its output alone, and learning from nothing needs its "
+            "states: fly it with its model of itself, --inverse own, or transfer a preview to it"
         )
     sample_time_s = target.spec.sample_time_s
     longest_s = HORIZON_SAMPLES_MAX * sample_time_s

@@ -20,20 +20,20 @@ from nufleet.orchestrator.experience.transfer import (
 )
 from nufleet.orchestrator.flights.labels import BY_AXIS, MIXTURE
 from nufleet.orchestrator.flights.legs import typical_leg
-from nufleet.orchestrator.flights.start_weights import mixture_of
 from nufleet.orchestrator.history.rankings import Ranking, latest_ranking
 from nufleet.orchestrator.jobs.commands import FleetCommand
 from nufleet.orchestrator.jobs.foresight import say_expected
+from nufleet.orchestrator.jobs.held_way import held_way
 from nufleet.orchestrator.jobs.opening import Opening
 from nufleet.orchestrator.jobs.terminal import stderr_console
-from nufleet.orchestrator.study.source_by_axis import in_words, sources_by_axis, way_by_axis
+from nufleet.orchestrator.study.source_by_axis import in_words, sources_by_axis
 from nufleet.orchestrator.study.verdict import Verdict
 from nufleet.shared.errors import InvalidInputError, RefusedError
 from nufleet.shared.experience.layout import Architecture
 from nufleet.shared.experience.manifest import ExperienceManifest
 from nufleet.shared.strict import Digest, Document, Strict
 from nufleet.shared.text import split_names
-from nufleet.shared.wire.messages import Description, ForeseenWay
+from nufleet.shared.wire.messages import Description
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,24 +165,21 @@ def _given(
 
 
 def _say_expected(run: Opening, robot: str) -> None:
-    """Print what the robot expects of flying with what it holds now, if it flies paths at all."""
+    """Print how the robot flies with what it holds now, if it flies paths at all, and what it
+    expects of that."""
     target = run.connection.fleet.describe(robot)
-    if target.spec.tracking is None or not target.baseline_known:
+    if target.spec.tracking is None:
         return
-    first = target.priors[0]
-    name, way = first.manifest.robot, ForeseenWay(inverse="prior", prior_sha256=first.sha256)
-    if len(target.priors) > 1:
-        found = latest_ranking(
-            run.storage.runs_root, run.repository.studies, run.connection.name, robot
+    root, studies = run.storage.runs_root, run.repository.studies
+    name, way = held_way(target.priors, latest_ranking(root, studies, run.connection.name, robot))
+    if name == MIXTURE and len(target.priors) == 1:
+        source = target.priors[0].manifest.robot
+        run.results.print(
+            f"no ranking chose {source} for {robot}, which mixes its experience with none in flight"
+            f": `nufleet track --target {robot} --inverse prior` flies with it alone"
         )
-        ranking = () if found is None else found.result.ranking
-        by_axis = way_by_axis(target.priors, ranking)
-        if by_axis is not None and len(by_axis.asked) == len(target.priors):
-            name, way = BY_AXIS, by_axis
-        else:
-            mixture = mixture_of(target.priors, {one.robot: one.psi for one in ranking} or None)
-            name, way = MIXTURE, ForeseenWay(inverse="mixture", mixture=mixture)
-    say_expected(run, target, way, typical_leg(target), name)
+    if target.baseline_known:
+        say_expected(run, target, way, typical_leg(target), name)
 
 
 def _sources(

@@ -114,6 +114,13 @@ def align(
         spline = CubicSpline(measured.time_s[there] - start, measured.value[there])
         stretches.append(Stretch(sent.value[latest], np.asarray(spline(grid_s - start))))
         began_s = min(began_s, start)
+    common_s = min(sent.time_s[-1], measured.time_s[-1]) - max(sent.time_s[0], measured.time_s[0])
+    if not stretches and common_s < STRETCH_MIN_SAMPLES * sample_time_s:
+        raise LogError(
+            f"{reference.name} and {output.name} have {common_s:.3g} s in common, and the robot's "
+            f"samples are {sample_time_s:g} s apart: is the unit of the times right? A table's is "
+            "given as --time COLUMN:UNIT"
+        )
     if not stretches:
         raise LogError(
             f"{reference.name} and {output.name} have no {STRETCH_MIN_SAMPLES} samples in a row "

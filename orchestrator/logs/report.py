@@ -78,9 +78,10 @@ class ImportResult(Document):
         """Yield the result in lines for people; `unit` is the axis's unit."""
         low, high = self.band_rad_s
         for name, one in (("reference", self.reference), ("output", self.output)):
+            jitter_ms = round(1e3 * one.jitter_s, 3)  # what rounding leaves of time stamps is none
             yield (
                 f"{name}: {one.name}, {one.samples} samples, every {1e3 * one.interval_s:.3g} ms ± "
-                f"{1e3 * one.jitter_s:.2g} ms, {one.gaps} gaps, {one.disordered} out of order"
+                f"{jitter_ms:.2g} ms, {one.gaps} gaps, {one.disordered} out of order"
             )
         yield (
             f"{self.robot}, axis {self.axis}: {self.duration_s:.1f} s at up to "

@@ -34,6 +34,11 @@ class RobotStore:
         query = select(ROBOTS).where(ROBOTS.c.fleet == fleet).order_by(ROBOTS.c.robot)
         return tuple(map(robot_record, self._database.rows(query)))
 
+    def named(self, robot: str) -> tuple[RobotRecord, ...]:
+        """Return the robots of that name, by the name of their fleet."""
+        query = select(ROBOTS).where(ROBOTS.c.robot == robot).order_by(ROBOTS.c.fleet)
+        return tuple(map(robot_record, self._database.rows(query)))
+
     def add_experience(self, record: ExperienceRecord) -> str:
         """Store an experience that its robot has learned now, and return its sha256.
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.strict import Positive, Strict
+from nufleet.shared.text import in_thousandths, readable_unit
 from nufleet.shared.wire.motions import TakenBack
 
 
@@ -226,14 +227,17 @@ class Guard:
         if reason is not None:
             return reason
         excess = self._spent - float(self._allowed[sample])
-        at, unit = self._at(sample), self._unit
+        at = self._at(sample)
         if excess > self._budget:
             return f"{at} its error until then was {self._ratio(0, sample)}"
         if excess + self._return_cost(sample, correction) > self._return_budget:
-            size, needed = np.linalg.norm(correction), np.linalg.norm(self._needed[sample])
+            size, needed = (
+                in_thousandths(float(np.linalg.norm(each)), self._unit)
+                for each in (correction, self._needed[sample])
+            )
             return (
-                f"{at} its correction was {size:.3g} {unit}, where the baseline needs "
-                f"{needed:.3g} {unit}: later it could not be taken back in time"
+                f"{at} its correction was {size}, where the baseline needs {needed}: later it "
+                "could not be taken back in time"
             )
         return None
 
@@ -259,11 +263,11 @@ class Guard:
         recent, peak = math.sqrt(self._recent.mean()), math.sqrt(self._peak)
         if recent <= peak:
             return None
-        error, worst = _told_apart(recent, peak)
+        factor, unit = readable_unit(recent, self._unit)
+        error, worst = _told_apart(factor * recent, factor * peak)
         return (
-            f"{self._at(sample)} the error was {error} {self._unit} RMS over "
-            f"{self._settings.window_s:g} s, more than the baseline's worst allows, "
-            f"{worst} {self._unit}"
+            f"{self._at(sample)} the error was {error} {unit} RMS over {self._settings.window_s:g} "
+            f"s, more than the baseline's worst allows, {worst} {unit}"
         )
 
     def _restless(self, sample: int) -> str | None:
@@ -289,10 +293,8 @@ class Guard:
         sums = self._sums(first, last)
         flown, allowed = (math.sqrt(total / (last - first + 1)) for total in sums)
         ratio = flown / allowed if allowed > 0 else math.inf
-        return (
-            f"{ratio:.2f} times the error of the baseline: {flown:.3g} {self._unit} "
-            f"RMS instead of {allowed:.3g} {self._unit}"
-        )
+        left, instead = (in_thousandths(each, self._unit) for each in (flown, allowed))
+        return f"{ratio:.2f} times the error of the baseline: {left} RMS instead of {instead}"
 
     def _at(self, sample: int) -> str:
         return f"after {(sample + 1) * self._sample_time_s:.2f} s"

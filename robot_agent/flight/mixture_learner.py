@@ -7,6 +7,7 @@ from nufleet.robot_agent.flight.mixture_process import Expert, MixtureProcess
 from nufleet.robot_agent.flight.tracking import Learner
 from nufleet.shared.errors import RobotError
 from nufleet.shared.experience.combined_layout import CombinedLayout
+from nufleet.shared.experience.manifest import without_experience
 from nufleet.shared.wire.motions import Motion, Tracking
 
 
@@ -26,7 +27,10 @@ def mixture_learner(
         InvalidInputError: The priors cannot be combined.
     """
     priors = _priors(motion, memory)
-    layout = CombinedLayout([prior.manifest.layout for prior in priors])
+    manifests = [prior.manifest for prior in priors]
+    # What none says, γ = 0, is meant in the leading layout: a slow source must not lead.
+    none = without_experience(manifests)
+    layout = CombinedLayout([none, *(manifest.layout for manifest in manifests)])
     experts = [
         Expert(
             name=prior.manifest.robot,

@@ -18,6 +18,7 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.models.error_belief import MODEL_ERROR, ErrorBelief
 from nufleet.shared.models.unexplained import autocovariance
 from nufleet.shared.models.wiener_feedback import WienerFeedback, wiener_feedback
+from nufleet.shared.text import in_thousandths
 from nufleet.shared.wire.motions import PredictedError
 
 _WORTH = 0.97
@@ -125,7 +126,7 @@ def own_way(model: OwnModel, desired: FloatArray, baseline_square: float) -> Own
     found = [axis.feedback(model.acceleration_max) for axis in axes]
     known, fed = _Expected.of(axes, [None] * len(axes)), _Expected.of(axes, found)
     ahead, closed = known.measured, fed.measured
-    unit = model.unit
+    without, fed_back = (in_thousandths(each.rms, model.unit) for each in (ahead, closed))
     worth = min(_WORTH * ahead.rms, ahead.rms - _LEAST * np.sqrt(baseline_square))
     if closed.rms > worth:
         return OwnWay(
@@ -133,8 +134,8 @@ def own_way(model: OwnModel, desired: FloatArray, baseline_square: float) -> Own
             None,
             ahead,
             known.squares,
-            f"it flew with references known ahead: {ahead.rms:.3g} {unit} RMS were expected, and "
-            f"{closed.rms:.3g} {unit} with a feedback of its output",
+            f"it flew with references known ahead: {without} RMS were expected, and {fed_back} "
+            "with a feedback of its output",
         )
     lasting = np.sqrt(sum(axis.lasting[0] + np.mean(axis.left**2) for axis in axes))
     return OwnWay(
@@ -145,9 +146,9 @@ def own_way(model: OwnModel, desired: FloatArray, baseline_square: float) -> Own
         ),
         closed,
         fed.squares,
-        f"it flew with a feedback of its output: {closed.rms:.3g} {unit} RMS were expected, and "
-        f"{ahead.rms:.3g} {unit} without it, since what its model does not foresee, "
-        f"{lasting:.3g} {unit} RMS, lasts long enough to be corrected",
+        f"it flew with a feedback of its output: {fed_back} RMS were expected, and {without} "
+        "without it, since what its model does not foresee, "
+        f"{in_thousandths(lasting, model.unit)} RMS, lasts long enough to be corrected",
     )
 
 

@@ -14,6 +14,7 @@ from nufleet.shared.experience.manifest import misfit
 from nufleet.shared.paths.references import approach, rich_references, step_references
 from nufleet.shared.paths.trajectories import check_trajectory
 from nufleet.shared.robots.spec import RobotSpec, TrackingLimits
+from nufleet.shared.text import in_thousandths
 from nufleet.shared.wire.motions import Flight, FlightPlan, RichFlight, StepTest, Tracking
 
 
@@ -163,11 +164,14 @@ def _check_own_model(motion: Tracking, spec: RobotSpec, memory: Memory, robot: s
         reason = f"it knows nothing of itself yet: {more}"
         raise RefusedError("no-own-model", reason, robot)
     if not forecast.own_helps:
-        unit, own, baseline = spec.axes[0].unit, forecast.own, forecast.baseline
+        own = forecast.own
+        rms, low, high, baseline = (
+            in_thousandths(each, spec.axes[0].unit)
+            for each in (own.rms, own.low, own.high, forecast.baseline.rms)
+        )
         reason = (
-            f"its model of itself is too vague for this path: with it an error of {own.rms:.3g} "
-            f"{unit} RMS is expected, {own.low:.3g} to {own.high:.3g} {unit}, and its baseline is "
-            f"expected to leave {baseline.rms:.3g} {unit}; {more}"
+            f"its model of itself is too vague for this path: with it an error of {rms} RMS is "
+            f"expected, {low} to {high}, and its baseline is expected to leave {baseline}; {more}"
         )
         raise RefusedError("vague-own-model", reason, robot)
 

@@ -15,6 +15,7 @@ from nufleet.robot_agent.flight.own_model import OwnModel
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.models.error_belief import ErrorBelief
 from nufleet.shared.robots.spec import AxisSpec
+from nufleet.shared.text import in_thousandths
 
 LARGER = 2.0
 """Size of a path's motion, as a multiple of the largest that an axis was seen in, from which on it
@@ -46,7 +47,7 @@ def unseen(model: OwnModel, axes: Sequence[AxisSpec], desired: FloatArray) -> st
             continue
         size = float(np.std(desired[:, i]))
         if size > LARGER * belief.largest:
-            before, now = (f"{1000 * value:.3g} m{axis.unit}" for value in (belief.largest, size))
+            before, now = (in_thousandths(value, axis.unit) for value in (belief.largest, size))
             smaller.append(f"{axis.name} {before} RMS instead of {now}")
         unknown, middle_rad_s = _unknown(belief, desired[:, i])
         if unknown > OUTSIDE:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.paths.files import read_drawing, text_of
 from nufleet.shared.paths.trajectories import POINTS_MAX, check_path
+from nufleet.shared.text import printable
 
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _HEADING = re.compile(rf"([xy])(?:(?:[\s_/]|\bin\b)*[\[(]?({'|'.join(_UNITS)})[\])]?)?")
@@ -25,8 +27,18 @@ _DECIMAL_COMMAS = re.compile(
 """Numbers with decimal commas between which there is only white space."""
 
 
-def import_points(path: Path) -> FloatArray:
-    """Return the points of a file, shape (n, 2), in m or, without any unit, in the file's own.
+class ForeignDrawing(NamedTuple):
+    """A drawing as another program saved it."""
+
+    points: FloatArray
+    """Points, shape (n, 2), in m or, without any unit, in the file's own."""
+
+    ignored: tuple[str, ...]
+    """Headings of the table's columns that are neither x nor y, such as a time."""
+
+
+def import_drawing(path: Path) -> ForeignDrawing:
+    """Return the drawing that a file holds.
 
     An SVG is read by `read_drawing`. Any other file is read as a table. Its first line decides what
     separates the columns of the whole file: semicolons, tabs, commas or spaces, the first of these
@@ -42,17 +54,20 @@ def import_points(path: Path) -> FloatArray:
             expected contents.
     """
     if path.suffix.lower() == ".svg":
-        return read_drawing(path)
+        return ForeignDrawing(read_drawing(path), ())
     text = text_of(path, "; expected a table of x and y, or an SVG file")
-    points = _Table(str(path)).points(text)
+    table = _Table(str(path))
+    points = table.points(text)
     check_path(points, str(path))
-    return points
+    return ForeignDrawing(points, table.ignored)
 
 
 class _Table:
     """What is known of a table from the lines that were read."""
 
     def __init__(self, name: str) -> None:
+        self.ignored: tuple[str, ...] = ()
+        """Headings of the columns that are not read."""
         self._name = name
         self._separator: str | None = None
         self._columns, self._units, self._width = [0, 1], [1.0, 1.0], 0
@@ -99,6 +114,8 @@ class _Table:
         named = _named_columns(cells)
         if named is not None:
             self._columns, self._units = named
+            others = (cell for place, cell in enumerate(cells) if place not in self._columns)
+            self.ignored = tuple(printable(cell) for cell in others if cell)
             return True
         for cell in cells:
             unit = _OTHER_UNIT.fullmatch(cell.lower())

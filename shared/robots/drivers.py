@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
-from nufleet.shared.errors import FleetFileError
+from nufleet.shared.errors import FleetFileError, InvalidInputError
 from nufleet.shared.robots.fleet_file import FleetFile, validated_settings
 from nufleet.shared.robots.installed import installed
 from nufleet.shared.strict import Strict
@@ -24,7 +25,8 @@ class RobotDriver(Protocol):
     robots share something smaller, such as a radio, also has a method `shares(settings)` that
     returns its name for one robot, or None: robots of equal names run in one process. A driver of
     real robots has a method `address(settings)` that returns where one is reached: two robots of a
-    fleet may not have equal addresses.
+    fleet may not have equal addresses. A driver that needs packages of an extra has a method
+    `require()`, which raises InvalidInputError without them; see `require_packages`.
     """
 
     @property
@@ -122,12 +124,32 @@ def load_driver(name: str) -> RobotDriver:
     try:
         driver: RobotDriver = found[name].load()
     except ImportError as error:
-        raise FleetFileError(f"driver {name!r} cannot be loaded: {error}") from error
+        raise FleetFileError(
+            f"driver {name!r} cannot be loaded: {error}; `nufleet doctor` lists what drivers need"
+        ) from error
     return driver
 
 
+def require_packages(who: str, extra: str, *packages: str) -> None:
+    """Check that the packages of an extra can be imported, without importing them.
+
+    Args:
+        who: The robots that need them, in the plural; the beginning of the message.
+        extra: Name of the extra of nufleet that installs them.
+        packages: Names under which they are imported.
+
+    Raises:
+        InvalidInputError: One of them is not installed; the message says how to install it.
+    """
+    missing = [package for package in packages if find_spec(package) is None]
+    if missing:
+        raise InvalidInputError(
+            f"{who} need {' and '.join(missing)}: pip install 'nufleet[{extra}]'"
+        )
+
+
 def check_settings(fleet: FleetFile, path: Path) -> None:
-    """Check the settings of every robot, before any robot is started.
+    """Check the settings of every robot and the packages it needs, before any robot is started.
 
     Args:
         fleet: Contents of the fleet file.
@@ -135,12 +157,16 @@ def check_settings(fleet: FleetFile, path: Path) -> None:
 
     Raises:
         FleetFileError: settings are wrong, or a driver cannot be loaded.
+        InvalidInputError: a package that a driver needs is not installed.
     """
     by_driver: dict[str, list[str]] = {}
     for name, entry in fleet.robots.items():
         by_driver.setdefault(entry.driver, []).append(name)
-    for driver, names in by_driver.items():
-        settings_of(fleet, path, names, load_driver(driver))
+    for name, names in by_driver.items():
+        driver = load_driver(name)
+        settings_of(fleet, path, names, driver)
+        require: Callable[[], None] = getattr(driver, "require", lambda: None)
+        require()
 
 
 def settings_of(

@@ -81,8 +81,8 @@ class Way(Strict):
     """Other experiences that are the prior of single axes; all other axes take the one above. Empty
     for the other inverses."""
     mixture: Annotated[tuple[Weighted, ...], Field(max_length=MIXTURE_MAX)] = ()
-    """Transferred experiences of a mixture, which takes the layout of the first. What their weights
-    leave to 1 is the weight of no experience. Empty for the other inverses."""
+    """Transferred experiences of a mixture. What their weights leave to 1 is the weight of no
+    experience. Empty for the other inverses."""
     guarded: bool = True
     """True if the flight falls back to the baseline once it does worse than the baseline would."""
     learn: bool = True

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from nufleet.robot_agent.robot import Robot
-from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.robots.drivers import require_packages
 from nufleet.shared.strict import Strict
 from nufleet.sims.arms.settings import ArmSettings
 
@@ -22,16 +22,17 @@ class ArmDriver:
     environment: Mapping[str, str] = {}
     """Environment variables that the process calling `build` needs from its start."""
 
+    def require(self) -> None:
+        """Check that MuJoCo and Gymnasium are installed."""
+        require_packages("simulated arms", "arms", "mujoco", "gymnasium")
+
     def build(
         self, settings: Mapping[str, ArmSettings], rng: np.random.Generator
     ) -> dict[str, Robot]:
         """Build the robots, disconnected, by name; raises InvalidInputError without MuJoCo."""
-        try:
-            from nufleet.sims.arms.robot import Arm
-        except ModuleNotFoundError as error:
-            raise InvalidInputError(
-                f"simulated arms need {error.name!r}: pip install 'nufleet[arms]'"
-            ) from error
+        self.require()
+        from nufleet.sims.arms.robot import Arm
+
         generators = rng.spawn(len(settings))
         return {
             name: Arm(name, entry, own)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import logging
 from dataclasses import dataclass
+from importlib.metadata import distribution
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ import numpy as np
 from mujoco.rollout import Rollout
 
 from nufleet.shared.arrays import FloatArray
-from nufleet.shared.errors import InvalidInputError
 from nufleet.sims.arms.settings import SAMPLE_TIME_S, SERVO_HZ, ArmSettings
 
 STEPS_PER_SAMPLE = round(SAMPLE_TIME_S * SERVO_HZ)
@@ -154,10 +153,8 @@ def servo_gains(settings: ArmSettings) -> tuple[FloatArray, FloatArray]:
 
 def _bare_arm(shipped: _ShippedModel, rotor_inertia_kg_m2: float) -> Any:
     """Return the shipped arm with its moving joints, and without scenery, motors or contacts."""
-    package = importlib.util.find_spec("gymnasium")
-    if package is None or package.origin is None:
-        raise InvalidInputError("simulated arms need 'gymnasium': pip install 'nufleet[arms]'")
-    assets = Path(package.origin).parent / "envs" / "mujoco" / "assets"
+    # Found without importing gymnasium, of which nothing else is needed.
+    assets = Path(str(distribution("gymnasium").locate_file("gymnasium/envs/mujoco/assets")))
     spec = mujoco.MjSpec.from_file(str(assets / shipped.file))
     for body in shipped.scenery:
         spec.delete(spec.body(body))

@@ -11,6 +11,7 @@ import numpy as np
 
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.robots.drivers import require_packages
 from nufleet.shared.strict import Strict
 from nufleet.sims.quadrotors.environment import environment
 from nufleet.sims.quadrotors.settings import QuadrotorSettings
@@ -39,6 +40,10 @@ class QuadrotorDriver:
 
         return Hangar()
 
+    def require(self) -> None:
+        """Check that crazyflow, and JAX with it, are installed."""
+        require_packages("simulated quadrotors", "quadrotors", "crazyflow", "jax")
+
     def build(
         self, settings: Mapping[str, QuadrotorSettings], rng: np.random.Generator
     ) -> dict[str, Robot]:
@@ -52,15 +57,11 @@ class QuadrotorDriver:
             InvalidInputError: crazyflow is missing, or SciPy was imported without its array
                 interface.
         """
-        try:
-            _require_scipy_array_interface()
-            from nufleet.sims.quadrotors.robot import Quadrotor
+        self.require()
+        _require_scipy_array_interface()
+        from nufleet.sims.quadrotors.robot import Quadrotor
 
-            hangar = self._hangar
-        except ModuleNotFoundError as error:
-            raise InvalidInputError(
-                f"simulated quadrotors need {error.name!r}: pip install 'nufleet[quadrotors]'"
-            ) from error
+        hangar = self._hangar
         generators = rng.spawn(len(settings))
         return {
             name: Quadrotor(name, entry, *hangar.plant(entry, own), own)

@@ -1,4 +1,4 @@
-"""The table of faults in the documentation names tests that there are."""
+"""The page on faults names tests that there are, and quotes messages that are printed."""
 
 from __future__ import annotations
 
@@ -9,11 +9,27 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
+ADVICE, FAULTS = (
+    (ROOT / "docs" / "faults.md")
+    .read_text(encoding="utf-8")
+    .split("## Failure modes, and the tests")
+)
+MESSAGES = re.findall(r"`([^`]+)`", "".join(re.findall(r"^\| (`.*?) \|", ADVICE, re.MULTILINE)))
 ROWS = [
     line
-    for line in (ROOT / "docs" / "faults.md").read_text(encoding="utf-8").splitlines()
+    for line in FAULTS.splitlines()
     if line.startswith("| ") and not line.startswith("| fault |")
 ]
+
+
+def test_the_messages_for_which_the_page_gives_advice_are_those_of_the_code() -> None:
+    packages = ("orchestrator", "robot_agent", "shared")
+    files = (path for package in packages for path in (ROOT / package).rglob("*.py"))
+    code = "".join(path.read_text(encoding="utf-8") for path in files)
+    # A message that takes several lines is quoted as it is printed.
+    code = re.sub(r"\"\s*\n\s*f?\"", "", code)
+    assert len(MESSAGES) > 15
+    assert [message for message in MESSAGES if message not in code] == []
 
 
 @pytest.mark.parametrize("row", ROWS, ids=[row.split("|")[1].strip() for row in ROWS])

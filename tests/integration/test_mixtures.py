@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -158,7 +159,9 @@ def test_a_robot_forgets_what_it_knows_of_itself(fleet: Fleet) -> None:
     assert refusal(lambda: pilot.along("target", Way(inverse="own"), PATH, "own")) == "no-own-model"
 
 
-def transferred(lab: Lab, runs_root: Path, source: str) -> TransferResult:
+def transferred(
+    lab: Lab, runs_root: Path, source: str, said: Console | None = None
+) -> TransferResult:
     command = TransferCommand(
         connect=lab.endpoint,
         fleet_name=None,
@@ -170,7 +173,7 @@ def transferred(lab: Lab, runs_root: Path, source: str) -> TransferResult:
         repository=None,
         as_json=False,
     )
-    return transfer(command, Console(quiet=True))
+    return transfer(command, said or Console(quiet=True))
 
 
 def tracked(lab: Lab, runs_root: Path, inverse: InverseChoice = "auto") -> TrackResult:
@@ -233,3 +236,17 @@ def test_named_sources_are_transferred_in_their_order_or_not_at_all(
     assert held(sources) == ["source-3", "source-1"]
     transferred(lab, tmp_path, "source-2")
     assert held(sources) == ["source-2"]
+
+
+def test_a_transfer_says_that_a_source_which_no_ranking_chose_is_mixed_with_none(
+    lab: Lab, tmp_path: Path
+) -> None:
+    for seed, name in enumerate(("target", "source-1")):
+        lab.agent(name, double_integrator(0.9, seed))
+    install(lab.orchestrator().fleet, "source-1", "experience", experience("source-1", "state"))
+    said = StringIO()
+    transferred(lab, tmp_path, "source-1", Console(file=said, width=200))
+    assert (
+        "no ranking chose source-1 for target, which mixes its experience with none"
+        in said.getvalue()
+    )

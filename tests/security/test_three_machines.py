@@ -1,7 +1,7 @@
-"""A closed fleet on three machines: base, two robots, and a stranger on the same network.
+"""Fleets on three machines: a closed one beside a stranger, and an open one of linked routers.
 
-The commands are those of `deploy/README.md`; the second robot, and in the end the router,
-are started by hand, as `docs/security.md` tells.
+The commands are those of `deploy/README.md`, where the second robot, and in the end the router,
+are started by hand, as `docs/security.md` tells, and of `docs/scale.md`.
 """
 
 from __future__ import annotations
@@ -11,13 +11,14 @@ import os
 import shlex
 import shutil
 import subprocess
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 from page_blocks import ROOT, Block, blocks
+from polling import wait_until
 
 from benchmarks.faults.namespaces import Namespace, star
 from benchmarks.faults.program import Program
@@ -133,6 +134,29 @@ class Machine:
         self._units[unit] = self.serve(command.replace("%S", "/var/lib"))
 
 
+Rack = Callable[[str, str], Machine]
+"""Function that returns the machine at a place of the network, its files in a folder of that
+name, and what a program says there once it serves."""
+
+
+@contextmanager
+def machines(folder: Path, *names: str) -> Iterator[Rack]:
+    """Cable machines to a first one, which all others reach at its first address, 10.213.0.1."""
+    with star(*names) as network, ExitStack() as programs:
+        for cable in network.cables.values():
+            cable.far.ip("route", "add", "default", "via", cable.address[:-1] + "1")
+
+        def machine(name: str, says: str) -> Machine:
+            place = network.cables[name].far if name in network.cables else network.hub
+
+            def start(program: Program) -> None:
+                programs.enter_context(program).wait_for(says)
+
+            return Machine(folder / name, place, start)
+
+        yield machine
+
+
 @pytest.fixture
 def back_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Return to the present working directory when the test is over."""
@@ -142,18 +166,7 @@ def back_here(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("back_here")
 def test_from_an_inventory_to_a_closed_fleet_on_three_machines(tmp_path: Path) -> None:
     closing, fleet_file, key, enrolment, serving, listing, forgetting = follow("deploy/README.md")
-    with star(*ROBOTS, "stranger") as network, ExitStack() as programs:
-        for cable in network.cables.values():  # all machines reach the base at one address
-            cable.far.ip("route", "add", "default", "via", cable.address[:-1] + "1")
-
-        def machine(name: str, says: str) -> Machine:
-            place = network.cables[name].far if name in network.cables else network.hub
-
-            def start(program: Program) -> None:
-                programs.enter_context(program).wait_for(says)
-
-            return Machine(tmp_path / name, place, start)
-
+    with machines(tmp_path, *ROBOTS, "stranger") as machine, ExitStack() as programs:
         base = machine("base", "router listening on")
         robots = "".join(ROBOT.format(*robot) for robot in ROBOTS.items())
         (base.here / "lab.toml").write_text(INVENTORY + robots)
@@ -203,3 +216,28 @@ def test_from_an_inventory_to_a_closed_fleet_on_three_machines(tmp_path: Path) -
 
         base.type("systemctl stop nufleet-router")
         base.serve("nufleet router --config lab.authority/router/router.json5")
+
+
+ROUTERS = (
+    "hall$ nufleet router --listen tcp/10.213.0.1:7447 --open",
+    "dock-a$ nufleet router --listen tcp/10.213.0.2:7447 --connect tcp/10.213.0.1:7447 --open",
+    "dock-b$ nufleet router --listen tcp/10.213.1.2:7447 --connect tcp/10.213.0.1:7447 --open",
+)
+
+
+@pytest.mark.usefixtures("back_here")
+def test_a_robot_at_one_router_is_seen_from_another_that_a_third_one_links(tmp_path: Path) -> None:
+    with machines(tmp_path, "dock-a", "dock-b") as machine:
+        places = {}
+        for where, command in (typed.split("$ ") for typed in ROUTERS):
+            places[where] = machine(where, "router listening on")
+            places[where].serve(command)
+        robot = '[robots.drone-7]\ndriver = "double_integrator"\n'
+        (places["dock-a"].here / "lab.toml").write_text(
+            f'schema = 1\nname = "lab"\n{robot}settings = {{ alpha = 1.0, beta = 0.003 }}\n'
+        )
+        agent = "nufleet agent lab.toml --connect tcp/10.213.0.2:7447 --open --until-stdin-closes"
+        with places["dock-a"].program(agent) as serving:
+            serving.wait_for("of fleet lab at")
+            status = "nufleet fleet status --connect tcp/10.213.1.2:7447 --open"
+            wait_until(lambda: "drone-7" in places["dock-b"].type(status))

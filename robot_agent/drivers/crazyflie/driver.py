@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from importlib.util import find_spec
 
 import numpy as np
 
@@ -11,7 +10,7 @@ from nufleet.robot_agent.drivers.crazyflie.address import dongle_of, identity_of
 from nufleet.robot_agent.drivers.crazyflie.motion_capture import MotionCapture, Sighting
 from nufleet.robot_agent.drivers.crazyflie.robot import Crazyflie
 from nufleet.robot_agent.drivers.crazyflie.settings import CrazyflieSettings
-from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.robots.drivers import require_packages
 
 
 class CrazyflieDriver:
@@ -32,6 +31,10 @@ class CrazyflieDriver:
         """Return the address at which only one robot of a fleet may be."""
         return identity_of(settings.uri)
 
+    def require(self) -> None:
+        """Check that cflib is installed."""
+        require_packages("Crazyflies", "crazyflie", "cflib")
+
     def build(
         self, settings: Mapping[str, CrazyflieSettings], rng: np.random.Generator
     ) -> dict[str, Crazyflie]:
@@ -41,8 +44,7 @@ class CrazyflieDriver:
             InvalidInputError: cflib is not installed.
         """
         del rng  # a real drone has noise of its own
-        if find_spec("cflib") is None:
-            raise InvalidInputError("Crazyflies need cflib: pip install 'nufleet[crazyflie]'")
+        self.require()
         systems: dict[tuple[str, str], MotionCapture] = {}
         built: dict[str, Crazyflie] = {}
         for name, own in settings.items():

@@ -68,6 +68,13 @@ def test_it_says_in_words_what_was_imported_and_how_to_track_it() -> None:
     assert np.ptp(read_drawing(Path("tall.csv")), axis=0) == pytest.approx([0.05, 1.0], abs=1e-3)
 
 
+def test_columns_that_are_not_imported_are_named() -> None:
+    Path("logged.csv").write_text("time,x,y,z\n0,0,0,1\n1,1,1,1\n2,2,0,1\n")
+    result = run(import_drawing, "logged.csv", "--out", "drawing.csv")
+    assert result.exit_code == 0
+    assert "not imported: time, z. A drawing is a curve in x and y" in result.stderr
+
+
 def test_a_file_that_is_there_is_not_replaced_unless_one_says_so() -> None:
     Path("heart.csv").write_text("mine")
     refused = run(import_drawing, "heart.svg")

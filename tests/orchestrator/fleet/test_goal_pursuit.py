@@ -184,6 +184,19 @@ def test_a_cause_that_passes_leaves_the_next_one_its_time_but_not_for_ever() -> 
     assert asked_s >= REFUSALS_PATIENCE_S
 
 
+def test_a_robot_that_was_frozen_once_more_has_its_time_again_to_hear_of_its_owner() -> None:
+    goal = PursuedGoal()
+    goal.happens(refused(SEND, "frozen"))
+    goal.passes(0.1)
+    goal.happens(lost(SEND))
+    goal.beats(REFUSAL_PATIENCE_S, state(None))
+    goal.happens(refused(SEND, "frozen"))
+    assert goal.ended is None
+    goal.passes(0.1)
+    assert goal.happens(accepted()) == []
+    assert goal.pursuit.accepted is not None
+
+
 def test_any_other_refusal_is_final_and_the_goal_cancelled_since_a_copy_may_still_arrive() -> None:
     goal = PursuedGoal()
     assert goal.happens(refused(SEND, "stopped")) == [CANCEL]

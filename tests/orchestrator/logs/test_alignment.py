@@ -49,6 +49,12 @@ def test_the_reference_is_held_and_the_output_is_interpolated() -> None:
     assert len(at_s) >= len(stretch.output)
 
 
+def test_times_in_another_unit_are_suspected_where_a_log_is_too_short_for_the_robot() -> None:
+    at_s = times() / 1000
+    with pytest.raises(LogError, match=r"have 0\.00998 s in common.*--time COLUMN:UNIT"):
+        align(signal("u", at_s, moving(at_s)), signal("y", at_s, moving(at_s)), STEP_S)
+
+
 def test_a_gap_cuts_the_record_in_two_and_is_counted() -> None:
     at_s = times()
     there = (at_s < 4.0) | (at_s > 4.5)

@@ -6,10 +6,11 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from click.testing import CliRunner, Result
 from log_files import (
     Flown,
     flown,
@@ -22,6 +23,7 @@ from log_files import (
 )
 
 from nufleet.orchestrator.cli.import_flight import import_flight
+from nufleet.orchestrator.fleet.reach import FleetChoice
 from nufleet.orchestrator.flights.pilot import PathFlight
 from nufleet.orchestrator.jobs.import_flight import ImportCommand, import_log
 from nufleet.orchestrator.logs.keeping import keep_flight_responses
@@ -29,7 +31,7 @@ from nufleet.orchestrator.logs.signals import LogError
 from nufleet.orchestrator.repository.address import default_url
 from nufleet.orchestrator.repository.records import Origin, ResponseRecord, RobotRecord
 from nufleet.orchestrator.repository.repository import Repository, open_repository
-from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.errors import InvalidInputError, NoRouterError
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 from nufleet.shared.wire.messages import Description
 from nufleet.shared.wire.motions import TrackingDetails
@@ -180,6 +182,31 @@ def test_an_axis_that_the_robot_lacks_and_trims_the_wrong_way_round_are_refused(
         import_log(replace(COMMAND, begin_s=5.0, end_s=3.0), repository, "lab", ROBOT)
 
 
+def test_without_a_router_a_robot_is_that_of_the_only_fleet_in_the_repository_which_has_it(
+    tmp_path: Path, flight: Flown, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = tmp_path / "a.csv"
+    write_table(log, flight)
+    options = ["--robot", "drone", "--runs", str(tmp_path), "--json"]
+
+    def unanswered(*_: object) -> NoReturn:
+        raise NoRouterError("no router answers")
+
+    monkeypatch.setattr(FleetChoice, "connection", unanswered)
+
+    def imported(*fleets: str) -> Result:
+        with open_repository(default_url(tmp_path)) as repository:
+            for fleet in fleets:
+                repository.robots.describe(RobotRecord(fleet, "drone", SPEC, "boot-1"))
+        return CliRunner().invoke(import_flight, [str(log), *options])
+
+    assert isinstance(imported().exception, NoRouterError)
+    found = imported("lab")
+    assert found.exit_code == 0, found.output
+    assert json.loads(found.stdout)["fleet"] == "lab"
+    assert "fleets lab, yard, and none of them runs: name one" in str(imported("yard").exception)
+
+
 def test_the_command_imports_for_a_robot_of_the_repository(tmp_path: Path, flight: Flown) -> None:
     log = tmp_path / "a.csv"
     write_table(log, flight)
@@ -195,6 +222,7 @@ def test_the_command_imports_for_a_robot_of_the_repository(tmp_path: Path, fligh
     assert listed.stdout.split() == ["time_s", "reference_x", "output_x"]
     in_words = CliRunner().invoke(import_flight, [str(log), *options[:-1]], catch_exceptions=False)
     assert "this flight is stored already" in in_words.stdout
+    assert " ms ± 0 ms, 0 gaps" in in_words.stdout
     unnamed = CliRunner().invoke(import_flight, [str(log)])
     assert unnamed.exit_code == 2
     assert "--robot" in unnamed.stderr

@@ -354,4 +354,4 @@ def test_a_model_too_vague_for_a_path_is_refused_with_what_is_expected() -> None
     known.learn(evidence_in(SPEC, moved, moved + noise))
     code, reason = refused(own_flight(), known=known)
     assert code == "vague-own-model"
-    assert re.search(r"an error of .* m RMS is expected, .* to .* m, and its baseline", reason)
+    assert re.search(r"an error of .* mm RMS is expected, .* mm to .* mm, and its", reason)

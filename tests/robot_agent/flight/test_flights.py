@@ -191,6 +191,18 @@ def test_a_mixture_flies_under_guard_and_keeps_its_weights_over_time() -> None:
     np.testing.assert_array_equal(found.weights, seen)
 
 
+def test_a_mixture_in_which_a_slow_source_has_no_say_flies_as_none_does() -> None:
+    """What none says is meant for the horizon at which none flies, not for a slow source's."""
+    memory = Memory(None)
+    slow = experience("slow", layout=layout("state", horizon_samples=47), axes=("x",))
+    motion = mixture_of(memory, slow, weight=1e-12)
+    changed = {"desired": PATH[:, :1], "guarded": False, "learn": False}
+    mixed = flown(double_integrator(), motion.model_copy(update=changed), memory)
+    none = Tracking(desired=PATH, inverse="zero-prior", layout=layout("state", horizon_samples=27))
+    alone = flown(double_integrator(), none.model_copy(update=changed))
+    np.testing.assert_allclose(mixed.samples.response, alone.samples.response, atol=1e-6)
+
+
 def test_a_mixture_that_is_gone_is_an_error_of_the_robot() -> None:
     motion = mixture_of(Memory(None), experience())
     with pytest.raises(RobotError, match="no longer has a prior of the mixture"):

@@ -343,7 +343,7 @@ def test_an_error_that_is_hardly_too_large_shows_by_how_much() -> None:
     errors[300:, 0] = 1.00001 * worst
     _, guard = judged(errors)
     assert guard.event is not None
-    shown = re.search(r"error was (\S+) m RMS .* worst allows, (\S+) m$", guard.event.reason)
+    shown = re.search(r"error was (\S+) mm RMS .* worst allows, (\S+) mm$", guard.event.reason)
     assert shown is not None
     assert float(shown[1]) > float(shown[2])
 
@@ -356,4 +356,4 @@ def test_a_reason_says_when_and_how_much_in_the_units_of_the_robot(unit: str) ->
     assert guard.event is not None
     after_s = (guard.event.sample + 1) * STEP_S
     assert f"after {after_s:.2f} s" in guard.event.reason
-    assert f" {unit} RMS instead of" in guard.event.reason
+    assert f" m{unit} RMS instead of" in guard.event.reason

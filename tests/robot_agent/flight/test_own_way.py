@@ -14,6 +14,7 @@ from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.experience.file import digest
 from nufleet.shared.paths.trajectories import travel
+from nufleet.shared.text import in_thousandths
 from nufleet.shared.wire.motions import RichFlight, Tracking, TrackingDetails
 
 PATH = travel(np.tile([[0.0, 0.0], [0.5, 0.5], [-0.4, 0.2], [0.3, -0.5]], (4, 1)), 0.5, 1.0, 0.02)
@@ -79,6 +80,7 @@ def test_a_linear_robot_flies_references_that_are_known_ahead() -> None:
     assert details.way is not None
     assert details.way.startswith("it flew with references known ahead: ")
     assert details.predicted is not None
+    assert f": {in_thousandths(details.predicted.rms, 'm')} RMS were expected" in details.way
     assert error == pytest.approx(details.predicted.rms, rel=0.1)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.paths.files import read_drawing, write_drawing
-from nufleet.shared.paths.foreign_files import import_points
+from nufleet.shared.paths.foreign_files import import_drawing
 from nufleet.shared.paths.trajectories import POINTS_MAX
 
 
@@ -44,7 +44,19 @@ def written(folder: Path, text: str, name: str = "a.csv") -> Path:
     ],
 )
 def test_tables_are_understood_however_they_are_written(tmp_path: Path, text: str) -> None:
-    np.testing.assert_array_equal(import_points(written(tmp_path, text)), [[0, 1], [2, 3]])
+    np.testing.assert_array_equal(import_drawing(written(tmp_path, text)).points, [[0, 1], [2, 3]])
+
+
+@pytest.mark.parametrize(
+    ("heading", "ignored"),
+    [("x,y", ()), ("t [s],x,Y,Druck", ("t [s]", "Druck")), ('"z","x",,"y"', ("z",))],
+)
+def test_headings_of_other_columns_are_told(
+    tmp_path: Path, heading: str, ignored: tuple[str, ...]
+) -> None:
+    numbers = "\n".join(",".join(str(k * row) for k in range(4)) for row in (1, 2))
+    numbers = numbers if ignored else "0,1\n2,3"
+    assert import_drawing(written(tmp_path, f"{heading}\n{numbers}")).ignored == ignored
 
 
 @pytest.mark.parametrize(
@@ -66,7 +78,7 @@ def test_a_comma_is_a_decimal_comma_where_it_separates_nothing(
 ) -> None:
     path = tmp_path / "a.csv"
     path.write_bytes(text.encode(encoding))
-    np.testing.assert_array_equal(import_points(path), [[1.5, -2.5], [1.6, 0.3]])
+    np.testing.assert_array_equal(import_drawing(path).points, [[1.5, -2.5], [1.6, 0.3]])
 
 
 @pytest.mark.parametrize(
@@ -89,20 +101,20 @@ def test_a_comma_is_a_decimal_comma_where_it_separates_nothing(
 )
 def test_what_is_no_drawing_is_refused_with_the_line(tmp_path: Path, text: str, words: str) -> None:
     with pytest.raises(InvalidInputError, match=words):
-        import_points(written(tmp_path, text))
+        import_drawing(written(tmp_path, text))
 
 
 def test_an_svg_is_read_as_ever(tmp_path: Path) -> None:
     path = written(tmp_path, '<svg><path d="M0 0 L10 0 L10 5"/></svg>', "a.svg")
-    np.testing.assert_array_equal(import_points(path), read_drawing(path))
+    np.testing.assert_array_equal(import_drawing(path).points, read_drawing(path))
 
 
 def test_a_file_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidInputError, match="cannot be read"):
-        import_points(tmp_path / "missing.csv")
+        import_drawing(tmp_path / "missing.csv")
     (tmp_path / "a.png").write_bytes(b"\x89PNG\xff\xfe")
     with pytest.raises(InvalidInputError, match="expected a table of x and y, or an SVG"):
-        import_points(tmp_path / "a.png")
+        import_drawing(tmp_path / "a.png")
 
 
 def test_what_is_written_is_read_back_to_a_tenth_of_a_millimetre(tmp_path: Path) -> None:

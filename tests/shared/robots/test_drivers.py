@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from nufleet.shared.errors import FleetFileError
+from nufleet.shared.errors import FleetFileError, InvalidInputError
 from nufleet.shared.robots import drivers
 from nufleet.shared.robots.drivers import (
     ENTRY_POINT_GROUP,
@@ -17,6 +17,7 @@ from nufleet.shared.robots.drivers import (
 )
 from nufleet.shared.robots.fleet_file import FleetFile, read_fleet_file
 from nufleet.sims.drivers import DOUBLE_INTEGRATOR
+from nufleet.sims.fleets import ARMS, PAPER_QUADROTORS
 
 
 def installed(monkeypatch: pytest.MonkeyPatch, **values: str) -> None:
@@ -58,6 +59,17 @@ def test_settings_are_checked_before_anything_starts(tmp_path: Path) -> None:
     check_settings(*fleet(tmp_path, "{ alpha = 0.85, beta = 0.003 }"))
     with pytest.raises(FleetFileError, match=r"robots\.a\.settings: alhpa: unknown"):
         check_settings(*fleet(tmp_path, "{ alpha = 0.85, beta = 0.003, alhpa = 1.0 }"))
+
+
+@pytest.mark.parametrize("fleet_file", [ARMS, PAPER_QUADROTORS])
+def test_packages_that_are_missing_are_named_before_anything_starts(
+    monkeypatch: pytest.MonkeyPatch, fleet_file: Path
+) -> None:
+    file = read_fleet_file(fleet_file)
+    check_settings(file, fleet_file)
+    monkeypatch.setattr(drivers, "find_spec", lambda package: None)
+    with pytest.raises(InvalidInputError, match=r"need \w+ and \w+: pip install 'nufleet\["):
+        check_settings(file, fleet_file)
 
 
 def test_a_robot_without_wishes_needs_no_environment(tmp_path: Path) -> None:

@@ -119,6 +119,6 @@ def test_two_drones_with_one_address_are_refused_whichever_of_them_is_asked_for(
 
 
 def test_without_cflib_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nufleet.robot_agent.drivers.crazyflie.driver.find_spec", lambda _: None)
+    monkeypatch.setattr("nufleet.shared.robots.drivers.find_spec", lambda _: None)
     with pytest.raises(InvalidInputError, match=r"pip install 'nufleet\[crazyflie\]'"):
         DRIVER.build({}, np.random.default_rng(0))
