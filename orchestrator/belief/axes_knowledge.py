@@ -209,7 +209,12 @@ class AxesKnowledge:
             np.concatenate([one.z for one in tones]),
             np.concatenate([one.variance for one in tones]),
         )
-        model = CrossModel(measured, self._omega_max_rad_s)
+        answering, moving = self.axes[output].model, self.axes[reference].model
+        model = CrossModel(
+            measured,
+            self._omega_max_rad_s,
+            lambda omega: answering.likeliest_fit(omega) * moving.likeliest_fit(omega),
+        )
         (unit,) = unit_ratios(self.spec, output, [reference])
         omega = np.unique(measured.omega_rad_s)
         share = unit * np.abs(model.mean(omega))

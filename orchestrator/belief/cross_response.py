@@ -1,13 +1,18 @@
 """The belief about how one axis of a robot answers to the reference of another.
 
-A cross response has no shape that is typical of robots: it is small, causal and smooth, vanishes
-where the axes are not coupled, and rings no longer than the axes do. It is therefore a sum of
-delayed pulses, normal with deviations that decay with the delay; their size and their memory are
-weighed by the evidence, as for the residual in `nufleet.orchestrator.belief.response_belief`.
+Forces between axes add C(ω) to what holds each axis by itself, Z = (D + C)⁻¹ K with diagonal D and
+K, so that to first order z_ij = −z_ii z_jj C_ij / K_i: axis j moves, what couples the axes turns
+its motion into a force, and axis i answers to that. A cross response thus resonates where its two
+axes do, which both of their tests show, and not only the few tones of one. It is therefore the
+product z_ii z_jj times what couples the axes, a stiffness, damping and inertia, and times a sum of
+delayed pulses for all that the first order leaves out. The alternative is such a sum by itself, for
+axes that are coupled in another way. Sizes, memories and the choice between both are weighed by the
+evidence, as for the residual in `nufleet.orchestrator.belief.response_belief`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import product
 
 import numpy as np
@@ -19,41 +24,58 @@ from nufleet.shared.arrays import ComplexArray, FloatArray
 
 SIZES = (1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)
 MEMORIES = (2.0, 4.0, 8.0, 16.0)
-"""Prior standard deviations of the response, and its memories in units of 1/ω_max."""
+"""Prior standard deviations of a response without shape, and its memories in units of 1/ω_max."""
+
+SHARES = (0.03, 0.1, 0.3, 1.0)
+SHARE_MEMORIES = (4.0, 16.0, 40.0)
+"""Prior standard deviations of what the first order leaves out, as shares of what it says, and
+their memories in units of 1/ω_max."""
+
+WITHOUT_SHAPE = 0.3
+"""Prior weight of each size of a response without shape, relative to each with the shape of its
+axes."""
+
+NEGLIGIBLE = 1e-4
+"""Posterior probability below which a prior is left out."""
+
+FORCES = 3
+"""Number of ways in which axes pull at each other: by stiffness, damping and inertia."""
+
+Response = Callable[[FloatArray], ComplexArray]
+"""A response at frequencies in rad/s, shape (frequencies,)."""
 
 
 class CrossModel:
     """The belief about one cross response after the tests of its two axes."""
 
-    def __init__(self, tones: Tones, omega_max_rad_s: float) -> None:
+    def __init__(self, tones: Tones, omega_max_rad_s: float, own: Response) -> None:
         """Weigh all sizes and memories.
 
         Args:
             tones: All measurements of the response, at least one.
             omega_max_rad_s: Upper end of the band.
+            own: Product z_ii z_jj of the two axes' responses to their own references.
         """
-        self._omega_max_rad_s = omega_max_rad_s
-        columns = tones.whiten(tap_columns(omega_max_rad_s, tones.omega_rad_s).T).T
-        measured = tones.whiten(tones.z)
-        self._parts: list[tuple[FloatArray, FloatArray, FloatArray]] = []
-        evidence = []
-        for size, memory in product(SIZES, MEMORIES):
-            std = tap_std(size, memory / omega_max_rad_s, omega_max_rad_s)
-            weighted = columns * std
-            factor = np.linalg.cholesky(np.eye(TAPS) + weighted.T @ weighted)
-            half: FloatArray = solve_triangular(factor, weighted.T @ measured, lower=True)
-            # ln p(r) = ½ ‖L⁻¹Φᵀr‖² − Σ ln L_ii + const, with I + ΦᵀΦ = LLᵀ.
-            evidence.append(0.5 * half @ half - np.sum(np.log(np.diag(factor))))
-            self._parts.append((std, np.asarray(factor, dtype=np.float64), half))
-        weights = np.exp(np.array(evidence) - max(evidence))
-        self._weights = weights / weights.sum()
+        self._omega_max_rad_s, self._own = omega_max_rad_s, own
+        std, log_prior = _priors(omega_max_rad_s)
+        columns = tones.whiten(self._columns(tones.omega_rad_s).T).T * std[:, None, :]
+        transposed = columns.swapaxes(1, 2)
+        factors = np.linalg.cholesky(np.eye(std.shape[1]) + transposed @ columns)
+        toward = transposed @ tones.whiten(tones.z)
+        halves: FloatArray = np.linalg.solve(factors, toward[..., None])[..., 0]
+        # ln p(r) = ½ ‖L⁻¹Φᵀr‖² − Σ ln L_ii + const, with I + ΦᵀΦ = LLᵀ.
+        determinant = np.sum(np.log(np.diagonal(factors, axis1=1, axis2=2)), axis=1)
+        evidence = log_prior + 0.5 * np.sum(halves**2, axis=1) - determinant
+        weights = np.exp(evidence - evidence.max())
+        left = weights > NEGLIGIBLE * weights.sum()
+        self._weights = weights[left] / weights[left].sum()
+        self._std, self._factors, self._halves = std[left], factors[left], halves[left]
 
     def mean(self, omega_rad_s: FloatArray) -> ComplexArray:
         """Return the mean of the response at frequencies in rad/s, shape (frequencies,)."""
-        taps = np.zeros(TAPS)
-        for share, (std, factor, half) in zip(self._weights, self._parts, strict=True):
-            taps += share * std * solve_triangular(factor, half, lower=True, trans="T")
-        return np.asarray(tap_columns(self._omega_max_rad_s, omega_rad_s) @ taps)
+        backward = self._factors.swapaxes(1, 2)
+        each = self._std * np.linalg.solve(backward, self._halves[..., None])[..., 0]
+        return np.asarray(self._columns(omega_rad_s) @ (self._weights @ each))
 
     def draw(self, omega_rad_s: FloatArray, count: int, rng: np.random.Generator) -> ComplexArray:
         """Draw samples of the response.
@@ -66,13 +88,42 @@ class CrossModel:
         Returns:
             Samples of z_ij, in random order, shape (count, frequencies).
         """
-        taps = tap_columns(self._omega_max_rad_s, omega_rad_s)
-        counts = rng.multinomial(count, self._weights)
+        columns = self._columns(omega_rad_s)
         samples = []
-        for (std, factor, half), own in zip(self._parts, counts.tolist(), strict=True):
+        for part, own in enumerate(rng.multinomial(count, self._weights).tolist()):
             if own:
                 # w = L⁻ᵀ (L⁻¹Φᵀr + ε) with ε standard normal.
-                noise = rng.standard_normal((TAPS, own))
+                factor, half, std = self._factors[part], self._halves[part], self._std[part]
+                noise = rng.standard_normal((len(half), own))
                 weights = solve_triangular(factor, half[:, None] + noise, lower=True, trans="T")
-                samples.append((taps @ (std[:, None] * weights)).T)
+                samples.append((columns @ (std[:, None] * weights)).T)
         return np.concatenate(samples)[rng.permutation(count)]
+
+    def _columns(self, omega_rad_s: FloatArray) -> ComplexArray:
+        """Return what the weights multiply, shape (frequencies, weights)."""
+        jx = 1j * omega_rad_s[:, None] / self._omega_max_rad_s
+        own = self._own(omega_rad_s)[:, None]
+        pulses = tap_columns(self._omega_max_rad_s, omega_rad_s)
+        return np.concatenate([own * jx ** np.arange(FORCES), own * pulses, pulses], axis=1)
+
+
+def _priors(omega_max_rad_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return the standard deviations of all weights, and the logarithm of each prior's weight.
+
+    The shapes are (priors, weights) and (priors,).
+    """
+
+    def pulses(size: float, memory: float) -> FloatArray:
+        return tap_std(size, memory / omega_max_rad_s, omega_max_rad_s)
+
+    nothing = np.zeros(TAPS)
+    shaped = [
+        np.concatenate([np.full(FORCES, size), pulses(share * size, memory), nothing])
+        for size, share, memory in product(SIZES, SHARES, SHARE_MEMORIES)
+    ]
+    shapeless = [
+        np.concatenate([np.zeros(FORCES), nothing, pulses(size, memory)])
+        for size, memory in product(SIZES, MEMORIES)
+    ]
+    log_prior = np.repeat([0.0, np.log(WITHOUT_SHAPE)], [len(shaped), len(shapeless)])
+    return np.array([*shaped, *shapeless]), log_prior

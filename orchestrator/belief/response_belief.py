@@ -23,6 +23,7 @@ from nufleet.orchestrator.belief.loop_features import (
     LOOP_PARAMETERS,
     ResponsePrior,
     mode_columns,
+    response,
     response_and_slope,
     tap_columns,
     tap_std,
@@ -167,6 +168,15 @@ class ResponseModel:
                 parts.append(self._draw_component(component, modes, omega_rad_s, rng))
         samples = np.concatenate(parts)
         return samples[rng.permutation(count)]
+
+    def likeliest_fit(self, omega_rad_s: FloatArray) -> ComplexArray:
+        """Return the most probable loop with its modes, without the residual.
+
+        Args:
+            omega_rad_s: Frequencies in rad/s, shape (frequencies,).
+        """
+        best = self._components[int(np.argmax(self._weights)) // (1 + len(self._grid_omega))]
+        return response(best.expansion.theta, omega_rad_s)
 
     def distance(self, later: ResponseModel) -> float:
         """Return how far new measurements lie from what was expected of them, squared.

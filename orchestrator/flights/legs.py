@@ -68,6 +68,13 @@ class Leg:
 def tracking_limits(spec: RobotSpec, robot: str) -> TrackingLimits:
     """Return a robot's tracking limits; raises InvalidInputError when it does not track."""
     if spec.tracking is None:
+        units = sorted({axis.unit for axis in spec.axes})
+        if len(units) > 1:
+            raise InvalidInputError(
+                f"robot {robot} flies no paths, since its axes are in {' and '.join(units)} and a "
+                "path has one unit: `nufleet rank` compares all of its axes, and what flies or "
+                "learns needs a robot whose axes have one unit"
+            )
         raise InvalidInputError(
             f"robot {robot} has no tracking limits in its spec and cannot track; choose another "
             "robot, or add `tracking` to the spec of its driver"

@@ -315,6 +315,10 @@ def _plan(
         axes=(ALL_AXES,),
     )
     ready = prepare(fleet, request, there)
+    # A target that flies no paths is refused for that, and not for the experiences of its sources.
+    legs = legs_of(
+        drawings, command.chosen_speeds, ready.descriptions[target], scale=command.scale
+    )
     for source in ready.plan.sources:
         check_would_fit(
             ready.descriptions[source], ready.descriptions[target], command.architecture
@@ -322,9 +326,7 @@ def _plan(
     check_own_flights(command.chosen_own_flight_s, ready.descriptions[target].spec, target)
     return EvaluationPlan(
         ready=ready,
-        legs=legs_of(
-            drawings, command.chosen_speeds, ready.descriptions[target], scale=command.scale
-        ),
+        legs=legs,
         architecture=command.architecture,
         seeds=command.seeds,
         seed=command.seed,

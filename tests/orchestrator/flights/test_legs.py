@@ -107,6 +107,15 @@ def test_a_robot_without_tracking_limits_is_named() -> None:
             ask()
 
 
+def test_a_robot_whose_axes_have_several_units_is_told_that_it_flies_no_paths() -> None:
+    x, y = PLANE.axes
+    axes = (x, y.model_copy(update={"name": "yaw", "unit": "rad"}))
+    spec = PLANE.model_copy(update={"axes": axes, "tracking": None})
+    words = "robot drone-7 flies no paths, since its axes are in m and rad .* `nufleet rank`"
+    with pytest.raises(InvalidInputError, match=words):
+        tracking_limits(spec, "drone-7")
+
+
 @pytest.mark.parametrize("spec", [PLANE, LINE, with_axes("x", "y", "z")])
 def test_the_practice_path_uses_most_of_the_workspace_on_every_axis(spec: RobotSpec) -> None:
     limits = spec.tracking
