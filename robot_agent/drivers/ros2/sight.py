@@ -12,10 +12,10 @@ from nufleet.shared.errors import RobotError
 class Sight:
     """Judges the measurements of one robot while it is connected.
 
-    Motion capture that has lost a body, and an estimator that has stopped, may go on publishing
-    the last pose with new time stamps. A robot that is commanded velocities would be led by it
-    without end. Such a measurement is refused once the robot would have gone as far as it may go
-    without any.
+    Motion capture that has lost a body, and an estimator that has stopped, may publish the last
+    pose again and again with new time stamps. A robot that is commanded velocities would be led by
+    it without end. Such a measurement is refused once the robot would have gone as far as it may
+    go without any.
     """
 
     def __init__(self, name: str, settings: Ros2Settings) -> None:
