@@ -18,11 +18,15 @@ from nufleet.robot_agent.agent import Agent
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.errors import NoReplyError, RefusedError, RobotLostError
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.paths.files import read_drawing
+from nufleet.shared.paths.trajectories import travel
 from nufleet.shared.robots.fleet_file import RobotPolicy
 from nufleet.shared.wire.keys import FleetKeys
-from nufleet.shared.wire.messages import GoalAccepted, GoalRequest, GoalResult, RobotState
+from nufleet.shared.wire.messages import GoalAccepted, GoalRequest, GoalResult, Outcome, RobotState
+from nufleet.shared.wire.motions import Tracking
 from nufleet.shared.wire.session import Session
 from nufleet.shared.wire.transport import open_client
+from nufleet.sims import drawings
 from nufleet.sims.double_integrator import DoubleIntegrator, DoubleIntegratorSettings
 
 KEYS = FleetKeys("lab")
@@ -77,6 +81,21 @@ class Orchestrator:
         """Wait for the end of a goal and return its result."""
         self.state(robot, lambda state: state.last_goal_id == goal_id)
         return self.fleet.result(robot, goal_id)
+
+    def draw(self, robot: str, share: float) -> float:
+        """Have a robot draw a pear with its baseline controller; return the RMS error in m.
+
+        `share` is the size as a share of the drawing's own.
+        """
+        path = travel(
+            share * read_drawing(drawings.PEAR), speed=0.7, acceleration_max=1.5, sample_time_s=0.02
+        )
+        motion = Tracking(desired=path, inverse="baseline")
+        owner = self.fleet.orchestrator_id
+        self.fleet.submit(robot, GoalRequest(goal_id="drawing", owner=owner, motion=motion))
+        drawn = self.result(robot, "drawing")
+        assert (drawn.outcome, drawn.reason) == (Outcome.COMPLETED, "")
+        return float(np.sqrt(np.mean((drawn.response - path) ** 2)))
 
     def run(self, robot: str, goal_id: str, **excitation: object) -> GoalResult:
         self.submit(robot, goal_id, **excitation)

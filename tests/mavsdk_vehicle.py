@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import threading
 import time
-from types import TracebackType
 from typing import Any
 
 from mavsdk.component_type import ComponentType
@@ -26,7 +25,7 @@ BOOTED_S = 1000.0
 
 
 class MavsdkVehicle:
-    """Sends to a port as system 1, from `with` to its end."""
+    """Sends to a port as system 1, until it is closed."""
 
     def __init__(self, port: int) -> None:
         configuration = Configuration.create_with_component_type(ComponentType.AUTOPILOT)
@@ -50,17 +49,9 @@ class MavsdkVehicle:
         assert self._mavsdk.add_any_connection(f"udpout://127.0.0.1:{port}") == 0
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._tell, daemon=True)
-
-    def __enter__(self) -> MavsdkVehicle:
         self._thread.start()
-        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
         self._ended.set()
         self._thread.join()
         self._mavsdk.destroy()

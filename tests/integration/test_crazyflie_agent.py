@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 from crazyflie_bench import LOOP, bench
 from fleet_lab import Lab, refusal
@@ -10,11 +9,7 @@ from polling import wait_until
 
 from nufleet.orchestrator.conduct.attempts import estimated
 from nufleet.shared.frequency_test.excitation import Tone
-from nufleet.shared.paths.files import read_drawing
-from nufleet.shared.paths.trajectories import travel
-from nufleet.shared.wire.messages import GoalRequest, Outcome
-from nufleet.shared.wire.motions import Tracking
-from nufleet.sims import drawings
+from nufleet.shared.wire.messages import Outcome
 
 pytest.importorskip("cflib")
 OMEGA_RAD_S = 12.0
@@ -33,17 +28,7 @@ def test_a_test_and_a_drawing_are_flown_and_a_refusal_moves_nothing(lab: Lab) ->
     assert abs(response.z[0] - truth) < 0.05 + response.radius(1e-4)[0]
     assert tested.timing is not None
 
-    small = 0.2 * read_drawing(drawings.PEAR)
-    path = travel(small, speed=0.7, acceleration_max=1.5, sample_time_s=0.02)
-    request = GoalRequest(
-        goal_id="drawing",
-        owner=orchestrator.fleet.orchestrator_id,
-        motion=Tracking(desired=path, inverse="baseline"),
-    )
-    orchestrator.fleet.submit("cf", request)
-    flown = orchestrator.result("cf", "drawing")
-    assert (flown.outcome, flown.reason) == (Outcome.COMPLETED, "")
-    assert np.sqrt(np.mean((flown.response - path) ** 2)) < 0.1
+    assert orchestrator.draw("cf", 0.2) < 0.1
 
     field.drone.ailments.battery_v = 3.1
     orchestrator.state("cf", lambda state: "battery is empty" in state.reason)

@@ -9,11 +9,7 @@ from mavlink_air import ROUGH, Air, Unpaced, air
 import nufleet
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.excitation import Tone
-from nufleet.shared.paths.files import read_drawing
-from nufleet.shared.paths.trajectories import travel
-from nufleet.shared.wire.messages import GoalRequest, Outcome, RobotStatus
-from nufleet.shared.wire.motions import Tracking
-from nufleet.sims import drawings
+from nufleet.shared.wire.messages import Outcome, RobotStatus
 from nufleet.sims.mavlink_vehicle.loop import LoopSettings, frequency_response
 from nufleet.sims.mavlink_vehicle.vehicle import VehicleSettings
 
@@ -61,18 +57,7 @@ def test_a_study_over_a_rough_link_finds_the_distance_of_two_vehicles_and_one_dr
     (estimate,) = found.ranking
     assert estimate.psi_low <= psi.max() <= estimate.psi_high
 
-    path = travel(
-        0.25 * read_drawing(drawings.PEAR), speed=0.7, acceleration_max=1.5, sample_time_s=0.02
-    )
-    request = GoalRequest(
-        goal_id="drawing",
-        owner=orchestrator.fleet.orchestrator_id,
-        motion=Tracking(desired=path, inverse="baseline"),
-    )
-    orchestrator.fleet.submit("target", request)
-    drawn = orchestrator.result("target", "drawing")
-    assert (drawn.outcome, drawn.reason) == (Outcome.COMPLETED, "")
-    assert np.sqrt(np.mean((drawn.response - path) ** 2)) < 0.1
+    assert orchestrator.draw("target", 0.25) < 0.1
 
 
 def test_a_pilot_who_takes_over_ends_the_goal_and_the_robot_is_left_to_him(lab: Lab) -> None:

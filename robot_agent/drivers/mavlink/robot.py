@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from nufleet.robot_agent.drivers.mavlink.frames import ned_of_enu, yaw_of_other_frame
 from nufleet.robot_agent.drivers.mavlink.line import Line
 from nufleet.robot_agent.drivers.mavlink.opening import open_vehicle
+from nufleet.robot_agent.drivers.mavlink.set_points import SetPoints
 from nufleet.robot_agent.drivers.mavlink.settings import AXES, MavlinkSettings
 from nufleet.robot_agent.drivers.mavlink.vehicle import SILENT_S, Vehicle
 from nufleet.robot_agent.motion.monitor import rest_error_max
@@ -20,12 +19,6 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import OutsideLimitsError, RobotDownError, RobotError
 from nufleet.shared.robots.health import Health
 from nufleet.shared.robots.spec import RobotSpec
-
-USED = 0b1001_1100_0000
-"""Type mask of a set-point of position, velocity and yaw: acceleration and yaw rate are unused."""
-
-VELOCITY_UNUSED = 0b0000_0011_1000
-"""Further bits for a set-point without velocity."""
 
 START_MAX_M = 2.0
 """Largest distance between the place of take-off and an origin that the settings give."""
@@ -69,7 +62,7 @@ class MavlinkRobot(Robot):
         self._next_s = 0.0
         self._ground: FloatArray | None = None
         self._origin = np.zeros(3)
-        self._yaw_rad: float | None = None
+        self._set_points = SetPoints(settings)
         self._sent_s: list[float] = []
         self._due_s: float | None = None
         self._seen: FloatArray | None = None
@@ -327,7 +320,7 @@ class MavlinkRobot(Robot):
         origin[2] += settings.height_m
         self._origin = self._last = origin
         yaw_deg = settings.yaw_deg
-        self._yaw_rad = None if yaw_deg is None else math.radians(yaw_deg)
+        self._set_points.yaw_rad = None if yaw_deg is None else math.radians(yaw_deg)
 
     def _climb(self, above: FloatArray) -> None:
         """Have the vehicle take off by itself, and wait until it is up."""
@@ -376,27 +369,8 @@ class MavlinkRobot(Robot):
     def _send(self, place: FloatArray, velocity: FloatArray) -> float:
         """Send a set-point now; return when."""
         vehicle, line = self._connected()
-        line.send(self._setpoint(place, velocity))
+        line.send(self._set_points.at(place, velocity, line.now_s()))
         now_s = line.now_s()
-        vehicle.keeper.sent(self._setpoint(place, np.zeros(3)), now_s)
+        vehicle.keeper.sent(self._set_points.at(place, np.zeros(3), now_s), now_s)
         self._last = place
         return now_s
-
-    def _setpoint(self, place: FloatArray, velocity: FloatArray) -> Any:
-        assert self._line is not None  # noqa: S101 - it is connected
-        x, y, z = ned_of_enu(place).tolist()
-        vx, vy, vz = ned_of_enu(velocity).tolist()
-        mask = USED if self._settings.feed_forward else USED | VELOCITY_UNUSED
-        yaw = 0.0
-        if self._yaw_rad is None:
-            mask |= dialect.POSITION_TARGET_TYPEMASK_YAW_IGNORE
-        else:
-            yaw = yaw_of_other_frame(self._yaw_rad)
-        return dialect.MAVLink_set_position_target_local_ned_message(
-            int(1e3 * self._line.now_s()) & 0xFFFF_FFFF,
-            self._settings.system_id,
-            self._settings.component_id,
-            dialect.MAV_FRAME_LOCAL_NED,
-            mask,
-            *(x, y, z, vx, vy, vz, 0.0, 0.0, 0.0, yaw, 0.0),
-        )

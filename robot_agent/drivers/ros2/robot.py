@@ -12,6 +12,7 @@ from nufleet.robot_agent.drivers.ros2.landing import Ground
 from nufleet.robot_agent.drivers.ros2.link import Link
 from nufleet.robot_agent.drivers.ros2.setpoints import Places
 from nufleet.robot_agent.drivers.ros2.settings import TWISTS, Ros2Settings
+from nufleet.robot_agent.drivers.ros2.sight import Sight
 from nufleet.robot_agent.motion.monitor import LOST_MAX_S
 from nufleet.robot_agent.motion.pace import GAP_MAX_S
 from nufleet.robot_agent.robot import Record, Robot
@@ -62,7 +63,7 @@ class Ros2Robot(Robot):
         self._kill_asked = False
         self._begun = False
         self._ground = Ground(name, settings)
-        self._places = Places(settings)
+        self._places, self._sight = Places(settings), Sight(name, settings)
         # The last place commanded. A set-point of a motion and a repetition from the link's thread
         # must not overtake one another.
         self._place = self._places.rest
@@ -86,6 +87,7 @@ class Ros2Robot(Robot):
             self._ground.disarmed()
         self._down, self._kill_asked = None, False
         self._places = Places(self._settings)
+        self._sight = Sight(self._name, self._settings)
         self._forget()
         self._link = self._open(self._name, self._settings)
 
@@ -281,19 +283,7 @@ class Ros2Robot(Robot):
 
     def _here(self) -> FloatArray:
         """Return the newest measured place, shape (measured components,)."""
-        link = self._reached()
-        arrived = link.arrivals.newest()
-        age_s = None if arrived is None else link.now_s() - arrived.arrived_s
-        if arrived is None or age_s is None or age_s > LOST_MAX_S:
-            topic = self._settings.full(self._settings.measurement.topic)
-            since = "" if age_s is None else f" for {age_s:.2g} s"
-            raise RobotError(f"nothing came on {topic}{since}: check its publisher and the network")
-        if arrived.late_s > LOST_MAX_S:
-            raise RobotError(
-                f"what comes on {self._settings.full(self._settings.measurement.topic)} is "
-                f"{arrived.late_s:.2g} s old: check the network, and the load of its computers"
-            )
-        return np.array([*arrived.values.values()])
+        return np.array([*self._sight.newest(self._reached()).values.values()])
 
     def _send(self, place: FloatArray) -> float:
         """Send the set-point of a place, and return when."""
@@ -320,12 +310,16 @@ class Ros2Robot(Robot):
                 "stood still, and what the robot did meanwhile is not known"
             )
             self._moving()
-        here = None
+        here = newest = None
         still = self._kill_asked or self._stalled is not None
         if self._settings.command.type in TWISTS and not still:
             with suppress(RobotError):  # a robot that is not measured stands still
-                here = self._here()
-        self._commanded_s = link.send(self._places.set_point(self._place, before, here))
+                newest = self._sight.newest(link)
+                here = np.array([*newest.values.values()])
+        point = self._places.set_point(self._place, before, here)
+        if newest is not None:
+            self._sight.commanded(newest, self._places.speed_share(point))
+        self._commanded_s = link.send(point)
         return self._commanded_s
 
     def _let_stand(self, link: Link) -> None:

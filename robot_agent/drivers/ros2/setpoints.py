@@ -109,6 +109,11 @@ class Places:
         yaw = float(here[self._settings.measured.index("yaw")])
         return SetPoint({"yaw": yaw}, self._by_name(velocity))
 
+    def speed_share(self, point: SetPoint) -> float:
+        """Return the velocity of a set-point as a share of the largest one of its component."""
+        velocity = np.array([point.velocities.get(name, 0.0) for name in self._names])
+        return float(np.max(np.abs(velocity) / self._speed_max))
+
     def _by_name(self, values: FloatArray) -> dict[str, float]:
         return dict(zip(self._names, values.tolist(), strict=True))
 

@@ -6,6 +6,7 @@ import json
 import socket
 import threading
 import time
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -47,7 +48,7 @@ def vehicle(system_id: int = 1) -> SimulatedVehicle:
 def test_mavsdks_vehicle_side_understands_the_driver() -> None:
     port = free_port()
     robot = robots(drone={"url": f"udpin://127.0.0.1:{port}"})["drone"]
-    with MavsdkVehicle(port) as other:
+    with closing(MavsdkVehicle(port)) as other:
         robot.connect()
         assert robot.health().ready
         robot.begin()

@@ -85,6 +85,7 @@ class VirtualLink:
         self.battery: float | None = None
         self.resend: Callable[[], None] | None = None
         self.silent = self.closed = False
+        self.repeats: dict[str, float] | None = None  # what is measured from now on
         self.stamp_offset_s, self.delay_s = 77.0, 0.002
         self.found: str | None = None
         self.at_call: Callable[[], None] = lambda: None
@@ -103,7 +104,8 @@ class VirtualLink:
         if not self.silent:
             stamp_s = self.time_s + self.stamp_offset_s
             self.taken_s = self.time_s
-            self.arrivals.take(stamp_s - self.delay_s, self.time_s, dict(self.place))
+            seen = dict(self.repeats or self.place)
+            self.arrivals.take(stamp_s - self.delay_s, self.time_s, seen)
         period_s = self.settings.sample_time_s
         if self.resend is not None and self.time_s - self.sent_at_s > 1.5 * period_s:
             self.resend()

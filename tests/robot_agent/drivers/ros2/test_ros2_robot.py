@@ -387,6 +387,27 @@ def test_a_robot_that_is_commanded_velocities_is_never_left_moving(leaving: str)
     assert [point.velocities for point in lab.link.sent[-5:]] == 5 * [{}]
 
 
+def test_a_robot_is_not_led_by_a_measurement_that_only_repeats_with_new_stamps() -> None:
+    lab = Lab(settings(CART), x=0.5)
+    lab.robot.connect()
+    lab.robot.begin()
+    lab.robot.step(np.zeros(2))
+    lab.link.repeats = {**lab.link.place, "x": 0.45}  # 50 mm short of where it shall be
+    before = lab.link.place["x"]
+    for _ in range(1000):
+        lab.link.tick()
+    assert lab.link.sent[-1].velocities == {}
+    assert lab.link.place["x"] - before < 0.6 * 0.5 + 0.02  # as far as in half a second
+    assert "/cf1/measured stays exactly the same while cf-1" in lab.robot.health().reason
+    with pytest.raises(RobotError, match="lost to motion capture, or its estimator stands still"):
+        lab.robot.rest()
+    lab.link.repeats = None
+    lab.link.tick()
+    assert lab.robot.health().ready
+    lab.robot.rest()
+    assert lab.robot.measure_output() == pytest.approx([0.0, 0.0], abs=1e-3)
+
+
 def freeze(lab: Lab) -> None:
     """Let time pass without the driver, as for a process that is stopped, and then with it."""
     lab.link.time_s += 5.0
