@@ -316,9 +316,7 @@ def _plan(
     )
     ready = prepare(fleet, request, there)
     # A target that flies no paths is refused for that, and not for the experiences of its sources.
-    legs = legs_of(
-        drawings, command.chosen_speeds, ready.descriptions[target], scale=command.scale
-    )
+    legs = legs_of(drawings, command.chosen_speeds, ready.descriptions[target], scale=command.scale)
     for source in ready.plan.sources:
         check_would_fit(
             ready.descriptions[source], ready.descriptions[target], command.architecture
