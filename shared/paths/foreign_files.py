@@ -123,6 +123,10 @@ class _Table:
                 raise InvalidInputError(
                     f"{where}: the unit {unit[1]!r} is not one of {', '.join(_UNITS)}"
                 )
+        if self._width < 2:
+            raise InvalidInputError(
+                f"{where}: one column, where x and y are expected, got {line!r:.80}"
+            )
         if self._width != 2:
             raise InvalidInputError(
                 f"{where}: {self._width} columns; add a first line that names two of them x and y"

@@ -110,9 +110,11 @@ def _opened_router(config: zenoh.Config, endpoints: str) -> Iterator[Session]:
     try:
         session = zenoh.open(config)
     except zenoh.ZError as error:
+        cause = cause_of(error)
+        taken = "Is a router running there already? " if "in use" in cause else ""
         raise EndpointInUseError(
-            f"cannot listen on {without_secrets(endpoints)}: {cause_of(error)}. Is a router "
-            "running there already? Choose another endpoint with --listen"
+            f"cannot listen on {without_secrets(endpoints)}: {cause}. {taken}Choose another "
+            "endpoint with --listen"
         ) from error
     with Session(session) as opened:
         yield opened

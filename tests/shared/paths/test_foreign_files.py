@@ -92,6 +92,7 @@ def test_a_comma_is_a_decimal_comma_where_it_separates_nothing(
         ("0,1\n2,x\n", "line 2: expected numbers for x and y, got '2,x'"),
         ("0,1\n2\n", "line 2: expected numbers"),
         ("1,2,3\n4,5,6\n", "line 1: 3 columns; add a first line that names two of them x and y"),
+        ("1\n2\n", "line 1: one column, where x and y are expected, got '1'"),
         ("0,1\nnan,3\n", "point 2 contains a number that is not finite"),
         ("x,y\n0,1\n", "two different points"),
         ("x [in];y [in]\n0;1\n2;3\n", "line 1: the unit 'in' is not one of m, cm, mm"),

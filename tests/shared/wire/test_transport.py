@@ -503,6 +503,14 @@ def test_an_endpoint_in_use_is_named(router: Session, endpoint: str) -> None:
         pass
 
 
+def test_a_port_that_cannot_be_is_no_reason_to_look_for_another_router() -> None:
+    with (
+        pytest.raises(EndpointInUseError, match=r"99999: invalid port value\. Choose another"),
+        open_router(["tcp/127.0.0.1:99999"]),
+    ):
+        pass
+
+
 def test_a_router_says_which_port_it_was_given() -> None:
     with open_router(["tcp/127.0.0.1:0"]) as router:
         (endpoint,) = router.listening_on()
