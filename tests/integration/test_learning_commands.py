@@ -420,7 +420,7 @@ AMONG_ALIKE = ("evaluate", "--target", "target", "--sources", "source-1,source-2
     ("arguments", "words"),
     [
         ((*AMONG_ALIKE, "--speeds", "0.3,5"), ("robot target", "at most 1 m/s")),
-        (("evaluate", "--target", "target", "--speeds", "5"), ("robot target", "at most 1 m/s")),
+        (("evaluate", "--target", "slower", "--speeds", "5"), ("robot slower", "at most 1 m/s")),
         (("evaluate", "--all-pairs"), ("source-1 would not fit slower", "leave source-1 out")),
         ((*AMONG_ALIKE, "--speeds", "0.3,0.3"), ("named twice",)),
         (("evaluate", "--all-pairs", "--target", "target"), ("leave --target and --sources out",)),
