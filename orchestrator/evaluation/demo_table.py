@@ -189,4 +189,7 @@ def _percent(rms: float, base: float) -> str:
 
 
 def _number(value: float | None) -> str:
-    return "" if value is None else f"{1000 * value:.1f}"
+    if value is None:
+        return ""
+    thousandths = 1000 * value
+    return f"{thousandths:.1f}" if thousandths >= 0.1 else f"{thousandths:.2g}"

@@ -83,7 +83,7 @@ def demo(command: DemoCommand, console: Console) -> DemoResult:
         run.fly("demo", ready.descriptions, only_simulated, live=command.live)
         run.configure({**configuration(ready, command.seed), "kind": "demo"})
         study = run.archive.begin(
-            run.folder.study_id, "paper", ready.plan, command.seed, ready.descriptions
+            run.folder.study_id, "adaptive", ready.plan, command.seed, ready.descriptions
         )
         record = follow_study(
             run, ready, study, draw=lambda plots: drawing.append(beside.submit(plots))
