@@ -23,10 +23,11 @@ def demo(**options: Any) -> None:
 
     A router and five robots run as processes of their own. A target (α, β) = (0.85, 0.003), the
     three sources of the paper and one that harms play sinusoids; the source with the smallest
-    worst-case chordal distance is selected, and every estimate is shown beside its closed form. Then the closest and the furthest source learn inverse models of themselves, and
-    the target flies a drawing with each as its prior, with both, with none, with its model of
-    itself, and with its baseline controller alone. If the guard takes the furthest source's
-    experience back, a last flight without the guard shows what it prevented.
+    worst-case chordal distance is selected, and every estimate is shown beside its closed form.
+    Then the closest and the furthest source learn inverse models of themselves, and the target
+    flies a drawing with each as its prior, with both, with none, with its model of itself, and with
+    its baseline controller alone. If the guard takes the furthest source's experience back, a last
+    flight without the guard shows what it prevented.
     """
     from nufleet.orchestrator.jobs.demo import DemoCommand, demo_and_print
 
