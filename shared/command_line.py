@@ -92,7 +92,7 @@ class EntryPointGroup(click.Group):
             command = self.get_command(ctx, args[0])
             if command is None:
                 ctx.fail(f"no such command {args[0]!r}; {self._suggestion(args[0], ctx)}")
-            _refuse_repetitions(command, args[1:], ctx)
+            _refuse_misread_words(command, args[1:], ctx)
         return super().resolve_command(ctx, args)
 
     def _suggestion(self, typed: str, ctx: click.Context) -> str:
@@ -219,10 +219,19 @@ Experience:   nufleet train              trains the experiences of robots
 """
 
 
-def _refuse_repetitions(command: click.Command, args: list[str], parent: click.Context) -> None:
-    """Refuse an option that is given twice although only its last value would count."""
+def _refuse_misread_words(command: click.Command, args: list[str], parent: click.Context) -> None:
+    """Refuse an option that is given twice although only its last value would count, and a list
+    without commas, of which only the first value would."""
     context = command.context_class(command, info_name=command.name, parent=parent)
-    _, _, order = command.make_parser(context).parse_args(args=list(args))
+    _, left, order = command.make_parser(context).parse_args(args=list(args))
+    lists = [one for one in order if isinstance(one, click.Option) and "," in (one.metavar or "")]
+    if left and lists:
+        name, metavar = lists[-1].opts[0], lists[-1].metavar
+        raise click.UsageError(
+            f"unexpected: {' '.join(left)}. Write a list with commas and without spaces: "
+            f"{name} {metavar}",
+            context,
+        )
     for option in order:
         single = isinstance(option, click.Option) and not (option.multiple or option.is_flag)
         if single and order.count(option) > 1:

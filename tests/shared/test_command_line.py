@@ -143,3 +143,9 @@ def test_an_option_of_which_only_the_last_value_would_count_is_refused(
     typed: tuple[str, ...], option: str
 ) -> None:
     assert f"{option} is given more than once" in refusal(*typed)
+
+
+def test_a_list_without_commas_is_refused_with_the_way_to_write_it() -> None:
+    said = refusal("rank", "--fleet", "paper_linear", "--axes", "x", "y")
+    assert "unexpected: y. Write a list with commas and without spaces: --axes NAME,NAME" in said
+    assert "unexpected extra argument (y)" in refusal("rank", "--target", "x", "y")
