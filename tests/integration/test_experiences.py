@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from fleet_lab import Lab, Orchestrator, assert_never_moved, double_integrator, refusal, submitted
 from puppet_robot import PuppetRobot
-from rich.console import Console
 from robots_that_learn import LaggedRobot
+from tracked_clover import tracked
 
 from nufleet.orchestrator.experience.learning import Lesson, fly_lessons
 from nufleet.orchestrator.experience.library import ExperienceLibrary
@@ -19,7 +19,6 @@ from nufleet.orchestrator.experience.training import Origin, TrainingData
 from nufleet.orchestrator.experience.transfer import transfer
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.flights.pilot import Pilot
-from nufleet.orchestrator.jobs.track import TrackCommand, track
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError, MalformedMessageError, RobotError
@@ -188,25 +187,8 @@ def test_a_robot_that_measures_its_output_alone_learns_no_inverse_of_its_state(
 def test_a_robot_that_measures_its_output_alone_is_told_what_it_can_fly_with_in_place_of_none(
     lab: Lab, blind: Fleet, tmp_path: Path
 ) -> None:
-    command = TrackCommand(
-        connect=lab.endpoint,
-        fleet_name=None,
-        target="target",
-        drawings=("clover",),
-        speed=0.4,
-        scale=0.5,
-        inverse="zero-prior",
-        horizon_s=0.4,
-        learn=True,
-        guarded=True,
-        rich_flight_s=None,
-        live=False,
-        runs_root=tmp_path,
-        repository=None,
-        as_json=False,
-    )
     with pytest.raises(InvalidInputError, match=r"--inverse own, or transfer a preview"):
-        track(command, Console(quiet=True))
+        tracked(lab, tmp_path, "zero-prior")
     assert_never_moved(lab.orchestrator("orchestrator-2"), "target")
 
 

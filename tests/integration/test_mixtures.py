@@ -12,16 +12,15 @@ from fleet_lab import Lab, double_integrator, refusal
 from learned_things import experience, layout
 from polling import PATIENCE_S
 from rich.console import Console
+from tracked_clover import tracked
 
 from nufleet.orchestrator.evaluation.comparison import Psi, summarise
-from nufleet.orchestrator.evaluation.flight_documents import TrackResult
 from nufleet.orchestrator.evaluation.fly_target import fly_target
 from nufleet.orchestrator.experience.library import ExperienceLibrary
 from nufleet.orchestrator.experience.prior_custody import install, prior_put_back
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.flights.legs import Leg
 from nufleet.orchestrator.flights.pilot import Pilot
-from nufleet.orchestrator.jobs.track import InverseChoice, TrackCommand, track
 from nufleet.orchestrator.jobs.transfer import TransferCommand, TransferResult, transfer
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.experience.file import digest
@@ -174,27 +173,6 @@ def transferred(
         as_json=False,
     )
     return transfer(command, said or Console(quiet=True))
-
-
-def tracked(lab: Lab, runs_root: Path, inverse: InverseChoice = "auto") -> TrackResult:
-    command = TrackCommand(
-        connect=lab.endpoint,
-        fleet_name=None,
-        target="target",
-        drawings=("clover",),
-        speed=0.4,
-        scale=0.5,
-        inverse=inverse,
-        horizon_s=0.4,
-        learn=True,
-        guarded=True,
-        rich_flight_s=None,
-        live=False,
-        runs_root=runs_root,
-        repository=None,
-        as_json=False,
-    )
-    return track(command, Console(quiet=True))
 
 
 @pytest.fixture
