@@ -72,7 +72,16 @@ MALFORMED = {
 
 
 def asked(session: Session, leaf: str, payload: bytes) -> Message:
-    (reply,) = session.ask_all(KEYS.request("a", "me", leaf), payload, timeout_s=PATIENCE_S)
+    """Ask until there is an answer; a session whose link is lost and mended loses some."""
+    replies: list[bytes] = []
+
+    def answered() -> bool:
+        key = KEYS.request("a", "me", leaf)
+        replies.extend(session.ask_all(key, payload, timeout_s=PATIENCE_S))
+        return bool(replies)
+
+    wait_until(answered)
+    (reply,) = replies
     return decode(reply, *ANY_REPLY)
 
 

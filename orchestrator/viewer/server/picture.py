@@ -23,7 +23,10 @@ from nufleet.shared.interrupts import postponed
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient, ViewerState
 
-TIMEOUT_S = 60.0
+TIMEOUT_S = 120.0
+"""Time after which the viewer counts as stuck; without a graphics card, on a busy machine, a
+picture takes a minute."""
+
 POLL_S = 0.1
 
 NO_GRAPHICS = "No graphics adapter was found"

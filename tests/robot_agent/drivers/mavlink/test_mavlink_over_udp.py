@@ -15,7 +15,7 @@ from mavsdk_vehicle import MavsdkVehicle
 from polling import PATIENCE_S, wait_until
 from ports import free_port
 
-from nufleet.robot_agent.drivers.mavlink import opening
+from nufleet.robot_agent.drivers.mavlink import opening, telemetry
 from nufleet.robot_agent.drivers.mavlink import vehicle as vehicle_module
 from nufleet.robot_agent.drivers.mavlink.driver import DRIVER
 from nufleet.robot_agent.drivers.mavlink.robot import MavlinkRobot
@@ -29,10 +29,16 @@ PATIENT = {"delay_uncertainty_s": 0.1, "height_m": 0.4, "climb_m_s": 2.0}
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    """How long the driver waits for a vehicle is stated on the virtual clock."""
+    """How long the driver waits for a vehicle is stated on the virtual clock.
+
+    On a busy machine these vehicles themselves answer late, and send a position long after they
+    have dated it.
+    """
     for name in ("FOUND_S", "SILENT_S", "LOST_S", "HEARTBEATS_S", "CUT_ANSWER_S"):
         monkeypatch.setattr(vehicle_module, name, PATIENCE_S)
+    monkeypatch.setattr(vehicle_module, "ANSWER_S", 10.0)
     monkeypatch.setattr(opening, "FOUND_S", PATIENCE_S)
+    monkeypatch.setattr(telemetry, "BACK_MAX_S", PATIENCE_S)
 
 
 def robots(**systems: dict[str, object]) -> dict[str, MavlinkRobot]:
@@ -52,7 +58,7 @@ def test_mavsdks_vehicle_side_understands_the_driver() -> None:
         robot.connect()
         assert robot.health().ready
         robot.begin()
-        assert other.armed_as == [(True, False)]
+        assert set(other.armed_as) == {(True, False)}, "asked again if the answer came late"
         output = [robot.step(np.array([0.1 * k, -0.2])) for k in range(3)]
         assert np.shape(output) == (3, 2)
         last = other.set_points[-1]
