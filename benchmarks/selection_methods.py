@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -47,6 +48,8 @@ class Trace:
     stopped_because: str = ""
     held: list[bool] = field(default_factory=list)
     """Whether the interval of each source's ψ* holds it, after the last round."""
+    computing_s: list[float] = field(default_factory=list)
+    """Processor time that the method took to learn from each round, in s."""
 
 
 def paper(fleet: Fleet, rng: np.random.Generator) -> Trace:
@@ -80,12 +83,14 @@ def follow(study: Study, fleet: Fleet) -> Trace:
                 responses[name] = response
             else:
                 failed[name] = str(response.quality)
+        before_s = time.process_time()
         try:
             report = study.tell(responses, failed)
         except StudyError as error:
             trace.steps.append(Step(None, None, robot_time_s))
             trace.stopped_because = str(error)
             break
+        trace.computing_s.append(time.process_time() - before_s)
         trace.steps.append(Step(report.selected, report.confidence, robot_time_s))
         trace.eliminated = len(report.eliminated)
         trace.held = [

@@ -1,6 +1,7 @@
 """A new target against many sources whose responses are stored: only the target flies.
 
     python -m benchmarks.selection_stored --fleets 50 --sources 50 --seed 1
+    OPENBLAS_NUM_THREADS=1 python -m benchmarks.selection_stored --fleets 1 --sources 5000
 
 Every source was tested once, on an earlier day, over the whole band. The default algorithm then
 selects for a target that nothing is known of. Right is a regret below 0.01, as in
@@ -11,6 +12,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import resource
+import time
 import zlib
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -38,6 +41,11 @@ class Outcome:
     confidence: float
     flight_s: float
     tests: int
+    first_computing_s: float
+    later_computing_s: float
+    """Processor time until the first choice, and of the longest later round, in s."""
+    memory_mib: float
+    """Memory that choosing took beyond that of the stored responses, at its peak."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +60,9 @@ class Row:
     flight_90_s: float
     flight_worst_s: float
     tests_mean: float
+    first_computing_worst_s: float
+    later_computing_worst_s: float
+    memory_worst_mib: float
 
 
 def outcome_of(family: str, sources: int, noise_m: float, seed: int, number: int) -> Outcome:
@@ -69,7 +80,9 @@ def outcome_of(family: str, sources: int, noise_m: float, seed: int, number: int
             stored[name] = [response]
     specs = {name: robot.spec for name, robot in fleet.robots.items()}
     plan = StudyPlan("target", tuple(stored), fleet.band_rad_s, ADAPTIVE_ROUNDS, "x")
+    before_mib, before_s = _peak_mib(), time.process_time()
     study = AdaptiveStudy(plan, specs, rng, stored=stored, absent=tuple(stored))
+    began_s = time.process_time() - before_s
     trace = follow(study, fleet)
     flown = {
         name: len(tests) - len(stored.get(name, ())) for name, tests in study.responses.items()
@@ -82,7 +95,15 @@ def outcome_of(family: str, sources: int, noise_m: float, seed: int, number: int
         confidence=last.confidence or 0.0,
         flight_s=last.robot_time_s,
         tests=flown["target"],
+        first_computing_s=began_s + trace.computing_s[0],
+        later_computing_s=max(trace.computing_s[1:], default=0.0),
+        memory_mib=_peak_mib() - before_mib,
     )
+
+
+def _peak_mib() -> float:
+    """Return the largest memory that this process ever had, in MiB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def row_of(family: str, outcomes: Sequence[Outcome]) -> Row:
@@ -99,6 +120,9 @@ def row_of(family: str, outcomes: Sequence[Outcome]) -> Row:
         flight_90_s=float(np.quantile(flights, 0.9)),
         flight_worst_s=float(flights.max()),
         tests_mean=float(np.mean([outcome.tests for outcome in outcomes])),
+        first_computing_worst_s=max(outcome.first_computing_s for outcome in outcomes),
+        later_computing_worst_s=max(outcome.later_computing_s for outcome in outcomes),
+        memory_worst_mib=max(outcome.memory_mib for outcome in outcomes),
     )
 
 
@@ -118,6 +142,7 @@ def main() -> None:
     print(
         f"{arguments.sources} stored sources, {arguments.noise} noise, {arguments.fleets} targets\n"
         "family              P(right)  95 % claims right  flight mean  90 %   worst  tests"
+        "  computing first, later  memory"
     )
     with ProcessPoolExecutor(arguments.workers) as pool:
         for family in arguments.families:
@@ -130,7 +155,8 @@ def main() -> None:
             print(
                 f"{row.family:<18} {row.right:9.3f}  {row.claims_right:.3f} of {row.claims:<8}"
                 f"  {row.flight_mean_s:9.0f} s  {row.flight_90_s:.0f} s  {row.flight_worst_s:.0f} s"
-                f"  {row.tests_mean:.2f}",
+                f"  {row.tests_mean:.2f}  {row.first_computing_worst_s:15.1f} s, "
+                f"{row.later_computing_worst_s:.1f} s  {row.memory_worst_mib:.0f} MiB",
                 flush=True,
             )
     if arguments.json:

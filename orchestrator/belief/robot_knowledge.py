@@ -305,24 +305,25 @@ class RobotKnowledge:
         return np.concatenate([tones.omega_rad_s for tones in self._tones])
 
     @property
+    def tones(self) -> Tones:
+        """Estimates of all tests and flights, with what is doubted of them in their variances."""
+        doubted = zip(self._tones, self._whole_doubts, strict=True)
+        return Tones(
+            self.omega_rad_s,
+            np.concatenate([each.z for each in self._tones]),
+            np.concatenate([each.variance + doubt for each, doubt in doubted]),
+        )
+
+    @property
     def model(self) -> ResponseModel:
         """The belief after all tests, of which there must be at least one."""
         if self._model is None:
-            doubts = self._whole_doubts
-            variance = [
-                tones.variance + doubt for tones, doubt in zip(self._tones, doubts, strict=True)
-            ]
             # A doubt is the same in every test, so that their number must not average it away.
-            played = zip(self._tones, doubts, self.responses, strict=True)
+            played = zip(self._tones, self._whole_doubts, self.responses, strict=True)
             common = CommonError.of_tests(
                 [(t.omega_rad_s, doubt) for t, doubt, one in played if one.flight is None]
             )
-            tones = Tones(
-                self.omega_rad_s,
-                np.concatenate([each.z for each in self._tones]),
-                np.concatenate(variance),
-            )
-            self._model = ResponseModel(tones, self.prior, common=common)
+            self._model = ResponseModel(self.tones, self.prior, common=common)
         return self._model
 
     def expected_variance(self, omega_rad_s: FloatArray, times_as_long: float) -> FloatArray:

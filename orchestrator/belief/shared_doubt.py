@@ -18,9 +18,11 @@ def share_doubt(robots: Collection[RobotKnowledge]) -> None:
         robots: What is known of every robot of a fleet, at least one.
     """
     doubt = max(robot.flight_doubt for robot in robots)
+    alike: dict[str, list[AmplitudeDependence | None]] = {robot.spec.kind: [] for robot in robots}
+    for robot in robots:
+        if robot.compared:
+            alike[robot.spec.kind].append(robot.by_amplitude)
+    shown = {kind: AmplitudeDependence.of_fleet(found) for kind, found in alike.items()}
     for robot in robots:
         robot.doubt_flights(doubt)
-        alike = [
-            one.by_amplitude for one in robots if one.compared and one.spec.kind == robot.spec.kind
-        ]
-        robot.assume(AmplitudeDependence.of_fleet(alike))
+        robot.assume(shown[robot.spec.kind])

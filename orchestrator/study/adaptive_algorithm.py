@@ -146,7 +146,7 @@ class AdaptiveStudy:
             ranking=ranking_of_axes(compared, self._robots, self._plan.target, leader),
             dropped=dict(self._dropped),
             confidence=verdict.confidence * self._share_measured,
-            eliminated=hopeless,
+            eliminated={**hopeless, **compared.outrun},
             findings=(*self._findings(leader), *compared.findings, *self._looks.findings),
             stopped_because=None if verdict.tests else verdict.why + self._left_open(),
         )

@@ -35,6 +35,9 @@ class AdaptiveSettings:
     worth: float = 0.05
     """Least decrease of the probability of a wrong selection, as a share of it, for which robots
     are tested again while something is doubted that tests do not tell."""
+    compared: int = 32
+    """Number of sources, the closest at their tones, that are compared at every frequency; beyond
+    it, only those are that their tones leave a chance."""
     together: float = 0.5
     """Share of the best gain per second that another robot's test needs to join the round."""
     simulated_cost: float = 0.01

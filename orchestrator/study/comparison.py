@@ -8,8 +8,8 @@ one axis does to another.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,7 +19,8 @@ from nufleet.orchestrator.belief.resting_gain import draw_resting
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.coupled_distance import coupled_belief, matrix_draws, matters
 from nufleet.orchestrator.study.errors_across import ErrorsAcross
-from nufleet.orchestrator.study.interface import StudyPlan
+from nufleet.orchestrator.study.interface import SourceEstimate, StudyPlan
+from nufleet.orchestrator.study.screening import Screened
 from nufleet.orchestrator.study.selection_belief import PredictedErrors, SelectionBelief
 from nufleet.orchestrator.study.trajectory_spectrum import Spectrum, joined, spectra_of
 from nufleet.shared.arrays import ComplexArray, FloatArray
@@ -40,6 +41,10 @@ class Compared:
     """Samples behind them, by robot."""
     findings: tuple[str, ...]
     """How axes were compared, in words; nothing of a single axis."""
+    outrun: Mapping[str, str] = field(default_factory=dict)
+    """Reason for each source that was not compared, since its tones show that it cannot win."""
+    estimates: tuple[SourceEstimate, ...] = ()
+    """What is known of those, by rising distance."""
 
 
 class Comparison:
@@ -71,7 +76,43 @@ class Comparison:
         self._matrices: dict[str, tuple[list[ComplexArray], ComplexArray | None]] = {}
 
     def of(self, sources: Sequence[str]) -> Compared:
-        """Compare the target with sources, all of which have been tested on at least one axis."""
+        """Compare the target with sources, all of which have been tested on at least one axis.
+
+        Of many sources, those are left out that their tones alone show to be far behind. An error
+        on a trajectory has no such bound, and neither have distances of matrices.
+        """
+        several = len(self._plan.axes) > 1 or bool(self._spectra)
+        if several or len(sources) <= self._settings.compared:
+            return self._in_full(sources)
+        (axis,) = self._plan.axes
+        target = self._draw(self._plan.target)[axis]
+        known = {name: self._robots[name].axes[axis].tones for name in sources}
+        screened = Screened.of(self.omega_rad_s, target, known)
+        chosen = set(screened.order[: self._settings.compared])
+        while True:
+            names = [name for n, name in enumerate(sources) if n in chosen]
+            belief = (compared := self._in_full(names)).belief
+            leader, _ = belief.leader(self._settings.epsilon, self._settings.delta)
+            ahead = belief.psi_star[belief.sources.index(leader)]
+            behind = screened.outrun(ahead)
+            joining = [n for n in screened.order if n not in chosen and not behind[n]]
+            if not joining:
+                break
+            chosen.update(joining[: self._settings.compared])
+        self._forget_but({self._plan.target, *names})
+        left = [n for n in range(len(sources)) if n not in chosen]
+        estimates = [screened.estimate(n, self._robots[sources[n]].tests) for n in left]
+        return replace(
+            compared,
+            outrun={sources[n]: screened.reason(n, leader, ahead) for n in left},
+            estimates=tuple(sorted(estimates, key=lambda one: one.psi)),
+        )
+
+    def _forget_but(self, names: Collection[str]) -> None:
+        """Forget the samples of all other robots, which take a few megabytes of memory each."""
+        self._draws = {key: drawn for key, drawn in self._draws.items() if key[0] in names}
+
+    def _in_full(self, sources: Sequence[str]) -> Compared:
         draws = {name: self._draw(name) for name in (self._plan.target, *sources)}
         by_axis = self._by_axis(draws, sources)
         together = _together(by_axis, self._spectra)

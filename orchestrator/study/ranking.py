@@ -62,7 +62,6 @@ def ranking_of(
     estimates = []
     for n, source in enumerate(belief.sources):
         low, median, high = belief.interval(source)
-        psi, omega = largest_measured(known[target], known[source]) or (None, None)
         estimate = SourceEstimate(
             robot=source,
             psi=median,
@@ -70,11 +69,17 @@ def ranking_of(
             psi_high=high,
             omega_rad_s=float(belief.omega_rad_s[np.argmax(np.median(belief.psi[n], axis=0))]),
             tests=len(known[source]),
-            measured_psi=psi,
-            measured_omega_rad_s=omega,
+            **_measured(known[target], known[source]),
         )
         estimates.append((source != leader, float(belief.typical_loss[n]), estimate))
     return tuple(estimate for _, _, estimate in sorted(estimates, key=lambda e: e[:2]))
+
+
+def _measured(
+    target: Sequence[FrequencyResponse], source: Sequence[FrequencyResponse]
+) -> dict[str, float | None]:
+    psi, omega_rad_s = largest_measured(target, source) or (None, None)
+    return {"measured_psi": psi, "measured_omega_rad_s": omega_rad_s}
 
 
 def ranking_of_axes(
@@ -95,7 +100,13 @@ def ranking_of_axes(
         return ranking_of(compared.by_axis[axis], target, leader, known)
 
     if len(robots[target].axes) == 1:
-        return on(next(iter(compared.by_axis)))
+        (axis,) = compared.by_axis
+        tested = {name: robot.axes[axis].responses for name, robot in robots.items()}
+        outrun = (
+            replace(one, **_measured(tested[target], tested[one.robot]))
+            for one in compared.estimates
+        )
+        return (*on(axis), *outrun)
     estimates = {axis: {one.robot: one for one in on(axis)} for axis in compared.by_axis}
     tests = {name: robots[name].responses for name in named}
     ranking = []
