@@ -69,17 +69,19 @@ def ranking_of(
             psi_high=high,
             omega_rad_s=float(belief.omega_rad_s[np.argmax(np.median(belief.psi[n], axis=0))]),
             tests=len(known[source]),
-            **_measured(known[target], known[source]),
         )
+        estimate = _measured(estimate, known[target], known[source])
         estimates.append((source != leader, float(belief.typical_loss[n]), estimate))
     return tuple(estimate for _, _, estimate in sorted(estimates, key=lambda e: e[:2]))
 
 
 def _measured(
-    target: Sequence[FrequencyResponse], source: Sequence[FrequencyResponse]
-) -> dict[str, float | None]:
+    estimate: SourceEstimate,
+    target: Sequence[FrequencyResponse],
+    source: Sequence[FrequencyResponse],
+) -> SourceEstimate:
     psi, omega_rad_s = largest_measured(target, source) or (None, None)
-    return {"measured_psi": psi, "measured_omega_rad_s": omega_rad_s}
+    return replace(estimate, measured_psi=psi, measured_omega_rad_s=omega_rad_s)
 
 
 def ranking_of_axes(
@@ -102,10 +104,7 @@ def ranking_of_axes(
     if len(robots[target].axes) == 1:
         (axis,) = compared.by_axis
         tested = {name: robot.axes[axis].responses for name, robot in robots.items()}
-        outrun = (
-            replace(one, **_measured(tested[target], tested[one.robot]))
-            for one in compared.estimates
-        )
+        outrun = [_measured(e, tested[target], tested[e.robot]) for e in compared.estimates]
         return (*on(axis), *outrun)
     estimates = {axis: {one.robot: one for one in on(axis)} for axis in compared.by_axis}
     tests = {name: robots[name].responses for name in named}

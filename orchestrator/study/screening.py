@@ -76,7 +76,7 @@ class Screened:
     @property
     def order(self) -> list[int]:
         """Places of the sources, by rising lower bound."""
-        return np.argsort(self.at_least.mean(axis=1), kind="stable").tolist()
+        return [int(n) for n in np.argsort(self.at_least.mean(axis=1), kind="stable")]
 
     def outrun(self, psi_star: FloatArray) -> FloatArray:
         """Return whether each source is surely further away than a certain one, shape (sources,).
