@@ -28,7 +28,7 @@ class Headline:
     results: str = ""
     """Name of the file with the results; empty if the run left none."""
     failure: str = ""
-    """Reason why the run can never go on; empty if it ended well, runs, or was interrupted."""
+    """Reason why the run can never continue; empty if it ended well, runs, or was interrupted."""
 
 
 def write_headline(folder: Path, headline: Headline) -> None:

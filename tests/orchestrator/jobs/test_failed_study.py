@@ -1,4 +1,4 @@
-"""A study that cannot go on leaves the reason in its run's folder, where lists find it."""
+"""A study that cannot continue leaves the reason in its run's folder, where lists find it."""
 
 from __future__ import annotations
 
