@@ -120,7 +120,7 @@ class JointHeartbeat:
 
 
 def hear_among(listeners: Mapping[str, OnState], key: str, payload: bytes) -> None:
-    """Pass on the states of those robots that somebody listens to.
+    """Pass on the states of those robots that have a listener.
 
     Args:
         listeners: Functions to call, by the robot's name.
