@@ -156,6 +156,7 @@ def measure(
     return {
         "robots": robots,
         "start_s": started_s,
+        "start_agent_processor_s": rested["agents"] / PROCESSES,
         "prepare_s": prepared_s,
         "iteration_median_s": float(np.median(timer.iterations_s[1:])),
         "iteration_max_s": max(timer.iterations_s[1:]),

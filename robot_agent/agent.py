@@ -37,6 +37,7 @@ from nufleet.robot_agent.network.endpoint import (
     Handler,
 )
 from nufleet.robot_agent.network.heartbeat import Heartbeat
+from nufleet.robot_agent.network.joint_heartbeat import JointHeartbeat, hear_among
 from nufleet.robot_agent.network.rivals import Rivals
 from nufleet.robot_agent.network.trust import Trust
 from nufleet.robot_agent.planner import Planner
@@ -49,7 +50,7 @@ from nufleet.shared.robots.fleet_file import RobotPolicy
 from nufleet.shared.wire import messages
 from nufleet.shared.wire.codec import M, decode
 from nufleet.shared.wire.keys import FleetKeys
-from nufleet.shared.wire.limits import MAX_STATE_BYTES
+from nufleet.shared.wire.limits import MAX_STATE_BYTES, MAX_STATES_BYTES
 from nufleet.shared.wire.motions import MotionPlan
 from nufleet.shared.wire.session import Session
 
@@ -72,6 +73,7 @@ class Agent:
         realtime: float | None,
         state_folder: Path | None = None,
         policy: RobotPolicy | None = None,
+        joint: JointHeartbeat | None = None,
         prompt: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
         """Prepare the agent; nothing is connected before the context is entered.
@@ -88,6 +90,7 @@ class Agent:
                 models); None to keep nothing.
             policy: What the robot's fleet file lets others have it do; None for what a file says
                 that does not mention it.
+            joint: Heartbeat of the robots that share the session; None for a robot with its own.
             prompt: Context in which the robot moves, on the thread that moves it.
 
         Raises:
@@ -100,6 +103,7 @@ class Agent:
         self._realtime = realtime
         self._state_folder = state_folder
         self._policy = policy or RobotPolicy()
+        self._joint = joint
         self._prompt = prompt
         self._boot_id = uuid.uuid4().hex
         self._rivals = Rivals(name, self._boot_id, time.monotonic)
@@ -215,8 +219,15 @@ class Agent:
         state_key = keys.robot(name, "state")
         rivals = session.subscribe(state_key, heard, max_bytes=MAX_STATE_BYTES, own=False)
         opened.callback(rivals.withdraw)
-        states = session.state_publisher(keys.robot(name, "state"))
-        opened.callback(Heartbeat(name, states, self._state, self._changed).close)
+        if self._joint is not None:
+            opened.callback(self._joint.listen(name, heard))
+        elif session.identity is None:
+            among = partial(hear_among, {name: heard})
+            rivals = session.subscribe(keys.states, among, max_bytes=MAX_STATES_BYTES, own=False)
+            opened.callback(rivals.withdraw)
+        states = session.state_publisher(state_key)
+        beat = Heartbeat(name, states, self._state, self._changed, self._joint)
+        opened.callback(beat.close)
         stops = StopService(name, decisions, keys, self._commands, self._robot.kill)
         opened.callback(stops.close)
         for stop_key in (keys.robot(name, "**/stop"), *keys.every_stop):

@@ -15,6 +15,7 @@ import numpy as np
 
 from nufleet.robot_agent.agent import Agent
 from nufleet.robot_agent.motion.promptness import Promptness
+from nufleet.robot_agent.network.joint_heartbeat import JointHeartbeat
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.errors import FleetFileError, NufleetError, RobotError
 from nufleet.shared.interrupts import Interrupts
@@ -107,18 +108,20 @@ def serve(
         ExitStack() as opened,
         closed_together() as agents,
     ):
-        sessions, promptness = Sessions(opened, ended), Promptness()
+        sessions, promptness = Sessions(opened, ended, keys), Promptness()
         try:
             for name, robot in robots.items():
                 own = state_folder / fleet.name / name
+                session, joint = sessions.session(addresses[name], shared=robot.spec.simulated)
                 agent = Agent(
-                    sessions.session(addresses[name], shared=robot.spec.simulated),
+                    session,
                     keys,
                     name,
                     robot,
                     realtime=realtime,
                     state_folder=own,
                     policy=fleet.robots[name],
+                    joint=joint,
                     prompt=nullcontext if robot.spec.simulated else promptness.motion,
                 )
                 agents.append(agent.__enter__())
@@ -135,18 +138,22 @@ def serve(
 class Sessions:
     """The sessions of one process, opened when the first robot needs them."""
 
-    def __init__(self, opened: ExitStack, given_up: threading.Event) -> None:
+    def __init__(self, opened: ExitStack, given_up: threading.Event, keys: FleetKeys) -> None:
         """Open none yet.
 
         Args:
             opened: Stack on which they are closed.
             given_up: Event that ends the attempts to reach a router.
+            keys: Keys of the fleet.
         """
-        self._opened, self._given_up = opened, given_up
-        self._shared: dict[str, Session] = {}
+        self._opened, self._given_up, self._keys = opened, given_up, keys
+        self._shared: dict[str, tuple[Session, JointHeartbeat | None]] = {}
 
-    def session(self, address: str, *, shared: bool) -> Session:
-        """Return a session at an address, which all share that may.
+    def session(self, address: str, *, shared: bool) -> tuple[Session, JointHeartbeat | None]:
+        """Return a session at an address, which all share that may, and their joint heartbeat.
+
+        A robot with a session of its own has none, nor has one of a closed fleet, where each speaks
+        for itself.
 
         Raises:
             NoRouterError: No router answers, or it does not list the identity.
@@ -156,9 +163,14 @@ class Sessions:
         session = open_client(address, timeout_s=None, given_up=self._given_up)
         entered = self._opened.enter_context(session)
         entered.check_admitted()
-        if shared:
-            self._shared[address] = entered
-        return entered
+        if not shared:
+            return entered, None
+        joint = None
+        if entered.identity is None:
+            joint = JointHeartbeat(entered, self._keys)
+            self._opened.callback(joint.close)
+        self._shared[address] = entered, joint
+        return entered, joint
 
 
 @contextmanager

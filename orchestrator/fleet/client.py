@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Literal, TypeVar
 
+from nufleet.orchestrator.fleet.heard_states import state_heard, states_heard
 from nufleet.orchestrator.fleet.requests import QUERY_TIMEOUT_S, RESULT_TIMEOUT_S, Requests
 from nufleet.orchestrator.fleet.robot_watch import RobotWatch
 from nufleet.shared.arrays import FloatArray
@@ -22,6 +23,7 @@ from nufleet.shared.errors import (
 from nufleet.shared.robots.health import Health
 from nufleet.shared.wire.codec import Message, decode, encode
 from nufleet.shared.wire.keys import RELEASE, STOP, FleetKeys, principal_of
+from nufleet.shared.wire.limits import MAX_STATES_BYTES
 from nufleet.shared.wire.messages import (
     AcknowledgeRequest,
     CancelRequest,
@@ -92,6 +94,8 @@ class Fleet:
         session.declare_alive(keys.orchestrator_alive(orchestrator_id))
         session.watch_alive(keys.every_robot("alive"), self._on_presence)
         session.subscribe_state(keys.every_robot("state"), self._on_state)
+        if session.identity is None:
+            session.subscribe(keys.states, self._on_states, max_bytes=MAX_STATES_BYTES)
 
     def hold(self, epochs: Mapping[str, int]) -> None:
         """Set the epochs of the leases under which robots are commanded from now on.
@@ -355,17 +359,16 @@ class Fleet:
 
     def _on_state(self, key: str, payload: bytes) -> None:
         robot = self._robot_of(key)
-        if robot is None:
-            return
-        try:
-            state = decode(payload, RobotState)
-        except MalformedMessageError as error:
-            _log.warning("ignoring a malformed state on %s: %s", key, error)
-            return
-        if state.robot != robot:
-            _log.warning("ignoring a state of %s on %s", state.robot, key)
-            return
-        self.watch(robot).set_state(state)
+        state = None if robot is None else state_heard(robot, key, payload)
+        if state is not None:
+            self._know(state)
+
+    def _on_states(self, key: str, payload: bytes) -> None:
+        for state in states_heard(key, payload):
+            self._know(state)
+
+    def _know(self, state: RobotState) -> None:
+        self.watch(state.robot).set_state(state)
         for observer in self._state_observers:
             _tell(partial(observer, state))
 

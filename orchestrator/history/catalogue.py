@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -26,14 +25,13 @@ from nufleet.orchestrator.runs.folder import (
     read_configuration,
     read_document,
     read_record,
+    subject_of,
 )
 from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord
 from nufleet.shared.errors import InvalidInputError
 from nufleet.shared.strict import Strict
 
 D = TypeVar("D", bound=Strict)
-
-_STAMP = re.compile(r"^(\d{8}T\d{6}Z)-")
 
 
 @dataclass(frozen=True)
@@ -109,18 +107,13 @@ def read_run(folder: Path) -> Run:
         InvalidInputError: Its files are not those that a run of this version writes.
     """
     configuration = read_configuration(folder)
-    kind = configuration.get("kind", "rank")
+    kind, fleet, began = subject_of(folder, configuration)
     if kind not in KINDS:
         raise InvalidInputError(
             f"{folder / CONFIGURATION}: a run of kind {kind!r}; expected {', '.join(KINDS)}. Was "
             "it written by a newer version of nufleet?"
         )
-    stamp = _STAMP.match(folder.name)
-    began = None
-    if stamp is not None:
-        began = datetime.strptime(stamp[1], "%Y%m%dT%H%M%SZ").replace(tzinfo=UTC)
-    fleet = configuration.get("fleet") or (folder.name[stamp.end() :] if stamp else "")
-    return Run(folder, kind, str(fleet), began, KINDS[kind].read(folder))
+    return Run(folder, kind, fleet, began, KINDS[kind].read(folder))
 
 
 def read_runs(root: Path) -> list[Run | Damaged]:

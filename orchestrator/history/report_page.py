@@ -16,9 +16,10 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from nufleet.orchestrator.history.catalogue import Run, read_run
+from nufleet.orchestrator.history.catalogue import KINDS, Run, read_run
 from nufleet.orchestrator.history.tables import run_tables
 from nufleet.orchestrator.runs.folder import read_configuration
+from nufleet.orchestrator.runs.headline import Headline, write_headline
 from nufleet.orchestrator.runs.rank_result import RankResult
 from nufleet.shared.private_files import write_privately
 
@@ -50,7 +51,7 @@ img { max-width: 100%; height: auto } pre { white-space: pre-wrap; overflow-wrap
 
 
 def leave_report(folder: Path) -> Path | None:
-    """Write the page of a run and, of a ranking, a table for spreadsheets into the run's folder.
+    """Write the page of a run, its headline and, of a ranking, a table for spreadsheets.
 
     Args:
         folder: Folder of the run.
@@ -64,6 +65,7 @@ def leave_report(folder: Path) -> Path | None:
     run = read_run(folder)
     if run.result is None:
         return None
+    write_headline(folder, Headline(run.headline, KINDS[run.kind].document))
     if run.ranking is not None:
         write_privately(folder / RANKING, ranking_csv(run.ranking).encode())
     page = folder / PAGE

@@ -24,6 +24,7 @@ from nufleet.orchestrator.jobs.terminal import bars_shown, results_console
 from nufleet.orchestrator.repository.errors import LeaseHeldError
 from nufleet.orchestrator.repository.repository import Repository
 from nufleet.orchestrator.runs.folder import RunFolder, make_runs_root, study_id_of
+from nufleet.orchestrator.runs.headline import Headline, write_headline
 from nufleet.orchestrator.viewer.clock import ViewerClock
 from nufleet.orchestrator.viewer.server.ports import GRPC_PORT, WEB_PORT
 from nufleet.orchestrator.viewer.writer import RerunWriter, ServeOptions
@@ -134,6 +135,8 @@ class Opening:
         self.folder.write_configuration(
             {**request, "fleet": self.connection.name, **self.storage.document()}
         )
+        # Without it, a list of runs would look for a run that did not end in the repository.
+        write_headline(self.folder.path, Headline())
 
     def take(self, descriptions: Mapping[str, Description], moves: Moves) -> Archive:
         """Lease robots, so that this command alone moves them, if it may move them at all.

@@ -1,18 +1,20 @@
 """The work of `nufleet runs list`.
 
-It opens no repository unless a run is unfinished, and never connects to a fleet.
+It opens no repository unless an unfinished run of an older version may be in it, and never connects
+to a fleet.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import click
 from rich.table import Table
 
-from nufleet.orchestrator.history.catalogue import KINDS, Damaged, Run, read_runs
+from nufleet.orchestrator.history.listing import ListedRun, listed_runs
 from nufleet.orchestrator.jobs.terminal import stdout_console
 from nufleet.orchestrator.runs.folder import study_id_of
 
@@ -26,7 +28,7 @@ def list_and_print(runs_root: Path, *, as_json: bool) -> None:
         runs_root: Folder that holds the folders of all runs.
         as_json: Whether to print the list as JSON on stdout instead of a table.
     """
-    runs = read_runs(runs_root)
+    runs = listed_runs(runs_root)
     if as_json:
         click.echo(json.dumps({"schema": 1, "runs": [_document(run) for run in runs]}))
         return
@@ -39,34 +41,40 @@ def list_and_print(runs_root: Path, *, as_json: bool) -> None:
     table.add_column("run", no_wrap=True, min_width=42)
     table.add_column("kind", no_wrap=True)
     table.add_column("result", min_width=20)
-    open_runs = [run for run in runs if isinstance(run, Run) and run.result is None]
-    unfinished = why_unfinished(runs_root, open_runs)
+    untold = [run.folder for run in runs if not (run.told or run.headline.results)]
+    unfinished = why_unfinished(runs_root, untold)
     for run in runs:
-        if isinstance(run, Damaged):
-            table.add_row(run.folder.name, "", f"[red]{run.reason}[/]")
-        else:
-            said = run.headline or f"[yellow]{unfinished[run.folder]}[/]"
-            table.add_row(run.folder.name, run.kind, said)
+        table.add_row(run.folder.name, run.kind, _said(run, unfinished))
     stdout_console().print(table)
 
 
-def why_unfinished(runs_root: Path, runs: list[Run]) -> dict[Path, str]:
+def _said(run: ListedRun, unfinished: dict[Path, str]) -> str:
+    headline = run.headline
+    if run.damage:
+        return f"[red]{run.damage}[/]"
+    if headline.results:
+        return headline.text
+    failed = f"failed: {headline.failure}" if headline.failure else INTERRUPTED
+    return f"[yellow]{unfinished.get(run.folder, failed)}[/]"
+
+
+def why_unfinished(runs_root: Path, folders: Iterable[Path]) -> dict[Path, str]:
     """Return why each run has no result, as far as the repository in `runs_root` knows it.
 
     Args:
         runs_root: Folder that holds the folders of all runs.
-        runs: Runs without a result.
+        folders: Folders of runs without a result.
 
     Returns:
         The reason in words, by the run's folder.
     """
-    if not runs:
-        return {}
+    found = dict.fromkeys(folders, INTERRUPTED)
+    if not found:
+        return found
     from nufleet.orchestrator.jobs.storage import Storage
     from nufleet.orchestrator.repository.address import FILE_NAME
     from nufleet.orchestrator.repository.records import StudyStatus
 
-    found = {run.folder: INTERRUPTED for run in runs}
     if (runs_root / FILE_NAME).exists():
         with Storage(runs_root).open() as repository:
             failed = repository.studies.studies(StudyStatus.FAILED)
@@ -75,24 +83,29 @@ def why_unfinished(runs_root: Path, runs: list[Run]) -> dict[Path, str]:
     return found
 
 
-def full_document(run: Run) -> dict[str, Any]:
-    """Return the document that a run left, with a result of None when the run did not finish."""
-    if run.result is None:
-        return {"run": str(run.folder), "result": None}
-    document: dict[str, Any] = json.loads((run.folder / KINDS[run.kind].document).read_bytes())
+def result_document(folder: Path, results: str) -> dict[str, Any]:
+    """Return the document that a run left, with a result of None when the run did not finish.
+
+    Args:
+        folder: Folder of the run.
+        results: Name of the file with its results; empty if there is none.
+    """
+    if not results:
+        return {"run": str(folder), "result": None}
+    document: dict[str, Any] = json.loads((folder / results).read_bytes())
     return document
 
 
-def _document(run: Run | Damaged) -> dict[str, Any]:
+def _document(run: ListedRun) -> dict[str, Any]:
     """Return the entry of a run in the list; the result of a ranking is the document it printed."""
-    if isinstance(run, Damaged):
-        return {"run": str(run.folder), "result": None, "error": run.reason}
-    full = full_document(run)
+    if run.damage:
+        return {"run": str(run.folder), "result": None, "error": run.damage}
+    full = result_document(run.folder, run.headline.results)
     return {
         "run": str(run.folder),
         "kind": run.kind,
         "fleet": run.fleet,
         "began": None if run.began is None else run.began.isoformat(),
-        "headline": run.headline,
-        "result": full.get("result", full) if run.result is not None else None,
+        "headline": run.headline.text,
+        "result": full.get("result", full),
     }

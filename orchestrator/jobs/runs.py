@@ -7,12 +7,12 @@ from pathlib import Path
 
 import click
 
-from nufleet.orchestrator.history.catalogue import read_run
+from nufleet.orchestrator.history.catalogue import KINDS, read_run
 from nufleet.orchestrator.history.comparison import compare_runs, comparison_parts
 from nufleet.orchestrator.history.export import export_responses, run_responses
 from nufleet.orchestrator.history.tables import run_tables
 from nufleet.orchestrator.jobs.resume import can_reach_again
-from nufleet.orchestrator.jobs.run_list import INTERRUPTED, full_document, why_unfinished
+from nufleet.orchestrator.jobs.run_list import INTERRUPTED, result_document, why_unfinished
 from nufleet.orchestrator.jobs.storage import Storage
 from nufleet.orchestrator.jobs.terminal import stdout_console
 from nufleet.orchestrator.runs.folder import RECORDING, find_run, read_configuration
@@ -29,7 +29,8 @@ def show_and_print(runs_root: Path, name: str, *, as_json: bool) -> None:
     """
     run = read_run(find_run(runs_root, name))
     if as_json:
-        click.echo(json.dumps(full_document(run)))
+        results = "" if run.result is None else KINDS[run.kind].document
+        click.echo(json.dumps(result_document(run.folder, results)))
         return
     console = stdout_console()
     began = "" if run.began is None else f", begun {run.began:%Y-%m-%d %H:%M} UTC"
@@ -37,7 +38,7 @@ def show_and_print(runs_root: Path, name: str, *, as_json: bool) -> None:
     for part in run_tables(run):
         console.print(part)
     if run.result is None:
-        why = why_unfinished(runs_root, [run])[run.folder]
+        why = why_unfinished(runs_root, [run.folder])[run.folder]
         console.print(f"[yellow]{why}[/]")
         if can_reach_again(run.folder) and why == INTERRUPTED:
             command = Storage(runs_root).resume_command(run.folder.name)

@@ -12,12 +12,14 @@ from nufleet.orchestrator.conduct.reuse import said_of
 from nufleet.orchestrator.flights.ways import Foresight
 from nufleet.orchestrator.jobs.foresight import foreseen
 from nufleet.orchestrator.jobs.opening import Opening
-from nufleet.orchestrator.repository.records import StudyRecord
+from nufleet.orchestrator.repository.records import StudyRecord, StudyStatus
 from nufleet.orchestrator.runs.console import ConsoleObserver, record_table
+from nufleet.orchestrator.runs.headline import Headline, write_headline
 from nufleet.orchestrator.runs.rank_result import RankResult, RunRecord
 from nufleet.orchestrator.runs.verdict_table import verdict_parts
 from nufleet.orchestrator.runs.way_table import way_parts, with_ways
 from nufleet.orchestrator.viewer.study_feed import LiveView
+from nufleet.shared.errors import StudyError
 
 
 def follow_study(
@@ -56,6 +58,10 @@ def follow_study(
             foresee=foresee,
             draw=draw,
         )
+    except StudyError as error:
+        if run.repository.studies.study(study.study_id).status is StudyStatus.FAILED:
+            write_headline(run.folder.path, Headline(failure=str(error)))
+        raise
     finally:
         view.stop_watching()
 

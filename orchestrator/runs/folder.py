@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import platform
+import re
 import shutil
 import sys
 import tempfile
@@ -19,19 +20,20 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from nufleet.shared.errors import InvalidInputError, system_errors_as
 from nufleet.shared.private_files import write_privately
 from nufleet.shared.redaction import without_secrets
-from nufleet.shared.strict import Strict, validation_errors_as
 
 if TYPE_CHECKING:
     import pyarrow.parquet
 
     from nufleet.orchestrator.runs.rank_result import RunRecord
     from nufleet.orchestrator.study.outcomes import Measured
+    from nufleet.shared.strict import Strict
 
-D = TypeVar("D", bound=Strict)
+D = TypeVar("D", bound="Strict")
 
 RECORDING = "run.rrd"
 RESULTS = "results.json"
 CONFIGURATION = "config.json"
+_STAMP = re.compile(r"^(\d{8}T\d{6}Z)-")
 _ELSEWHERE = "; choose another place with --runs"
 _PACKAGES = ("nufleet", "eclipse-zenoh", "numpy", "scipy", "numba", "pydantic", "rerun-sdk")
 
@@ -177,6 +179,8 @@ def read_document(path: Path, model: type[D]) -> D | None:
     Raises:
         InvalidInputError: The file cannot be read, or holds something else.
     """
+    from nufleet.shared.strict import validation_errors_as
+
     with system_errors_as(InvalidInputError, f"{path} cannot be read"):
         try:
             data = path.read_bytes()
@@ -198,6 +202,21 @@ def read_configuration(folder: Path) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise InvalidInputError(f"{path}: expected an object")
     return document
+
+
+def subject_of(folder: Path, configuration: Mapping[str, Any]) -> tuple[str, str, datetime | None]:
+    """Return the kind of a run, the name of its fleet, and when it began.
+
+    Args:
+        folder: Folder of the run, whose name holds the time unless it was renamed.
+        configuration: Configuration of the run.
+    """
+    kind, fleet = configuration.get("kind", "rank"), configuration.get("fleet")
+    stamp = _STAMP.match(folder.name)
+    if stamp is None:
+        return str(kind), str(fleet or ""), None
+    began = datetime.strptime(stamp[1], "%Y%m%dT%H%M%SZ").replace(tzinfo=UTC)
+    return str(kind), str(fleet or folder.name[stamp.end() :]), began
 
 
 def list_runs(root: Path) -> list[Path]:

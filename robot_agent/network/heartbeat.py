@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from nufleet.robot_agent.network.joint_heartbeat import JointHeartbeat
 from nufleet.shared.errors import NufleetError
 from nufleet.shared.wire.codec import encode
 from nufleet.shared.wire.messages import RobotState
@@ -31,6 +32,7 @@ class Heartbeat:
         publisher: Publisher,
         state: Callable[[], RobotState],
         changed: threading.Event,
+        joint: JointHeartbeat | None = None,
     ) -> None:
         """Begin to publish.
 
@@ -39,7 +41,11 @@ class Heartbeat:
             publisher: Publisher of the states; withdrawn at the end.
             state: Function that returns the present state.
             changed: Event to set after a change of the state, so that it is published soon.
+            joint: Heartbeat of the robots that share a session; None for a robot with its own.
         """
+        self._robot = robot
+        self._joint = joint
+        self._said: RobotState | None = None
         self._publisher = publisher
         self._state = state
         self._changed = changed
@@ -54,13 +60,26 @@ class Heartbeat:
         self._thread.join()
         self._publisher.withdraw()
 
+    def _publish(self, state: RobotState, *, final: bool) -> None:
+        payload = encode(state)
+        if self._joint is None:
+            self._publisher.put(payload)
+            return
+        # These two fields of a state change with time alone.
+        said = state.model_copy(update={"sequence": 0, "robot_time_s": 0.0})
+        if final or said != self._said:
+            self._joint.overtake(self._robot, self._publisher, payload)
+            self._said = said
+        else:
+            self._joint.hand_in(self._robot, payload)
+
     def _beat(self) -> None:
         closing = False
         while not closing:
             self._changed.clear()
             closing = self._closing  # read before the state, so that the final one is published
             try:
-                self._publisher.put(encode(self._state()))
+                self._publish(self._state(), final=closing)
             except NufleetError as error:
                 _log.warning("a heartbeat could not be sent: %s", error)
             if not closing:

@@ -161,6 +161,15 @@ class FleetKeys:
         """Return the key expression that matches the key with this `leaf` of all robots."""
         return f"{self.root}/robot/*/{leaf}"
 
+    @property
+    def states(self) -> str:
+        """Key on which an open fleet's robots that share a session publish their states together.
+
+        The router of a closed fleet lets nothing through here, since one message would speak for
+        several principals.
+        """
+        return f"{self.root}/states"
+
     def robot_of(self, key: str) -> str | None:
         """Return the name of the robot that a key from the network belongs to; None if invalid."""
         robot = self._below(key, "robot")

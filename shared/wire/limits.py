@@ -20,3 +20,6 @@ sender of larger ones."""
 
 MAX_STATE_BYTES = 64 * 1024
 """Largest state that a subscriber accepts; real ones take a few kilobytes at most."""
+
+MAX_STATES_BYTES = 256 * 1024
+"""Largest message with the states of several robots, some hundreds of them."""

@@ -223,6 +223,16 @@ class Session:
             )
         return self._kept(Publisher(declared))
 
+    def states_publisher(self, key: str) -> Publisher:
+        """Declare a publisher of several robots' states, which are sent again and again."""
+        with declaring(key):
+            declared = self._session.declare_publisher(
+                key,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.INTERACTIVE_HIGH,
+            )
+        return self._kept(Publisher(declared))
+
     def telemetry_publisher(self, key: str) -> Publisher:
         """Declare a publisher of measurements, some of which may be lost under load."""
         with declaring(key):

@@ -182,7 +182,7 @@ def test_a_run_leaves_a_folder_that_runs_list_and_runs_show_read(
     run = paper.run
     assert {path.name for path in run.iterdir()} == {
         *("config.json", "results.json", "telemetry.parquet", "run.rrd", "plots", "report.md"),
-        *("report.html", "ranking.csv"),
+        *("report.html", "ranking.csv", "headline.json"),
     }
     assert {path.suffix for path in (run / "plots").iterdir()} == {".png"}
     listed = json.loads(typed("runs", "list", "--json", cwd=paper.folder).stdout)

@@ -22,6 +22,7 @@ from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import FleetFileError
 from nufleet.shared.robots.fleet_file import FleetFile, read_fleet_file
 from nufleet.shared.strict import Strict
+from nufleet.shared.wire.keys import FleetKeys
 from nufleet.sims.double_integrator import DoubleIntegrator
 
 NOISY = "{ alpha = 0.85, beta = 0.003, noise_std_m = 0.01 }"
@@ -166,23 +167,42 @@ def test_robots_that_share_a_radio_are_built_together_and_the_others_apart(
 class OpenSession:
     """A session that is always admitted."""
 
+    def __init__(self, identity: object) -> None:
+        self.identity = identity
+
     def check_admitted(self) -> None:
         """Agree."""
 
 
+class NoHeartbeat:
+    """A joint heartbeat that sends nothing."""
+
+    def __init__(self, session: object, keys: FleetKeys) -> None:
+        self.session = session
+
+    def close(self) -> None:
+        """End nothing."""
+
+
+@pytest.mark.parametrize("identity", [None, "that of a robot"])
 def test_simulated_robots_share_a_session_and_every_real_one_has_its_own(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, identity: object
 ) -> None:
+    monkeypatch.setattr(fleet_robots, "JointHeartbeat", NoHeartbeat)
     monkeypatch.setattr(
-        fleet_robots, "open_client", lambda address, **_: nullcontext(OpenSession())
+        fleet_robots, "open_client", lambda address, **_: nullcontext(OpenSession(identity))
     )
     with ExitStack() as opened:
-        sessions = fleet_robots.Sessions(opened, Event())
+        sessions = fleet_robots.Sessions(opened, Event(), FleetKeys("lab"))
         simulated = [sessions.session("tcp/there:1", shared=True) for _ in range(3)]
         elsewhere = sessions.session("tcp/elsewhere:1", shared=True)
         real = [sessions.session("tcp/there:1", shared=False) for _ in range(2)]
     assert len(set(simulated)) == 1
     assert len({simulated[0], elsewhere, *real}) == 4
+    # In a closed fleet a message speaks for one robot.
+    joint = identity is None
+    assert [one is not None for _, one in (*simulated, elsewhere)] == [joint] * 4
+    assert [one for _, one in real] == [None, None]
 
 
 def test_an_agent_serves_the_fleet_file_as_it_was_when_it_was_read_once(

@@ -11,12 +11,15 @@ from pathlib import Path
 import pytest
 from run_records import NOON, a_record
 
+from nufleet.orchestrator.history.report_page import leave_report
 from nufleet.orchestrator.runs.folder import RunFolder
+from nufleet.orchestrator.runs.headline import Headline, write_headline
 
 HEAVY = {
     *("zenoh", "sqlalchemy", "alembic", "psycopg"),
     *("rerun", "matplotlib", "pyarrow", "numba", "torch", "mujoco", "crazyflow"),
 }
+FIRST_RUN = f"{NOON:%Y%m%dT%H%M%SZ}-lab"
 SCRIPT = """
 import sys
 from nufleet.shared.command_line import main
@@ -39,6 +42,11 @@ def workplace(tmp_path: Path) -> Path:
         folder.write_configuration({"kind": "rank", "fleet": "lab"})
         folder.write_record(a_record(folder.path))
         folder.recording.write_bytes(b"RRF2")
+    leave_report(folder.path)
+    with RunFolder(tmp_path / "runs", "lab", now=NOON) as interrupted:
+        interrupted.write_configuration({"kind": "rank", "fleet": "lab"})
+    write_headline(interrupted.path, Headline())
+    (tmp_path / "runs" / "nufleet.sqlite").touch()
     return tmp_path
 
 
@@ -61,8 +69,9 @@ def loaded_by(workplace: Path, *arguments: str) -> tuple[set[str], str]:
     [
         (("gap", "first.json", "second.json"), "guarantee", {"scipy"}),
         (("gap", "first.json", "measured.csv"), "lower bound", {"scipy"}),
-        (("view",), "no display", {"scipy", "numpy", "rich"}),
-        (("runs", "list"), "source-1 for target", {"scipy"}),
+        (("view", FIRST_RUN), "no display", {"scipy", "numpy", "pydantic", "rich"}),
+        (("runs", "list"), "source-1 for target", {"scipy", "numpy", "pydantic"}),
+        (("runs", "list"), "interrupted", {"scipy", "numpy", "pydantic"}),
         (("drawing", "list"), "clover", set[str]()),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",

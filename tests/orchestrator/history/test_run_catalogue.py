@@ -22,12 +22,15 @@ from nufleet.orchestrator.history.catalogue import (
     read_run,
     read_runs,
 )
+from nufleet.orchestrator.history.listing import listed_runs
+from nufleet.orchestrator.history.report_page import leave_report
 from nufleet.orchestrator.history.tables import run_tables
 from nufleet.orchestrator.jobs.run_list import list_and_print
 from nufleet.orchestrator.jobs.runs import show_and_print
 from nufleet.orchestrator.repository.records import StudyRecord, StudyStatus
 from nufleet.orchestrator.repository.repository import open_repository
 from nufleet.orchestrator.runs.folder import RESULTS, RunFolder, study_id_of
+from nufleet.orchestrator.runs.headline import HEADLINE, Headline, write_headline
 from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.shared.errors import InvalidInputError
 
@@ -85,6 +88,47 @@ def test_a_ranking_that_could_not_go_on_is_told_with_the_reason(
     assert "interrupted" in capsys.readouterr().out
     list_and_print(tmp_path, as_json=False)
     assert "the target" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", ENDED)
+def test_a_run_is_listed_by_its_headline_as_it_is_by_its_results(
+    tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    leave_report(leave(tmp_path, kind))
+    (with_headline,) = listed_runs(tmp_path)
+    assert with_headline.told
+    said = []
+    for _ in range(2):
+        for as_json in (False, True):
+            list_and_print(tmp_path, as_json=as_json)
+        said.append(capsys.readouterr().out)
+        (with_headline.folder / HEADLINE).unlink(missing_ok=True)
+    assert said[0] == said[1]
+    assert ENDED[kind][2] in said[0]
+
+
+def test_a_run_that_kept_its_headline_is_listed_without_the_repository(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    interrupted, failed = (leave(tmp_path, "rank", ended=False) for _ in range(2))
+    write_headline(interrupted, Headline())
+    write_headline(failed, Headline(failure="the target is gone"))
+    (tmp_path / "nufleet.sqlite").write_text("no database")
+    list_and_print(tmp_path, as_json=False)
+    first, second = (line for line in capsys.readouterr().out.splitlines() if "rank" in line)
+    assert "interrupted" in first
+    assert "failed: the target is gone" in second
+
+
+def test_a_run_that_was_killed_between_its_results_and_its_headline_has_ended(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = leave(tmp_path, "rank", ended=False)
+    write_headline(folder, Headline())
+    with RunFolder(tmp_path, folder.name, goes_on=True) as again:
+        again.write_record(a_record(folder))
+    list_and_print(tmp_path, as_json=False)
+    assert "source-1 for target" in capsys.readouterr().out
 
 
 def test_a_list_holds_all_kinds_and_what_is_wrong_with_the_damaged(
