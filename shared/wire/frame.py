@@ -12,7 +12,7 @@ import struct
 
 from nufleet.shared.text import as_reason
 
-PROTOCOL_VERSION = 5
+PROTOCOL_VERSION = 6
 MAGIC = b"NUF1"
 LENGTHS = struct.Struct("<II")
 PREFIX_BYTES = len(MAGIC) + LENGTHS.size
