@@ -1,8 +1,11 @@
 """How many samples of a real robot are late on a busy machine, with and without real-time priority?
 
-A whole agent, with its network, its journal and its heartbeat, plays a frequency test on a robot
-that keeps time by the machine's clock. A sample is late if it begins more than a sample time after
-its turn, as results count them. Other programs keep the machine busy: give a number of them.
+A whole agent, in a process of its own with its network, its journal and its heartbeat, plays a
+frequency test on a robot that keeps time by the machine's clock, while others ask it questions. A
+sample is late if it begins more than a sample time after its turn, as results count them. Beside
+it, a program that has nothing else to do sleeps from tick to tick with the same priority: it is
+late when the machine itself is, as when its host takes a processor away. Other programs keep the
+machine busy: give a number of them.
 
     sudo python -m benchmarks.late_samples --rates 100 500 --busy 8
 """
@@ -10,13 +13,18 @@ its turn, as results count them. Other programs keep the machine busy: give a nu
 from __future__ import annotations
 
 import argparse
+import gc
+import multiprocessing
 import os
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +34,7 @@ from nufleet.orchestrator.fleet.goal_runner import GoalRunner
 from nufleet.orchestrator.fleet.processes import FleetProcesses
 from nufleet.robot_agent.agent import Agent
 from nufleet.robot_agent.motion.promptness import Promptness
+from nufleet.robot_agent.motion.watched_robot import WatchedRobot
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
@@ -103,26 +112,90 @@ def busy(programs: int) -> Iterator[None]:
             program.wait()
 
 
-def flown(
-    endpoint: str,
-    folder: Path,
-    rate_hz: float,
-    omega_rad_s: float,
-    prompt: Callable[[], AbstractContextManager[None]],
-) -> GoalResult:
-    """Play one test and return its result."""
-    with ExitStack() as stack:
-        session = stack.enter_context(open_client(endpoint, timeout_s=PATIENCE_S))
+@contextmanager
+def beside(target: Callable[..., None], *arguments: object) -> Iterator[Connection]:
+    """Run a function in a process of its own until the context ends.
+
+    It receives a connection before its other arguments, and has to return once that sends
+    something or ends.
+    """
+    ours, theirs = multiprocessing.Pipe()
+    spawned = multiprocessing.get_context("spawn")
+    process: BaseProcess = spawned.Process(target=target, args=(theirs, *arguments))
+    process.start()
+    theirs.close()
+    try:
+        yield ours
+    finally:
+        ours.close()
+        process.join()
+
+
+def until_end(ours: Connection) -> None:
+    """Wait until the connection ends."""
+    try:
+        ours.recv()
+    except EOFError:
+        return
+
+
+def agent(ours: Connection, endpoint: str, folder: Path, rate_hz: float, urgent: bool) -> None:
+    """Serve a robot until the connection ends."""
+    prompt = Promptness().motion if urgent else nullcontext
+    with open_client(endpoint, timeout_s=PATIENCE_S) as session:
         robot = ClockedLag(rate_hz)
-        agent = Agent(
+        serving = Agent(
             session, KEYS, "robot", robot, realtime=None, state_folder=folder, prompt=prompt
         )
-        stack.enter_context(agent)
+        with serving:
+            gc.freeze()  # as agents do
+            until_end(ours)
+
+
+def bare(ours: Connection, rate_hz: float, urgent: bool) -> None:
+    """Do nothing but keep time; send how many samples were late, of how many."""
+    robot = WatchedRobot(ClockedLag(rate_hz), realtime=None)
+    ended = threading.Event()
+
+    def watch() -> None:
+        ours.recv()
+        ended.set()
+
+    threading.Thread(target=watch, daemon=True).start()
+    played, zero = 0, np.zeros(1)
+    robot.connect()
+    gc.freeze()
+    with Promptness().motion() if urgent else nullcontext():
+        while not ended.is_set():
+            robot.step(zero)
+            played += 1
+    ours.send((robot.late_samples, played))
+
+
+def played(endpoint: str, goal_id: str, omega_rad_s: float, asked_hz: float) -> GoalResult:
+    """Have the robot play one test, ask it questions meanwhile, and return its result."""
+    with ExitStack() as stack:
         desk = stack.enter_context(open_client(endpoint, timeout_s=PATIENCE_S))
         fleet = Fleet(desk, KEYS, "orchestrator-1")
         fleet.wait_for(("robot",), timeout_s=PATIENCE_S)
+        ended = threading.Event()
+        asking = threading.Thread(target=ask, args=(fleet, asked_hz, ended))
+        asking.start()
+        stack.callback(asking.join)
+        stack.callback(ended.set)
         test = Excitation(axis="x", tones=(Tone(omega_rad_s=omega_rad_s),))
-        return GoalRunner(fleet).run("robot", folder.name, test)
+        return GoalRunner(fleet).run("robot", goal_id, test)
+
+
+def ask(fleet: Fleet, asked_hz: float, ended: threading.Event) -> None:
+    """Ask the robot for its description, as often as given, until the event is set."""
+    while asked_hz and not ended.wait(1 / asked_hz):
+        fleet.describe("robot")
+
+
+def share(late: int, samples: int) -> str:
+    """Return a share of late samples in words."""
+    return f"{late} of {samples} ({100 * late / samples:.3f} %)"
 
 
 def main() -> None:
@@ -131,20 +204,26 @@ def main() -> None:
     parser.add_argument("--rates", type=float, nargs="+", default=[100.0, 500.0])
     parser.add_argument("--busy", type=int, default=2 * (os.cpu_count() or 1))
     parser.add_argument("--omega", type=float, default=1.0, help="rad/s; slower tests last longer")
-    arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory() as place, FleetProcesses() as started:
+    parser.add_argument("--asked", type=float, default=20.0, help="questions per second")
+    parser.add_argument("--urgent", action="store_true", help="with real-time priority alone")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as place, FleetProcesses() as started, busy(given.busy):
         endpoint = f"unixsock-stream/{place}/router.sock"
         started.start_router(endpoint)
-        ways = {"normal": nullcontext, "real-time": Promptness().motion}
-        with busy(arguments.busy):
-            for rate_hz in arguments.rates:
-                for name, prompt in ways.items():
-                    folder = Path(place, f"{rate_hz:g}-{name}")
-                    result = flown(endpoint, folder, rate_hz, arguments.omega, prompt)
-                    samples = len(result.reference)
+        for rate_hz in given.rates:
+            for urgent in (True,) if given.urgent else (False, True):
+                name = "real-time" if urgent else "normal"
+                goal_id = f"{rate_hz:g}-{name}"
+                with (
+                    beside(agent, endpoint, Path(place, goal_id), rate_hz, urgent),
+                    beside(bare, rate_hz, urgent) as empty,
+                ):
+                    result = played(endpoint, goal_id, given.omega, given.asked)
+                    empty.send(None)
                     print(
-                        f"{rate_hz:5g} Hz, {name:9s} priority: {result.late_samples} of {samples} "
-                        f"samples late ({100 * result.late_samples / samples:.3f} %), "
+                        f"{rate_hz:5g} Hz, {name:9s} priority: late are "
+                        f"{share(result.late_samples, len(result.reference))} samples, and of a "
+                        f"program that only keeps time {share(*empty.recv())}; "
                         f"{result.outcome}; load {os.getloadavg()[0]:.1f}",
                         flush=True,
                     )
