@@ -1,11 +1,11 @@
 """How many samples of a real robot are late on a busy machine, with and without real-time priority?
 
 A whole agent, in a process of its own with its network, its journal and its heartbeat, plays a
-frequency test on a robot that keeps time by the machine's clock, while others ask it questions. A
-sample is late if it begins more than a sample time after its turn, as results count them. Beside
-it, a program that has nothing else to do sleeps from tick to tick with the same priority: it is
-late when the machine itself is, as when its host takes a processor away. Other programs keep the
-machine busy: give a number of them.
+frequency test on a robot that keeps time by the machine's clock, and whose driver has a thread that
+receives measurements; others ask it questions meanwhile. A sample is late if it begins more than a
+sample time after its turn, as results count them. Beside it, a program that has nothing else to do
+sleeps from tick to tick with the same priority: it is late when the machine itself is, as when its
+host takes a processor away. Other programs keep the machine busy: give a number of them.
 
     sudo python -m benchmarks.late_samples --rates 100 500 --busy 8
 """
@@ -16,6 +16,7 @@ import argparse
 import gc
 import multiprocessing
 import os
+import struct
 import subprocess
 import sys
 import tempfile
@@ -44,15 +45,22 @@ from nufleet.shared.wire.messages import GoalResult
 from nufleet.shared.wire.transport import open_client
 
 KEYS = FleetKeys("late")
-PATIENCE_S = 60.0
+PATIENCE_S = 180.0
 ANSWER_RAD_S = 20.0
 """Bandwidth of the robot, which answers its reference as a first-order lag."""
 
+_PACKET = struct.Struct("<qd")
+"""A time stamp in ns, and the output."""
+
 
 class ClockedLag(Robot):
-    """A robot that takes a reference at each tick of the machine's clock."""
+    """A robot that takes a reference at each tick of the machine's clock.
 
-    def __init__(self, rate_hz: float) -> None:
+    Like the drivers of real robots, it may have a thread of its own that unpacks measurements as
+    they arrive, one per sample.
+    """
+
+    def __init__(self, rate_hz: float, *, listens: bool) -> None:
         axis = AxisSpec(
             name="x", unit="m", amplitude_max=1.0, velocity_max=10.0, acceleration_max=100.0
         )
@@ -66,8 +74,10 @@ class ClockedLag(Robot):
             settling_time_s=1.0,
             simulated=False,
         )
-        self._output = np.zeros(1)
+        self._listens = listens
+        self._output = self._measured = np.zeros(1)
         self._tick_s = 0.0
+        self._ended = threading.Event()
 
     @property
     def spec(self) -> RobotSpec:
@@ -76,26 +86,37 @@ class ClockedLag(Robot):
 
     def connect(self) -> None:
         """Rest at 0."""
-        self._output = np.zeros(1)
+        self._output = self._measured = np.zeros(1)
+        if self._listens:
+            threading.Thread(target=self._listen, name="measurements", daemon=True).start()
 
     def measure_output(self) -> FloatArray:
         """Return the output, shape (1,)."""
-        return self._output
+        return self._measured
 
     def step(self, reference: FloatArray) -> FloatArray:
         """Follow a reference until the next tick; one that is late counts from there."""
-        measured, period_s = self._output, self._spec.sample_time_s
-        self._output = measured + (reference - measured) * (1 - np.exp(-ANSWER_RAD_S * period_s))
+        output, period_s = self._output, self._spec.sample_time_s
+        measured = self._measured if self._listens else output
+        self._output = output + (reference - output) * (1 - np.exp(-ANSWER_RAD_S * period_s))
         self._tick_s = max(self._tick_s, time.monotonic() - period_s) + period_s
         time.sleep(max(0.0, self._tick_s - time.monotonic()))
         return np.asarray(measured)
 
     def rest(self) -> None:
         """Return to 0."""
-        self._output = np.zeros(1)
+        self._output = self._measured = np.zeros(1)
 
     def disconnect(self) -> None:
-        """Do nothing."""
+        """Listen no more."""
+        self._ended.set()
+
+    def _listen(self) -> None:
+        while not self._ended.is_set():
+            packet = _PACKET.pack(time.monotonic_ns(), *self._output)
+            _, *values = _PACKET.unpack(packet)
+            self._measured = np.array(values)
+            time.sleep(self._spec.sample_time_s)
 
 
 @contextmanager
@@ -131,19 +152,20 @@ def beside(target: Callable[..., None], *arguments: object) -> Iterator[Connecti
         process.join()
 
 
-def until_end(ours: Connection) -> None:
-    """Wait until the connection ends."""
+def until_end(ours: Connection) -> bool:
+    """Wait until something arrives, or the connection ends; return whether something arrived."""
     try:
         ours.recv()
     except EOFError:
-        return
+        return False
+    return True
 
 
 def agent(ours: Connection, endpoint: str, folder: Path, rate_hz: float, urgent: bool) -> None:
     """Serve a robot until the connection ends."""
     prompt = Promptness().motion if urgent else nullcontext
     with open_client(endpoint, timeout_s=PATIENCE_S) as session:
-        robot = ClockedLag(rate_hz)
+        robot = ClockedLag(rate_hz, listens=True)
         serving = Agent(
             session, KEYS, "robot", robot, realtime=None, state_folder=folder, prompt=prompt
         )
@@ -154,11 +176,12 @@ def agent(ours: Connection, endpoint: str, folder: Path, rate_hz: float, urgent:
 
 def bare(ours: Connection, rate_hz: float, urgent: bool) -> None:
     """Do nothing but keep time; send how many samples were late, of how many."""
-    robot = WatchedRobot(ClockedLag(rate_hz), realtime=None)
+    robot = WatchedRobot(ClockedLag(rate_hz, listens=False), realtime=None)
     ended = threading.Event()
+    asked: list[bool] = []
 
     def watch() -> None:
-        ours.recv()
+        asked.append(until_end(ours))
         ended.set()
 
     threading.Thread(target=watch, daemon=True).start()
@@ -169,15 +192,19 @@ def bare(ours: Connection, rate_hz: float, urgent: bool) -> None:
         while not ended.is_set():
             robot.step(zero)
             played += 1
-    ours.send((robot.late_samples, played))
+    if asked == [True]:
+        ours.send((robot.late_samples, played))
 
 
-def played(endpoint: str, goal_id: str, omega_rad_s: float, asked_hz: float) -> GoalResult:
-    """Have the robot play one test, ask it questions meanwhile, and return its result."""
+def played(
+    endpoint: str, goal_id: str, omega_rad_s: float, *, asked_hz: float, programs: int
+) -> GoalResult:
+    """Have the robot play one test on a busy machine, ask it questions, and return its result."""
     with ExitStack() as stack:
         desk = stack.enter_context(open_client(endpoint, timeout_s=PATIENCE_S))
         fleet = Fleet(desk, KEYS, "orchestrator-1")
         fleet.wait_for(("robot",), timeout_s=PATIENCE_S)
+        stack.enter_context(busy(programs))
         ended = threading.Event()
         asking = threading.Thread(target=ask, args=(fleet, asked_hz, ended))
         asking.start()
@@ -207,7 +234,7 @@ def main() -> None:
     parser.add_argument("--asked", type=float, default=20.0, help="questions per second")
     parser.add_argument("--urgent", action="store_true", help="with real-time priority alone")
     given = parser.parse_args()
-    with tempfile.TemporaryDirectory() as place, FleetProcesses() as started, busy(given.busy):
+    with tempfile.TemporaryDirectory() as place, FleetProcesses() as started:
         endpoint = f"unixsock-stream/{place}/router.sock"
         started.start_router(endpoint)
         for rate_hz in given.rates:
@@ -218,7 +245,9 @@ def main() -> None:
                     beside(agent, endpoint, Path(place, goal_id), rate_hz, urgent),
                     beside(bare, rate_hz, urgent) as empty,
                 ):
-                    result = played(endpoint, goal_id, given.omega, given.asked)
+                    result = played(
+                        endpoint, goal_id, given.omega, asked_hz=given.asked, programs=given.busy
+                    )
                     empty.send(None)
                     print(
                         f"{rate_hz:5g} Hz, {name:9s} priority: late are "
