@@ -238,7 +238,7 @@ def ask(fleet: Fleet, asked_hz: float, ended: threading.Event) -> None:
 
 def share(late: int, samples: int) -> str:
     """Return a share of late samples in words."""
-    return f"{late} of {samples} ({100 * late / samples:.3f} %)"
+    return f"{late} of {samples} ({100 * late / max(1, samples):.3f} %)"
 
 
 def main() -> None:
