@@ -7,13 +7,26 @@ Z(ω) is known exactly, and with it the largest distance of the matrices in the 
 regret below 0.01 in that distance. The same fleets are ranked by their first axis alone as well.
 The error that inverses leave, on a motion with equal power on all axes and at all frequencies, is
 compared with one source on all axes and with the closest on each.
+
+The study of 200 fleets consists of four such commands, which print a line for each fleet as it ends
+(seeds may also be divided among machines with `--seed`):
+
+    python -m benchmarks.selection_axes --axes 2 --fleets 200 --noise-mm 2 --processes 8
+    python -m benchmarks.selection_axes --axes 2 --fleets 200 --noise-mm 6 --processes 8
+    python -m benchmarks.selection_axes --axes 4 --fleets 200 --noise-mm 2 --processes 8
+    python -m benchmarks.selection_axes --axes 4 --fleets 200 --noise-mm 6 --processes 8
+
+`--distortion 0.3` adds to each output y_i of the robots 0.3/m times the square of the one before
+it, which no linear response explains.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field, fields
+from functools import partial
 
 import numpy as np
 
@@ -61,6 +74,21 @@ class Counts:
     left_by_one: float = 0.0
     left_by_axis: float = 0.0
 
+    def __add__(self, other: Counts) -> Counts:
+        """Return the counts of both."""
+        names = [one.name for one in fields(self)]
+        return Counts(**{name: getattr(self, name) + getattr(other, name) for name in names})
+
+    @property
+    def line(self) -> str:
+        """What was counted of one fleet."""
+        claimed = "right" if self.claims_right else "WRONG" if self.claims else "none"
+        return (
+            f"regret {self.regret:.4f}, claim {claimed}, {self.robot_s:.0f} s, "
+            f"{self.robot_s / self.alone_s:.2f} times one axis, "
+            f"{self.intervals_right} of {self.intervals} intervals"
+        )
+
 
 def random_robots(
     axes: int, sources: int, noise_std_m: float, seed: int
@@ -85,7 +113,7 @@ def random_robots(
 
 
 def played(
-    question: Question, robots: Robots, counts: Counts
+    question: Question, robots: Robots, counts: Counts, distortion_1_m: float
 ) -> tuple[dict[str, FrequencyResponse], float]:
     """Return what the robots measure, and the robot time in s that repeated tests took."""
     found, repeated_s = {}, 0.0
@@ -94,7 +122,7 @@ def played(
         for attempt in range(ATTEMPTS):
             plan = plan_excitation(excitation, robot.spec, name)
             repeated_s += plan.duration_s if attempt else 0.0
-            response = measured(robot, plan, counts)
+            response = measured(robot, plan, counts, distortion_1_m)
             if response.quality.usable:
                 found[name] = response
                 break
@@ -102,14 +130,18 @@ def played(
     return found, repeated_s
 
 
-def measured(robot: CoupledLoops, plan: ExcitationPlan, counts: Counts) -> FrequencyResponse:
+def measured(
+    robot: CoupledLoops, plan: ExcitationPlan, counts: Counts, distortion_1_m: float
+) -> FrequencyResponse:
     """Return what a test measures, and count how often the truth lies in the 95 % regions."""
     reference = reference_of(plan)
     names = [axis.name for axis in robot.spec.axes]
     columns = [names.index(one.axis) for one in plan.played]
     references = np.zeros((len(reference), len(names)))
     references[:, columns] = reference.reshape(len(reference), -1)
-    output = robot.run(references)[:, columns].reshape(reference.shape)
+    moved = robot.run(references)
+    moved = moved + distortion_1_m * np.roll(moved, 1, axis=1) ** 2
+    output = moved[:, columns].reshape(reference.shape)
     robot.rest()
     response = estimate_frequency_response(reference, output, plan)
     if response.matrix is not None:
@@ -123,12 +155,14 @@ def measured(robot: CoupledLoops, plan: ExcitationPlan, counts: Counts) -> Frequ
     return response
 
 
-def follow(study: Study, robots: Robots, counts: Counts) -> tuple[Report, float]:
+def follow(
+    study: Study, robots: Robots, counts: Counts, distortion_1_m: float
+) -> tuple[Report, float]:
     """Follow a study to its end; return its last report and the robot time in s."""
     robot_s, report = 0.0, None
     while (question := study.ask()) is not None:
         robot_s += question.robot_time_s or 0.0
-        answers, repeated_s = played(question, robots, counts)
+        answers, repeated_s = played(question, robots, counts, distortion_1_m)
         robot_s += repeated_s
         report = study.tell(answers, dict.fromkeys(question.tests, "not usable"))
     if report is None:
@@ -136,8 +170,11 @@ def follow(study: Study, robots: Robots, counts: Counts) -> tuple[Report, float]
     return report, robot_s
 
 
-def rank_fleet(axes: int, sources: int, noise_std_m: float, seed: int, counts: Counts) -> None:
-    """Rank one random fleet by all axes and by the first alone."""
+def rank_fleet(
+    axes: int, sources: int, noise_std_m: float, distortion_1_m: float, seed: int
+) -> Counts:
+    """Rank one random fleet by all axes and by the first alone; return what was counted."""
+    counts = Counts()
     robots = random_robots(axes, sources, noise_std_m, seed)
     specs = {name: robot.spec for name, robot in robots.items()}
     names = tuple(name for name in robots if name != "target")
@@ -149,7 +186,7 @@ def rank_fleet(axes: int, sources: int, noise_std_m: float, seed: int, counts: C
     best = min(truth.values())
     plan = StudyPlan("target", names, BAND_RAD_S, ROUNDS, "x", also=NAMES[1:axes])
     study = AdaptiveStudy(plan, specs, np.random.default_rng(seed))
-    report, robot_s = follow(study, robots, counts)
+    report, robot_s = follow(study, robots, counts, distortion_1_m)
     regret = truth[report.selected] - best
     counts.fleets += 1
     counts.right += regret < RIGHT_BELOW
@@ -174,9 +211,10 @@ def rank_fleet(axes: int, sources: int, noise_std_m: float, seed: int, counts: C
         counts.left_by_axis += error_left(robots, [chosen[axis] for axis in NAMES[:axes]])
     one = StudyPlan("target", names, BAND_RAD_S, ROUNDS, "x")
     alone = AdaptiveStudy(one, specs, np.random.default_rng(seed))
-    report, robot_s = follow(alone, robots, Counts())
+    report, robot_s = follow(alone, robots, Counts(), distortion_1_m)
     counts.alone_regret += truth[report.selected] - best
     counts.alone_s += robot_s
+    return counts
 
 
 def error_left(robots: Robots, sources: Sequence[str]) -> float:
@@ -202,10 +240,18 @@ def main() -> None:
     parser.add_argument("--fleets", type=int, default=50)
     parser.add_argument("--noise-mm", type=float, default=2.0)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--distortion", type=float, default=0.0, metavar="PER_M")
+    parser.add_argument("--processes", type=int, default=1)
     options = parser.parse_args()
+    rank = partial(
+        *(rank_fleet, options.axes, options.sources, options.noise_mm / 1000, options.distortion)
+    )
+    seeds = range(options.seed, options.seed + options.fleets)
     counts = Counts()
-    for seed in range(options.seed, options.seed + options.fleets):
-        rank_fleet(options.axes, options.sources, options.noise_mm / 1000, seed, counts)
+    with ProcessPoolExecutor(options.processes) as pool:
+        for seed, one in zip(seeds, pool.map(rank, seeds), strict=True):
+            print(f"seed {seed}: {one.line}", flush=True)
+            counts += one
     n = counts.fleets
     print(f"{n} fleets of {options.sources} sources, {options.axes} axes, {options.noise_mm:g} mm")
     print(f"right {counts.right}, claims {counts.claims}, of them right {counts.claims_right}")

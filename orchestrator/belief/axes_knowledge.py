@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
 
-from nufleet.orchestrator.belief.cross_response import CrossModel
+from nufleet.orchestrator.belief.cross_response import CrossModel, ForeseenErrors
 from nufleet.orchestrator.belief.loop_fit import Tones
 from nufleet.orchestrator.belief.noise_pooling import pooled_variance
 from nufleet.orchestrator.belief.robot_knowledge import VARIANCE_MIN, RobotKnowledge
-from nufleet.shared.arrays import FloatArray
+from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 from nufleet.shared.frequency_test.matrix_response import MatrixResponse
+from nufleet.shared.frequency_test.quality import BoolArray
 from nufleet.shared.robots.spec import RobotSpec
 
 COUPLED_SIGNIFICANCE = 1e-3
@@ -23,6 +24,15 @@ COUPLED_SIGNIFICANCE = 1e-3
 
 COUPLED_MIN = 0.02
 """Share of its own response by which an axis moves another, below which nothing is reported."""
+
+
+RIDGE = 1e-6
+"""Share of the variance of noise that is new on every axis, where all of it seems to be the same.
+"""
+
+TOLD_MAX = 0.99
+"""Largest share of the variance of an estimate's error that errors of others are believed to tell:
+the correlation is itself an estimate."""
 
 
 @dataclass(frozen=True)
@@ -175,6 +185,84 @@ class AxesKnowledge:
         """
         return self._cross(output, reference).model
 
+    def draw_column(
+        self,
+        reference: str,
+        omega_rad_s: FloatArray,
+        own: ComplexArray,
+        rng: np.random.Generator,
+    ) -> dict[str, ComplexArray] | None:
+        """Draw how all axes answer to one, given samples of how that axis answers itself.
+
+        A sample of one response says what the errors of its measurements were, and hence something
+        of those of the next, by the covariance that the tests measured.
+
+        Args:
+            reference: Axis that is asked.
+            omega_rad_s: Frequencies in rad/s, rising, shape (frequencies,).
+            own: Samples of its response to itself, shape (samples, frequencies).
+            rng: Generator that draws the others.
+
+        Returns:
+            Samples by axis, in the shape of `own`; None if some axis was never tested with it.
+        """
+        drawn, order = {reference: own}, [reference]
+        # Where not only noise makes tests uncertain, samples do not say what the noise was.
+        noisy = not self.axes[reference].doubted
+        tests = [one for one in self.responses if one.matrix and reference in one.matrix.axes]
+        for output in self.axes:
+            if output == reference:
+                continue
+            model = self.cross(output, reference)
+            if model is None:
+                return None
+            foreseen = self._foreseen(tests, output, order, drawn, omega_rad_s) if noisy else None
+            drawn[output] = model.draw(omega_rad_s, len(own), rng, foreseen)
+            order.append(output)
+        return drawn
+
+    def _foreseen(
+        self,
+        tests: Sequence[FrequencyResponse],
+        output: str,
+        before: Sequence[str],
+        drawn: Mapping[str, ComplexArray],
+        omega_rad_s: FloatArray,
+    ) -> ForeseenErrors:
+        """Return what samples of other axes' answers to the first of them say of another's errors.
+
+        With the covariance C of the errors at a tone, those of the others have the share
+        C_io C_oo⁻¹ in it, and leave C_ii − C_io C_oo⁻¹ C_oi (the Gaussian conditional).
+        """
+        errors, left = [], []
+        for response in tests:
+            matrix = response.matrix
+            if matrix is None or output not in matrix.axes:
+                continue
+            at = self._known_at(matrix, output, before[0])
+            omega = matrix.rows[0].omega_rad_s[at]
+            others = [axis for axis in before if axis in matrix.axes]
+            places = [matrix.axes.index(axis) for axis in others]
+            i, c = matrix.axes.index(output), matrix.correlation
+            among = c[np.ix_(places, places)] + RIDGE * np.eye(len(places))
+            share = np.linalg.solve(among.T, c[i, places])
+            std = np.sqrt(np.stack([_pooled(matrix, place) for place in (i, *places)])[:, at])
+            expected = np.zeros((len(drawn[before[0]]), len(omega)), dtype=np.complex128)
+            for axis, place, part, own in zip(others, places, share, std[1:], strict=True):
+                error = matrix.rows[place].z[at] - _at(omega, omega_rad_s, drawn[axis])
+                scale = np.where(np.isfinite(own), std[0] / own, 0.0)
+                expected += part * scale * np.where(np.isfinite(error), error, 0.0)
+            errors.append(expected)
+            told = float(np.clip((share @ c[places, i]).real, 0.0, TOLD_MAX))
+            left.append(np.full(len(omega), 1.0 - told))
+        return ForeseenErrors(np.concatenate(errors, axis=1), np.concatenate(left))
+
+    def _known_at(self, matrix: MatrixResponse, output: str, reference: str) -> BoolArray:
+        """Return at which tones a test knows how an axis answers to another, shape (tones,)."""
+        i, j = matrix.axes.index(output), matrix.axes.index(reference)
+        known = np.isfinite(matrix.rows[i].z) & np.isfinite(_pooled(matrix, i))
+        return np.asarray((matrix.played_by == j) & known)
+
     @property
     def couplings(self) -> tuple[Coupling, ...]:
         """The strongest answer of each axis to each other one, where it exceeds the noise."""
@@ -193,10 +281,8 @@ class AxesKnowledge:
             matrix = response.matrix
             if matrix is None or output not in matrix.axes or reference not in matrix.axes:
                 continue
-            i, at = matrix.axes.index(output), matrix.played_by == matrix.axes.index(reference)
-            row, variance = matrix.rows[i], _pooled(matrix, i)
-            at &= np.isfinite(row.z) & np.isfinite(variance)
-            variance = np.maximum(variance, VARIANCE_MIN)
+            i, at = matrix.axes.index(output), self._known_at(matrix, output, reference)
+            row, variance = matrix.rows[i], np.maximum(_pooled(matrix, i), VARIANCE_MIN)
             # |ẑ|² of noise alone is exponentially distributed about its variance. Bonferroni: the
             # significance is shared out among all tones.
             limit = variance * math.log(len(variance) / COUPLED_SIGNIFICANCE)
@@ -261,3 +347,11 @@ def _pooled(matrix: MatrixResponse, output: int) -> FloatArray:
         / unit[known] ** 2
     )
     return variance
+
+
+def _at(omega_rad_s: FloatArray, grid_rad_s: FloatArray, z: ComplexArray) -> ComplexArray:
+    """Return responses between the frequencies of a grid, shape (samples, frequencies)."""
+    place = np.interp(omega_rad_s, grid_rad_s, np.arange(len(grid_rad_s)))
+    below = np.minimum(place.astype(int), len(grid_rad_s) - 2)
+    above = place - below
+    return np.asarray((1 - above) * z[:, below] + above * z[:, below + 1])

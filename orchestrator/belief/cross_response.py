@@ -13,6 +13,7 @@ evidence, as for the residual in `nufleet.orchestrator.belief.response_belief`.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -45,6 +46,19 @@ Response = Callable[[FloatArray], ComplexArray]
 """A response at frequencies in rad/s, shape (frequencies,)."""
 
 
+@dataclass(frozen=True, eq=False)
+class ForeseenErrors:
+    """What samples of other responses of a column say of the errors of one's measurements.
+
+    One disturbance may move several axes, so that errors of their estimates at a tone go together.
+    """
+
+    errors: ComplexArray
+    """Expected errors ẑ − z in each sample, shape (samples, tones)."""
+    left: FloatArray
+    """Share of their variance that is left, shape (tones,)."""
+
+
 class CrossModel:
     """The belief about one cross response after the tests of its two axes."""
 
@@ -56,7 +70,7 @@ class CrossModel:
             omega_max_rad_s: Upper end of the band.
             own: Product z_ii z_jj of the two axes' responses to their own references.
         """
-        self._omega_max_rad_s, self._own = omega_max_rad_s, own
+        self._omega_max_rad_s, self._own, self._tones = omega_max_rad_s, own, tones
         std, log_prior = _priors(omega_max_rad_s)
         columns = tones.whiten(self._columns(tones.omega_rad_s).T).T * std[:, None, :]
         transposed = columns.swapaxes(1, 2)
@@ -77,27 +91,45 @@ class CrossModel:
         each = self._std * np.linalg.solve(backward, self._halves[..., None])[..., 0]
         return np.asarray(self._columns(omega_rad_s) @ (self._weights @ each))
 
-    def draw(self, omega_rad_s: FloatArray, count: int, rng: np.random.Generator) -> ComplexArray:
+    def draw(
+        self,
+        omega_rad_s: FloatArray,
+        count: int,
+        rng: np.random.Generator,
+        foreseen: ForeseenErrors | None = None,
+    ) -> ComplexArray:
         """Draw samples of the response.
 
         Args:
             omega_rad_s: Frequencies in rad/s, shape (frequencies,).
             count: Number of samples.
             rng: Generator that draws them.
+            foreseen: What samples of other responses say of the errors of the measurements; None
+                if nothing.
 
         Returns:
-            Samples of z_ij, in random order, shape (count, frequencies).
+            Samples of z_ij, shape (count, frequencies), in the order of those of the others.
         """
-        columns = self._columns(omega_rad_s)
-        samples = []
-        for part, own in enumerate(rng.multinomial(count, self._weights).tolist()):
-            if own:
-                # w = L⁻ᵀ (L⁻¹Φᵀr + ε) with ε standard normal.
-                factor, half, std = self._factors[part], self._halves[part], self._std[part]
-                noise = rng.standard_normal((len(half), own))
-                weights = solve_triangular(factor, half[:, None] + noise, lower=True, trans="T")
-                samples.append((columns @ (std[:, None] * weights)).T)
-        return np.concatenate(samples)[rng.permutation(count)]
+        columns, tones = self._columns(omega_rad_s), self._tones
+        samples = np.empty((count, len(omega_rad_s)), dtype=np.complex128)
+        parts = rng.choice(len(self._weights), size=count, p=self._weights)
+        at_tones, errors = None, None
+        if foreseen is not None:
+            left = Tones(tones.omega_rad_s, tones.z, tones.variance * foreseen.left)
+            at_tones = left.whiten(self._columns(tones.omega_rad_s).T).T
+            errors = left.whiten(tones.z - foreseen.errors)
+        for part in np.unique(parts).tolist():
+            mine = np.flatnonzero(parts == part)
+            factor, half, std = self._factors[part], self._halves[part][:, None], self._std[part]
+            if at_tones is not None and errors is not None:
+                own = at_tones * std
+                factor = np.linalg.cholesky(np.eye(len(std)) + own.T @ own)
+                half = solve_triangular(factor, own.T @ errors[mine].T, lower=True)
+            # w = L⁻ᵀ (L⁻¹Φᵀr + ε) with ε standard normal.
+            noise = rng.standard_normal((len(std), len(mine)))
+            weights = solve_triangular(factor, half + noise, lower=True, trans="T")
+            samples[mine] = (columns @ (std[:, None] * weights)).T
+        return samples
 
     def _columns(self, omega_rad_s: FloatArray) -> ComplexArray:
         """Return what the weights multiply, shape (frequencies, weights)."""

@@ -98,13 +98,25 @@ def summarise(
             robot=source,
             psi=psi[source].mean,
             psi_std=psi[source].std,
-            predicted_rms_m=None if predicted is None else predicted.of[source],
+            predicted_rms_m=None if predicted is None else predicted.of.get(source),
             ranked=ranked.get(source),
             **of[source].model_dump(),
         )
         for source in order
     )
     measured = [math.inf if s.rms_m is None else s.rms_m for s in sources]
+    expected = {s.robot: s.predicted_rms_m for s in sources if s.predicted_rms_m is not None}
+    by_axis = None
+    if any(flight.inverse == BY_AXIS for flight in first):
+        by_axis = ByAxisResult(
+            sources=sources_by_axis(ranking),
+            predicted_rms_m=None if predicted is None else predicted.by_axis,
+            **of[BY_AXIS].model_dump(),
+        )
+    each: dict[str, SourceResult | ByAxisResult] = {s.robot: s for s in sources}
+    if by_axis is not None:
+        each[BY_AXIS] = by_axis
+    least, regret_m = _least_expected(each)
     return EvaluationResult(
         target=target,
         architecture=architecture,
@@ -116,16 +128,20 @@ def summarise(
         ),
         no_prior=of[NO_PRIOR],
         mixture=of[MIXTURE] if any(flight.inverse == MIXTURE for flight in first) else None,
-        by_axis=ByAxisResult(sources=sources_by_axis(ranking), **of[BY_AXIS].model_dump())
-        if any(flight.inverse == BY_AXIS for flight in first)
-        else None,
+        by_axis=by_axis,
         own=of[OWN] if any(flight.inverse == OWN for flight in first) else None,
         sources=sources,
         selected=order[0],
         kendall_tau=kendall_tau([s.distance for s in sources], measured),
         kendall_tau_trajectory=None
         if predicted is None
-        else kendall_tau([predicted.of[s.robot] for s in sources], measured),
+        else kendall_tau(
+            list(expected.values()),
+            [error for s, error in zip(sources, measured, strict=True) if s.robot in expected],
+        ),
+        predicted_axes=() if predicted is None else predicted.axes,
+        least_expected=least,
+        least_expected_regret_m=regret_m,
         ways=ways,
         points=points,
         chosen_way=chosen_way,
@@ -138,3 +154,17 @@ def summarise(
         coverage=coverage_of(flights),
         run=run,
     )
+
+
+def _least_expected(
+    each: Mapping[str, SourceResult | ByAxisResult],
+) -> tuple[str | None, float | None]:
+    """Return the experience with the least predicted error, and what it left beyond the least."""
+    expected = {
+        n: one.predicted_rms_m for n, one in each.items() if one.predicted_rms_m is not None
+    }
+    if not expected:
+        return None, None
+    least = min(expected, key=lambda name: expected[name])
+    flown, left = [one.rms_m for one in each.values() if one.rms_m is not None], each[least].rms_m
+    return least, None if left is None or len(flown) < len(each) else left - min(flown)

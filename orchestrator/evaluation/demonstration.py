@@ -138,6 +138,7 @@ def _predicted(
     target: Description, sources: Sequence[Description], record: RunRecord, leg: Leg, seed: int
 ) -> PredictedRms:
     specs = {known.robot: known.spec for known in (target, *sources)}
+    axes = tuple(record.result.ranking[0].axes or {}) or (target.spec.axes[0].name,)
     return predict_rms(
         target.robot,
         [source.robot for source in sources],
@@ -146,6 +147,7 @@ def _predicted(
         [leg.desired],
         np.random.default_rng(seed),
         omega_max_rad_s=record.result.band_rad_s[1],
+        axes=axes,
     )
 
 

@@ -12,9 +12,11 @@ from nufleet.orchestrator.evaluation.error_curve import error_curve
 from nufleet.orchestrator.evaluation.pairs import PairsResult, transfer_pairs
 from nufleet.orchestrator.evaluation.plots import fig4, fig7, paths, scatter
 from nufleet.orchestrator.evaluation.results import (
+    ByAxisResult,
     EvaluationRecord,
     EvaluationResult,
     InverseResult,
+    SourceResult,
 )
 from nufleet.orchestrator.evaluation.values import FlightError, FlownPath
 from nufleet.orchestrator.flights.labels import (
@@ -48,12 +50,13 @@ def evaluation_table(result: EvaluationResult) -> Table:
     if over_axes:
         table.add_column("ψ*, all axes", justify="right")
     blank = ("",) if over_axes else ()
-    # The paper's algorithm and its predictions take all axes for the first one.
+    # The paper's algorithm takes all axes for the first one, as predictions did in older results.
     first = ", 1st axis" if over_axes else ""
+    predicted_first = first if len(result.predicted_axes) < 2 else ""
     for heading in (
         f"ψ̂*{first}",
         "± σ",
-        f"expected {unit}{first}",
+        f"expected {unit}{predicted_first}",
         f"RMS {unit}",
         "less error",
         "worst / baseline",
@@ -70,7 +73,8 @@ def evaluation_table(result: EvaluationResult) -> Table:
         (BY_AXIS, result.by_axis),
     ):
         if found is not None:
-            table.add_row(name, *blank, "", "", "", *_cells(found))
+            left = _predicted(found.predicted_rms_m) if isinstance(found, ByAxisResult) else ""
+            table.add_row(name, *blank, "", "", left, *_cells(found))
     for place, source in enumerate(result.sources):
         ranked = "" if source.ranked is None else f"{source.ranked.psi:.3f}{source.ranked.on_axis}"
         table.add_row(
@@ -86,8 +90,8 @@ def evaluation_table(result: EvaluationResult) -> Table:
     table.caption = (
         f"Kendall's τ with the error: {_or_dash(result.kendall_tau)} for {over}, "
         f"{_or_dash(result.kendall_tau_trajectory)} for the error predicted for these paths"
-        f"{' from the first axis alone' if over_axes else ''}"
-        f"{_one_or_each(result)}"
+        f"{' from the first axis alone' if predicted_first else ''}"
+        f"{_one_or_each(result)}{_least_expected(result)}"
     )
     table.caption_justify = "left"
     return table
@@ -109,9 +113,25 @@ def _one_or_each(result: EvaluationResult) -> str:
     one, unit = result.sources[0], f"m{result.unit}"
     each = ", ".join(f"{source} on {axis}" for axis, source in result.by_axis.sources.items())
     return (
-        f"\none source for all axes, {one.robot}: {error_cell(one)} {unit}; the closest on each "
-        f"axis, {each}: {error_cell(result.by_axis)} {unit}"
+        f"\none source for all axes, {one.robot}: {error_cell(one)} {unit}{_expected(one)}; the "
+        f"closest on each axis, {each}: {error_cell(result.by_axis)} {unit}"
+        f"{_expected(result.by_axis)}"
     )
+
+
+def _expected(one: SourceResult | ByAxisResult) -> str:
+    return "" if one.predicted_rms_m is None else f" (expected {_predicted(one.predicted_rms_m)})"
+
+
+def _least_expected(result: EvaluationResult) -> str:
+    """Return what was left by the experience that the tests expect the least error of."""
+    least, regret_m = result.least_expected, result.least_expected_regret_m
+    if least is None or (len(result.sources) < 2 and result.by_axis is None):
+        return ""
+    said = f"\nthe tests expect the least error of {least}"
+    if regret_m is None:
+        return said
+    return f"{said}, which left {_milli(regret_m)} m{result.unit} more than the least"
 
 
 def ways_table(result: EvaluationResult) -> Table:

@@ -127,8 +127,8 @@ class SourceResult(InverseResult):
     psi_std: NonNegative
     """Standard deviation of ψ̂*_n: over repeated studies, or as a single study estimates it."""
     predicted_rms_m: NonNegative | None = None
-    """Predicted RMS error: |1 − z_T/z_S| weighted by the spectra of the paths that were flown, from
-    the same tests as ψ."""
+    """Predicted RMS error, from the tests: |1 − z_T/z_S| weighted by the spectra of the paths that
+    were flown, added up over the axes with what one axis does to another."""
     ranked: SourceEstimate | None = None
     """Estimate over all axes, and on each of them, as `nufleet rank` makes it; None where one axis
     is compared."""
@@ -144,6 +144,8 @@ class ByAxisResult(InverseResult):
 
     sources: dict[str, str]
     """Name of the source of each axis, by axis."""
+    predicted_rms_m: NonNegative | None = None
+    """Predicted RMS error, as for a single source; None in older evaluations."""
 
 
 class BaselineResult(Strict):
@@ -182,6 +184,15 @@ class EvaluationResult(Document):
     over all axes, or in ascending order of ψ̂* where one axis is compared."""
     selected: str
     """Name of the source that is selected."""
+    predicted_axes: tuple[str, ...] = ()
+    """Axes from whose tests errors were predicted; those that are left out were taken to respond
+    like the first. Older evaluations, where none is named, knew the first axis of the target."""
+    least_expected: str | None = None
+    """Source with the least predicted error on these paths, or `by-axis`; None without
+    predictions."""
+    least_expected_regret_m: NonNegative | None = None
+    """Its error minus the least error that any of them left; None where a flight was not
+    finished."""
     kendall_tau: float | None
     """Rank correlation of ψ̂* with the sources' errors; None for fewer than two sources."""
     kendall_tau_trajectory: float | None = None

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nufleet.orchestrator.conduct.archive import Archive
+from nufleet.orchestrator.conduct.conductor import Conclusion
 from nufleet.orchestrator.conduct.rank_run import ReadyStudy
 from nufleet.orchestrator.evaluation.comparison import order_of, summarise
 from nufleet.orchestrator.evaluation.fly_target import (
@@ -33,7 +34,6 @@ from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.orchestrator.flights.legs import Leg
 from nufleet.orchestrator.flights.pilot import Pilot
 from nufleet.orchestrator.runs.folder import RunFolder, read_document
-from nufleet.orchestrator.study.interface import SourceEstimate
 from nufleet.orchestrator.study.predicted_errors import predict_rms
 from nufleet.orchestrator.study.source_by_axis import in_words
 from nufleet.shared.experience.layout import Architecture
@@ -116,20 +116,24 @@ def run_evaluation(
         on_study=lambda study: say(f"study {study.seed}: " + ranking_line(study.last)),
     )
     psi = psi_of(studies.estimates)
-    ranking = _tested(fleet, plan, run_id, archive, say=say)
+    ranked = _tested(fleet, plan, run_id, archive, say=say)
+    ranking = ranked.report.ranking
     order = order_of(psi, ranking)
+    by_axis = held_by_axis(ranking, order)
+    measured = (studies.responses, ranked.responses)
     predicted = predict_rms(
         study.target,
         order,
         {robot: description.spec for robot, description in plan.ready.descriptions.items()},
-        studies.responses,
+        {robot: [r for of in measured for r in of.get(robot, ())] for robot in studies.responses},
         [leg.desired for leg in plan.legs],
         np.random.default_rng(plan.seed),
         omega_max_rad_s=study.band_rad_s[1],
+        axes=study.axes,
+        by_axis=by_axis,
     )
     know_itself(fleet, pilot, study.target, seed=plan.seed, say=say)
     target = fleet.describe(study.target)
-    by_axis = held_by_axis(ranking, order)
     if by_axis:
         say(f"axes differ in their closest source: {in_words(by_axis, ranking)}")
     planned = flights_planned(
@@ -185,8 +189,8 @@ def run_evaluation(
 
 def _tested(
     fleet: Fleet, plan: EvaluationPlan, run_id: str, archive: Archive, *, say: Say
-) -> tuple[SourceEstimate, ...]:
-    """Have the target know of itself what one ranking shows; return the ranking's estimates."""
+) -> Conclusion:
+    """Have the target know of itself what one ranking shows, and return how that ended."""
     study = plan.ready.plan
     if plan.forget and not has_begun(study.target, run_id, archive):
         fleet.forget_own_model(study.target)
@@ -202,7 +206,7 @@ def _tested(
         + f"; {study.target} knows itself from "
         f"its tests{'' if plan.forget else ' and earlier motions'}: {known}"
     )
-    return ranking
+    return conclusion
 
 
 def _wall_time_s(folder: RunFolder, target: str) -> float:

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from nufleet.orchestrator.belief.axes_knowledge import AxesKnowledge, unit_ratios
-from nufleet.orchestrator.belief.cross_response import CrossModel
 from nufleet.orchestrator.study.selection_belief import SelectionBelief
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import matrix_chordal_distance
@@ -43,16 +42,13 @@ def matrix_draws(
         return None
     count = min(SAMPLES, *(len(z) for z in drawn.values()))
     z = np.empty((count, grid, len(names), len(names)), dtype=np.complex128)
-    for i, output in enumerate(names):
-        units = unit_ratios(robot.spec, output, names)
-        for j, reference in enumerate(names):
-            if i == j:
-                z[:, :, i, i] = drawn[output][:count, :grid]
-                continue
-            model: CrossModel | None = robot.cross(output, reference)
-            if model is None:
-                return None
-            z[:, :, i, j] = units[j] * model.draw(omega_rad_s, count, rng)
+    units = {output: unit_ratios(robot.spec, output, names) for output in names}
+    for j, reference in enumerate(names):
+        column = robot.draw_column(reference, omega_rad_s, drawn[reference][:count, :grid], rng)
+        if column is None:
+            return None
+        for i, output in enumerate(names):
+            z[:, :, i, j] = units[output][j] * column[output]
     return z
 
 

@@ -4,8 +4,8 @@ Before anything is claimed, each contender has played a test that reaches down t
 the band, at another amplitude than its first: what differs below its lowest tone, or at another
 amplitude, would otherwise be claimed unseen.
 
-Axes that may move together share the tones of a test, dealt to them in turn. The axis that plays
-the lowest tone changes from test to test, until each has reached down to the lower end of the band.
+Axes that may move together share the tones of a test, dealt to them in turn. Up to three of them
+reach down to the lower end of the band in the same lowest look.
 An axis that may not move with others on some robot is tested by itself on all of them, as their
 responses to the same test are compared.
 """
@@ -22,11 +22,13 @@ from nufleet.orchestrator.belief.robot_knowledge import RobotKnowledge
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.orchestrator.study.tone_choice import (
+    LOW_SPACING,
+    LOWEST_TOGETHER,
     ToneChoice,
     closer_looks,
     first_look,
     lowest_look,
-    turns_of,
+    lowest_look_together,
 )
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.errors import InvalidInputError
@@ -42,7 +44,10 @@ factor."""
 
 CLAIMED = 2
 """Number of robots that a claim rests on, the target and the selected source. They play the lowest
-look once for each axis; where it comes first, it is one of these, and all other robots play it."""
+looks; a first test that reaches as low saves some of these, and all robots play it."""
+
+ROUNDING = 1e-6
+"""Share by which a tone may be higher than it was asked for."""
 
 
 class Looks:
@@ -68,11 +73,6 @@ class Looks:
             groups = [(place,) for place in range(len(plan.axes))]
             self._alone, self._why_alone = list(plan.axes), f", since {error}"
             self._firsts = {name: [self._first(name, group) for group in groups] for name in robots}
-        self.lowest = {
-            name: tuple(self._lowest_of(name, first) for first in firsts)
-            for name, firsts in self._firsts.items()
-        }
-        """Lowest looks of each robot: one of the axes that move together, one of each other."""
         self.first = {name: firsts[0] for name, firsts in self._firsts.items()}
         """First test of each robot, by name."""
         self.asked_s = 0.0
@@ -118,13 +118,33 @@ class Looks:
         """Return the lowest looks that are missing before anything is claimed."""
         found = {}
         for name in names:
-            for lowest in self.lowest[name]:
-                least_rad_s = _reached(lowest.axes) * float(lowest.omega_rad_s[0])
-                reached = {axis: self._known(name, axis).lowest_rad_s for axis in lowest.axes}
-                axis = max(reached, key=lambda place: reached[place])
-                if name not in found and reached[axis] > least_rad_s:
-                    found[name] = _led_by(lowest, axis)
+            for first in self._firsts[name]:
+                lacking = self._lacking(name, first)
+                if name not in found and lacking:
+                    found[name] = self.lowest(name, first, lacking)
         return found
+
+    def lowest(
+        self, name: str, first: ToneChoice, lacking: Sequence[int] | None = None
+    ) -> ToneChoice:
+        """Return the lowest look of a robot, of as many axes as may reach down together.
+
+        Args:
+            name: Name of the robot.
+            first: First test of the axes that play.
+            lacking: Places of the axes that have not reached down yet; None for all of them.
+        """
+        wanted = first.axes if lacking is None else tuple(lacking)
+        spec, band_rad_s = self._robots[name].spec, self._plan.band_rad_s
+        if len(first.axes) == 1:
+            return lowest_look(band_rad_s, spec, self._settings.lowest * band_rad_s[0], first)
+        axes = (*wanted, *(axis for axis in first.axes if axis not in wanted))
+        reach_rad_s = self._reach_rad_s(name, first)
+        for low in range(min(len(wanted), max(LOWEST_TOGETHER)), 0, -1):
+            look = lowest_look_together(band_rad_s, spec, reach_rad_s, axes, low)
+            if look is not None:
+                return look
+        return replace(first, axes=axes)
 
     def candidates(self, name: str, centres_rad_s: Sequence[float]) -> Iterator[ToneChoice]:
         """Yield the tests that the robot could play next, as far as it allows them.
@@ -133,7 +153,7 @@ class Looks:
             name: Name of the robot.
             centres_rad_s: Frequencies in rad/s to look at more closely.
         """
-        for first, lowest in zip(self._firsts[name], self.lowest[name], strict=True):
+        for first in self._firsts[name]:
             looks = closer_looks(
                 self._plan.band_rad_s,
                 first.measure_s,
@@ -142,7 +162,10 @@ class Looks:
                 self._settings.window_tones,
                 first.axes,
             )
-            for choice in (*looks, *(_led_by(lowest, axis) for axis in lowest.axes)):
+            lowest = [self.lowest(name, first, [axis]) for axis in first.axes]
+            lacking = self._lacking(name, first)
+            lowest += [self.lowest(name, first, lacking[:n]) for n in range(2, len(lacking) + 1)]
+            for choice in dict.fromkeys((*looks, *lowest)):
                 if self.duration_s(name, choice) <= self._robots[name].spec.duration_max_s:
                     yield choice
 
@@ -188,7 +211,7 @@ class Looks:
 
     def _expected_variance(self, name: str, choice: ToneChoice, place: int) -> FloatArray:
         """Return the variances on one axis at the amplitude of the first test, shape (tones,)."""
-        first = next(one for one in self._firsts[name] if place in one.axes)
+        first = self._first_of(name, place)
         known = self._known(name, place)
         return known.expected_variance(choice.omegas_of(place), choice.measure_s / first.measure_s)
 
@@ -202,25 +225,63 @@ class Looks:
 
     def _is_lowest(self, name: str, choice: ToneChoice) -> bool:
         """Whether a test is a lowest look that is not the robot's first test as well."""
-        lowest = any(choice in turned(one) for one in self.lowest[name])
-        return lowest and choice not in self._firsts[name]
+        first = self._first_of(name, choice.axes[0])
+        known = (first, self.lowest(name, first))
+        together = choice.repeats > 1
+        return choice != first and (together or replace(choice, axes=first.axes) in known)
+
+    def _first_of(self, name: str, place: int) -> ToneChoice:
+        """Return a robot's first test of an axis."""
+        return next(one for one in self._firsts[name] if place in one.axes)
+
+    def _lacking(self, name: str, first: ToneChoice) -> tuple[int, ...]:
+        """Return the axes of a test that have not reached down to the lower end of the band."""
+        most_rad_s = self._reach_rad_s(name, first) * (1 + ROUNDING)
+        return tuple(
+            axis for axis in first.axes if self._known(name, axis).lowest_rad_s > most_rad_s
+        )
+
+    def _reach_rad_s(self, name: str, first: ToneChoice) -> float:
+        """Return the frequency in rad/s that a tone of each axis must not be above for a claim.
+
+        It is as low as the robot allows.
+        """
+        band_rad_s, spec = self._plan.band_rad_s, self._robots[name].spec
+        lowest_rad_s = self._settings.lowest * band_rad_s[0]
+        if len(first.axes) == 1:
+            return REACHED * float(
+                lowest_look(band_rad_s, spec, lowest_rad_s, first).omega_rad_s[0]
+            )
+        # Several axes use this margin themselves, since each of them needs a tone as low as that.
+        reach_rad_s, already_rad_s = REACHED * lowest_rad_s, float(first.omega_rad_s[0])
+        while (
+            reach_rad_s < already_rad_s
+            and lowest_look_together(band_rad_s, spec, reach_rad_s, first.axes, 1) is None
+        ):
+            reach_rad_s *= LOW_SPACING
+        return reach_rad_s
 
     def _first(self, name: str, group: tuple[int, ...]) -> ToneChoice:
+        """Return a first test: one that reaches down to the lower end where that saves time."""
         spec, settings, band_rad_s = self._robots[name].spec, self._settings, self._plan.band_rad_s
-        first = first_look(
-            band_rad_s, spec, settings.first_periods, settings.share_of_settling, group
-        )
-        lowest = self._lowest_of(name, first)
-        lowest_s, first_s = lowest.duration_s(spec), first.duration_s(spec)
-        cheaper = 0 <= len(self._robots) * (lowest_s - first_s) <= CLAIMED * lowest_s
-        return lowest if len(group) > 1 and cheaper else first
+        periods, share = settings.first_periods, settings.share_of_settling
+        first = first_look(band_rad_s, spec, periods, share, group)
+        if len(group) == 1:
+            return first
+        reach_rad_s = self._reach_rad_s(name, first)
+        deeper = first_look(band_rad_s, spec, periods, share, group, reach_rad_s)
 
-    def _lowest_of(self, name: str, first: ToneChoice) -> ToneChoice:
-        lowest_rad_s = self._settings.lowest * self._plan.band_rad_s[0]
-        # Each axis needs a test of its own for this tone, which is the shorter the higher it is.
-        lowest_rad_s *= REACHED / _reached(first.axes)
-        spec = self._robots[name].spec
-        return lowest_look(self._plan.band_rad_s, spec, lowest_rad_s, first, first.axes)
+        def price_s(one: ToneChoice) -> float:
+            most_rad_s = reach_rad_s * (1 + ROUNDING)
+            lacking = [axis for axis in group if one.omegas_of(axis)[0] > most_rad_s]
+            each_s = one.duration_s(spec) * len(self._robots)
+            while lacking:
+                look = self.lowest(name, one, lacking)
+                each_s += CLAIMED * look.duration_s(spec)
+                lacking = [a for a in lacking[1:] if look.omegas_of(a)[0] > most_rad_s]
+            return each_s
+
+        return min(first, deeper, key=price_s)
 
     def _amplitudes(self, name: str, choice: ToneChoice) -> tuple[float, ...] | None:
         """Return the amplitudes of a test; None where the robot chooses them itself."""
@@ -236,26 +297,9 @@ class Looks:
             return None
         tones = [one.tones for one in choice.excitation(*self._plan.axes).played]
         spec = self._robots[name].spec
-        most = largest_amplitudes(tones, [spec.axis(axis) for axis in axes])
+        limits = [spec.axis(axis) for axis in axes]
+        most = largest_amplitudes(tones, limits, choice.base_rad_s)
         return tuple(
             limit if one is None else min(one, limit)
             for one, limit in zip(wanted, most, strict=True)
         )
-
-
-def _reached(axes: tuple[int, ...]) -> float:
-    """Return how much higher than in its lowest look an axis may have played its lowest tone.
-
-    A lowest look of several axes uses that margin itself.
-    """
-    return REACHED if len(axes) == 1 else 1.0 + 1e-6
-
-
-def turned(choice: ToneChoice) -> list[ToneChoice]:
-    """Return a test with each of its axes in turn as the one that plays the lowest tone."""
-    return [_led_by(choice, axes[0]) for axes in turns_of(choice.axes)]
-
-
-def _led_by(choice: ToneChoice, axis: int) -> ToneChoice:
-    at = choice.axes.index(axis)
-    return replace(choice, axes=choice.axes[at:] + choice.axes[:at])

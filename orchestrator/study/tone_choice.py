@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,8 +25,24 @@ SAMPLES_MIN = 256
 LOW_SPACING = 1.15
 """Least ratio of neighbouring tones in a test that reaches down to the band's lower end."""
 
+FIRST_TONES = 3
+"""Number of tones per axis in the first test of several axes. Two tones are four numbers, which do
+not tell the five parameters of a loop, so that further tests would be needed."""
+
 LOW_TONES = 1.5
-"""Least number of tones per axis in such a test of several axes."""
+"""Least number of tones per axis in a test of several axes that reaches down to the lower end."""
+
+REPEATS = 7
+"""Number of measuring times after which the tones of such a test repeat."""
+
+LOWEST_TOGETHER = {1: (7,), 2: (7, 13), 3: (7, 11, 17)}
+"""Harmonics of 2π / (REPEATS T) that are played at the lower end, by the number of axes that have
+one there: the lowest lasts one period, and all are within a factor of 2.5. A beat or less apart,
+they are told apart at the price of a larger variance, which tones as slow as these can afford: they
+are the largest. Four would not be told apart any more."""
+
+APART = 1.4
+"""Least spacing of the other tones, in harmonics of 2π/T. From one on the price rises steeply."""
 
 STEP = 2
 """Spacing of the tones, in harmonics of 2π/T, where T is the measuring time.
@@ -46,7 +62,7 @@ ROUNDING = 1e-14
 
 @dataclass(frozen=True)
 class ToneChoice:
-    """The tones of a test: harmonics of 2π/T, where T is the measuring time."""
+    """The tones of a test: harmonics of 2π/T with the measuring time T, or of a fraction of it."""
 
     measure_s: float
     """Measuring time T in s."""
@@ -55,6 +71,13 @@ class ToneChoice:
     axes: tuple[int, ...] = (0,)
     """Places of the axes that play, among those of the study, to which the tones are dealt in turn:
     the first plays the lowest tone."""
+    repeats: int = 1
+    """Number of measuring times after which the sum of the tones repeats."""
+
+    @property
+    def base_rad_s(self) -> float:
+        """Frequency in rad/s of which the tones are harmonics."""
+        return 2 * math.pi / (self.repeats * self.measure_s)
 
     def omegas_of(self, axis: int) -> FloatArray:
         """Return the frequencies of one axis's tones in rad/s, rising, shape (tones of the axis,).
@@ -62,7 +85,7 @@ class ToneChoice:
         The array is empty if the axis does not play.
         """
         hand = dict(zip(self.axes, self._hands, strict=True)).get(axis, ())
-        return np.asarray(np.array(hand) * (2 * math.pi / self.measure_s))
+        return np.asarray(np.array(hand) * self.base_rad_s)
 
     def named(self, axes: Sequence[str]) -> str:
         """Return the axes that play in words, from the names of the study's axes."""
@@ -75,7 +98,7 @@ class ToneChoice:
     @property
     def omega_rad_s(self) -> FloatArray:
         """Frequencies of the tones in rad/s, rising, shape (tones,)."""
-        return np.asarray(np.array(self.harmonics) * (2 * math.pi / self.measure_s))
+        return np.asarray(np.array(self.harmonics) * self.base_rad_s)
 
     def excitation(
         self, *axes: str, settle_s: float | None = None, amplitudes: Sequence[float] | None = None
@@ -88,9 +111,8 @@ class ToneChoice:
             amplitudes: Peak of the reference of each axis that plays, in the order of `self.axes`
                 and in the axis's unit; None leaves them to the robot.
         """
-        base_rad_s = 2 * math.pi / self.measure_s
-        weights = [(np.array(hand) * base_rad_s) ** WEIGHT_EXPONENT for hand in self._hands]
-        tones = multitone(base_rad_s, self._hands, weights)
+        weights = [(np.array(hand) * self.base_rad_s) ** WEIGHT_EXPONENT for hand in self._hands]
+        tones = multitone(self.base_rad_s, self._hands, weights)
         peaks: Sequence[float | None] = amplitudes or [None] * len(tones)
         first, *also = (
             AxisTones(axis=axes[place], tones=own, amplitude=peak)
@@ -102,13 +124,30 @@ class ToneChoice:
             amplitude=first.amplitude,
             also=tuple(also),
             segments=SEGMENTS,
+            segment_min_s=self._segment_min_s,
             settle_s=settle_s,
         )
 
+    @property
+    def _segment_min_s(self) -> float:
+        # Tones of several axes may be resolved in less time than they are to be measured for.
+        return self.measure_s / SEGMENTS if len(self.axes) > 1 else 0.0
+
     def duration_s(self, spec: RobotSpec, settle_s: float | None = None) -> float:
         """Return the duration of the test on a robot in s, which does not depend on the phases."""
-        tones = tuple(Tone(omega_rad_s=omega) for omega in self.omega_rad_s.tolist())
-        test = Excitation(axis="any", tones=tones, segments=SEGMENTS, settle_s=settle_s)
+        first, *also = (
+            AxisTones(axis=f"axis-{place}", tones=tuple(Tone(omega_rad_s=omega) for omega in own))
+            for place in self.axes
+            if (own := self.omegas_of(place).tolist())
+        )
+        test = Excitation(
+            axis=first.axis,
+            tones=first.tones,
+            also=tuple(also),
+            segments=SEGMENTS,
+            segment_min_s=self._segment_min_s,
+            settle_s=settle_s,
+        )
         return duration_s(test, spec)
 
 
@@ -118,6 +157,7 @@ def first_look(
     periods: int,
     share_of_settling: float,
     axes: tuple[int, ...] = (0,),
+    lowest_rad_s: float = math.inf,
 ) -> ToneChoice:
     """Return tones over the whole band, spaced as closely as the robot's resonances require.
 
@@ -126,8 +166,9 @@ def first_look(
     time anyway. The measuring part therefore lasts a share of the settling time or a number of
     periods of the band's upper end, whichever is longer, and at least `SAMPLES_MIN` samples.
     Several axes share the tones: what resonances and samples require is lengthened by half for each
-    further axis, the number of periods by half at most unless an axis would play fewer than two
-    tones.
+    further axis, the number of periods by half at most unless an axis would play fewer than
+    `FIRST_TONES`. Where harmonics that are no products of others are too few for that, all odd ones
+    are played, on which no product of second order falls.
 
     Args:
         band_rad_s: Lowest and highest frequency in rad/s.
@@ -135,6 +176,7 @@ def first_look(
         periods: Least measuring time, in periods of the band's upper end.
         share_of_settling: Least measuring time, as a share of the settling time.
         axes: Places of the axes that play, among those of the study.
+        lowest_rad_s: Frequency in rad/s that the first of several axes reaches down to.
 
     Returns:
         At most `TONES_MAX` tones per axis, for as long as the robot moves at most.
@@ -147,21 +189,27 @@ def first_look(
     wanted = math.ceil(wanted_s * high / (2 * math.pi))
     highest = max(periods, math.ceil(wanted * (len(axes) + 1) / 2))
     if len(axes) > 1:
-        longer = max(math.ceil(1.5 * periods), _fewest_periods(band_rad_s, 2 * len(axes)))
+        longer = max(math.ceil(1.5 * periods), _fewest_periods(band_rad_s, FIRST_TONES * len(axes)))
         highest = max(highest, longer)
     # Of more harmonics than that, every second one would be more than `TONES_MAX` per axis.
     most = STEP * TONES_MAX * len(axes)
     highest = min(highest, math.ceil(most / (1 - band_rad_s[0] / high)))
     highest += 1 - highest % 2  # odd like the lowest, 1
-    while highest > 3:
-        choice = _between(band_rad_s, highest * 2 * math.pi / high, 0, axes)
+    periods_s = 2 * math.pi / high
+    lengths_s = [count * periods_s for count in range(highest, 3, -2)]
+    if 2 * math.pi / lowest_rad_s > highest * periods_s:
+        # Robots refuse tones below their band, so that the lowest must not be rounded down.
+        lengths_s = [2 * math.pi / (lowest_rad_s * (1 + 1e-9)), *lengths_s]
+    for measure_s in lengths_s:
+        choice = _between(band_rad_s, measure_s, 0, axes)
+        if len(axes) > 1 and (choice is None or len(choice.harmonics) < FIRST_TONES * len(axes)):
+            choice = _between(band_rad_s, measure_s, 0, axes, tuple)
         if (
             choice is not None
             and len(choice.harmonics) <= TONES_MAX * len(axes)
             and choice.duration_s(spec) <= spec.duration_max_s
         ):
             return choice
-        highest -= 2
     if len(axes) > 1:
         raise InvalidInputError(
             f"a robot of kind {spec.kind} moves for at most {spec.duration_max_s:g} s, which is "
@@ -171,11 +219,7 @@ def first_look(
 
 
 def lowest_look(
-    band_rad_s: tuple[float, float],
-    spec: RobotSpec,
-    lowest_rad_s: float,
-    first: ToneChoice,
-    axes: tuple[int, ...] = (0,),
+    band_rad_s: tuple[float, float], spec: RobotSpec, lowest_rad_s: float, first: ToneChoice
 ) -> ToneChoice:
     """Return tones over the whole band, from one period of the lowest on, spaced in proportion.
 
@@ -183,36 +227,56 @@ def lowest_look(
         band_rad_s: Lowest and highest frequency in rad/s.
         spec: Spec of the robot, which may not allow a motion as long as that.
         lowest_rad_s: Frequency in rad/s of the lowest tone, whose period is the measuring time.
-        first: First test of the robot, which the robot allows.
-        axes: Places of the axes that play; the first of them plays the lowest tone.
-
-    Returns:
-        The test, or `first` with these axes where that begins lower; of several axes, each of which
-        takes its turn in playing the lowest tone, then the shorter of the two.
+        first: First test of the robot, of one axis, which is returned if it reaches as low.
     """
-    if len(axes) > 1:
-        # With a tone or two on each axis, one disturbed tone would spoil the test.
-        enough = _fewest_periods(band_rad_s, math.ceil(LOW_TONES * len(axes)))
-        lowest_rad_s = max(band_rad_s[0], min(lowest_rad_s, band_rad_s[1] / (enough + 1e-6)))
-    while lowest_rad_s < first.omega_rad_s[0] or len(axes) > 1:
+    while lowest_rad_s < first.omega_rad_s[0]:
         # Robots refuse tones below their band, so that the lowest must not be rounded down.
         base = lowest_rad_s * (1 + 1e-9)
         top = math.floor(band_rad_s[1] / base)
-        allowed = _playable(range(1, top + 1), axes)
         harmonics = [1]
-        for harmonic in allowed:
-            spaced = LOW_SPACING ** (1 / len(axes)) * harmonics[-1]
-            if harmonic >= max(harmonics[-1] + STEP, math.ceil(spaced)):
+        for harmonic in range(2, top + 1):
+            if harmonic >= max(harmonics[-1] + STEP, math.ceil(LOW_SPACING * harmonics[-1])):
                 harmonics.append(harmonic)
-        choice = ToneChoice(2 * math.pi / base, tuple(harmonics), axes)
-        if lowest_rad_s >= first.omega_rad_s[0] and choice.measure_s >= first.measure_s:
-            break
-        if len(harmonics) < LOW_TONES * len(axes):
-            break
+        choice = ToneChoice(2 * math.pi / base, tuple(harmonics), first.axes)
         if choice.duration_s(spec) <= spec.duration_max_s:
             return choice
         lowest_rad_s *= LOW_SPACING
-    return replace(first, axes=axes)
+    return first
+
+
+def lowest_look_together(
+    band_rad_s: tuple[float, float],
+    spec: RobotSpec,
+    lowest_rad_s: float,
+    axes: tuple[int, ...],
+    low: int,
+) -> ToneChoice | None:
+    """Return tones over the whole band, of which several axes play one at its lower end.
+
+    Args:
+        band_rad_s: Lowest and highest frequency in rad/s.
+        spec: Spec of the robot.
+        lowest_rad_s: Frequency in rad/s that these axes reach down to.
+        axes: Places of the axes that play, among those of the study, those first that do.
+        low: Number of axes that do, a key of `LOWEST_TOGETHER`.
+
+    Returns:
+        The test; None if the robot does not allow it, or the band is too narrow.
+    """
+    lowest, high = LOWEST_TOGETHER[low], band_rad_s[1]
+    # With a tone or two on each axis, one disturbed tone would spoil the test.
+    others = math.ceil(LOW_TONES * len(axes)) - low
+    fewest_s = (lowest[-1] / REPEATS + (APART + STEP / REPEATS) * others) * 2 * math.pi / high
+    measure_s = max(fewest_s, 2 * math.pi * lowest[-1] / (REPEATS * lowest_rad_s * (1 - 1e-9)))
+    base = 2 * math.pi / (REPEATS * measure_s)
+    if lowest[0] * base < band_rad_s[0]:
+        return None
+    harmonics = list(lowest)
+    for harmonic in free_of_products(range(lowest[-1], math.floor(high / base) + 1)):
+        if harmonic >= harmonics[-1] + APART * REPEATS:
+            harmonics.append(harmonic)
+    choice = ToneChoice(measure_s, tuple(harmonics), axes, REPEATS)
+    return choice if choice.duration_s(spec) <= spec.duration_max_s else None
 
 
 def closer_looks(
@@ -263,29 +327,32 @@ def turns_of(axes: tuple[int, ...]) -> list[tuple[int, ...]]:
 
 
 def _fewest_periods(band_rad_s: tuple[float, float], tones: int) -> int:
-    """Return how many periods of the band's upper end hold a number of tones on several axes."""
+    """Return how many periods of the band's upper end hold a number of odd harmonics."""
     low, high = band_rad_s
     highest = 1
-    while len(free_of_products(range(math.ceil(highest * low / high), highest + 1))) < tones:
+    while len(range(highest, math.ceil(highest * low / high) - 1, -STEP)) < tones:
         highest += STEP
     return highest
 
 
-def _playable(harmonics: Sequence[int], axes: tuple[int, ...]) -> tuple[int, ...]:
-    """Return the harmonics that axes may share; a single axis may play all of them."""
-    return tuple(harmonics) if len(axes) == 1 else free_of_products(harmonics)
-
-
 def _between(
-    window_rad_s: tuple[float, float], measure_s: float, offset: int, axes: tuple[int, ...]
+    window_rad_s: tuple[float, float],
+    measure_s: float,
+    offset: int,
+    axes: tuple[int, ...],
+    allowed: Callable[[Sequence[int]], tuple[int, ...]] = free_of_products,
 ) -> ToneChoice | None:
-    """Return every second harmonic in a window, counted from the top; None if it has too few."""
+    """Return every second harmonic in a window, counted from the top; None if it has too few.
+
+    Several axes share those that are `allowed`; a single axis may play all of them.
+    """
     base = 2 * math.pi / measure_s
     top = math.floor(window_rad_s[1] / base * (1 + 1e-9)) - offset
     if len(axes) > 1:
         top -= 1 - top % 2
     lowest = max(1, math.ceil(window_rad_s[0] / base * (1 + 1e-9)))
-    harmonics = _playable(range(top, lowest - 1, -STEP)[::-1], axes)
+    every = tuple(range(top, lowest - 1, -STEP)[::-1])
+    harmonics = every if len(axes) == 1 else allowed(every)
     # Each segment holds a period of a single tone, which would last longer than asked for.
     if len(harmonics) < 2 and harmonics < (SEGMENTS,):
         return None

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nufleet.orchestrator.study.interface import StudyPlan
-from nufleet.shared.arrays import FloatArray
+from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.errors import InvalidInputError
 
 BINS_MAX = 1000
@@ -98,21 +98,12 @@ def spectrum_of(positions: FloatArray, sample_time_s: float) -> Spectrum:
         InvalidInputError: There are fewer than four samples, a number is not finite, or the
             trajectory does not move.
     """
-    columns = positions[:, None] if positions.ndim == 1 else positions
-    if columns.ndim != 2 or len(columns) < 4 or not np.all(np.isfinite(columns)):
-        raise InvalidInputError(
-            f"a trajectory needs at least four samples, all finite; its shape is {positions.shape}"
-        )
-    steps = np.linalg.norm(np.diff(columns, axis=0), axis=1)
-    closed = float(np.linalg.norm(columns[0] - columns[-1])) <= float(steps.max())
-    line = 0.0 if closed else np.linspace(columns[0], columns[-1], len(columns))
-    amplitudes = np.fft.rfft(columns - line, axis=0)[1:] / len(columns)
+    omega, amplitudes = _lines(positions, sample_time_s)
     # Parseval: bin k > 0 of the one-sided transform X carries the mean square 2 |X_k / samples|².
     each = 2 * np.abs(amplitudes) ** 2
     power = np.sum(each, axis=1)
     if not power.any():
         raise InvalidInputError("the trajectory does not move, or moves along a straight line only")
-    omega = 2 * np.pi * np.arange(1, len(power) + 1) / (len(columns) * sample_time_s)
     motion = np.cumsum(power * omega**2)
     told_apart = int(np.searchsorted(motion, (1 - NEGLIGIBLE) * motion[-1])) + 1
     # Groups of bins, each at its power-weighted mean frequency.
@@ -127,3 +118,36 @@ def spectrum_of(positions: FloatArray, sample_time_s: float) -> Spectrum:
     empty = joined_power <= np.finfo(float).tiny
     parts = np.add.reduceat(each, starts, axis=0)
     return Spectrum(np.where(empty, omega[starts], middle), joined_power, parts)
+
+
+def cross_power(positions: FloatArray, sample_time_s: float) -> tuple[FloatArray, ComplexArray]:
+    """Return how the motions of a trajectory's axes go together, at every frequency.
+
+    Args:
+        positions: Positions, shape (samples, axes), prepared as for `spectrum_of`.
+        sample_time_s: Time between samples in s.
+
+    Returns:
+        Frequencies in rad/s, shape (frequencies,), and 2 a_j a_k* of the axes' amplitudes a, whose
+        diagonal adds up to the mean squares, shape (frequencies, axes, axes).
+
+    Raises:
+        InvalidInputError: There are fewer than four samples, or a number is not finite.
+    """
+    omega, amplitudes = _lines(positions, sample_time_s)
+    return omega, np.asarray(2 * amplitudes[:, :, None] * amplitudes[:, None, :].conj())
+
+
+def _lines(positions: FloatArray, sample_time_s: float) -> tuple[FloatArray, ComplexArray]:
+    """Return the frequencies of a trajectory in rad/s, and its amplitudes (frequencies, axes)."""
+    columns = positions[:, None] if positions.ndim == 1 else positions
+    if columns.ndim != 2 or len(columns) < 4 or not np.all(np.isfinite(columns)):
+        raise InvalidInputError(
+            f"a trajectory needs at least four samples, all finite; its shape is {positions.shape}"
+        )
+    steps = np.linalg.norm(np.diff(columns, axis=0), axis=1)
+    closed = float(np.linalg.norm(columns[0] - columns[-1])) <= float(steps.max())
+    line = 0.0 if closed else np.linspace(columns[0], columns[-1], len(columns))
+    amplitudes = np.fft.rfft(columns - line, axis=0)[1:] / len(columns)
+    omega = 2 * np.pi * np.arange(1, len(amplitudes) + 1) / (len(columns) * sample_time_s)
+    return omega, np.asarray(amplitudes)

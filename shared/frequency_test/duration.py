@@ -1,8 +1,9 @@
 """The durations of the parts of a frequency test, known before the test is requested.
 
 The tones of all axes of a test count alike, since the output of every axis may contain them all.
-The segments of several tones together hold one period of the slowest of them, and
-`RESOLUTION_PERIODS` beats of the two closest; a segment of a single tone holds a period of its own.
+The segments of several tones together hold one period of the slowest of them,
+`RESOLUTION_PERIODS` beats of the two closest on one axis, and `ACROSS_PERIODS` of the two closest
+on any; a segment of a single tone holds a period of its own.
 No segment is shorter than `segment_min_s`.
 Without `settle_s` the measuring part begins `settling_time_s` after the ramp: a transient decays at
 the robot's own rate, which does not depend on the frequency of the tone.
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,8 +29,13 @@ For several tones the period of their geometric mean frequency is used: the fast
 velocity, and the transient that the slow ones excite decays while the robot settles."""
 
 RESOLUTION_PERIODS = 2.0
-"""Periods of the slowest beat between two tones that the measuring part must hold. With one period,
-least squares can just separate the tones; with two, the variance equals that of each tone alone."""
+"""Periods of the slowest beat between two tones of an axis that the measuring part must hold. With
+one period, least squares can just separate the tones; with two, the variance equals that of each
+tone alone."""
+
+ACROSS_PERIODS = 0.5
+"""The same for tones of different axes. Two or three tones as close as this are told apart as long
+as the others are further away; how much that widens their variances is part of these."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +79,11 @@ def timing(excitation: Excitation, spec: RobotSpec) -> Timing:
     period_s = 2 * math.pi / omegas[0]
     measure_s = excitation.segments * period_s
     if len(omegas) > 1:
-        beat_s = 2 * math.pi / float(np.min(np.diff(omegas)))
-        measure_s = max(period_s, RESOLUTION_PERIODS * beat_s)
+        own = [sorted(tone.omega_rad_s for tone in one.tones) for one in excitation.played]
+        closest = min((b - a for each in own for a, b in pairwise(each)), default=math.inf)
+        across = min(b - a for a, b in pairwise(omegas))
+        resolved_s = max(RESOLUTION_PERIODS / closest, ACROSS_PERIODS / across) * 2 * math.pi
+        measure_s = max(period_s, resolved_s)
     # The period of the geometric mean of all frequencies, see RAMP_MIN_PERIODS.
     middle_s = 2 * math.pi / math.exp(float(np.mean(np.log(omegas))))
     return Timing(

@@ -69,7 +69,7 @@ def interleaved(harmonics: Sequence[int], axes: int) -> tuple[tuple[int, ...], .
 
 
 def largest_amplitudes(
-    played: Sequence[tuple[Tone, ...]], axes: Sequence[AxisSpec]
+    played: Sequence[tuple[Tone, ...]], axes: Sequence[AxisSpec], base_rad_s: float
 ) -> tuple[float, ...]:
     """Return amplitudes at which a robot accepts these tones together with any ramp.
 
@@ -79,12 +79,11 @@ def largest_amplitudes(
     Args:
         played: Tones of a test, for each axis that plays.
         axes: These axes with their limits.
+        base_rad_s: Base frequency, after a period of which the sums of the tones repeat.
     """
-    omega = np.array([tone.omega_rad_s for tones in played for tone in tones])
-    # The sum of harmonics repeats after a period of their base, at most half of their spacing.
-    base = min([float(omega.min()), *(np.diff(np.sort(omega)) / 2).tolist()])
-    samples = 2 * SAMPLES_PER_PERIOD * (int(omega.max() / base) + 1)
-    times_s = np.linspace(0.0, 2 * np.pi / base, samples)
+    omega_max_rad_s = max(tone.omega_rad_s for tones in played for tone in tones)
+    samples = 2 * SAMPLES_PER_PERIOD * (int(omega_max_rad_s / base_rad_s) + 1)
+    times_s = np.linspace(0.0, 2 * np.pi / base_rad_s, samples)
     amplitudes, velocities, accelerations = [], [], []
     for tones, axis in zip(played, axes, strict=True):
         own_rad_s = np.array([tone.omega_rad_s for tone in tones])

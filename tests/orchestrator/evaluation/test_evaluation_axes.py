@@ -16,6 +16,7 @@ from nufleet.orchestrator.evaluation.report import evaluation_table
 from nufleet.orchestrator.evaluation.results import EvaluationResult
 from nufleet.orchestrator.flights.labels import BASELINE, BY_AXIS
 from nufleet.orchestrator.study.interface import SourceEstimate
+from nufleet.orchestrator.study.predicted_errors import PredictedRms
 
 ALGORITHM_1 = {"even": Psi(0.13, 0.0), "like-x": Psi(0.02, 0.0), "like-y": Psi(0.31, 0.0)}
 """Estimates on the first axis alone, on which another source is the closest."""
@@ -32,10 +33,16 @@ ERRORS = {
 def evaluated(
     errors: dict[str, tuple[float | None, float | None]],
     ranking: tuple[SourceEstimate, ...] = RANKING,
+    predicted: PredictedRms | None = None,
 ) -> EvaluationResult:
     psi, flights = ALGORITHM_1, records(errors)
     return summarise(
-        "target", flights, psi, "state", unit="m", guarded=True, run="", ranking=ranking
+        *("target", flights, psi, "state"),
+        unit="m",
+        guarded=True,
+        run="",
+        ranking=ranking,
+        predicted=predicted,
     )
 
 
@@ -80,6 +87,33 @@ def test_what_the_first_axis_alone_predicts_is_called_so() -> None:
     table = said(evaluated(dict(ERRORS)))
     assert table.count("1st axis") == 2
     assert "predicted for these paths from the first axis alone" in table
+
+
+def test_errors_that_are_expected_over_all_axes_stand_beside_those_of_each_axis() -> None:
+    of = {"even": 0.045, "like-x": 0.07, "like-y": 0.1}
+    predicted = PredictedRms(0.21, of, ("x", "y"), by_axis=0.018)
+    result = evaluated(dict(ERRORS), predicted=predicted)
+    assert result.by_axis is not None
+    assert result.by_axis.predicted_rms_m == 0.018
+    assert (result.least_expected, result.least_expected_regret_m) == (BY_AXIS, 0.0)
+    assert EvaluationResult.model_validate_json(result.document()) == result
+    table = said(result)
+    assert table.count("1st axis") == 1
+    assert "from the first axis alone" not in table
+    assert "even: 50 mm (expected 45); the closest on each axis" in table
+    assert "like-y on y: 20 mm (expected 18)" in table
+    assert "the tests expect the least error of by-axis, which left 0 mm more than the least" in (
+        table
+    )
+
+
+def test_the_tests_may_expect_the_least_of_another_source_than_left_the_least() -> None:
+    predicted = PredictedRms(0.21, {"even": 0.045, "like-x": 0.02}, ("x", "y"))
+    result = evaluated({k: v for k, v in ERRORS.items() if k != BY_AXIS}, predicted=predicted)
+    assert result.least_expected == "like-x"
+    assert result.least_expected_regret_m == pytest.approx(0.08 - 0.05)
+    assert [source.predicted_rms_m for source in result.sources] == [0.045, 0.02, None]
+    assert result.kendall_tau_trajectory == -1.0
 
 
 def test_where_axes_agree_nothing_more_is_flown_and_that_is_said() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from loops_on_axes import spec_of
 from random_loops import BAND, SPEC, Loop
 
 from nufleet.orchestrator.evaluation.comparison import Psi, summarise
@@ -56,11 +57,12 @@ def test_predicted_errors_are_those_of_the_closed_form_averaged_over_the_paths()
     found = predict_rms(
         "target",
         ("near", "far"),
-        dict.fromkeys(FLEET, SPEC),
+        dict.fromkeys(FLEET, spec_of()),
         {name: answer_of(loop, rng) for name, loop in FLEET.items()},
         [path(*SLOW), path(*FAST)],
         rng,
         omega_max_rad_s=BAND[1],
+        axes=("x",),
     )
     for source, error in ((None, found.without), *found.of.items()):
         truth = np.mean([expected(source, *SLOW), expected(source, *FAST)])
@@ -74,9 +76,11 @@ def test_tests_at_one_frequency_each_tell_as_much_as_many_at_once() -> None:
         name: [loop.answer(one_tone(w), 0.003, rng) for w in omega.tolist()]
         for name, loop in FLEET.items()
     }
-    specs = dict.fromkeys(FLEET, SPEC)
+    specs = dict.fromkeys(FLEET, spec_of())
     found = predict_rms(
-        "target", ("near",), specs, singles, [path(*FAST)], rng, omega_max_rad_s=BAND[1]
+        *("target", ("near",), specs, singles, [path(*FAST)], rng),
+        omega_max_rad_s=BAND[1],
+        axes=("x",),
     )
     assert found.of["near"] == pytest.approx(expected("near", *FAST), rel=0.1)
 

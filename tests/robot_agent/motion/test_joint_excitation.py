@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from nufleet.orchestrator.study.tone_choice import first_look
+from nufleet.orchestrator.study.tone_choice import first_look, lowest_look_together
 from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RefusedError
@@ -96,8 +96,15 @@ def test_the_largest_amplitudes_that_are_foreseen_are_accepted(
     axes: list[tuple[float, float, float]],
 ) -> None:
     spec = spec_of(*axes)
-    played = [one.tones for one in request_for(spec).played]
-    plan_excitation(request_for(spec, largest_amplitudes(played, spec.axes)), spec, "robot")
+    choices = [
+        first_look(BAND, spec, 11, 0.7, tuple(range(len(axes)))),
+        lowest_look_together(BAND, spec, 0.5, tuple(range(len(axes))), len(axes)),
+    ]
+    for choice in choices:
+        assert choice is not None
+        played = [one.tones for one in choice.excitation(*NAMES).played]
+        amplitudes = largest_amplitudes(played, spec.axes, choice.base_rad_s)
+        plan_excitation(choice.excitation(*NAMES, amplitudes=amplitudes), spec, "robot")
 
 
 def test_an_axis_that_may_not_move_with_another_is_tested_alone() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from nufleet.robot_agent.motion.excitation import plan_excitation
 from nufleet.shared.frequency_test.duration import duration_s, timing
-from nufleet.shared.frequency_test.excitation import Excitation, Tone
+from nufleet.shared.frequency_test.excitation import AxisTones, Excitation, Tone
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
 omegas = st.lists(st.integers(1, 200), min_size=1, max_size=12, unique=True)
@@ -79,3 +79,26 @@ def test_a_ramp_lasts_a_period_of_the_tone_or_of_the_middle_of_several(
     tones = tuple(Tone(omega_rad_s=omega) for omega in omegas_rad_s)
     excitation = Excitation(axis="x", tones=tones, segments=3)
     assert timing(excitation, spec).ramp_s == pytest.approx(ramp_s)
+
+
+def test_two_beats_are_measured_within_an_axis_and_half_of_one_across_axes() -> None:
+    axis = AxisSpec(name="x", unit="m", amplitude_max=1, velocity_max=1, acceleration_max=1)
+    spec = RobotSpec(
+        kind="any",
+        axes=(axis, axis.model_copy(update={"name": "y"})),
+        sample_time_s=0.02,
+        omega_min_rad_s=1e-3,
+        omega_max_rad_s=100.0,
+        duration_max_s=1e6,
+        settling_time_s=4.0,
+        simulated=True,
+    )
+    first, near, far = (Tone(omega_rad_s=omega) for omega in (2.0, 2.5, 3.0))
+    alone = Excitation(axis="x", tones=(first, near), segments=3)
+    across = Excitation(
+        axis="x", tones=(first, far), also=(AxisTones(axis="y", tones=(near,)),), segments=3
+    )
+    measured_s = [3 * timing(one, spec).segment_s for one in (alone, across)]
+    assert measured_s == pytest.approx([2 * math.tau / 0.5, 2 * math.tau / 1.0])
+    closer = across.model_copy(update={"tones": (first, Tone(omega_rad_s=4.0))})
+    assert 3 * timing(closer, spec).segment_s == pytest.approx(math.tau / 1.0)

@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nufleet.orchestrator.study.tone_choice import ToneChoice, first_look
+from nufleet.orchestrator.study.tone_choice import (
+    ToneChoice,
+    first_look,
+    lowest_look_together,
+)
 from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
 from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.frequency_test.excitation import ExcitationPlan
@@ -155,6 +159,36 @@ def test_axes_that_are_not_coupled_are_not_silent() -> None:
     matrix = answer_of(robot, (0, 1))
     assert not any("no-response" in finding.code for finding in matrix.quality.warnings)
     assert np.all(np.abs(matrix.entry(1, 0).z) < 5 * np.sqrt(matrix.entry(1, 0).variance))
+
+
+@pytest.mark.parametrize("low", [1, 2, 3])
+def test_tones_less_than_a_beat_apart_at_the_lower_end_are_told_apart(low: int) -> None:
+    robot = robot_of(4)
+    choice = lowest_look_together((0.2, 8.0), robot.spec, 0.5, (1, 2, 3, 0), low)
+    assert choice is not None
+    assert [bool(choice.omegas_of(axis)[0] <= 0.5) for axis in (1, 2, 3)] == [
+        place < low for place in range(3)
+    ]
+    inside = []
+    for seed in range(12):
+        noisy = robot_of(4, noise_std_m=0.006, seed=seed)
+        plan = plan_excitation(choice.excitation(*NAMES), noisy.spec, "robot")
+        assert plan.duration_s == pytest.approx(choice.duration_s(noisy.spec), abs=0.1)
+        order = [NAMES.index(one.axis) for one in plan.played]
+        references = np.zeros((plan.samples, 4))
+        references[:, order] = reference_of(plan)
+        output = noisy.run(references)[:, order]
+        matrix = matrix_of(estimate_frequency_response(reference_of(plan), output, plan))
+        assert matrix.quality.usable
+        slow = matrix.rows[0].omega_rad_s <= 0.5
+        assert slow.sum() == low
+        z = noisy.model.graph(matrix.rows[0].omega_rad_s)[:, 4:]
+        at = np.array(order)[matrix.played_by]
+        for place, row in zip(order, matrix.rows, strict=True):
+            errors = np.abs(row.z - z[np.arange(len(at)), place, at])
+            assert np.max(errors[slow]) < 0.3
+            inside.append(errors[slow] <= row.radius()[slow])
+    assert np.mean(np.concatenate(inside)) > 0.9
 
 
 @pytest.mark.parametrize("column", [0, 1])
