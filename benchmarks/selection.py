@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import zlib
+from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
@@ -42,13 +43,16 @@ class Outcome:
     """A method on one fleet, round by round; each of `regret` and `robot_time_s` has one per round.
 
     `confidence` is what was claimed in the end, None where a method claims nothing; `held` says of
-    each source whether the interval of its ψ* holds it.
+    each source whether the interval of its ψ* holds it; `spent_s` and `waited_s` say where the
+    robot-seconds went, as `benchmarks.selection_methods.Trace` does.
     """
 
     regret: list[float]
     robot_time_s: list[float]
     confidence: float | None
     held: list[bool]
+    spent_s: dict[str, float]
+    waited_s: float
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,8 @@ class Row:
     claims_right: float | None
     intervals: int
     intervals_held: float | None
+    spent_s: dict[str, float]
+    waited_s: float
 
 
 def outcomes_of(
@@ -86,6 +92,8 @@ def outcomes_of(
             robot_time_s=[step.robot_time_s for step in trace.steps],
             confidence=trace.steps[-1].confidence,
             held=trace.held,
+            spent_s=dict(trace.spent_s),
+            waited_s=trace.waited_s,
         )
     return found
 
@@ -115,6 +123,8 @@ def rows_of(fleets: Sequence[dict[str, Outcome]]) -> list[Row]:
                 claims_right=_mean([float(o.regret[-1] < RIGHT_BELOW) for o in sure]),
                 intervals=len(held),
                 intervals_held=_mean(held),
+                spent_s=_mean_spent([outcome.spent_s for outcome in outcomes]),
+                waited_s=float(np.mean([outcome.waited_s for outcome in outcomes])),
             )
         )
     return rows
@@ -139,6 +149,8 @@ def show(setting: Setting, rows: Sequence[Row], fleets: int) -> None:
     ours_s, held = at["default"].robot_time_s, at["default"].intervals_held
     if held is not None:
         print(f"  {held:.3f} of {at['default'].intervals} intervals of ψ* hold it")
+    spent = ", ".join(f"{time_s:.0f} for {what}" for what, time_s in at["default"].spent_s.items())
+    print(f"  robot-s of the default: {spent}; {at['default'].waited_s:.0f} ramping or settling")
     for other, called in (("oracle", "the oracle's"), ("long-multitone", "the long test's")):
         if other in at:
             times = ours_s / at[other].robot_time_s
@@ -210,6 +222,14 @@ def _time_to(right: FloatArray, times: FloatArray, wanted: float) -> float | Non
     short = np.flatnonzero(right < wanted - 1e-12)
     first = int(short[-1]) + 1 if len(short) else 0
     return float(times[first]) if first < len(times) else None
+
+
+def _mean_spent(outcomes: Sequence[dict[str, float]]) -> dict[str, float]:
+    """Return the mean robot-seconds by what they were spent on, the most first."""
+    total: Counter[str] = Counter()
+    for spent_s in outcomes:
+        total.update(spent_s)
+    return {what: time_s / len(outcomes) for what, time_s in total.most_common()}
 
 
 def _mean(values: Sequence[float]) -> float | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -16,6 +17,7 @@ from nufleet.orchestrator.study.paper_algorithm import SEGMENT_MIN_S, SEGMENTS, 
 from nufleet.orchestrator.study.tone_choice import ToneChoice
 from nufleet.shared.distance.chordal import chordal_distance
 from nufleet.shared.errors import StudyError
+from nufleet.shared.frequency_test.duration import duration_s, timing
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
 from nufleet.shared.frequency_test.frequency_response import FrequencyResponse
 
@@ -23,6 +25,7 @@ PAPER_ITERATIONS = 12
 ADAPTIVE_ROUNDS = 8
 SWEEP_TONES = 9
 RANDOM_TONES = 12
+REPEATED = "repeated tests"
 LONG_TEST_PERIODS = 55
 """Measuring time of the long test, in periods of the upper end of the band; it has 27 tones."""
 
@@ -50,6 +53,11 @@ class Trace:
     """Whether the interval of each source's ψ* holds it, after the last round."""
     computing_s: list[float] = field(default_factory=list)
     """Processor time that the method took to learn from each round, in s."""
+    spent_s: Counter[str] = field(default_factory=Counter)
+    """Robot-seconds by what they were spent on: the purpose of a round, or tests repeated as they
+    were not usable."""
+    waited_s: float = 0.0
+    """The part of them, repeated tests left out, in which robots ramped or settled."""
 
 
 def paper(fleet: Fleet, rng: np.random.Generator) -> Trace:
@@ -76,9 +84,15 @@ def follow(study: Study, fleet: Fleet) -> Trace:
     while (question := study.ask()) is not None:
         responses: dict[str, FrequencyResponse] = {}
         failed: dict[str, str] = {}
+        purpose = question.purpose.split(" below ")[0]
         for name, excitation in question.tests.items():
-            response, duration_s = robots[name].test(excitation)
-            robot_time_s += duration_s
+            response, flown_s = robots[name].test(excitation)
+            robot_time_s += flown_s
+            spec = robots[name].spec
+            once_s, parts = duration_s(excitation, spec), timing(excitation, spec)
+            trace.spent_s[purpose] += once_s
+            trace.spent_s[REPEATED] += flown_s - once_s
+            trace.waited_s += 2 * parts.ramp_s + parts.settle_s
             if response.quality.usable:
                 responses[name] = response
             else:

@@ -101,7 +101,9 @@ def findings_of(
     ]
     # A change makes estimates of segments scatter as if noise hid the response.
     if silent.any() and not ringing.lasting.any():
-        midway = changed_midway(residual, moved, output_fit.omega_rad_s, tones, step_s)
+        midway = changed_midway(
+            residual, output_fit.phasors[:tones], output_fit.omega_rad_s, step_s
+        )
         if midway is not None:
             return [*findings, midway]
     if silent.all():

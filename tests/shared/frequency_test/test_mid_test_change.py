@@ -1,4 +1,4 @@
-"""A robot that becomes another one in the middle of a test is told from noise, and when it did."""
+"""A robot that becomes another one in the middle of a test is told from one that is not linear."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from benchmarks.nonlinear_loop import NonlinearLoop, play
 from nufleet.robot_agent.motion.excitation import plan_excitation, reference_of
 from nufleet.shared.frequency_test.excitation import Excitation
 from nufleet.shared.frequency_test.frequency_response import (
@@ -26,6 +27,7 @@ SPEC = RobotSpec(
     simulated=False,
 )
 HARMONICS = (1, 3, 5, 7, 9, 11)
+LOW_HARMONICS = (1, 3, 5, 7, 9, 11, 13, 15, 18, 21, 25)
 (TONES,) = multitone(5.4 / 11, (HARMONICS,), (np.ones(6),))
 PLAN = plan_excitation(Excitation(axis="x", tones=TONES, segments=3), SPEC, "robot")
 
@@ -62,4 +64,23 @@ def test_a_payload_that_drops_is_named_with_the_moment(share: float, noise_m: fl
 def test_noise_of_any_colour_is_no_change(memory: float) -> None:
     for seed in range(12):
         found = played(1.0, 0.5, 0.03, memory, seed)
+        assert "changed" not in {one.code for one in found.quality.reasons}
+
+
+@pytest.mark.parametrize(
+    "loop",
+    [
+        NonlinearLoop(2.9, 0.6, 0.2, 0.05, friction_m_s2=0.15),
+        NonlinearLoop(4.0, 0.5, 0.1, 0.0, dead_zone_m_s2=0.2),
+    ],
+)
+def test_what_is_not_linear_at_a_small_amplitude_is_no_change(loop: NonlinearLoop) -> None:
+    (tones,) = multitone(0.2, (LOW_HARMONICS,), (np.array(LOW_HARMONICS) ** -0.5,))
+    small = Excitation(axis="x", tones=tones, segments=3, amplitude=0.09)
+    plan = plan_excitation(small, SPEC, "robot")
+    reference = reference_of(plan)
+    for seed in range(3):
+        noise = 0.003 * np.random.default_rng(seed).standard_normal(len(reference))
+        output = play(loop, reference, SPEC.sample_time_s) + noise
+        found = estimate_frequency_response(reference, output, plan)
         assert "changed" not in {one.code for one in found.quality.reasons}
