@@ -150,4 +150,4 @@ def _lines(positions: FloatArray, sample_time_s: float) -> tuple[FloatArray, Com
     line = 0.0 if closed else np.linspace(columns[0], columns[-1], len(columns))
     amplitudes = np.fft.rfft(columns - line, axis=0)[1:] / len(columns)
     omega = 2 * np.pi * np.arange(1, len(amplitudes) + 1) / (len(columns) * sample_time_s)
-    return omega, np.asarray(amplitudes)
+    return np.asarray(omega, dtype=np.float64), np.asarray(amplitudes)
