@@ -46,6 +46,10 @@ REFUSAL_PATIENCE_S = 10.0
 REFUSALS_PATIENCE_S = 30.0
 """Time in s for which such refusals are tolerated in all, if one cause follows another."""
 
+FROZEN_S = 5.0
+"""Time in s between two refusals from which on the orchestrator itself did not run: a question is
+answered, or counts as unanswered, in less. What the robot refused before may have passed since."""
+
 REST_PATIENCE_S = 90.0
 """Time in s that a robot has to come to rest after a cancel; longer than any driver's `rest`.
 
@@ -79,6 +83,8 @@ class _Refusals(NamedTuple):
     """Time of the first refusal with this code."""
     first_s: float
     """Time of the first refusal."""
+    latest_s: float
+    """Time of the latest refusal, or of a question after it that got no answer."""
 
 
 class Pursuit:
@@ -268,9 +274,11 @@ class Pursuit:
         Another reason is another trouble, which may pass as well; but a robot that finds one reason
         after another is not asked for ever.
         """
-        earlier = self._refusals.get(question, _Refusals(code, now_s, now_s))
+        earlier = self._refusals.get(question)
+        if earlier is None or now_s - earlier.latest_s > FROZEN_S:
+            earlier = _Refusals(code, now_s, now_s, now_s)
         since_s = earlier.since_s if code == earlier.code else now_s
-        self._refusals[question] = _Refusals(code, since_s, earlier.first_s)
+        self._refusals[question] = _Refusals(code, since_s, earlier.first_s, now_s)
         longest_s = max(patience_s, REFUSALS_PATIENCE_S)
         return now_s >= min(since_s + patience_s, earlier.first_s + longest_s)
 
@@ -281,7 +289,7 @@ class Pursuit:
         self._not_before_s[question] = now_s + ASK_AGAIN_S
         if question in self._refusals:
             # What was refused before the silence may have passed, and have come again.
-            self._refusals[question] = self._refusals[question]._replace(code="")
+            self._refusals[question] = self._refusals[question]._replace(code="", latest_s=now_s)
         tries, since_s = self._unanswered or (0, now_s)
         self._unanswered = (tries + 1, since_s)
         if tries + 1 >= ANSWER_TRIES and now_s - since_s >= ANSWER_PATIENCE_S:

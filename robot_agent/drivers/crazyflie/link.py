@@ -111,6 +111,14 @@ class Link:
         self._blocks.clear()
         # cflib would send zero thrust, also to a drone that is still in the air.
         cf.commander.send_setpoint = lambda *_: None
+        # cflib's threads, which still ask for parameters, would fail on the link that is gone.
+        send = cf.send_packet
+
+        def send_packet(packet: Any, *args: Any, **named: Any) -> None:
+            with suppress(AttributeError):
+                send(packet, *args, **named)
+
+        cf.send_packet = send_packet
         cf.close_link()
 
     def set_parameter(self, name: str, value: float) -> None:

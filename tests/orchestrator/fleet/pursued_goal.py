@@ -136,6 +136,10 @@ class PursuedGoal:
         self.now_s = until_s
         return [ask.question for ask in self.asked[before:]]
 
+    def freezes(self, time_s: float) -> None:
+        """Let time pass in which the orchestrator does not run."""
+        self.now_s += time_s
+
     def beats(self, time_s: float, heard: Heard) -> list[Question]:
         """Let time pass in which the robot says the same at each heartbeat."""
         before = len(self.asked)

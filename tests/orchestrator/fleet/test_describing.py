@@ -41,6 +41,9 @@ class Network:
     def subscribe_state(self, _key: str, _handler: Any) -> None:
         """Do nothing."""
 
+    def subscribe(self, _key: str, _handler: Any, *, max_bytes: int) -> None:
+        """Do nothing."""
+
 
 def fleet_on(network: Network) -> Fleet:
     return Fleet(cast(Session, network), KEYS, "orchestrator-1")

@@ -146,21 +146,30 @@ def test_one_question_that_takes_long_to_be_lost_gives_nobody_up() -> None:
 # Refusals.
 
 
+def refused_for(goal: PursuedGoal, code: str, seconds: float) -> list[Question]:
+    """Refuse the goal every second until it is given up; return what is asked at the last time."""
+    asked = goal.happens(refused(SEND, code))
+    for _ in range(round(seconds)):
+        if asked:
+            break
+        goal.passes(1.0)
+        asked = goal.happens(refused(SEND, code))
+    return asked
+
+
 @pytest.mark.parametrize("code", sorted(PASSING))
 def test_a_refusal_that_says_nothing_about_the_goal_passes_or_is_final_in_the_end(
     code: str,
 ) -> None:
     goal = PursuedGoal()
-    goal.happens(refused(SEND, code))
-    goal.passes(REFUSAL_PATIENCE_S / 2)
-    goal.happens(refused(SEND, code))
+    assert refused_for(goal, code, REFUSAL_PATIENCE_S - 1) == []
     assert goal.ended is None
     taken = PursuedGoal()
     taken.happens(refused(SEND, code))
     taken.passes(0.1)
     taken.happens(accepted())
     assert taken.ended is None
-    goal.passes(REFUSAL_PATIENCE_S / 2)
+    goal.passes(1.0)
     assert goal.happens(refused(SEND, code)) == [CANCEL]
     goal.happens(refused(CANCEL, code))
     assert goal.ended is not None
@@ -169,16 +178,26 @@ def test_a_refusal_that_says_nothing_about_the_goal_passes_or_is_final_in_the_en
     assert goal.ended.abandoned == (GOAL,)
 
 
+def test_refusals_before_the_orchestrator_was_frozen_say_nothing_of_the_robot_afterwards() -> None:
+    goal = PursuedGoal()
+    goal.happens(refused(SEND, "not-ready"))
+    assert goal.passes(0.1) == [SEND]
+    goal.freezes(13.5)
+    assert goal.happens(refused(SEND, "not-ready")) == []
+    goal.passes(0.1)
+    assert goal.happens(accepted()) == []
+    assert goal.pursuit.accepted is not None
+
+
 def test_a_cause_that_passes_leaves_the_next_one_its_time_but_not_for_ever() -> None:
     goal = PursuedGoal()
     codes = ("not-ready", "frozen") * 4
     asked_s = 0.0
     for code in codes:
-        goal.happens(refused(SEND, code))
-        goal.passes(0.9 * REFUSAL_PATIENCE_S)
         asked_s += 0.9 * REFUSAL_PATIENCE_S
-        if goal.happens(refused(SEND, code)) == [CANCEL]:
+        if refused_for(goal, code, 0.9 * REFUSAL_PATIENCE_S) == [CANCEL]:
             break
+        goal.passes(0.1)
         assert asked_s < REFUSALS_PATIENCE_S
     assert goal.asked[-1] == Ask(CANCEL, GOAL)
     assert asked_s >= REFUSALS_PATIENCE_S
