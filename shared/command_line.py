@@ -141,8 +141,8 @@ def main() -> NoReturn:
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
-    _spare_processor_time()
     try:
+        _spare_processor_time()
         code = command_line().main(prog_name="nufleet", standalone_mode=False)
     except click.ClickException as error:
         error.show()

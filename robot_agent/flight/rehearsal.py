@@ -7,7 +7,6 @@ long as the flight itself, so it has no place in a control loop.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -46,7 +45,6 @@ GUARDED = 1.1
 """Most error that a guard promises to leave, as a multiple of the error of the baseline."""
 
 _TINY = float(np.finfo(np.float64).tiny)
-_HALVINGS = 50  # after which an angle is known to the last bits
 _SEED = 0  # every way of flying meets the same robots and the same noise, so that they compare
 
 
@@ -217,36 +215,12 @@ def predicted_from(errors: Sequence[float]) -> PredictedError:
     Args:
         errors: Root mean square errors, at least two, above 0.
     """
+    # Agents only write the task of a rehearsal, and do without a third of a second of loading.
+    from scipy.special import stdtrit
+
     logarithms, count = np.log(errors), len(errors)
     spread = np.hypot(float(np.std(logarithms, ddof=1)), ROUGH) * np.sqrt(1 + 1 / count)
-    reach = student_quantile(HIGH, count - 1) * spread
+    reach = float(stdtrit(count - 1, HIGH)) * spread
     middle = float(np.mean(logarithms))
     low, rms, high = np.exp([middle - reach, middle, middle + reach])
     return PredictedError(rms=float(rms), low=float(low), high=float(high))
-
-
-def student_quantile(probability: float, degrees: int) -> float:
-    """Return the quantile of Student's t, as Abramowitz & Stegun, 26.7.3 and 26.7.4, have it.
-
-    SciPy has it, too, but takes a rehearsal longer to load than to rehearse a way of flying.
-
-    Args:
-        probability: Probability of a smaller value, from 0.5 to below 1.
-        degrees: Degrees of freedom, at least 1.
-    """
-    odd = degrees % 2
-
-    def within(angle: float) -> float:
-        """Return the probability of a value of at most √degrees tan(angle), either way."""
-        term, total = math.cos(angle) if odd else 1.0, 0.0
-        for k in range(1, degrees // 2 + 1):
-            total += term
-            term *= (2 * k - 1 + odd) / (2 * k + odd) * math.cos(angle) ** 2
-        area = math.sin(angle) * total
-        return 2 / math.pi * (angle + area) if odd else area
-
-    low, high = 0.0, math.pi / 2
-    for _ in range(_HALVINGS):
-        middle = (low + high) / 2
-        low, high = (middle, high) if within(middle) < 2 * probability - 1 else (low, middle)
-    return math.sqrt(degrees) * math.tan((low + high) / 2)

@@ -198,6 +198,9 @@ def curvature(path: FloatArray, along: FloatArray) -> FloatArray:
 
 
 def _without_tremor(points: FloatArray) -> FloatArray:
+    # Agents only check trajectories, and do without a third of a second of loading.
+    from scipy.ndimage import gaussian_filter1d
+
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     distinct = np.concatenate([[True], steps > 0])
     points, steps = points[distinct], steps[steps > 0]
@@ -209,27 +212,8 @@ def _without_tremor(points: FloatArray) -> FloatArray:
     # An odd reflection at both ends keeps the end points in place.
     margin = min(count - 1, math.ceil(4 * scale))
     padded = np.pad(even, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
-    return blurred(padded, scale)[margin : margin + count]
-
-
-def blurred(points: FloatArray, scale: float) -> FloatArray:
-    """Return points smoothed by a Gaussian window, as if each end were repeated for ever.
-
-    It is `scipy.ndimage.gaussian_filter1d`, which takes an agent longer to load than to apply.
-
-    Args:
-        points: Evenly spaced points, shape (n, axes).
-        scale: Standard deviation of the window in points; it is cut off at four of them.
-
-    Returns:
-        As many points, shape (n, axes).
-    """
-    reach = int(4 * scale + 0.5)
-    window = np.exp(-0.5 * (np.arange(-reach, reach + 1) / scale) ** 2)
-    padded = np.pad(points, ((reach, reach), (0, 0)), mode="edge")
-    return np.stack(
-        [np.convolve(column, window / window.sum(), mode="valid") for column in padded.T], axis=1
-    )
+    smooth = gaussian_filter1d(padded, scale, axis=0, mode="nearest")
+    return np.asarray(smooth[margin : margin + count], dtype=np.float64)
 
 
 def _arrival(path: FloatArray, along: FloatArray, speed: float, acceleration: float) -> FloatArray:

@@ -216,7 +216,8 @@ def test_an_experience_is_handed_over_by_name_from_a_file_and_taken_away(
 def test_a_track_says_and_stores_what_was_flown(lab: Workplace, tracked: dict[str, object]) -> None:
     run = lab.folder / str(tracked["run"])
     assert {path.name for path in run.iterdir()} == {
-        *("config.json", "track.json", "flights.parquet", "run.rrd", "report.html")
+        *("config.json", "track.json", "flights.parquet", "run.rrd", "report.html"),
+        "headline.json",
     }
     circle = str(drawing(lab.folder))
     at_once = ("--target", "target", "--no-rehearsal", "--inverse", "baseline")

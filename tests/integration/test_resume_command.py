@@ -114,7 +114,7 @@ def test_a_killed_ranking_goes_on_with_the_robots_that_it_left(
     lab.check(document)
     assert {path.name for path in run.iterdir()} == {
         *("config.json", "results.json", "telemetry.parquet", "run.rrd", "plots", "report.md"),
-        *("report.html", "ranking.csv"),
+        *("report.html", "ranking.csv", "headline.json"),
     }
     with open_repository(str(database)) as repository:
         study = repository.studies.study(run.name.lower())

@@ -35,6 +35,12 @@ from nufleet.orchestrator.study.interface import StudyPlan
 from nufleet.shared.errors import InvalidInputError
 
 
+@pytest.fixture(autouse=True)
+def wide(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No line of a table is broken."""
+    monkeypatch.setenv("COLUMNS", "200")
+
+
 def printed(run: Run) -> str:
     console = Console(file=io.StringIO(), width=160)
     for part in run_tables(run):

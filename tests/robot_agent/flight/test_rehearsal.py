@@ -8,17 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from robots_that_learn import LaggedRobot, double_integrator
-from scipy.special import stdtrit
 
 from nufleet.robot_agent.flight.flights import performance_of
 from nufleet.robot_agent.flight.forecast import forecast_of
 from nufleet.robot_agent.flight.memory import Memory
-from nufleet.robot_agent.flight.rehearsal import (
-    Rehearsal,
-    predicted_from,
-    student_quantile,
-    widened,
-)
+from nufleet.robot_agent.flight.rehearsal import Rehearsal, predicted_from, widened
 from nufleet.robot_agent.flight.rehearsed_robot import LoopDraw, RehearsedRobot
 from nufleet.robot_agent.motion.pace import HaltSwitch
 from nufleet.robot_agent.motion.perform import perform
@@ -222,10 +216,3 @@ def test_rehearsals_that_all_end_alike_leave_as_much_doubt_as_a_model_does() -> 
     assert (found.high / found.rms, found.rms / found.low) == pytest.approx(
         (1.027, 1.027), abs=1e-3
     )
-
-
-@pytest.mark.parametrize("degrees", [1, 2, 3, 4, 5, 10, 31])
-@pytest.mark.parametrize("probability", [0.5, 0.6, 0.95, 0.999])
-def test_the_quantile_of_student_is_scipys(degrees: int, probability: float) -> None:
-    expected = float(stdtrit(degrees, probability))
-    assert student_quantile(probability, degrees) == pytest.approx(expected, rel=1e-9, abs=1e-12)

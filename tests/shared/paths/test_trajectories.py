@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.ndimage import gaussian_filter1d
 
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
-from nufleet.shared.paths.trajectories import blurred, check_path, check_trajectory, travel
+from nufleet.shared.paths.trajectories import check_path, check_trajectory, travel
 from nufleet.shared.robots.spec import TrackingLimits
 
 STEP_S = 0.02
@@ -66,13 +65,6 @@ def test_no_path_breaks_its_bounds(seed: int, count: int, speed: float, most: fl
     assert speeds(path).max() <= 1.001 * speed
     assert accelerations(path).max() <= 1.02 * most
     assert np.abs(path).max() <= 1.05
-
-
-@pytest.mark.parametrize(("count", "scale"), [(400, 30.2), (400, 0.7), (20, 30.0)])
-def test_a_path_is_smoothed_as_scipy_smooths_it(count: int, scale: float) -> None:
-    points = np.random.default_rng(count).standard_normal((count, 3)).cumsum(axis=0)
-    expected = gaussian_filter1d(points, scale, axis=0, mode="nearest")
-    assert blurred(points, scale) == pytest.approx(expected, rel=1e-12, abs=1e-12)
 
 
 def test_points_that_repeat_do_not_change_the_trajectory() -> None:
