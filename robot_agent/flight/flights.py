@@ -9,10 +9,15 @@ import numpy as np
 
 from nufleet.robot_agent.flight.equipment import equipment_for
 from nufleet.robot_agent.flight.forecast import forecast_of
-from nufleet.robot_agent.flight.learning import learn, learn_unexplained, states_in
+from nufleet.robot_agent.flight.learning import (
+    learn,
+    learn_unexplained,
+    learned_from,
+    states_in,
+)
 from nufleet.robot_agent.flight.memory import Memory, MemoryFolderError
 from nufleet.robot_agent.flight.mixture_learner import experts_of
-from nufleet.robot_agent.flight.own_model import check_explained, evidence_in
+from nufleet.robot_agent.flight.own_model import check_explained
 from nufleet.robot_agent.flight.rich_flight import FlightRecord, fly_record
 from nufleet.robot_agent.flight.tracking import Watch, track
 from nufleet.robot_agent.flight.tracking_record import STOPPED, TrackingRecord
@@ -109,10 +114,14 @@ class _Rich:
         self._record = fly_record(self._robot, references)
         outputs = self._record.states[:, :, 0]
         try:
-            evidence = evidence_in(spec, references, outputs)
+            evidence, crosses = learned_from(spec, references, outputs)
             for axis, noise_std in zip(spec.axes, self._monitored.noise_std, strict=True):
                 check_explained(evidence[axis.name], spec, axis, float(noise_std))
-            self._memory.learn(evidence, states_in(self._robot, self._record.states))
+            self._memory.learn(
+                evidence,
+                states_in(self._robot, self._record.states),
+                crosses,
+            )
             learn_unexplained(self._memory, spec, references, outputs, self._monitored.noise_std)
         except NufleetError as error:
             # The robot works and is at rest: the disk failed, or the record allows no model.

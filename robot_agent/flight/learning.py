@@ -5,12 +5,20 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 
+from nufleet.robot_agent.flight.cross_axes import Crosses, crosses_in
 from nufleet.robot_agent.flight.memory import Memory, MemoryFolderError
-from nufleet.robot_agent.flight.own_model import OwnModel, evidence_in, telling, unexplained_in
+from nufleet.robot_agent.flight.own_model import (
+    OwnModel,
+    basis_of,
+    evidence_in,
+    telling,
+    unexplained_in,
+)
 from nufleet.robot_agent.flight.state_model import StateEvidence, state_evidence
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
+from nufleet.shared.models.evidence import Evidence
 from nufleet.shared.paths.references import top_rad_s
 from nufleet.shared.robots.spec import RobotSpec
 
@@ -30,6 +38,24 @@ def states_in(robot: Robot, states: FloatArray) -> dict[str, StateEvidence]:
         for i, axis in enumerate(robot.spec.axes)
     }
     return {axis: evidence for axis, evidence in found.items() if evidence is not None}
+
+
+def learned_from(
+    spec: RobotSpec, references: FloatArray, outputs: FloatArray
+) -> tuple[Mapping[str, Evidence], Mapping[str, Crosses]]:
+    """Return what a motion of axes that move independently shows of each, and of others on it.
+
+    Args:
+        spec: Description of the robot.
+        references: References sent, shape (samples, axes), in the axes' units.
+        outputs: Outputs measured before each reference acted, in the same shape.
+
+    Raises:
+        InvalidInputError: The record is too short, or holds numbers that cannot be right.
+    """
+    names = [axis.name for axis in spec.axes]
+    crosses, alone = crosses_in(basis_of(spec), names, references, outputs)
+    return evidence_in(spec, references, alone), crosses
 
 
 def learn(
@@ -54,8 +80,11 @@ def learn(
     if spec.tracking is None:
         return
     try:
-        evidence = evidence_in(spec, references, outputs)
-        memory.learn(evidence if before is None else telling(before, spec, evidence), states)
+        if before is None:
+            evidence, crosses = learned_from(spec, references, outputs)
+            memory.learn(evidence, states, crosses)
+        else:
+            memory.learn(telling(before, spec, evidence_in(spec, references, outputs)), states)
     except (InvalidInputError, MemoryFolderError) as error:
         _log.warning("a motion taught nothing: %s", error)
 

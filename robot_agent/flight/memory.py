@@ -13,6 +13,7 @@ from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
+from nufleet.robot_agent.flight.cross_axes import Crosses
 from nufleet.robot_agent.flight.inverse_model import NetworkInverse
 from nufleet.robot_agent.flight.own_model import (
     AxisRecord,
@@ -259,8 +260,14 @@ class Memory:
         self,
         evidence: Mapping[str, Evidence],
         states: Mapping[str, StateEvidence] | None = None,
+        crosses: Mapping[str, Crosses] | None = None,
     ) -> None:
-        """Store what a motion shows about some axes and their states, by the axes' names.
+        """Store what a motion shows about some axes, by the axes' names.
+
+        Args:
+            evidence: Evidence about each axis's own response.
+            states: What it shows of their states.
+            crosses: What it shows of what other axes do to each.
 
         Raises:
             MemoryFolderError: It cannot be stored.
@@ -269,7 +276,8 @@ class Memory:
             records = dict(self._records)
             for axis, new in evidence.items():
                 seen = (states or {}).get(axis)
-                records[axis] = records.get(axis, AxisRecord()).with_new(new, seen)
+                across = (crosses or {}).get(axis)
+                records[axis] = records.get(axis, AxisRecord()).with_new(new, seen, across)
             self._keep_records(records)
             self._settled = None
 

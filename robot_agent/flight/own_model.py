@@ -7,10 +7,11 @@ guard, which must know what the baseline would do, and it can be inverted along 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from nufleet.robot_agent.flight.cross_axes import Cross, Crosses, added, crosses_of
 from nufleet.robot_agent.flight.state_model import StateEvidence
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import InvalidInputError
@@ -20,7 +21,7 @@ from nufleet.shared.models.evidence import Evidence
 from nufleet.shared.models.path_inverse import inverted
 from nufleet.shared.models.unexplained import LAGS_MAX, Unexplained, correlation_samples
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
-from nufleet.shared.strict import Strict
+from nufleet.shared.strict import Name, Strict
 from nufleet.shared.wire.motions import PredictedError
 
 STALE = 2.0
@@ -54,13 +55,23 @@ class AxisRecord(Strict):
     """What the flights along paths, and the rich flights, left unexplained."""
     states: StateEvidence | None = None
     """Observations of its states beside the output."""
+    crosses: dict[Name, Evidence] = {}  # noqa: RUF012 (pydantic copies it)
+    """What other axes do to it, by their names, from the motions of `settled`."""
+    new_crosses: dict[Name, Evidence] = {}  # noqa: RUF012
+    """The same from those of `new`."""
 
-    def with_new(self, evidence: Evidence, states: StateEvidence | None = None) -> AxisRecord:
+    def with_new(
+        self,
+        evidence: Evidence,
+        states: StateEvidence | None = None,
+        crosses: Crosses | None = None,
+    ) -> AxisRecord:
         """Return the record after one more motion."""
         new = evidence if self.new is None else self.new + evidence
         seen = [each for each in (self.states, states) if each is not None]
         together = seen[0] + seen[1] if len(seen) > 1 else next(iter(seen), None)
-        return self.model_copy(update={"new": new, "states": together})
+        across = added(self.new_crosses, crosses or {})
+        return self.model_copy(update={"new": new, "states": together, "new_crosses": across})
 
     def with_unexplained(self, unexplained: Unexplained) -> AxisRecord:
         """Return the record after a flight whose evidence is settled."""
@@ -82,6 +93,8 @@ class OwnModel:
     """Largest acceleration of a path, in unit/s²; infinite for a robot that flies none."""
     unit: str
     """Unit of the axes, "m" or "rad"."""
+    crosses: tuple[Cross, ...] = ()
+    """What axes do to each other, where it matters."""
 
     @property
     def noise_variance(self) -> float:
@@ -121,6 +134,28 @@ class OwnModel:
                 rows = slice(done, done + len(columns))
                 found[:, rows, i] = correction[rows, i] - (columns @ draws).T
                 done += len(columns)
+        for cross in self.crosses:
+            found[:, :, cross.output] -= cross.drawn(desired + correction, desired, DRAWS, rng)
+        return found
+
+    def if_right(self) -> OwnModel:
+        """Return the model as if its likeliest responses were known to be right."""
+        crosses = tuple(replace(one, belief=one.belief.if_right()) for one in self.crosses)
+        axes = tuple(axis.if_right() for axis in self.axes)
+        return replace(self, axes=axes, crosses=crosses)
+
+    def across(self, references: FloatArray) -> FloatArray:
+        """Return the errors that axes are believed to leave on each other, without noise.
+
+        Args:
+            references: References, shape (samples, axes), in the axes' units.
+
+        Returns:
+            What they add to references − outputs, in the same shape and units.
+        """
+        found = np.zeros_like(references)
+        for cross in self.crosses:
+            found[:, cross.output] += cross.error(references)
         return found
 
     def disturbed(self, samples: int, rng: np.random.Generator) -> FloatArray:
@@ -228,10 +263,10 @@ def unexplained_in(
     errors = references - outputs
     errors = errors - errors.mean(axis=0)
     square = float(np.mean(np.sum(errors**2, axis=1)))
-    found = {}
+    across, found = model.across(references), {}
     for i, (axis, belief) in enumerate(zip(spec.axes, model.axes, strict=True)):
         reference = references[:, i]
-        left = belief.error(reference, float(reference[0])) - errors[:, i]
+        left = belief.error(reference, float(reference[0])) + across[:, i] - errors[:, i]
         lags = min(max(3, int(belief.basis.nodes[-1])), LAGS_MAX)
         found[axis.name] = Unexplained.of(left, lags, square, float(rest_std[i]))
     return found
@@ -310,22 +345,31 @@ def settle(records: Mapping[str, AxisRecord], spec: RobotSpec) -> Settled:
                 old = unexplained = None
         both = old + new if old is not None and new is not None else old or new
         if both is not None:
+            seen = added(
+                record.crosses if old is not None else {},
+                record.new_crosses if new is not None else {},
+            )
             kept[axis.name] = AxisRecord(
-                settled=both, unexplained=unexplained, states=record.states
+                settled=both, unexplained=unexplained, states=record.states, crosses=seen
             )
             beliefs[axis.name] = believe(basis, both)
     if not beliefs:
         return Settled(kept, None, tuple(findings))
     axes = tuple(beliefs.get(a.name) or _alike(a, spec, beliefs) for a in spec.axes)
-    return Settled(kept, _model(axes, kept, spec), tuple(findings))
+    every = {name: record.crosses for name, record in kept.items()}
+    crosses = crosses_of(basis, [axis.name for axis in spec.axes], every)
+    return Settled(kept, _model(axes, crosses, kept, spec), tuple(findings))
 
 
 def _model(
-    axes: tuple[ErrorBelief, ...], records: Mapping[str, AxisRecord], spec: RobotSpec
+    axes: tuple[ErrorBelief, ...],
+    crosses: tuple[Cross, ...],
+    records: Mapping[str, AxisRecord],
+    spec: RobotSpec,
 ) -> OwnModel:
     left = tuple(records.get(axis.name, AxisRecord()).unexplained for axis in spec.axes)
     acceleration_max = spec.tracking.acceleration_max if spec.tracking else np.inf
-    return OwnModel(axes, left, acceleration_max, spec.axes[0].unit)
+    return OwnModel(axes, left, acceleration_max, spec.axes[0].unit, crosses)
 
 
 def with_unexplained(
@@ -343,7 +387,7 @@ def with_unexplained(
         if axis in records:
             records[axis] = records[axis].with_unexplained(left)
     model = settled.model
-    known = None if model is None else _model(model.axes, records, spec)
+    known = None if model is None else _model(model.axes, model.crosses, records, spec)
     return Settled(records, known, settled.findings)
 
 

@@ -123,9 +123,8 @@ class Rehearsal:
 
     def _own(self) -> PredictedError:
         """Return the error with the robot's model of itself, which may prove to be right."""
-        axes = tuple(replace(axis, factor=np.zeros_like(axis.factor)) for axis in self.model.axes)
         square = float(self.forecast.baseline_squares.mean())
-        right = own_way(replace(self.model, axes=axes), self.desired, square).predicted
+        right = own_way(self.model.if_right(), self.desired, square).predicted
         found = self.forecast.own
         return found.model_copy(update={"low": min(found.low, right.low)})
 
@@ -153,7 +152,11 @@ class Rehearsal:
         samples = len(self.desired) + len(approach(self.spec, self.desired[0], limits))
         draw = self._draw(samples, rng)
         if likeliest:
-            draw = replace(draw, responses=np.stack([b.mean for b in self.model.axes], axis=1))
+            across = np.zeros_like(draw.across)
+            for cross in self.model.crosses:
+                across[:, cross.reference, cross.output] = cross.belief.mean
+            responses = np.stack([b.mean for b in self.model.axes], axis=1)
+            draw = replace(draw, responses=responses, across=across)
         robot = RehearsedRobot(self.spec, self.states.names, draw, rng)
         equipment = equipment_for(motion, robot, self.memory, self.forecast)
         record = track(
@@ -175,9 +178,14 @@ class Rehearsal:
         responses = np.concatenate(drawn, axis=1)
         # An output that is measured before its reference acts has not answered it, in any draw.
         responses[0] = 1.0
+        across = np.zeros((len(responses), len(axes), len(axes)))
+        for cross in self.model.crosses:
+            (drawn_across,) = cross.belief.draws(1, rng, float(sizes[cross.reference])).T
+            across[1:, cross.reference, cross.output] = drawn_across[1:]
         return LoopDraw(
             basis=axes[0].basis,
             responses=responses,
+            across=across,
             unexplained=self.model.disturbed(samples, rng),
             state_gains=self.states.gains,
             state_noise_std=self.states.noise_std,

@@ -20,6 +20,9 @@ class LoopDraw:
     """Parameters of the error response."""
     responses: FloatArray
     """Parameters x of the error response of every axis, shape (size, axes)."""
+    across: FloatArray
+    """Parameters of what each axis adds to the errors of the others, shape (size, axes, axes): by
+    the axis that moves and the one that answers."""
     unexplained: FloatArray
     """What the response does not explain of the measured output, noise included, sample by sample,
     shape (samples, axes), in the axes' units; it begins again when it is over."""
@@ -49,6 +52,7 @@ class RehearsedRobot(Robot):
             rng: Generator of the noise of its states.
         """
         self._spec, self._state_names, self._draw, self._rng = spec, state_names, draw, rng
+        self._coupled = bool(draw.across.any())
         self._nodes = draw.basis.nodes
         self._widths = np.diff(self._nodes)[:, np.newaxis]
         self._memory = int(self._nodes[-1]) + 1
@@ -126,7 +130,11 @@ class RehearsedRobot(Robot):
         oldest = total[row - self._memory + 1] - total[row - self._memory]
         boxes = np.concatenate([held[np.newaxis], between, oldest[np.newaxis]])
         columns = np.concatenate([boxes[:-1] - boxes[1:], boxes[-1:]])
-        return np.asarray(held - np.sum(columns * self._draw.responses, axis=0))
+        draw = self._draw
+        error = np.sum(columns * draw.responses, axis=0)
+        if self._coupled:
+            error = error + np.einsum("pj,pji->i", columns, draw.across)
+        return np.asarray(held - error)
 
     def _unexplained(self) -> FloatArray:
         rows = self._draw.unexplained

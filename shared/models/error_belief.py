@@ -34,6 +34,7 @@ _SMOOTH_S = (0.05, 0.1, 0.2, 0.4, 0.8)  # correlation times of its slope in s
 _SCALES = tuple(product(_DECAYS, _SMOOTH_S))
 _WIDE = ((3.0, 0.1),)  # those of a prior that restricts hardly any response
 _SIZES = (0.03, 0.3, 3.0)  # scales of the prior's variance
+_SIZES_ACROSS = (3e-4, 3e-3, 3e-2, 0.3)  # the same for what one axis adds to another
 _REST = ((1e-3, 0.9), (3e-2, 0.1))  # standard deviations of g∞, and how probable each is
 _TAIL = 1e-3  # largest share of its reference by which a settled loop may still move
 _GRID = 300  # most points on which the prior is integrated
@@ -90,6 +91,10 @@ class ErrorBelief:
         blocks = self.basis.blocks(reference, before)
         return np.concatenate([columns @ self.mean for columns in blocks])
 
+    def if_right(self) -> ErrorBelief:
+        """Return the belief as if its mean were known to be right, and the loop to be linear."""
+        return replace(self, factor=np.zeros_like(self.factor), model_error=0.0)
+
     def impulse_response(self) -> FloatArray:
         """Return the mean output 1, 2, … samples after a unit impulse of the reference.
 
@@ -127,7 +132,7 @@ class ErrorBelief:
         """
         normal = rng.standard_normal((self.factor.shape[1], count))
         error = np.full(count, self.model_error)
-        if not flown:
+        if not flown and self.model_error > 0:
             hidden = self.model_error * max(1.0, size / max(self.largest, _TINY)) ** 2
             error = MODEL_ERROR * np.exp(rng.standard_normal(count))
             error = np.minimum(error, hidden) if alone else error
@@ -196,6 +201,30 @@ def fitted(basis: ErrorBasis, evidence: Evidence) -> ErrorBelief:
     """
     widest = product(_priors(basis, _WIDE), _SIZES[-1:], _REST[-1:])
     return _likeliest(basis, evidence, widest)
+
+
+def believe_across(basis: ErrorBasis, evidence: Evidence) -> ErrorBelief:
+    """Return the belief about what one axis adds to the error of another.
+
+    Args:
+        basis: Parameters of its response.
+        evidence: Evidence of all motions, with what the other axis's own response leaves as error.
+    """
+    found = _likeliest(basis, evidence, product(_nothing(basis, _SCALES), _SIZES_ACROSS, _REST))
+    return replace(found, bounded=0.0)
+
+
+def fitted_across(basis: ErrorBasis, evidence: Evidence) -> ErrorBelief:
+    """Return the same under a wide prior alone, as `fitted` does."""
+    widest = product(_nothing(basis, _WIDE), _SIZES_ACROSS[-1:], _REST[-1:])
+    return replace(_likeliest(basis, evidence, widest), bounded=0.0)
+
+
+def _nothing(
+    basis: ErrorBasis, scales: tuple[tuple[float, float], ...]
+) -> Iterable[tuple[FloatArray, FloatArray]]:
+    """Return the priors of a response that begins at 0, and is as likely below 0 as above."""
+    return ((np.zeros_like(mean), covariance) for mean, covariance in _priors(basis, scales))
 
 
 def _likeliest(basis: ErrorBasis, evidence: Evidence, priors: Iterable[_Prior]) -> ErrorBelief:

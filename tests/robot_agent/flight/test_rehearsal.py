@@ -96,6 +96,7 @@ def test_a_rehearsed_robot_answers_as_its_response_says_sample_by_sample() -> No
     draw = LoopDraw(
         basis=basis,
         responses=np.stack([slow, fast], axis=1),
+        across=np.zeros((basis.size, 2, 2)),
         unexplained=np.zeros((1, 2)),
         state_gains=np.zeros((2, 1, 2)),
         state_noise_std=np.zeros((2, 1)),
