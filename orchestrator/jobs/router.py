@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import threading
+from contextlib import AbstractContextManager
+from functools import partial
 from pathlib import Path
 
 import click
 
 from nufleet.shared.lifeline import when_stdin_closes
 from nufleet.shared.wire.openness import check_closed
+from nufleet.shared.wire.routing import OpenRouter, route
+from nufleet.shared.wire.session import Session
 from nufleet.shared.wire.transport import DEFAULT_ENDPOINT, open_configured_router, open_router
 
 
@@ -36,17 +40,24 @@ def run_router(
     ended = threading.Event()
     if until_stdin_closes:
         when_stdin_closes(ended.set)
-    opening = (
-        open_router(
-            [
-                check_closed(at, allow_open=allow_open, anonymous=True)
-                for at in endpoints or (DEFAULT_ENDPOINT,)
-            ],
-            connect=[check_closed(at, allow_open=allow_open) for at in others],
-        )
-        if configuration is None
-        else open_configured_router(configuration, allow_open=allow_open)
-    )
-    with opening as session:
-        click.echo(f"router listening on {', '.join(session.listening_on())}", err=True)
-        ended.wait()
+    if configuration is None:
+        listen = [
+            check_closed(at, allow_open=allow_open, anonymous=True)
+            for at in endpoints or (DEFAULT_ENDPOINT,)
+        ]
+        connect = [check_closed(at, allow_open=allow_open) for at in others]
+        opening: OpenRouter = partial(open_router, connect=connect)
+    else:
+        listen, connect = [], []
+        opening = partial(_open_configured, configuration, allow_open=allow_open)
+    route(opening, listen, ended, _say_open, links=bool(connect))
+
+
+def _open_configured(
+    configuration: Path, _listen: list[str], *, allow_open: bool
+) -> AbstractContextManager[Session]:
+    return open_configured_router(configuration, allow_open=allow_open)
+
+
+def _say_open(endpoints: list[str]) -> None:
+    click.echo(f"router listening on {', '.join(endpoints)}", err=True)

@@ -357,6 +357,27 @@ class Session:
                     return list(json.loads(reply.ok.payload.to_string())["locators"])
         raise TransportError("the router does not report the endpoints on which it listens")
 
+    def linked_to(self) -> list[str]:
+        """Return the Zenoh identifiers of the routers that this session has a link to."""
+        return [str(zid) for zid in self._session.info.routers_zid()]
+
+    def hears(self, router: str) -> bool | None:
+        """Return whether what a router declares is known here; None where it is only slow.
+
+        A question about something that is not known is over at once, without any answer.
+
+        Args:
+            router: Zenoh identifier of the router.
+
+        Raises:
+            TransportError: the session is closed.
+        """
+        with transport_errors("asking the router"):
+            replies = list(self._session.get(f"@/{router}/router", timeout=PRESENCE_TIMEOUT_S))
+        if any(reply.ok is not None for reply in replies):
+            return True
+        return None if replies else False
+
     def _kept(self, declaration: D) -> D:
         self._declarations.append(declaration)
         return declaration
