@@ -111,14 +111,6 @@ class Link:
         self._blocks.clear()
         # cflib would send zero thrust, also to a drone that is still in the air.
         cf.commander.send_setpoint = lambda *_: None
-        # cflib's threads, which still ask for parameters, would fail on the link that is gone.
-        send = cf.send_packet
-
-        def send_packet(packet: Any, *args: Any, **named: Any) -> None:
-            with suppress(AttributeError):
-                send(packet, *args, **named)
-
-        cf.send_packet = send_packet
         cf.close_link()
 
     def set_parameter(self, name: str, value: float) -> None:
@@ -344,7 +336,8 @@ def guard_sending(cf: Any) -> None:
 
     cflib 0.1.34 takes a lock for each packet and leaves it taken when sending fails. Its repetition
     of a packet that is answered at the same moment fails, too. From then on no set-point would be
-    sent, and to close the link would last forever.
+    sent, and to close the link would last forever. It sends nothing where there is no link, but
+    fails if another thread closes the link meanwhile, or loses it; then nothing is sent, either.
 
     Args:
         cf: cflib's Crazyflie, not yet connected.
@@ -358,7 +351,9 @@ def guard_sending(cf: Any) -> None:
         except Exception as error:
             with suppress(RuntimeError):  # it failed before it took the lock
                 lock.release()
-            if not (isinstance(error, KeyError) and named.get("resend")):
+            answered = isinstance(error, KeyError) and named.get("resend")
+            closed = isinstance(error, AttributeError)
+            if not (answered or closed):
                 raise
 
     cf.send_packet = send_packet

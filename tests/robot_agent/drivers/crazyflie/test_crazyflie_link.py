@@ -79,3 +79,16 @@ def test_a_link_that_fails_as_it_sends_may_be_closed_by_what_is_told_of_it(flown
     flown.send_packet(packet())
     assert may_be_sent_by_another_thread(flown)
     assert flown.link is None
+
+
+def test_a_packet_goes_nowhere_if_another_thread_closes_the_link_as_it_is_sent(flown: Any) -> None:
+    class Closing:
+        @property
+        def needs_resending(self) -> bool:
+            flown.link = None
+            return False
+
+    flown.link = Closing()
+    flown.send_packet(packet(), expected_reply=(1, 2))
+    assert flown.sent == []
+    assert may_be_sent_by_another_thread(flown)
