@@ -8,7 +8,6 @@ which it arrives.
 from __future__ import annotations
 
 import logging
-import threading
 import time
 import uuid
 from collections.abc import Callable
@@ -37,7 +36,6 @@ from nufleet.robot_agent.network.endpoint import (
     Handler,
 )
 from nufleet.robot_agent.network.heartbeat import Heartbeat
-from nufleet.robot_agent.network.joint_heartbeat import JointHeartbeat, hear_among
 from nufleet.robot_agent.network.rivals import Rivals
 from nufleet.robot_agent.network.trust import Trust
 from nufleet.robot_agent.planner import Planner
@@ -50,7 +48,7 @@ from nufleet.shared.robots.fleet_file import RobotPolicy
 from nufleet.shared.wire import messages
 from nufleet.shared.wire.codec import M, decode
 from nufleet.shared.wire.keys import FleetKeys
-from nufleet.shared.wire.limits import MAX_STATE_BYTES, MAX_STATES_BYTES
+from nufleet.shared.wire.limits import MAX_STATE_BYTES
 from nufleet.shared.wire.motions import MotionPlan
 from nufleet.shared.wire.session import Session
 
@@ -73,7 +71,7 @@ class Agent:
         realtime: float | None,
         state_folder: Path | None = None,
         policy: RobotPolicy | None = None,
-        joint: JointHeartbeat | None = None,
+        heartbeat: Heartbeat | None = None,
         prompt: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
         """Prepare the agent; nothing is connected before the context is entered.
@@ -90,7 +88,7 @@ class Agent:
                 models); None to keep nothing.
             policy: What the robot's fleet file lets others have it do; None for what a file says
                 that does not mention it.
-            joint: Heartbeat of the robots that share the session; None for a robot with its own.
+            heartbeat: Heartbeat of the robots that share the session; None for one of its own.
             prompt: Context in which the robot moves, on the thread that moves it.
 
         Raises:
@@ -103,12 +101,11 @@ class Agent:
         self._realtime = realtime
         self._state_folder = state_folder
         self._policy = policy or RobotPolicy()
-        self._joint = joint
+        self._given_heartbeat = heartbeat
         self._prompt = prompt
         self._boot_id = uuid.uuid4().hex
         self._rivals = Rivals(name, self._boot_id, time.monotonic)
         self._freezes = Freezes(time.monotonic())
-        self._changed = threading.Event()
         self._memory = Memory(None if state_folder is None else state_folder / "learned")
         self._looks: list[Callable[[], None]] = []
         self._open = ExitStack()
@@ -122,6 +119,11 @@ class Agent:
             RobotError: The robot cannot be connected.
         """
         with ExitStack() as opened:
+            if self._given_heartbeat is None:
+                self._heartbeat = Heartbeat(self._session, self._keys)
+                opened.callback(self._heartbeat.close)
+            else:
+                self._heartbeat = self._given_heartbeat
             # The journal comes first: its lock reveals a second agent before both reach for the
             # robot.
             self._remember(opened)
@@ -169,8 +171,9 @@ class Agent:
             self._realtime,
             self._policy.allow_unguarded,
         )
+        changed = self._heartbeat.change(self._name)
         self._decisions = Decisions(
-            self._boot_id, planner, journal, self._changed, may_last=self._may_last(planner)
+            self._boot_id, planner, journal, changed, may_last=self._may_last(planner)
         )
         change = self._decisions.change
         audit = None if folder is None else AuditLog(folder, self._name)
@@ -219,15 +222,7 @@ class Agent:
         state_key = keys.robot(name, "state")
         rivals = session.subscribe(state_key, heard, max_bytes=MAX_STATE_BYTES, own=False)
         opened.callback(rivals.withdraw)
-        if self._joint is not None:
-            opened.callback(self._joint.listen(name, heard))
-        elif session.identity is None:
-            among = partial(hear_among, {name: heard})
-            rivals = session.subscribe(keys.states, among, max_bytes=MAX_STATES_BYTES, own=False)
-            opened.callback(rivals.withdraw)
-        states = session.state_publisher(state_key)
-        beat = Heartbeat(name, states, self._state, self._changed, self._joint)
-        opened.callback(beat.close)
+        opened.callback(self._heartbeat.join(name, self._state, heard))
         stops = StopService(name, decisions, keys, self._commands, self._robot.kill)
         opened.callback(stops.close)
         for stop_key in (keys.robot(name, "**/stop"), *keys.every_stop):

@@ -15,7 +15,7 @@ import numpy as np
 
 from nufleet.robot_agent.agent import Agent
 from nufleet.robot_agent.motion.promptness import Promptness
-from nufleet.robot_agent.network.joint_heartbeat import JointHeartbeat
+from nufleet.robot_agent.network.heartbeat import Heartbeat
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.errors import FleetFileError, NufleetError, RobotError
 from nufleet.shared.interrupts import Interrupts
@@ -112,7 +112,7 @@ def serve(
         try:
             for name, robot in robots.items():
                 own = state_folder / fleet.name / name
-                session, joint = sessions.session(addresses[name], shared=robot.spec.simulated)
+                session, heartbeat = sessions.session(addresses[name], shared=robot.spec.simulated)
                 agent = Agent(
                     session,
                     keys,
@@ -121,7 +121,7 @@ def serve(
                     realtime=realtime,
                     state_folder=own,
                     policy=fleet.robots[name],
-                    joint=joint,
+                    heartbeat=heartbeat,
                     prompt=nullcontext if robot.spec.simulated else promptness.motion,
                 )
                 agents.append(agent.__enter__())
@@ -147,13 +147,12 @@ class Sessions:
             keys: Keys of the fleet.
         """
         self._opened, self._given_up, self._keys = opened, given_up, keys
-        self._shared: dict[str, tuple[Session, JointHeartbeat | None]] = {}
+        self._shared: dict[str, tuple[Session, Heartbeat]] = {}
 
-    def session(self, address: str, *, shared: bool) -> tuple[Session, JointHeartbeat | None]:
-        """Return a session at an address, which all share that may, and their joint heartbeat.
+    def session(self, address: str, *, shared: bool) -> tuple[Session, Heartbeat | None]:
+        """Return a session at an address, which all share that may, and their heartbeat.
 
-        A robot with a session of its own has none, nor has one of a closed fleet, where each speaks
-        for itself.
+        A robot with a session of its own has a heartbeat of its own, too.
 
         Raises:
             NoRouterError: No router answers, or it does not list the identity.
@@ -165,12 +164,10 @@ class Sessions:
         entered.check_admitted()
         if not shared:
             return entered, None
-        joint = None
-        if entered.identity is None:
-            joint = JointHeartbeat(entered, self._keys)
-            self._opened.callback(joint.close)
-        self._shared[address] = entered, joint
-        return entered, joint
+        heartbeat = Heartbeat(entered, self._keys)
+        self._opened.callback(heartbeat.close)
+        self._shared[address] = entered, heartbeat
+        return entered, heartbeat
 
 
 @contextmanager

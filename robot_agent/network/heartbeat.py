@@ -1,87 +1,199 @@
-"""Publishes a robot's state at every change, and twice a second while nothing changes."""
+"""Publishes the states of the robots of one session: at every change, and twice a second.
+
+A state that says something new is sent by itself and at once. In an open fleet, those that only say
+that their robots are still there share messages: most of what a heartbeat costs the agent, the
+router and each orchestrator is the message, not the state in it. One thread beats for all robots of
+a session, because what remains is mostly the waking up of threads.
+"""
 
 from __future__ import annotations
 
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 
-from nufleet.robot_agent.network.joint_heartbeat import JointHeartbeat
-from nufleet.shared.errors import NufleetError
+from nufleet.shared.errors import MalformedMessageError, NufleetError
+from nufleet.shared.wire.bundle import bundled, unbundled
 from nufleet.shared.wire.codec import encode
+from nufleet.shared.wire.keys import FleetKeys
+from nufleet.shared.wire.limits import MAX_STATES_BYTES
 from nufleet.shared.wire.messages import RobotState
 from nufleet.shared.wire.requests import Publisher
+from nufleet.shared.wire.session import Session
 
 HEARTBEAT_S = 0.5
-"""Interval between two states while nothing changes."""
+"""Interval between two states while nothing changes, a small part of the silence after which a
+robot counts as lost (`orchestrator.fleet.robot_watch.HEARTBEAT_LOST_S`)."""
 
 LEAST_S = 0.004
 """Least interval between two states. The router of a closed fleet drops states that come more than
 twice as fast (`orchestrator.authority.access.STATES_HZ`), and the last of several must arrive."""
 
+OnState = Callable[[str, bytes], None]
+"""Function that takes the key of a message and an encoded state in it."""
+
 _log = logging.getLogger(__name__)
 
 
-class Heartbeat:
-    """A thread that publishes a robot's state; changes in quick succession share one message."""
+@dataclass
+class _Member:
+    publisher: Publisher
+    state: Callable[[], RobotState]
+    heard: OnState
+    said: RobotState | None = None
+    sent_s: float = 0.0
 
-    def __init__(
-        self,
-        robot: str,
-        publisher: Publisher,
-        state: Callable[[], RobotState],
-        changed: threading.Event,
-        joint: JointHeartbeat | None = None,
-    ) -> None:
-        """Begin to publish.
+    def send(self, state: RobotState) -> None:
+        """Publish a state by itself."""
+        self.publisher.put(encode(state))
+        self.said, self.sent_s = _lasting(state), time.monotonic()
+
+
+class Heartbeat:
+    """A thread that publishes states; changes in quick succession share one message."""
+
+    def __init__(self, session: Session, keys: FleetKeys) -> None:
+        """Begin, without robots.
 
         Args:
-            robot: Name of the robot.
-            publisher: Publisher of the states; withdrawn at the end.
-            state: Function that returns the present state.
-            changed: Event to set after a change of the state, so that it is published soon.
-            joint: Heartbeat of the robots that share a session; None for a robot with its own.
+            session: Session of the robots.
+            keys: Keys of their fleet.
         """
-        self._robot = robot
-        self._joint = joint
-        self._said: RobotState | None = None
-        self._publisher = publisher
-        self._state = state
-        self._changed = changed
-        self._closing = False
-        self._thread = threading.Thread(target=self._beat, name=f"{robot}-heartbeat", daemon=True)
+        self._session, self._keys = session, keys
+        self._members: dict[str, _Member] = {}
+        # Held while states are sent, so that none arrives after a later one of the same robot.
+        self._sending = threading.Lock()
+        # Robots are marked under locks that the functions which return their states take as well.
+        self._marked: deque[str] = deque()
+        self._wake = threading.Event()
+        self._closing = threading.Event()
+        # In a closed fleet each robot speaks for itself.
+        is_open = session.identity is None
+        self._common = session.states_publisher(keys.states) if is_open else None
+        self._others = (
+            session.subscribe(keys.states, self._on_states, max_bytes=MAX_STATES_BYTES, own=False)
+            if is_open
+            else None
+        )
+        self._thread = threading.Thread(target=self._work, name="heartbeat", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Publish the final state and end the thread."""
-        self._closing = True
-        self._changed.set()
+        """End the thread; all robots must have left."""
+        self._closing.set()
+        self._wake.set()
         self._thread.join()
-        self._publisher.withdraw()
+        for declaration in (self._others, self._common):
+            if declaration is not None:
+                declaration.withdraw()
 
-    def _publish(self, state: RobotState, *, final: bool) -> None:
-        payload = encode(state)
-        if self._joint is None:
-            self._publisher.put(payload)
-            return
-        # These two fields of a state change with time alone.
-        said = state.model_copy(update={"sequence": 0, "robot_time_s": 0.0})
-        if final or said != self._said:
-            self._joint.overtake(self._robot, self._publisher, payload)
-            self._said = said
-        else:
-            self._joint.hand_in(self._robot, payload)
+    def change(self, robot: str) -> threading.Event:
+        """Return an event to set after a change of a robot's state, so that it is published soon.
 
-    def _beat(self) -> None:
-        closing = False
-        while not closing:
-            self._changed.clear()
-            closing = self._closing  # read before the state, so that the final one is published
+        Args:
+            robot: Name of the robot, which may join later.
+        """
+        return _Change(partial(self._mark, robot))
+
+    def join(
+        self, robot: str, state: Callable[[], RobotState], heard: OnState
+    ) -> Callable[[], None]:
+        """Begin to publish the states of a robot.
+
+        Args:
+            robot: Name of the robot.
+            state: Function that returns its present state.
+            heard: Function called with each state that another program publishes under the robot's
+                name together with others, on Zenoh's thread.
+
+        Returns:
+            Function that publishes the final state, and ends this.
+        """
+        publisher = self._session.state_publisher(self._keys.robot(robot, "state"))
+        with self._sending:
+            self._members[robot] = _Member(publisher, state, heard)
+        self._mark(robot)
+        return partial(self._leave, robot)
+
+    def _leave(self, robot: str) -> None:
+        with self._sending:
+            member = self._members.pop(robot)
+            self._closing.wait(max(0.0, member.sent_s + LEAST_S - time.monotonic()))
             try:
-                self._publish(self._state(), final=closing)
+                member.send(member.state())
             except NufleetError as error:
-                _log.warning("a heartbeat could not be sent: %s", error)
-            if not closing:
-                time.sleep(LEAST_S)
-                self._changed.wait(HEARTBEAT_S - LEAST_S)
+                _unsent(error)
+        member.publisher.withdraw()
+
+    def _mark(self, robot: str) -> None:
+        self._marked.append(robot)
+        self._wake.set()
+
+    def _work(self) -> None:
+        due_s = time.monotonic()
+        while not self._closing.is_set():
+            self._wake.wait(max(0.0, due_s - time.monotonic()))
+            self._wake.clear()
+            marked = [self._marked.popleft() for _ in range(len(self._marked))]
+            with self._sending:
+                if time.monotonic() >= due_s:
+                    due_s = time.monotonic() + HEARTBEAT_S
+                    self._beat(list(self._members))
+                else:
+                    self._beat([robot for robot in dict.fromkeys(marked) if robot in self._members])
+            self._closing.wait(LEAST_S)
+
+    def _beat(self, robots: list[str]) -> None:
+        together: dict[str, bytes] = {}
+        for robot in robots:
+            member = self._members[robot]
+            try:
+                state = member.state()
+                if self._common is not None and len(robots) > 1 and _lasting(state) == member.said:
+                    together[robot] = encode(state)
+                else:
+                    member.send(state)
+            except NufleetError as error:
+                _unsent(error)
+            except Exception:  # noqa: BLE001 - it counts as lost; the others are not to
+                _log.exception("%s cannot tell its state", robot)
+        if self._common is not None:
+            try:
+                for message in bundled(together, most_bytes=MAX_STATES_BYTES):
+                    self._common.put(message)
+            except NufleetError as error:
+                _unsent(error)
+
+    def _on_states(self, key: str, payload: bytes) -> None:
+        try:
+            for robot, state in unbundled(payload):
+                member = self._members.get(robot)
+                if member is not None:
+                    member.heard(key, state)
+        except MalformedMessageError as error:
+            _log.warning("ignoring malformed states on %s: %s", key, error)
+
+
+class _Change(threading.Event):
+    """An event that also calls a function when it is set."""
+
+    def __init__(self, mark: Callable[[], None]) -> None:
+        super().__init__()
+        self._mark = mark
+
+    def set(self) -> None:
+        super().set()
+        self._mark()
+
+
+def _lasting(state: RobotState) -> RobotState:
+    """Return a state without what changes with time alone."""
+    return state.model_copy(update={"sequence": 0, "robot_time_s": 0.0})
+
+
+def _unsent(error: NufleetError) -> None:
+    _log.warning("a heartbeat could not be sent: %s", error)

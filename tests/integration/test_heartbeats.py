@@ -16,7 +16,7 @@ from nufleet.orchestrator.fleet import heard_states
 from nufleet.orchestrator.fleet.client import Fleet
 from nufleet.robot_agent.agent import Agent
 from nufleet.robot_agent.network import rivals
-from nufleet.robot_agent.network.joint_heartbeat import JointHeartbeat
+from nufleet.robot_agent.network.heartbeat import Heartbeat
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.session import Session
 
@@ -43,12 +43,12 @@ def counted_at_rest(
     counts: Counter[str] = Counter()
     with ExitStack() as stack, monkeypatch.context() as patched:
         session = stack.enter_context(lab.session())
-        joint = None
+        heartbeat = None
         if together:
-            joint = JointHeartbeat(session, KEYS)
-            stack.callback(joint.close)
+            heartbeat = Heartbeat(session, KEYS)
+            stack.callback(heartbeat.close)
         for robot in ROBOTS:
-            agent = Agent(session, KEYS, robot, PuppetRobot(), realtime=None, joint=joint)
+            agent = Agent(session, KEYS, robot, PuppetRobot(), realtime=None, heartbeat=heartbeat)
             stack.enter_context(agent)
         for name in ("_on_state", "_on_states"):
             patched.setattr(Fleet, name, counting(counts, "messages", getattr(Fleet, name)))
@@ -70,13 +70,12 @@ def test_robots_that_share_a_session_rest_at_a_few_messages_for_all(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     alone, states_alone = counted_at_rest(lab, monkeypatch, together=False)
-    joint, states_joint = counted_at_rest(lab, monkeypatch, together=True)
+    together, states_together = counted_at_rest(lab, monkeypatch, together=True)
     # An observer is told after the count, so a message or two may lie between the numbers.
     assert alone["messages"] == pytest.approx(states_alone, abs=len(ROBOTS))
-    # A tenth of a second gathers at least a sixth of the heartbeats of half a second.
-    assert joint["messages"] <= 0.5 * states_joint
-    assert joint["decodes"] == pytest.approx(states_joint, abs=len(ROBOTS))
-    assert alone["own decodes"] == joint["own decodes"] == 0
+    assert together["messages"] <= 2 * states_together / len(ROBOTS)
+    assert together["decodes"] == pytest.approx(states_together, abs=len(ROBOTS))
+    assert alone["own decodes"] == together["own decodes"] == 0
 
 
 def test_an_orchestrator_of_a_closed_fleet_does_not_ask_for_common_messages(
