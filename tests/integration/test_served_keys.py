@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from fleet_lab import KEYS, Lab
-from polling import PATIENCE_S
+from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
 from nufleet.robot_agent import agent as agent_module
@@ -38,6 +38,14 @@ def test_a_command_that_names_no_principal_is_refused(leaf: str, lab: Lab) -> No
     lab.agent("a", PuppetRobot())
     session = lab.session()
     key = KEYS.robot("a", leaf)
-    (reply,) = session.ask_all(key, encode(DescribeRequest()), timeout_s=PATIENCE_S)
+    replies: list[bytes] = []
+
+    def answered() -> bool:
+        # A session that was just opened may not know yet that the agent serves this key.
+        replies[:] = session.ask_all(key, encode(DescribeRequest()), timeout_s=PATIENCE_S)
+        return bool(replies)
+
+    wait_until(answered)
+    (reply,) = replies
     refusal = decode(reply, Refusal)
     assert refusal.code == "unknown-key"
