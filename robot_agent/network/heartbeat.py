@@ -127,6 +127,8 @@ class Heartbeat:
                 member.send(member.state())
             except NufleetError as error:
                 _unsent(error)
+            except Exception:  # noqa: BLE001 - a robot that ends is not to be kept from its rest
+                _log.exception("%s cannot tell its last state", robot)
         member.publisher.withdraw()
 
     def _mark(self, robot: str) -> None:
@@ -140,11 +142,14 @@ class Heartbeat:
             self._wake.clear()
             marked = [self._marked.popleft() for _ in range(len(self._marked))]
             with self._sending:
-                if time.monotonic() >= due_s:
+                all_due = time.monotonic() >= due_s
+                if all_due:
                     due_s = time.monotonic() + HEARTBEAT_S
-                    self._beat(list(self._members))
-                else:
-                    self._beat([robot for robot in dict.fromkeys(marked) if robot in self._members])
+                robots = self._members if all_due else dict.fromkeys(marked)
+                try:
+                    self._beat([robot for robot in robots if robot in self._members])
+                except Exception:  # noqa: BLE001 - the next one may go well
+                    _log.exception("a heartbeat failed")
             self._closing.wait(LEAST_S)
 
     def _beat(self, robots: list[str]) -> None:

@@ -353,7 +353,9 @@ def guard_sending(cf: Any) -> None:
                 lock.release()
             answered = isinstance(error, KeyError) and named.get("resend")
             closed = isinstance(error, AttributeError)
-            if not (answered or closed):
+            if closed:
+                _log.info("a packet was not sent, since the link was closed: %s", error)
+            elif not answered:
                 raise
 
     cf.send_packet = send_packet

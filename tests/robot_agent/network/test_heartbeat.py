@@ -287,3 +287,29 @@ def test_an_agent_hears_a_rival_that_sends_its_heartbeats_with_those_of_others(
         assert rivals.refusal() is not None
     now_s += 0.2 * SILENCE_S
     assert rivals.refusal() is None
+
+
+def test_a_heartbeat_that_fails_is_not_the_last_one(
+    wire: Wire, heartbeat: Heartbeat, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(publisher: WirePublisher, payload: bytes) -> None:
+        assert publisher.key == KEYS.states
+        raise MemoryError
+
+    joined(heartbeat, Machine("a"), Machine("b"))
+    wait_until(lambda: any(set(many) == {"a", "b"} for many in wire.together))
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(WirePublisher, "put", fail)
+        wait_until(lambda: "a heartbeat failed" in caplog.text)
+    sent = len(wire.together)
+    wait_until(lambda: len(wire.together) > sent)
+
+
+def test_a_robot_that_cannot_tell_its_last_state_leaves_all_the_same(
+    wire: Wire, heartbeat: Heartbeat, caplog: pytest.LogCaptureFixture
+) -> None:
+    def state() -> RobotState:
+        raise ZeroDivisionError
+
+    heartbeat.join("broken", state, unheard)()
+    assert "broken cannot tell its last state" in caplog.text

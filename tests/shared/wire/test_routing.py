@@ -6,12 +6,14 @@ import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any, NoReturn
 
 import pytest
 from polling import PATIENCE_S, wait_until
 from routers_lab import kept_router
 
 from benchmarks.faults import link
+from nufleet.shared.errors import EndpointInUseError, NufleetError
 from nufleet.shared.wire import routing
 from nufleet.shared.wire.requests import Request
 from nufleet.shared.wire.session import Session
@@ -66,45 +68,124 @@ def test_each_side_is_reached_from_the_other_after_their_link_broke_and_was_back
         wait_until(lambda: reaches(asker, "robot") and reaches(robot, "asker"))
 
 
-class Deaf:
-    """A session that is linked to one router of which it never hears, and says who looked."""
+class Site:
+    """Stands in for the routers that `route` opens, beside others of which it may hear nothing.
 
-    def __init__(self, looked: list[str]) -> None:
-        self._looked = looked
+    A second passes with each look; when all is said that a test wants to hear, the router is ended.
+    """
 
-    def listening_on(self) -> list[str]:
-        return ["tcp/127.0.0.1:7447"]
+    def __init__(self, *said: dict[str, bool], locators: tuple[str, ...] = ()) -> None:
+        self.said = iter(said)
+        self.locators = list(locators)
+        self.refusals: list[NufleetError] = []
+        self.ended = threading.Event()
+        self.listened: list[list[str]] = []
+        self.looks: list[int] = []
+        self._now_s = 0.0
 
-    def linked_to(self) -> list[str]:
-        return ["other"]
-
-    def hears(self, router: str) -> bool:
-        self._looked.append(router)
-        return False
-
-
-def test_a_router_opens_again_only_once_for_another_that_never_answers(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(routing, "LOOK_EVERY_S", 0.001)
-    monkeypatch.setattr(routing, "TREE_PAUSE_S", 0.0)
-    monkeypatch.setattr(routing, "DEAF_WHEN_LINKING_S", 0.01)
-    ended, looked, opened = threading.Event(), list[str](), list[list[str]]()
+    def monotonic(self) -> float:
+        self._now_s += 1.0
+        return self._now_s
 
     @contextmanager
-    def opening(listen: list[str]) -> Iterator[Deaf]:
-        opened.append(listen)
-        looked.clear()
-        yield Deaf(looked)
+    def opening(self, listen: list[str]) -> Iterator[Site]:
+        self.listened.append(listen)
+        if len(self.listened) > 1 and self.refusals:
+            raise self.refusals.pop()
+        self.looks.append(0)
+        yield self
 
-    def say(_endpoints: list[str]) -> None:
-        pass
+    def listening_on(self) -> list[str]:
+        return self.locators
 
-    watcher = threading.Thread(
-        target=lambda: wait_until(lambda: len(opened) == 2 and len(looked) > 50) or ended.set()
-    )
-    watcher.start()
-    routing.route(opening, ["tcp/127.0.0.1:0"], ended, say, links=True)  # type: ignore[arg-type]
-    watcher.join()
-    # An endpoint without a port keeps the port that it was given.
-    assert opened == [["tcp/127.0.0.1:0"], ["tcp/127.0.0.1:7447"]]
+    def linked_to(self) -> list[str]:
+        self.looks[-1] += 1
+        self.heard = next(self.said, {})
+        if not self.heard:
+            self.ended.set()
+        return list(self.heard)
+
+    def hears(self, router: str) -> bool:
+        return self.heard[router]
+
+    def route(self, monkeypatch: pytest.MonkeyPatch, *listen: str) -> None:
+        for name in ("LOOK_EVERY_S", "RETRY_S", "TREE_PAUSE_S"):
+            monkeypatch.setattr(routing, name, 0.0)
+        monkeypatch.setattr(routing, "time", self)
+        opening: Any = self.opening
+        routing.route(opening, list(listen), self.ended, lambda _: None, links=True)
+
+
+DEAF = {"other": False}
+HEARS = {"other": True}
+
+
+def test_a_router_waits_longer_each_time_for_another_that_never_answers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # Also if a third one answers at once.
+    site = Site(*[DEAF | {"third": True}] * 150)
+    site.route(monkeypatch)
+    assert site.looks[:3] == [6, 21, 81]
+
+
+def test_a_router_that_was_heard_again_is_soon_missed_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    site = Site(*[DEAF] * 6, *[DEAF] * 3, HEARS, *[DEAF] * 6, HEARS)
+    site.route(monkeypatch)
+    assert site.looks == [6, 10, 2]
+
+
+def test_a_freeze_is_not_taken_for_silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    site = Site(DEAF, DEAF, HEARS)
+    monkeypatch.setattr(site, "monotonic", iter((0.0, 1.0, 100.0, 101.0, 102.0)).__next__)
+    site.route(monkeypatch)
+    assert site.looks == [4]
+
+
+def test_a_router_that_cannot_open_again_at_first_tries_until_it_can(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    site = Site(*[DEAF] * 6, HEARS)
+    site.refusals = [EndpointInUseError("tcp/127.0.0.1:7447 is in use") for _ in range(3)]
+    site.route(monkeypatch)
+    assert len(site.listened) == 5
+    assert site.looks == [6, 2]
+    assert caplog.text.count("is in use") == 1
+
+
+def test_a_router_that_cannot_open_at_first_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def opening(listen: list[str]) -> NoReturn:
+        raise EndpointInUseError(f"{listen[0]} is in use")
+
+    site = Site()
+    monkeypatch.setattr(site, "opening", opening)
+    with pytest.raises(EndpointInUseError, match="tcp/here:1 is in use"):
+        site.route(monkeypatch, "tcp/here:1")
+
+
+def test_a_router_that_ends_while_it_is_closed_does_not_open_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    site = Site(*[DEAF] * 6, HEARS)
+    opening = site.opening
+
+    @contextmanager
+    def ending(listen: list[str]) -> Iterator[Site]:
+        with opening(listen) as opened:
+            yield opened
+        site.ended.set()
+
+    monkeypatch.setattr(site, "opening", ending)
+    site.route(monkeypatch)
+    assert site.looks == [6]
+
+
+def test_a_router_keeps_the_ports_that_it_was_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = ("tcp/0.0.0.0:0", "tcp/127.0.0.1:0", "udp/[::]:0#iface=lo", "tcp/localhost:7")
+    locators = ("tcp/192.0.2.2:91", "tcp/127.0.0.1:92", "udp/[fe80::1]:93", "tcp/127.0.0.1:7")
+    site = Site(*[DEAF] * 6, HEARS, locators=locators)
+    site.route(monkeypatch, *asked)
+    ports = ["tcp/0.0.0.0:91", "tcp/127.0.0.1:92", "udp/[::]:93#iface=lo", "tcp/localhost:7"]
+    assert site.listened == [list(asked), ports]
