@@ -8,13 +8,12 @@ regret below 0.01 in that distance. The same fleets are ranked by their first ax
 The error that inverses leave, on a motion with equal power on all axes and at all frequencies, is
 compared with one source on all axes and with the closest on each.
 
-The study of 200 fleets consists of four such commands, which print a line for each fleet as it ends
-(seeds may also be divided among machines with `--seed`):
+The study of 200 fleets consists of six such commands, which print a line for each fleet as it ends
+(seeds may also be divided among machines with `--seed`), each with 2 and with 6 mm of noise:
 
-    python -m benchmarks.selection_axes --axes 2 --fleets 200 --noise-mm 2 --processes 8
-    python -m benchmarks.selection_axes --axes 2 --fleets 200 --noise-mm 6 --processes 8
-    python -m benchmarks.selection_axes --axes 4 --fleets 200 --noise-mm 2 --processes 8
-    python -m benchmarks.selection_axes --axes 4 --fleets 200 --noise-mm 6 --processes 8
+    python -m benchmarks.selection_axes --axes 2 --fleets 40 --noise-mm 2 --processes 2
+    python -m benchmarks.selection_axes --axes 3 --fleets 20 --noise-mm 2 --processes 2
+    python -m benchmarks.selection_axes --axes 4 --fleets 40 --noise-mm 2 --processes 2
 
 `--distortion 0.3` adds to each output y_i of the robots 0.3/m times the square of the one before
 it, which no linear response explains.
