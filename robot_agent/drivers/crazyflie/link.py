@@ -111,6 +111,11 @@ class Link:
         self._blocks.clear()
         # cflib would send zero thrust, also to a drone that is still in the air.
         cf.commander.send_setpoint = lambda *_: None
+        link = cf.link
+        if link is not None:
+            # A thread of cflib that sends meanwhile would report that its socket is closed, and
+            # cflib would close the link from that thread, which would then wait for itself.
+            link.link_error_callback = None
         cf.close_link()
 
     def set_parameter(self, name: str, value: float) -> None:

@@ -458,3 +458,30 @@ def test_the_commands_of_the_page_check_a_simulated_drone() -> None:
         "ok   It connects, and a robot that was connected before connects again." in checked.output
     )
     assert "not checked, since the robot is not to be moved" in checked.output
+
+
+def test_a_packet_that_is_sent_as_the_link_is_closed_is_no_error_of_the_link(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    from cflib.crtp.crtpstack import CRTPPacket
+
+    closed: list[bool] = []
+    with bench() as lab:
+        lab.robot.connect()
+        udp = lab.robot._link._cf.link
+        real = udp.socket
+
+        class Sending:
+            """A socket over which another thread sends when it has just been closed."""
+
+            def __getattr__(self, name: str) -> Any:
+                return getattr(real, name)
+
+            def close(self) -> None:
+                real.close()
+                closed.append(True)
+                udp.send_packet(CRTPPacket())
+
+        udp.socket = Sending()
+    assert closed == [True]
+    assert "link error" not in caplog.text
