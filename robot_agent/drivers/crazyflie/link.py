@@ -351,16 +351,16 @@ def guard_sending(cf: Any) -> None:
     send = cf.send_packet
 
     def send_packet(packet: Any, *args: Any, **named: Any) -> None:
+        link = cf.link
         try:
             send(packet, *args, **named)
         except Exception as error:
             with suppress(RuntimeError):  # it failed before it took the lock
                 lock.release()
             answered = isinstance(error, KeyError) and named.get("resend")
-            closed = isinstance(error, AttributeError)
-            if closed:
-                _log.info("a packet was not sent, since the link was closed: %s", error)
-            elif not answered:
+            # A link that is closed has no callback for its errors any more.
+            closed = cf.link is not link or getattr(link, "link_error_callback", None) is None
+            if not (answered or (closed and isinstance(error, AttributeError))):
                 raise
 
     cf.send_packet = send_packet

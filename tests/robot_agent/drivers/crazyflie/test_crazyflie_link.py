@@ -92,3 +92,14 @@ def test_a_packet_goes_nowhere_if_another_thread_closes_the_link_as_it_is_sent(f
     flown.send_packet(packet(), expected_reply=(1, 2))
     assert flown.sent == []
     assert may_be_sent_by_another_thread(flown)
+
+
+def test_an_error_of_a_link_that_is_open_is_not_taken_for_its_end(flown: Any) -> None:
+    def send_packet(_packet: Any) -> None:
+        raise AttributeError("a mistake")
+
+    flown.link.link_error_callback = flown._link_error_cb
+    flown.link.send_packet = send_packet
+    with pytest.raises(AttributeError, match="a mistake"):
+        flown.send_packet(packet())
+    assert may_be_sent_by_another_thread(flown)
