@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterator
 
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Outcome
@@ -15,6 +16,14 @@ orchestrator in command will have given the motion up by then."""
 CATCH_UP_MAX_S = 0.25
 """Longest delay that a paced simulation makes up for; beyond it, it keeps its pace and stays
 late."""
+
+CHUNK_SAMPLES = 256
+"""Most samples that a simulation plays between two checks of the switch."""
+
+BATCH_S = 0.1
+"""Time that a paced simulation plays at once, when its references are known ahead. A robot that
+wakes for every sample of 15 ms takes three times as much processor time as one that wakes for seven
+of them; watched live, ten pictures per second still look like a motion."""
 
 
 class HaltSwitch:
@@ -70,18 +79,48 @@ class Pace:
         self._due_s = self._last_s = -1.0
         self._samples = 0
 
-    def wait(self) -> None:
-        """Block until the next sample is due or the switch is thrown."""
+    def batches(self, samples: int) -> Iterator[slice]:
+        """Yield the samples of a signal that is known ahead in batches, each when it is due.
+
+        A simulation that runs as fast as it can plays many at once, and a paced one those that have
+        become due in the last `BATCH_S`. A real robot plays one by one.
+
+        Args:
+            samples: Length of the signal.
+        """
+        start = 0
+        while start < samples:
+            batch = slice(start, start + self.wait(samples - start))
+            yield batch
+            start = batch.stop
+
+    def wait(self, most: int = 1) -> int:
+        """Block until samples are due or the switch is thrown.
+
+        Args:
+            most: Number of next samples whose references are known.
+
+        Returns:
+            The number of samples to play now, from 1 to `most`.
+        """
+        most = min(most, CHUNK_SAMPLES)
         if self.free:
-            return
+            return most
         if self._samples == 0:
             self._due_s = self._last_s = time.monotonic()
+        played = 1
         if self._waits:
-            self._switch.wait(max(0.0, self._due_s - time.monotonic()))
+            if self._samples:
+                played = max(1, min(most, round(BATCH_S / self._period_s)))
+            last_due_s = self._due_s + (played - 1) * self._period_s
+            self._switch.wait(max(0.0, last_due_s - time.monotonic()))
         now_s = time.monotonic()
         if now_s - self._last_s > GAP_MAX_S + self._period_s:
             gap = f"nothing happened for {now_s - self._last_s:.1f} s before sample {self._samples}"
             self._switch.halt(Outcome.ABORTED, gap)
-        self._last_s = now_s
-        self._due_s = max(self._due_s, now_s - CATCH_UP_MAX_S) + self._period_s
-        self._samples += 1
+        due_s = max(self._due_s, now_s - CATCH_UP_MAX_S)
+        if self._waits:
+            played = min(most, max(played, 1 + int((now_s - due_s) / self._period_s)))
+        self._last_s, self._due_s = now_s, due_s + played * self._period_s
+        self._samples += played
+        return played

@@ -10,8 +10,15 @@ from nufleet.robot_agent.motion.pace import HaltSwitch, Pace
 from nufleet.robot_agent.robot import Robot, RobotAround
 from nufleet.shared.arrays import FloatArray
 
-CHUNK_SAMPLES = 256
-"""Samples that an unpaced simulation plays between two checks of the switch."""
+
+def play(robot: Robot, references: FloatArray) -> FloatArray:
+    """Play one batch of `Pace.batches`; references and outputs have shape (samples, axes).
+
+    A batch of one sample is a step, for only steps are watched for being late.
+    """
+    if len(references) > 1:
+        return robot.run(references)
+    return robot.step(references[0])[np.newaxis]
 
 
 class Halted(Exception):  # noqa: N818 - not an error: the end was requested
@@ -50,14 +57,11 @@ class PacedRobot(RobotAround):
 
     def run(self, references: FloatArray) -> FloatArray:
         """Follow a whole reference signal; references and outputs have shape (samples, axes)."""
-        if not self._pace.free:
-            return Robot.run(self, references)  # step by step
         outputs = np.empty_like(references)
-        for start in range(0, len(references), CHUNK_SAMPLES):
+        for batch in self._pace.batches(len(references)):
             self._raise_if_halted()
-            chunk = slice(start, start + CHUNK_SAMPLES)
-            outputs[chunk] = self._robot.run(references[chunk])
-            self._count(len(references[chunk]))
+            outputs[batch] = play(self._robot, references[batch])
+            self._count(batch.stop - batch.start)
         return outputs
 
     def disconnect(self) -> None:

@@ -6,13 +6,14 @@ import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
 
 from nufleet.robot_agent.motion.monitored_robot import begun
 from nufleet.robot_agent.motion.pace import HaltSwitch, Pace
-from nufleet.robot_agent.motion.paced_robot import CHUNK_SAMPLES, Halted
+from nufleet.robot_agent.motion.paced_robot import Halted, play
 from nufleet.robot_agent.motion.resampling import outputs_at_samples
 from nufleet.robot_agent.motion.steps import Steps, make
 from nufleet.robot_agent.robot import Robot
@@ -233,11 +234,7 @@ class AxisMotion:
             references = whole[start:stop]
             if self._states is not None and start % OBSERVE_SAMPLES < OBSERVE_RUN:
                 self._states[start] = self._robot.observe()[columns, :]
-            measured = (
-                self._robot.run(references)
-                if stop - start > 1
-                else self._robot.step(references[0])[np.newaxis, :]
-            )
+            measured = play(self._robot, references)
             failure = monitor.check(references, measured)
             good = stop - start if failure is None else failure.good
             played = measured[:good, columns]
@@ -251,18 +248,13 @@ class AxisMotion:
         return Outcome.COMPLETED, ""
 
     def _batches(self) -> Iterator[tuple[int, int]]:
-        """Yield start and stop of the next samples to play: batches when free, else one by one."""
-        samples = len(self._reference)
-        if self._pace.free:
-            ends = np.arange(CHUNK_SAMPLES, samples + CHUNK_SAMPLES, CHUNK_SAMPLES)
-            if self._states is not None:
-                known = np.arange(samples)
-                ends = np.append(known[known % OBSERVE_SAMPLES < OBSERVE_RUN], samples)[1:]
-            start = 0
-            for end in np.minimum(ends, samples).tolist():
-                yield start, end
-                start = end
-            return
-        for k in range(samples):
-            self._pace.wait()
-            yield k, k + 1
+        """Yield start and stop of the next samples to play, from one observation to the next."""
+        observed = [] if self._states is None else _observed(len(self._reference))
+        for batch in self._pace.batches(len(self._reference)):
+            inside = [k for k in observed if batch.start < k < batch.stop]
+            yield from pairwise([batch.start, *inside, batch.stop])
+
+
+def _observed(samples: int) -> list[int]:
+    """Return the samples of a test at which the states are observed."""
+    return [k for k in range(samples) if k % OBSERVE_SAMPLES < OBSERVE_RUN]

@@ -82,7 +82,7 @@ def test_an_owner_that_was_cut_off_and_replaced_is_refused_when_it_returns(
     owner.wait_for("refused")
     assert "stale-epoch: successor commands it under epoch 6; epoch 5 is over" in owner.said
     with pytest.raises(RefusedError, match=r"running goal g2"):
-        fleet.submit("a", goal(fleet, "g3", SHORT, epoch=6))
+        submitted(fleet, "a", goal(fleet, "g3", SHORT, epoch=6))
     assert lab.motions("a")[1].ended_s is None
     fleet.hold({"a": 6})
     fleet.cancel("a", "g2")

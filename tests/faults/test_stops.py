@@ -58,7 +58,7 @@ def test_a_stop_of_all_halts_every_motion_and_outlasts_a_crash(lab: Lab, agent: 
             RefusedError,
             match="release it first with `nufleet release`: it was stopped by desk",
         ):
-            fleet.submit("a", request)
+            submitted(fleet, "a", request)
     assert all(len(lab.motions(robot)) == 1 for robot in ROBOTS)
 
 

@@ -108,8 +108,8 @@ def test_a_fleet_starts_works_and_ends_agents_first(fleet_file: Path, endpoint: 
             lab.submit("b", "g2", **SLOW)
             started.stop()
             # Heard over the router, which therefore was still there while the robots came to rest.
-            last = lab.state("b", lambda s: s.reason == "the agent is shutting down")
-            assert last.status is RobotStatus.IDLE
+            ending = "the agent is shutting down"
+            lab.state("b", lambda s: (s.status, s.reason) == (RobotStatus.IDLE, ending))
         assert all(is_gone(pid) for pid in pids)
     started.stop()
 

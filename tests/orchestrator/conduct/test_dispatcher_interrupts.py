@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fleet_lab import submitted
 from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 from round_lab import KEYS, ROBOTS, STUDY, TEST, Lab, agent_of, start_lab
@@ -113,7 +114,7 @@ def test_a_goal_that_its_agent_died_of_moves_nothing_after_an_interrupt(
         owner = lab.fleet.orchestrator_id
         late = GoalRequest(goal_id=test.goal_id, owner=owner, epoch=lab.epoch, motion=TEST)
         with pytest.raises(RefusedError, match="cancelled before it arrived"):
-            lab.fleet.submit("r9", late)
+            submitted(lab.fleet, "r9", late)
     assert robot.motions == 0
 
 

@@ -82,13 +82,10 @@ def test_a_halt_between_the_look_at_the_switch_and_the_sample_counts_as_well() -
     """A paced robot waits for its sample, and that is when most halts come."""
     robot, switch = LaggedRobot(), HaltSwitch()
     settle = len(approach(robot.spec, PATH[0], LIMITS))
-    waits = 0
     wait = switch.wait
 
     def wait_and_halt(timeout_s: float) -> None:
-        nonlocal waits
-        waits += 1
-        if waits == settle + 8:
+        if robot.samples == settle + 7:
             switch.halt(Outcome.ABORTED, "stopped by somebody")
         wait(0.0)
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from puppet_robot import PuppetRobot, puppet_spec
 
-from nufleet.robot_agent.motion.pace import HaltSwitch, Pace
-from nufleet.robot_agent.motion.paced_robot import CHUNK_SAMPLES, Halted, PacedRobot
+from nufleet.robot_agent.motion.pace import CHUNK_SAMPLES, HaltSwitch, Pace
+from nufleet.robot_agent.motion.paced_robot import Halted, PacedRobot
 from nufleet.shared.wire.messages import Outcome
 
 REFERENCES = np.stack([np.linspace(0.0, 1.0, 700), np.linspace(1.0, 0.0, 700)], axis=1)
@@ -18,8 +18,14 @@ REFERENCES = np.stack([np.linspace(0.0, 1.0, 700), np.linspace(1.0, 0.0, 700)], 
 class Paced:
     """A connected puppet that is paced, its switch, and what was counted."""
 
-    def __init__(self, *, realtime: float | None = None, sample_time_s: float = 0.01) -> None:
-        self.puppet = PuppetRobot(puppet_spec(sample_time_s=sample_time_s))
+    def __init__(
+        self,
+        *,
+        realtime: float | None = None,
+        sample_time_s: float = 0.01,
+        simulated: bool = True,
+    ) -> None:
+        self.puppet = PuppetRobot(puppet_spec(simulated=simulated, sample_time_s=sample_time_s))
         self.puppet.connect()
         self.switch, self.counted = HaltSwitch(), list[int]()
         pace = Pace(self.puppet.spec, realtime, self.switch)
@@ -53,12 +59,12 @@ def test_all_samples_are_played_in_order_and_counted(realtime: float | None) -> 
     assert paced.counted[-1] == len(REFERENCES) + 1
 
 
-def test_a_free_simulation_plays_chunks_and_a_paced_one_single_samples() -> None:
-    free, paced = Paced(), Paced(realtime=1e9)
-    for one in (free, paced):
+def test_a_free_simulation_plays_chunks_and_a_real_robot_single_samples() -> None:
+    free, real = Paced(), Paced(simulated=False)
+    for one in (free, real):
         one.robot.run(REFERENCES)
     assert free.puppet.batches == [CHUNK_SAMPLES, CHUNK_SAMPLES, 700 - 2 * CHUNK_SAMPLES]
-    assert paced.puppet.batches == [1] * 700
+    assert real.puppet.batches == [1] * 700
 
 
 def test_an_empty_signal_moves_nothing() -> None:
@@ -75,9 +81,9 @@ def test_a_paced_simulation_takes_its_time() -> None:
     assert time.monotonic() - began_s >= 19 * 0.02 / 2.0
 
 
-@pytest.mark.parametrize("realtime", [None, 1e9])
-def test_after_the_switch_is_thrown_nothing_moves_any_more(realtime: float | None) -> None:
-    paced = Paced(realtime=realtime)
+@pytest.mark.parametrize("simulated", [True, False])
+def test_after_the_switch_is_thrown_nothing_moves_any_more(simulated: bool) -> None:
+    paced = Paced(simulated=simulated)
 
     def on_sample(sample: int) -> None:
         if sample == 300:
@@ -87,7 +93,7 @@ def test_after_the_switch_is_thrown_nothing_moves_any_more(realtime: float | Non
     with pytest.raises(Halted):
         paced.robot.run(REFERENCES)
     played = paced.puppet.samples
-    assert played == (2 * CHUNK_SAMPLES if realtime is None else 301)
+    assert played == (2 * CHUNK_SAMPLES if simulated else 301)
     assert paced.counted[-1] == played
     for again in (lambda: paced.robot.step(REFERENCES[0]), lambda: paced.robot.run(REFERENCES)):
         with pytest.raises(Halted):
@@ -96,7 +102,7 @@ def test_after_the_switch_is_thrown_nothing_moves_any_more(realtime: float | Non
 
 
 def test_an_error_of_the_robot_passes_through_and_its_sample_is_not_counted() -> None:
-    paced = Paced(realtime=1e9)
+    paced = Paced(simulated=False)
 
     def on_sample(sample: int) -> None:
         if sample == 3:

@@ -14,8 +14,7 @@ from polling import PATIENCE_S
 from puppet_robot import PuppetRobot, puppet_spec
 
 from nufleet.robot_agent.motion import pace
-from nufleet.robot_agent.motion.pace import HaltSwitch
-from nufleet.robot_agent.motion.paced_robot import CHUNK_SAMPLES
+from nufleet.robot_agent.motion.pace import CHUNK_SAMPLES, HaltSwitch
 from nufleet.robot_agent.motion.perform import AxisMotion, Played, perform
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
@@ -172,13 +171,30 @@ def test_a_paced_simulation_that_was_late_goes_on_at_its_pace(clock: Clock) -> N
     assert times_s[39] - times_s[6] == pytest.approx((39 - 6) * 0.02 - pace.CATCH_UP_MAX_S)
 
 
+@pytest.mark.parametrize("sample_time_s", [0.001, 0.015, 0.03, 0.06])
+@pytest.mark.parametrize("realtime", [1.0, 4.0])
+def test_a_paced_simulation_plays_no_sample_before_its_time_and_none_a_tenth_of_a_second_late(
+    sample_time_s: float, realtime: float, clock: Clock
+) -> None:
+    times_s: list[float] = []
+    robot = connected(PuppetRobot(puppet_spec(sample_time_s=sample_time_s)))
+    robot.on_sample = lambda k: times_s.append(clock.now_s)
+    played(robot, SINE[:200], realtime=realtime, switch=clock)
+    late_s = np.array(times_s) - times_s[0] - np.arange(200) * sample_time_s / realtime
+    assert late_s.min() > -1e-9
+    assert late_s.max() < pace.BATCH_S + 1e-9
+    # No more often than it must, save for the first sample, and where the states are observed.
+    wakes = np.unique(times_s)
+    assert len(wakes) <= 2 + 200 / max(1, round(pace.BATCH_S * realtime / sample_time_s))
+
+
 # What ends it early.
 
 
-@pytest.mark.parametrize("realtime", [None, 1e9])
+@pytest.mark.parametrize("simulated", [True, False])
 @pytest.mark.parametrize("outcome", [Outcome.CANCELLED, Outcome.ABORTED])
-def test_a_thrown_switch_ends_the_motion_at_rest(outcome: Outcome, realtime: float | None) -> None:
-    robot, switch = connected(PuppetRobot()), HaltSwitch()
+def test_a_thrown_switch_ends_the_motion_at_rest(outcome: Outcome, simulated: bool) -> None:
+    robot, switch = connected(PuppetRobot(puppet_spec(simulated=simulated))), HaltSwitch()
 
     def on_sample(k: int) -> None:
         if k == 300:
@@ -186,9 +202,9 @@ def test_a_thrown_switch_ends_the_motion_at_rest(outcome: Outcome, realtime: flo
             switch.halt(Outcome.FAILED, "too late to say otherwise")
 
     robot.on_sample = on_sample
-    result = played(robot, realtime=realtime, switch=switch)
+    result = played(robot, switch=switch)
     assert (result.outcome, result.reason, result.fault) == (outcome, "enough", None)
-    assert len(result.samples.reference) == (301 if realtime else 2 * CHUNK_SAMPLES)
+    assert len(result.samples.reference) == (2 * CHUNK_SAMPLES if simulated else 301)
 
 
 def test_a_switch_thrown_before_the_first_sample_moves_nothing() -> None:
@@ -231,14 +247,14 @@ def test_a_process_that_was_frozen_ends_its_motion(simulated: bool, clock: Clock
     robot = connected(PuppetRobot(puppet_spec(simulated=simulated, sample_time_s=0.001)))
 
     def on_sample(k: int) -> None:
-        if k == 10:
+        if k == 100:
             clock.now_s += pace.GAP_MAX_S + 0.1
 
     robot.on_sample = on_sample
     result = played(robot, realtime=1.0, switch=clock)
     assert result.outcome is Outcome.ABORTED
-    assert re.search(r"nothing happened for \d\.\d s before sample 11", result.reason)
-    assert len(result.samples.reference) == 11
+    assert re.search(r"nothing happened for \d\.\d s before sample 101", result.reason)
+    assert len(result.samples.reference) == 101
 
 
 # What the robot does wrong.

@@ -18,7 +18,7 @@ from recording_robot import (
 )
 
 from nufleet.robot_agent.flight.memory import Memory
-from nufleet.robot_agent.motion.paced_robot import CHUNK_SAMPLES
+from nufleet.robot_agent.motion.pace import CHUNK_SAMPLES
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.wire.messages import Outcome
 
@@ -64,19 +64,20 @@ FAULTS = {
 }
 
 
-@pytest.mark.parametrize("realtime", [None, 1e9])
+@pytest.mark.parametrize("simulated", [True, False])
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("kind", MOTIONS)
 @settings(max_examples=3, deadline=None)
 @given(onset=st.integers(1, 400), noise=st.sampled_from([0.0, 0.002]))
 def test_a_sensor_that_fails_ends_every_motion_soon_and_teaches_nothing(
-    kind: str, fault: str, realtime: float | None, onset: int, noise: float
+    kind: str, fault: str, simulated: bool, onset: int, noise: float
 ) -> None:
-    robot, memory = RecordingRobot(SPEC, noise=noise), baselines(SPEC)
+    spec = SPEC.model_copy(update={"simulated": simulated})
+    robot, memory = RecordingRobot(spec, noise=noise), baselines(spec)
     known = dict(memory.flown_s)
     sensor, words = FAULTS[fault]
     robot.sensor = sensor(onset)
-    played = performed(robot, MOTIONS[kind](SPEC), memory, realtime=realtime)
+    played = performed(robot, MOTIONS[kind](spec), memory)
     assert played.outcome is Outcome.FAILED
     assert re.search(words, played.reason)
     assert played.fault is None
@@ -84,7 +85,7 @@ def test_a_sensor_that_fails_ends_every_motion_soon_and_teaches_nothing(
     assert dict(memory.flown_s) == known
     # Until the reference has moved by a tenth of its range and the robot should have settled.
     late = {"NaN": 1, "frozen": 400, "displaced": 5}[fault]
-    batch = 1 if realtime else CHUNK_SAMPLES
+    batch = CHUNK_SAMPLES if simulated else 1
     assert len(robot.references) <= onset + late + batch
 
 
