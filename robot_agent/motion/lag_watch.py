@@ -41,13 +41,25 @@ class LagWatch:
         self._began = -1
         self._sample = -1
 
-    def none_in(self, outputs: FloatArray) -> bool:
+    def none_in(self, references: FloatArray, outputs: FloatArray) -> bool:
         """Return whether a batch needs no closer look; if so, it is taken."""
         if math.isinf(self._reach):
             return True
-        if self._left > 0 or np.abs(outputs - self._rests_at).max() > LAG_RATIO * self._moved:
-            return False
-        self._late = 0
+        moved = float(np.abs(outputs - self._rests_at).max())
+        if self._left == 0:
+            if moved > LAG_RATIO * self._moved:
+                return False
+            self._late = 0
+        else:
+            low = min(self._low, float(references.min()))
+            high = max(self._high, float(references.max()))
+            covered = self._high - self._low >= self._reach
+            if covered != (high - low >= self._reach) or (covered and len(outputs) > self._left):
+                return False
+            self._low, self._high, self._moved = low, high, max(self._moved, moved)
+            self._left -= len(outputs) if covered else 0
+            if self._began < 0 and references.any():
+                self._began = self._sample + 1 + int(np.argmax(references != 0.0))
         self._sample += len(outputs)
         return True
 

@@ -246,12 +246,13 @@ class _AxisMonitor:
         """
         if len(outputs) < 2 or self._since:
             return False
-        steps = np.abs(np.diff(outputs, prepend=self._good))
+        before = np.concatenate(([self._good], outputs[:-1]))
+        steps = np.abs(outputs - before)
         if not (steps <= self._leap).all() or not steps.all():
             return False
         if outputs.min() < self._low or outputs.max() > self._high:
             return False
-        if not self._lag.none_in(outputs):
+        if not self._lag.none_in(references, outputs):
             return False
         self._good = self._last = float(outputs[-1])
         self._bad = max(0.0, self._bad - GOOD_SAMPLE * len(outputs))

@@ -20,10 +20,10 @@ late."""
 CHUNK_SAMPLES = 256
 """Most samples that a simulation plays between two checks of the switch."""
 
-BATCH_S = 0.1
+BATCH_S = 0.2
 """Time that a paced simulation plays at once, when its references are known ahead. A robot that
-wakes for every sample of 15 ms takes three times as much processor time as one that wakes for seven
-of them; watched live, ten pictures per second still look like a motion."""
+wakes for every sample of 15 ms takes several times as much processor time; watched live, five
+pictures per second still look like a motion."""
 
 
 class HaltSwitch:

@@ -57,13 +57,15 @@ class TelemetryBatcher:
             self.flush()
 
     def flush(self) -> None:
-        """Publish the samples collected; a failure is only logged, and the motion continues."""
+        """Publish the samples collected if anybody listens.
+
+        A failure is only logged, and the motion continues.
+        """
         self._last_s = self._clock()
-        if not self._parts:
-            return
-        signals = tuple(np.concatenate(parts) for parts in zip(*self._parts, strict=True))
-        self._parts.clear()
+        parts, self._parts = self._parts, []
         try:
-            self._publisher.put(encode(self._make(self._first, signals)))
+            if parts and self._publisher.heard:
+                signals = tuple(np.concatenate(signal) for signal in zip(*parts, strict=True))
+                self._publisher.put(encode(self._make(self._first, signals)))
         except TransportError as error:
             _log.warning("samples from %d on were lost: %s", self._first, error)

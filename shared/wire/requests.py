@@ -79,6 +79,12 @@ class Declaration:
 class Publisher(Declaration):
     """Publishes on one key."""
 
+    @property
+    def heard(self) -> bool:
+        """Whether there is a subscriber; a message that would reach none need not be encoded."""
+        with transport_errors("publishing"):
+            return bool(self._declared.matching_status.matching)
+
     def put(self, payload: bytes) -> None:
         """Send a payload to all current subscribers.
 

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.signal import cont2discrete, lfilter
 
 from nufleet.robot_agent.motion.lag_watch import LagWatch
@@ -34,7 +36,7 @@ def late_by(reference: FloatArray, output: FloatArray, batch: int) -> int | None
     watch = LagWatch(0.0, float(np.ptp(reference)), SETTLING)
     for start in range(0, len(reference), batch):
         some = slice(start, start + batch)
-        if batch > 1 and watch.none_in(output[some]):
+        if batch > 1 and watch.none_in(reference[some], output[some]):
             continue
         for sample, measured in zip(reference[some], output[some], strict=True):
             late = watch.take(float(sample), float(measured))
@@ -44,7 +46,7 @@ def late_by(reference: FloatArray, output: FloatArray, batch: int) -> int | None
 
 
 @pytest.mark.parametrize("ramp_s", RAMPS_S[:2])
-@pytest.mark.parametrize("batch", [1, 256])
+@pytest.mark.parametrize("batch", [1, 2, 13, 256])
 def test_an_output_that_begins_to_move_after_the_ramp_and_two_settling_times_is_late(
     ramp_s: float, batch: int
 ) -> None:
@@ -55,6 +57,23 @@ def test_an_output_that_begins_to_move_after_the_ramp_and_two_settling_times_is_
     late = late_by(reference, output, batch)
     assert late is not None
     assert lag <= late < lag + 100
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    ramp_s=st.floats(0.1, 5.0),
+    lag=st.integers(0, 400),
+    quiet=st.integers(0, 100),
+    noise=st.sampled_from([1e-6, 1e-3, 0.1]),
+    batch=st.integers(2, 300),
+)
+def test_samples_in_batches_are_late_by_as_much_as_one_by_one(
+    ramp_s: float, lag: int, quiet: int, noise: float, batch: int
+) -> None:
+    reference = np.concatenate([np.zeros(quiet), tone(2.0, ramp_s)[:1000]])
+    output = np.concatenate([np.zeros(lag), reference])[: len(reference)]
+    output += noise * np.random.default_rng(batch).standard_normal(len(output))
+    assert late_by(reference, output, batch) == late_by(reference, output, 1)
 
 
 @pytest.mark.parametrize("ramp_s", RAMPS_S)

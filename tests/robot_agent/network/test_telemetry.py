@@ -22,6 +22,11 @@ class Wire:
 
     sent: list[bytes] = field(default_factory=list)
     broken: bool = False
+    matching: bool = True
+
+    @property
+    def matching_status(self) -> Wire:
+        return self
 
     def put(self, payload: bytes) -> None:
         if self.broken:
@@ -98,6 +103,18 @@ def test_nothing_is_sent_before_the_period_is_over_or_when_there_is_nothing() ->
     telemetry.add(3, np.ones(2), np.ones(2))
     (message,) = received(wire)
     assert (message.first_sample, len(message.reference)) == (0, 5)
+
+
+def test_samples_that_nobody_listens_to_are_not_sent_later_either() -> None:
+    wire, clock = Wire(matching=False), Clock()
+    telemetry = batcher(wire, clock)
+    telemetry.add(0, np.ones(3), np.ones(3))
+    telemetry.flush()
+    wire.matching = True
+    telemetry.add(3, np.zeros(2), np.zeros(2))
+    telemetry.flush()
+    (message,) = received(wire)
+    assert (message.first_sample, len(message.reference)) == (3, 2)
 
 
 def test_a_broken_link_loses_samples_and_disturbs_nobody() -> None:
