@@ -14,7 +14,6 @@ from polling import PATIENCE_S, wait_until
 from puppet_robot import PuppetRobot
 
 from nufleet.orchestrator.fleet.client import Fleet
-from nufleet.orchestrator.fleet.goal_pursuit import PASSING
 from nufleet.robot_agent.agent import Agent
 from nufleet.robot_agent.robot import Robot
 from nufleet.shared.errors import NoReplyError, RefusedError, RobotLostError
@@ -155,7 +154,7 @@ def submitted(fleet: Fleet, robot: str, request: GoalRequest) -> GoalAccepted:
         try:
             accepted.append(fleet.submit(robot, request))
         except RefusedError as error:
-            if error.code not in PASSING:
+            if error.code not in ("owner-not-alive", "frozen"):
                 raise
         return bool(accepted)
 

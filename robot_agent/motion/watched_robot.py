@@ -140,7 +140,7 @@ class WatchedRobot(RobotAround):
     def run(self, references: FloatArray) -> FloatArray:
         """Follow a whole reference signal; references and outputs have shape (samples, axes)."""
         lasts_s = len(references) * self._robot.spec.sample_time_s
-        with self._calling("run", SLOW_CALL_MAX_S + lasts_s):
+        with self._calling("run", self._sample_max_s + lasts_s):
             return self._robot.run(references)
 
     def observe(self) -> FloatArray:

@@ -41,6 +41,7 @@ _GRID = 300  # most points on which the prior is integrated
 _NOISES = np.geomspace(1.0, 1e-12, 241)  # noise variances, as shares of the mean squared error
 _SURE = 2.0  # standard deviations of the noise's mean square that may hide what is not linear
 _JITTER = 1e-10
+_ROUNDED = 10 * float(np.finfo(np.float64).eps)  # share of a sum of squares that is not known
 _TINY = float(np.finfo(np.float64).tiny)
 _Prior = tuple[tuple[FloatArray, FloatArray], float, tuple[float, float]]
 """Mean and covariance, scale of the covariance, and standard deviation and probability of g∞."""
@@ -235,7 +236,6 @@ def _likeliest(basis: ErrorBasis, evidence: Evidence, priors: Iterable[_Prior]) 
     hidden = min(1.0, _SURE * float(np.sqrt(2 / evidence.rows)))
     scale = max(evidence.squares / evidence.rows, _TINY)
     moved = max(evidence.moved / evidence.rows, _TINY)
-    noise = scale * _NOISES
     for (mean, covariance), size, (rest_std, probability) in priors:
         prior = size * covariance
         prior[-1, -1] = rest_std**2
@@ -246,7 +246,10 @@ def _likeliest(basis: ErrorBasis, evidence: Evidence, priors: Iterable[_Prior]) 
         power, turn = np.linalg.eigh(factor.T @ normal @ factor)
         power = np.maximum(power, 0.0)
         toward = turn.T @ (factor.T @ (right - normal @ mean))
-        squares = evidence.squares - 2 * mean @ right + mean @ normal @ mean
+        of_mean = float(mean @ normal @ mean)
+        squares = evidence.squares - 2 * mean @ right + of_mean
+        # Sums of squares are rounded, which is all that a motion without noise leaves of them.
+        noise = np.maximum(scale * _NOISES, _ROUNDED * max(float(power[-1]), of_mean))
         explained = np.sum(toward**2 / (noise[:, None] + power), axis=1)
         cost = (
             evidence.rows * np.log(noise)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from nufleet.orchestrator.study.tone_choice import first_look, lowest_look_together
+from nufleet.robot_agent.flight.cross_axes import crosses_in, crosses_of
 from nufleet.robot_agent.flight.flights import performance_of
 from nufleet.robot_agent.flight.learning import learn
 from nufleet.robot_agent.flight.memory import Memory
@@ -193,3 +194,19 @@ def test_a_rehearsed_robot_answers_with_one_axis_to_the_other() -> None:
     expected = references - np.stack([x @ own, y @ own + x @ other], axis=1)
     found = RehearsedRobot(spec, ("position",), draw, rng).run(references)
     np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 27, 39])
+def test_axes_that_do_nothing_to_each_other_are_found_not_to_also_without_noise(seed: int) -> None:
+    """What is left is then all rounding, which a belief could take for an answer."""
+    rng = np.random.default_rng(seed)
+    omega_rad_s, phase = rng.uniform(1, 25, 3), rng.uniform(0, 6, 3)
+    time_s = 0.005 * np.arange(800)[:, np.newaxis]
+    references = 0.02 * (np.sin(omega_rad_s * time_s + phase) - np.sin(phase))
+    outputs = np.zeros_like(references)
+    for k in range(len(references) - 1):
+        outputs[k + 1] = outputs[k] + 0.7 * (references[k] - outputs[k])
+    basis = ErrorBasis(0.005, 0.025)
+    crosses, alone = crosses_in(basis, "abc", references, outputs)
+    assert crosses_of(basis, "abc", crosses) == ()
+    np.testing.assert_allclose(alone, outputs, rtol=0, atol=1e-6)
