@@ -13,9 +13,10 @@ GAP_MAX_S = 2.0
 """Gap between two samples that ends a paced motion: the process was frozen, or the robot hung. The
 orchestrator in command will have given the motion up by then."""
 
-CATCH_UP_MAX_S = 0.25
-"""Longest delay that a paced simulation makes up for; beyond it, it keeps its pace and stays
-late."""
+CATCH_UP_MAX_S = 1.0
+"""Longest delay that a paced simulation makes up for; beyond it, it keeps its pace and stays late.
+What has become due meanwhile is played at once, so that robots which share a processor that is too
+slow for all of them wake less often, and need less of it."""
 
 CHUNK_SAMPLES = 256
 """Most samples that a simulation plays between two checks of the switch."""
