@@ -31,7 +31,11 @@ DECAYS = 8
 of the fastest tone."""
 
 REFINEMENTS = 80
-"""Number of places at which a part of a transient is tried."""
+"""Largest number of places at which a part of a transient is tried."""
+
+PLACED = 0.01
+"""Difference between what places leave, as a multiple of the noise's variance, at which a part is
+placed: a tenth of the standard deviation to which the noise lets it be placed at all."""
 
 SETTLING_BLOCKS = 8
 """Smallest number of blocks in the part before the measuring part, where the record allows. What
@@ -267,41 +271,51 @@ def _refined(
     left: FloatArray, basis: FloatArray, times_s: FloatArray, start: tuple[float, float]
 ) -> tuple[float, float]:
     """Return decay and frequency that leave the least, by variable projection."""
+    count, step_s, whole = len(times_s), float(times_s[1]), float(left @ left)
+    # As in `exponentials`, for a single rate.
+    block = math.isqrt(count)
+    coarse, fine = block * np.arange(-(-count // block)), np.arange(block)
+
+    def rate_1_s(place: FloatArray) -> complex:
+        # Slower than this is not told from offset and drift, faster not from a single block.
+        decay = min(max(math.exp(place[0]), 0.3 / float(times_s[-1])), 1 / step_s)
+        return complex(-decay, abs(place[1]))
 
     def unexplained(place: FloatArray) -> float:
-        # Slower than this is not told from offset and drift, faster not from a single block.
-        decay = float(np.clip(np.exp(place[0]), 0.3 / times_s[-1], 1 / times_s[1]))
-        part = _decaying(times_s, np.array([decay]), np.array([abs(place[1])]))
+        rate = step_s * rate_1_s(place)
+        ringing = (np.exp(rate * coarse)[:, None] * np.exp(rate * fine)).ravel()[:count]
+        part = ringing.view(np.float64).reshape(count, 2)
         along = basis.T @ part
-        gram = part.T @ part - along.T @ along
-        a, c, b = float(gram[0, 0]), float(gram[0, 1]), float(gram[1, 1])
-        u, v = float(left @ part[:, 0]), float(left @ part[:, 1])
+        (a, c), (_, b) = (part.T @ part - along.T @ along).tolist()
+        u, v = (left @ part).tolist()
         # As in `_most`; the sine of a part that does not oscillate is zero.
         determinant = a * b - c**2
         if determinant <= DEGENERATE * a * b or b <= DEGENERATE * a:
-            return -max(u**2 / max(a, TINY), v**2 / b if b > DEGENERATE * a else 0.0)
-        return -(b * u**2 - 2 * c * u * v + a * v**2) / determinant
+            gain = max(u**2 / max(a, TINY), v**2 / b if b > DEGENERATE * a else 0.0)
+        else:
+            gain = (b * u**2 - 2 * c * u * v + a * v**2) / determinant
+        return whole - float(gain)
 
     width = max(start[0], 2 * np.pi / times_s[-1])
     corner = np.array([np.log(start[0]), start[1]])
     simplex = corner + np.array([[0.0, 0.0], [0.7, 0.0], [0.0, 0.5 * width]])
-    found = _least(unexplained, simplex, REFINEMENTS)
-    decay = float(np.clip(np.exp(found[0]), 0.3 / times_s[-1], 1 / times_s[1]))
-    omega = abs(float(found[1]))
+    found = rate_1_s(_least(unexplained, simplex, REFINEMENTS, PLACED / count))
+    decay, omega = -found.real, found.imag
     return decay, omega if omega > REAL * decay else 0.0
 
 
 def _least(
-    cost: Callable[[FloatArray], float], simplex: FloatArray, evaluations: int
+    cost: Callable[[FloatArray], float], simplex: FloatArray, evaluations: int, close: float
 ) -> FloatArray:
     """Return the best place that a simplex finds (Nelder and Mead, Computer Journal 7, 1965).
 
     SciPy has this method, too, but its `optimize` takes a fifth of a second to load.
 
     Args:
-        cost: Function of a place, shape (dimensions,).
+        cost: Function of a place, shape (dimensions,), which is not negative.
         simplex: Places to begin with, shape (dimensions + 1, dimensions).
         evaluations: Number of evaluations from which on no further step is taken.
+        close: Difference of the costs, as a share of the least, from which on none is taken either.
     """
     places: list[tuple[float, FloatArray]] = [(cost(place), place) for place in simplex]
     done = len(places)
@@ -314,9 +328,9 @@ def _least(
     while True:
         places.sort(key=lambda one: one[0])
         (lowest, best), (highest, worst) = places[0], places[-1]
-        if done >= evaluations:
+        if done >= evaluations or highest - lowest <= close * lowest:
             return best
-        centre = np.mean([place for _, place in places[:-1]], axis=0)
+        centre = sum(place for _, place in places[:-1]) / (len(places) - 1)
         away = centre - worst
         reflected = tried(centre + away)
         if reflected[0] < lowest:
