@@ -105,8 +105,6 @@ def serve(
             subfolder named after its fleet and itself.
     """
     robots = build_robots(fleet, path, tuple(addresses))
-    if all(robot.spec.simulated for robot in robots.values()):
-        sys.setswitchinterval(SIMULATED_SWITCH_S)
     ended = threading.Event()
     if until_stdin_closes:
         when_stdin_closes(ended.set)
@@ -116,6 +114,9 @@ def serve(
         ExitStack() as opened,
         closed_together() as agents,
     ):
+        if all(robot.spec.simulated for robot in robots.values()):
+            opened.callback(sys.setswitchinterval, sys.getswitchinterval())
+            sys.setswitchinterval(SIMULATED_SWITCH_S)
         sessions, promptness = Sessions(opened, ended, keys), Promptness()
         try:
             for name, robot in robots.items():
