@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -27,11 +26,6 @@ from nufleet.shared.robots.fleet_file import FleetFile
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.session import Session
 from nufleet.shared.wire.transport import open_client
-
-SIMULATED_SWITCH_S = 0.05
-"""Longest time for which a thread keeps Python's interpreter from others, where no robot is real. A
-thread that waits for it wakes as often: at Python's own 5 ms, that took as much processor time of
-hundreds of robots in one process as their motions."""
 
 LANDING = "landing: the robots are coming to rest, and then this process ends by itself"
 
@@ -114,9 +108,6 @@ def serve(
         ExitStack() as opened,
         closed_together() as agents,
     ):
-        if all(robot.spec.simulated for robot in robots.values()):
-            opened.callback(sys.setswitchinterval, sys.getswitchinterval())
-            sys.setswitchinterval(SIMULATED_SWITCH_S)
         sessions, promptness = Sessions(opened, ended, keys), Promptness()
         try:
             for name, robot in robots.items():
