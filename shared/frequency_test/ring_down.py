@@ -275,10 +275,11 @@ def _refined(
     # As in `exponentials`, for a single rate.
     block = math.isqrt(count)
     coarse, fine = block * np.arange(-(-count // block)), np.arange(block)
+    # Slower than this is not told from offset and drift, faster not from a single block.
+    slowest, fastest = math.log(0.3 / float(times_s[-1])), -math.log(step_s)
 
     def rate_1_s(place: FloatArray) -> complex:
-        # Slower than this is not told from offset and drift, faster not from a single block.
-        decay = min(max(math.exp(place[0]), 0.3 / float(times_s[-1])), 1 / step_s)
+        decay = math.exp(min(max(float(place[0]), slowest), fastest))
         return complex(-decay, abs(place[1]))
 
     def unexplained(place: FloatArray) -> float:
