@@ -253,6 +253,12 @@ ACTIONS = [
 ]
 
 
+def test_a_robot_knows_that_an_orchestrator_listens_to_its_samples(stage: Stage) -> None:
+    """It sends none where it knows of no listener, and the router withholds what others declare."""
+    for robot in stage.robots.values():
+        wait_until(lambda: robot.telemetry.heard)  # noqa: B023
+
+
 @pytest.mark.parametrize("name", ROLES)
 @pytest.mark.parametrize("action", ACTIONS, ids=lambda action: action.what.replace(" ", "-"))
 def test_an_action_works_for_those_whom_the_inventory_allows(

@@ -16,7 +16,7 @@ from nufleet.shared.frequency_test.frequency_response import (
     estimate_frequency_response,
 )
 from nufleet.shared.frequency_test.multitone import multitone
-from nufleet.shared.frequency_test.ring_down import ring_down
+from nufleet.shared.frequency_test.ring_down import _refined, ring_down
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
 
 STEP_S = 0.02
@@ -102,3 +102,19 @@ def test_noise_alone_hardly_ever_rings(memory: float) -> None:
         noise = lfilter([1.0], [1.0, -memory], drawn)[300:]
         rung += len(ring_down(noise, omega, 5.5, STEP_S, 300).decay_1_s) > 0
     assert rung <= 2
+
+
+@pytest.mark.parametrize("seed", [87, 271, 349, 497, 584])
+def test_a_search_that_wanders_off_ends_within_what_the_record_tells(seed: int) -> None:
+    """What decays within a few samples can be placed at any faster decay as well."""
+    rng = np.random.default_rng(seed)
+    samples, step_s = int(rng.integers(60, 300)), 10 ** rng.uniform(-3, 0)
+    times_s = step_s * np.arange(samples)
+    basis = np.linalg.qr(np.stack([np.ones(samples), times_s], axis=1))[0]
+    left = rng.standard_normal(samples)
+    left *= np.exp(-(10 ** rng.uniform(-4, 4)) * np.arange(samples))
+    left -= basis @ (basis.T @ left)
+    first, second = (10 ** rng.uniform(-3, 3, 2) / times_s[-1]).tolist()
+    decay_1_s, omega_rad_s = _refined(left, basis, times_s, (first, second))
+    assert 0.29 / times_s[-1] < decay_1_s < 1.01 / step_s
+    assert np.isfinite(omega_rad_s)
