@@ -27,7 +27,7 @@ from nufleet.orchestrator.fleet.goal_runner import GoalRunner
 from nufleet.orchestrator.fleet.orchestrator_id import new_orchestrator_id
 from nufleet.robot_agent.agent import Agent
 from nufleet.shared.frequency_test.excitation import Excitation, Tone
-from nufleet.shared.wire.frame import stop_frame
+from nufleet.shared.wire.frame import new_order_id, stop_frame
 from nufleet.shared.wire.identity import SCHEME, address_of
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.messages import Outcome
@@ -96,7 +96,8 @@ class Side:
         """Stop a robot once."""
         self.heard.clear()
         began_s = time.perf_counter()
-        self.orchestrator.put_urgent(KEYS.command("r0", "desk", "stop"), stop_frame("desk.x", "-"))
+        order = stop_frame("desk.x", "-", order_id=new_order_id())
+        self.orchestrator.put_urgent(KEYS.command("r0", "desk", "stop"), order)
         if not self.heard.wait(PATIENCE_S):
             raise AssertionError(f"a stop at {self.address} was not heard")
         self._took("stop a robot", began_s)

@@ -73,11 +73,13 @@ class Commands:
 
         return handle
 
-    def stopped(self, principal: str | None, request: StopRequest | None) -> None:
+    def stopped(
+        self, principal: str | None, request: StopRequest | None, *, answer: str = "stopped"
+    ) -> None:
         """Record a stop, which every sender may give; `request` is None for a malformed one."""
         if self._audit is not None:
             sender, reason = ("", "") if request is None else (request.sender, request.reason)
-            answer = "malformed, and obeyed" if request is None else "stopped"
+            answer = "malformed, and obeyed" if request is None else answer
             what = "kill" if request is not None and request.kill else "stop"
             self._audit.record(principal, sender, what, reason, answer)
 

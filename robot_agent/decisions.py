@@ -133,14 +133,26 @@ class Decisions:
         with self._lock:
             return self._lock.wait_for(lambda: owner in self._owners_alive, timeout_s)
 
-    def stop(self, order: supervisor.StopOrder) -> None:
+    def stop(self, order: supervisor.StopOrder, *, kill: bool = False) -> bool:
         """Stop the robot: the motion in progress ends, and none begins until a release.
 
         This does not wait for the disk; `store_stop` then makes the stop outlast the process.
+
+        Args:
+            order: The order.
+            kill: Whether its motors will be cut too, so that a release in progress may not end.
+
+        Returns:
+            Whether the robot is stopped: not by another copy of a stop that was released since.
         """
         with self._lock:
-            self._stops += 1
+            copy = supervisor.is_copy(self._supervision, order)
+            if copy and self._supervision.stop is None:
+                return False
+            if kill or not copy:
+                self._stops += 1
             self._supervise(supervisor.StopOrdered(order))
+        return True
 
     def store_stop(self) -> None:
         """Store the stop in force, if there is one; raises JournalError."""

@@ -17,6 +17,8 @@ from nufleet.shared.wire.codec import Message, decode
 from nufleet.shared.wire.keys import FleetKeys, principal_of
 from nufleet.shared.wire.messages import Done, Refusal, StopRequest
 
+RELEASED = Refusal(code="released", reason="it obeyed this stop, and was released since")
+
 _log = logging.getLogger(__name__)
 
 
@@ -64,7 +66,8 @@ class StopService:
     def asked(self, principal: str | None, payload: bytes) -> Future[Message]:
         """Handle a stop sent as a query; the motion has been halted when this returns.
 
-        A stop is obeyed from every sender; the order names the principal that the key proves.
+        A stop is obeyed from every sender; the order names the principal that the key proves. Only
+        another copy of a stop that has been released since is refused.
 
         Returns:
             The reply to come. It is sent once the stop is stored too, so that a confirmed stop
@@ -84,7 +87,10 @@ class StopService:
             raise
         proven = principal is None or principal_of(request.sender) == principal
         sender = request.sender if proven else f"{principal}.as-{request.sender}"[:200]
-        self._decisions.stop(StopOrder(sender, request.reason))
+        order = StopOrder(sender, request.reason, request.order_id)
+        if not self._decisions.stop(order, kill=request.kill):
+            self._commands.stopped(principal, request, answer=f"refused {RELEASED.code}")
+            return _known(RELEASED)
         killing = self._cut_motors(sender, request.reason) if request.kill else None
         self._commands.stopped(principal, request)
         stored = self._stored()
@@ -130,9 +136,7 @@ class StopService:
         """Return the reply to come; stops that wait for the disk at the same time share it."""
         with self._lock:
             if self._closed:
-                ended: Future[Message] = Future()
-                ended.set_result(SHUTTING_DOWN)
-                return ended
+                return _known(SHUTTING_DOWN)
             waits = self._storing
             if waits is None or waits.running() or waits.done():
                 # A write in progress may have read the state before this stop was recorded.
@@ -147,6 +151,12 @@ class StopService:
             forgotten = "it was halted, but the stop will not outlast its agent"
             return Refusal(code="journal", reason=f"{forgotten}: {error}")
         return Done()
+
+
+def _known(answer: Message) -> Future[Message]:
+    future: Future[Message] = Future()
+    future.set_result(answer)
+    return future
 
 
 def _both(killing: Future[Message], stored: Future[Message]) -> Future[Message]:

@@ -22,6 +22,7 @@ from nufleet.shared.errors import (
 )
 from nufleet.shared.robots.health import Health
 from nufleet.shared.wire.codec import Message, decode, encode
+from nufleet.shared.wire.frame import new_order_id
 from nufleet.shared.wire.keys import RELEASE, STOP, FleetKeys, principal_of
 from nufleet.shared.wire.limits import MAX_STATES_BYTES
 from nufleet.shared.wire.messages import (
@@ -327,15 +328,23 @@ class Fleet:
                 return found
             time.sleep(FORECAST_LOOK_S)
 
-    def stop(self, robot: str, reason: str, *, kill: bool = False) -> None:
+    def stop(
+        self, robot: str, reason: str, *, kill: bool = False, order_id: str | None = None
+    ) -> None:
         """Stop a robot; return once it confirms the stop, and raise if it does not.
 
         Args:
             robot: Name of the robot.
             reason: Reason for the stop.
             kill: Whether to cut its motors instead of bringing it to rest.
+            order_id: Id of an order of which copies have been sent already; None for a new order.
         """
-        request = StopRequest(sender=self.orchestrator_id, reason=reason, kill=kill)
+        request = StopRequest(
+            sender=self.orchestrator_id,
+            reason=reason,
+            kill=kill,
+            order_id=order_id or new_order_id(),
+        )
         self._session.put_urgent(self._requests.key(robot, STOP), encode(request))
         self._requests.ask(robot, STOP, request, Done)
 

@@ -14,7 +14,7 @@ import click
 from nufleet.orchestrator.fleet.discovery import robots_at
 from nufleet.orchestrator.fleet.orchestrator_id import new_orchestrator_id
 from nufleet.shared.errors import InvalidInputError, NufleetError, RobotLostError
-from nufleet.shared.wire.frame import stop_frame
+from nufleet.shared.wire.frame import new_order_id, stop_frame
 from nufleet.shared.wire.keys import (
     STOP,
     FleetKeys,
@@ -98,21 +98,22 @@ def stop_and_print(
     with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as telling:
         principal = telling.principal
         sender = new_orchestrator_id(principal)
-        order = stop_frame(sender, reason, kill=kill)
+        order = _Order(sender, reason, kill, new_order_id())
+        frame = stop_frame(sender, reason, order_id=order.order_id, kill=kill)
         if telling.identity is not None:
             # A stop asks no questions: another fleet's name is not known to this router anyway.
             fleet_name = telling.identity.fleet
         for key in _keys(robots, fleet_name, principal):
-            telling.put_urgent(key, order)
+            telling.put_urgent(key, frame)
         # Confirmations use a session of their own: a robot that does not read may make the router
         # hold up the session on which the stop was sent.
         with open_client(endpoint, timeout_s=CONNECT_TIMEOUT_S) as asking:
             there = robots_at(asking)
             for fleet, robot in there:
                 if fleet_name in (None, fleet) and (robots is None or robot in robots):
-                    asking.put_urgent(FleetKeys(fleet).command(robot, principal, STOP), order)
+                    asking.put_urgent(FleetKeys(fleet).command(robot, principal, STOP), frame)
             fleets = tuple(sorted({fleet for fleet, _ in there}))
-            confirmed = _all_confirm(asking, fleets, sender, robots, reason, fleet_name, kill=kill)
+            confirmed = _all_confirm(asking, fleets, order, robots, fleet_name)
     if not confirmed:
         _print_failure("Stop these robots by hand.")
     return confirmed
@@ -154,7 +155,8 @@ def stop_robots(fleet: Fleet, robots: tuple[str, ...], reason: str) -> dict[str,
         if why is not None:
             unconfirmed[target.robot] = why
 
-    _stop([_Target(fleet, "", robot) for robot in robots], reason, told)
+    order = _Order(fleet.orchestrator_id, reason, False, new_order_id())
+    _stop([_Target(fleet, "", robot) for robot in robots], order, told)
     return unconfirmed
 
 
@@ -173,6 +175,15 @@ def _keys(robots: tuple[str, ...] | None, fleet_name: str | None, principal: str
     return keys
 
 
+class _Order(NamedTuple):
+    """A stop of which a robot gets several copies, and obeys one."""
+
+    sender: str
+    reason: str
+    kill: bool
+    order_id: str
+
+
 class _Target(NamedTuple):
     fleet: Fleet
     fleet_name: str
@@ -182,24 +193,21 @@ class _Target(NamedTuple):
 def _all_confirm(
     session: Session,
     there: tuple[str, ...],
-    sender: str,
+    order: _Order,
     robots: tuple[str, ...] | None,
-    reason: str,
     fleet_name: str | None,
-    *,
-    kill: bool,
 ) -> bool:
     from nufleet.orchestrator.fleet.client import Fleet
 
     names = there if fleet_name is None else (fleet_name,)
-    fleets = {name: Fleet(session, FleetKeys(name), sender) for name in names}
+    fleets = {name: Fleet(session, FleetKeys(name), order.sender) for name in names}
     asked: set[_Target] = set()
     unconfirmed: set[_Target] = set()
 
     def told(target: _Target, why: str | None) -> None:
         name = target.robot if len(fleets) == 1 else f"{target.fleet_name}/{target.robot}"
         if why is None:
-            click.echo(f"{name} is stopped{', its motors are cut' if kill else ''}", err=True)
+            click.echo(f"{name} is stopped{', its motors are cut' if order.kill else ''}", err=True)
         else:
             unconfirmed.add(target)
             _print_failure(f"{name} DID NOT CONFIRM ITS STOP: {why}")
@@ -207,7 +215,7 @@ def _all_confirm(
     # Repeat until no new robot appears: some may appear while others are being asked.
     while new := [target for target in _targets(fleets, robots) if target not in asked]:
         asked.update(new)
-        _stop(new, reason, told, kill=kill)
+        _stop(new, order, told)
     if not asked:
         session.check_admitted()
         everyone = "all robots" if fleet_name is None else f"all robots of fleet {fleet_name}"
@@ -235,14 +243,14 @@ def _print_failure(sentence: str) -> None:
 
 
 def _stop(
-    targets: list[_Target],
-    reason: str,
-    told: Callable[[_Target, str | None], None],
-    *,
-    kill: bool = False,
+    targets: list[_Target], order: _Order, told: Callable[[_Target, str | None], None]
 ) -> None:
     """Stop all robots at once, and report the answer of each as soon as it is known."""
-    _ask_at_once(targets, lambda target: target.fleet.stop(target.robot, reason, kill=kill), told)
+
+    def ask(target: _Target) -> None:
+        target.fleet.stop(target.robot, order.reason, kill=order.kill, order_id=order.order_id)
+
+    _ask_at_once(targets, ask, told)
 
 
 def _ask_at_once(

@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 
 from nufleet.shared.wire.messages import Outcome, Refusal
 
+STOPS_REMEMBERED = 64
+
 
 @dataclass(frozen=True)
 class StopOrder:
@@ -21,6 +23,9 @@ class StopOrder:
     reason: str
     """Reason that the sender gave."""
 
+    order_id: str | None = None
+    """Id that copies of the order share; None for an order of which no copy is known."""
+
 
 @dataclass(frozen=True)
 class Supervision:
@@ -28,6 +33,9 @@ class Supervision:
 
     stop: StopOrder | None = None
     """Stop in force, latched until a release; None without one."""
+
+    obeyed: tuple[tuple[str, str], ...] = ()
+    """Sender and id of the last stops that were obeyed, the latest last."""
 
     fault: str | None = None
     """Why the robot cannot be trusted to obey, latched until it is reconnected; None when it
@@ -131,10 +139,7 @@ def supervise(state: Supervision, event: Event) -> tuple[Supervision, Halt | Non
     """Return the next state, and the halt that the event requires; None when it requires none."""
     match event:
         case StopOrdered(order):
-            # A second stop is accepted, too; the first order remains the reason that is shown.
-            halted = replace(state, stop=state.stop or order)
-            reason = f"stopped by {order.sender}: {order.reason}"
-            return halted, _halt_if_moving(state, reason)
+            return _stopped(state, order)
         case ReleaseOrdered():
             return replace(state, stop=None), None
         case OwnerLost(owner):
@@ -151,6 +156,15 @@ def supervise(state: Supervision, event: Event) -> tuple[Supervision, Halt | Non
             return replace(state, fault=state.fault or fault), _halt_if_moving(state, fault)
         case HealthReported(unfit):
             return replace(state, unfit=unfit), _halt_if_moving(state, unfit)
+
+
+def is_copy(state: Supervision, order: StopOrder) -> bool:
+    """Return whether a stop is another copy of one that was obeyed.
+
+    A stop is sent on several ways at once. The copy that is the last to arrive must not stop a
+    robot that a person has released meanwhile.
+    """
+    return (order.sender, order.order_id) in state.obeyed
 
 
 def refusal_to_start(state: Supervision, *, owner: str, owner_alive: bool) -> Refusal | None:
@@ -182,6 +196,18 @@ def refusal_to_start(state: Supervision, *, owner: str, owner_alive: bool) -> Re
             reason=f"{owner} has no liveliness token, so its death would not be noticed",
         )
     return None
+
+
+def _stopped(state: Supervision, order: StopOrder) -> tuple[Supervision, Halt | None]:
+    obeyed = state.obeyed
+    if is_copy(state, order):
+        if state.stop is None:
+            return state, None
+    elif order.order_id is not None:
+        obeyed = (*obeyed, (order.sender, order.order_id))[-STOPS_REMEMBERED:]
+    # A second stop is accepted, too; the first order remains the reason that is shown.
+    halted = replace(state, stop=state.stop or order, obeyed=obeyed)
+    return halted, _halt_if_moving(state, f"stopped by {order.sender}: {order.reason}")
 
 
 def _halt_if_moving(state: Supervision, reason: str | None) -> Halt | None:

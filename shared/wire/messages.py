@@ -16,6 +16,7 @@ from nufleet.shared.robots.health import Health
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.strict import Digest, Fraction, Identifier, Name, NonNegative, Reason, Strict
 from nufleet.shared.wire.codec import Bytes, Float64Array, Message
+from nufleet.shared.wire.frame import new_order_id
 from nufleet.shared.wire.motions import (
     MIXTURE_MAX,
     FlightDetails,
@@ -360,6 +361,8 @@ class StopRequest(Message):
     """Why it is stopped."""
     kill: bool = False
     """Whether to cut the motors instead of coming to rest."""
+    order_id: Identifier = Field(default_factory=new_order_id)
+    """Id of the order, the same in every copy of it; an order without an id is a new one."""
 
 
 class ReleaseRequest(Message):

@@ -22,7 +22,7 @@ from nufleet.shared.wire.messages import GoalRequest
 from nufleet.shared.wire.transport import open_client
 
 LONG = Excitation(axis="x", tones=(Tone(omega_rad_s=1.0),), settle_s=60.0)
-STOP = stop_frame("desk", "smoke")
+STOP = stop_frame("desk", "smoke", order_id="1")
 
 READER = """
 import sys

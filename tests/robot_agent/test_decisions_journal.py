@@ -149,6 +149,38 @@ def test_a_stop_that_comes_while_a_release_is_stored_stays(
         begun(decisions, "a")
 
 
+def test_a_copy_of_the_stop_that_a_release_ends_keeps_nobody_stopped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    smoke = StopOrder("alice", "smoke", "1")
+    with agent_on(tmp_path) as decisions:
+        decisions.stop(smoke)
+        decisions.store_stop()
+        with monkeypatch.context() as disk:
+            before_each_write(disk, lambda: decisions.stop(smoke))
+            assert decisions.release("carol") is None
+        decisions.store_stop()  # as the handler of that copy does next
+        assert not decisions.stop(smoke)
+        begun(decisions, "a")
+    with agent_on(tmp_path) as decisions:
+        assert not decisions.stopped
+
+
+def test_a_copy_that_cuts_the_motors_while_a_release_is_stored_ends_the_release(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    smoke = StopOrder("alice", "smoke", "1")
+    with agent_on(tmp_path) as decisions:
+        decisions.stop(smoke, kill=True)
+        decisions.store_stop()
+        with monkeypatch.context() as disk:
+            before_each_write(disk, lambda: decisions.stop(smoke, kill=True))
+            refusal = decisions.release("carol")
+        assert refusal is not None
+        assert refusal.code == "stopped"
+        assert decisions.stopped
+
+
 def test_a_release_that_cannot_be_stored_releases_nobody(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,6 +23,7 @@ from nufleet.robot_agent.stop_service import StopService
 from nufleet.shared import private_files
 from nufleet.shared.errors import MalformedMessageError
 from nufleet.shared.wire.codec import encode
+from nufleet.shared.wire.frame import PROTOCOL_VERSION, framed
 from nufleet.shared.wire.keys import FleetKeys
 from nufleet.shared.wire.messages import (
     Done,
@@ -169,6 +170,35 @@ def test_a_kill_stops_and_cuts_the_motors_and_only_a_reconnection_undoes_it(
     refused, _ = decisions.take(GoalRequest(goal_id="a", owner="o", motion=EXCITATION))
     assert isinstance(refused, Refusal)
     assert refused.code == "fault"
+
+
+def test_a_copy_that_comes_after_the_release_of_its_stop_neither_stops_nor_cuts_motors(
+    stops: StopService, decisions: Decisions, robot: PuppetRobot
+) -> None:
+    for order in (STOP, KILL):
+        assert stops.asked("alice", order).result(PATIENCE_S) == Done()
+        assert decisions.release("alice") is None
+        answer = stops.asked("alice", order).result(PATIENCE_S)
+        assert isinstance(answer, Refusal)
+        assert answer.code == "released"
+        assert answer.reason == "it obeyed this stop, and was released since"
+        stops.heard("nufleet/lab/by/alice/stop", order)
+        assert not decisions.stopped
+    assert isinstance(robot.on_kill, Mock)
+    robot.on_kill.assert_called_once_with()
+
+
+def test_a_stop_that_names_no_order_is_always_obeyed(
+    stops: StopService, decisions: Decisions
+) -> None:
+    stop = framed(
+        b'{"protocol": %d, "type": "StopRequest", "arrays": []}' % PROTOCOL_VERSION,
+        b'{"sender": "alice", "reason": "smoke"}',
+    )
+    for _ in range(2):
+        assert stops.asked("alice", stop).result(PATIENCE_S) == Done()
+        assert decisions.stopped
+        assert decisions.release("alice") is None
 
 
 def test_a_motion_is_halted_before_its_motors_are_cut(

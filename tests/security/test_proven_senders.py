@@ -56,11 +56,12 @@ class Fleetlet:
     def audit(self) -> list[AuditEntry]:
         return list(read_audit_log(self.state_folder / AUDIT_LOG))
 
-    def audited(self, principal: str, asked: str) -> AuditEntry:
+    def audited(self, principal: str, asked: str, about: str) -> AuditEntry:
         """The last entry of a principal that asked for something, once it is written."""
 
         def found() -> list[AuditEntry]:
-            return [e for e in self.audit() if (e.principal, e.asked) == (principal, asked)]
+            searched = (principal, asked, about)
+            return [e for e in self.audit() if (e.principal, e.asked, e.about) == searched]
 
         wait_until(lambda: bool(found()))
         return found()[-1]
@@ -82,8 +83,8 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleetlet]:
 def test_a_goal_moves_the_robot_and_is_written_down(fleet: Fleetlet) -> None:
     desk = fleet.orchestrator("desk")
     assert desk.run("a", "g1").outcome is Outcome.COMPLETED
-    entry = fleet.audited("desk", "goal")
-    assert (entry.sender, entry.about, entry.answer) == (desk.fleet.orchestrator_id, "g1", "done")
+    entry = fleet.audited("desk", "goal", "g1")
+    assert (entry.sender, entry.answer) == (desk.fleet.orchestrator_id, "done")
     assert verified(fleet.state_folder / AUDIT_LOG).broken is None
 
 
@@ -95,7 +96,7 @@ def test_a_goal_that_names_another_owner_is_refused_and_written_down(fleet: Flee
         laptop.fleet.submit("a", request)
     assert raised.value.code == "wrong-sender"
     assert fleet.robot.motions == motions
-    entry = fleet.audited("laptop", "goal")
+    entry = fleet.audited("laptop", "goal", "g2")
     assert entry.sender == desk.fleet.orchestrator_id
     assert entry.answer.startswith("refused wrong-sender")
 
@@ -109,8 +110,8 @@ def test_a_stop_and_a_release_are_attributed_and_limited(fleet: Fleetlet) -> Non
         anna.fleet.release("a")
     released(otto.fleet, "a")
     otto.state("a", lambda state: state.status is RobotStatus.IDLE)
-    assert fleet.audited("anna", "stop").about == "smoke"
-    assert fleet.audited("otto", "release").answer == "done"
+    assert fleet.audited("anna", "stop", "smoke").sender == anna.fleet.orchestrator_id
+    assert fleet.audited("otto", "release", "").answer == "done"
 
 
 def test_a_stop_that_names_another_sender_stops_under_the_name_that_is_proven(
@@ -121,7 +122,7 @@ def test_a_stop_that_names_another_sender_stops_under_the_name_that_is_proven(
     anna.session.put_urgent(KEYS.stop("anna"), order)
     state = anna.state("a", lambda state: state.status is RobotStatus.STOPPED)
     assert state.reason == "stopped by anna.as-desk.x: a lie"
-    assert fleet.audited("anna", "stop").sender == "desk.x"
+    assert fleet.audited("anna", "stop", "a lie").sender == "desk.x"
     released(fleet.orchestrator("desk").fleet, "a")
 
 

@@ -7,6 +7,7 @@ from collections import deque
 import pytest
 
 from nufleet.robot_agent.rules.supervisor import (
+    STOPS_REMEMBERED,
     Event,
     FaultFound,
     Halt,
@@ -137,6 +138,47 @@ def test_a_stop_is_accepted_in_every_state() -> None:
             assert (halt is not None) == (state.motion_owner is not None)
             if halt is not None:
                 assert halt == Halt(Outcome.ABORTED, f"stopped by {order.sender}: {order.reason}")
+
+
+def test_a_copy_of_a_stop_that_was_released_stops_nothing() -> None:
+    order = StopOrdered(StopOrder("alice", "smoke", "1"))
+    for state in STATES:
+        stopped, _ = supervise(state, order)
+        again, _ = supervise(stopped, order)
+        assert again == stopped
+        moving, _ = supervise(stopped, ReleaseOrdered("alice"))
+        moving, _ = supervise(moving, MotionBegan(ME))
+        assert supervise(moving, order) == (moving, None)
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        StopOrder("alice", "smoke", "2"),
+        StopOrder("bob", "smoke", "1"),
+        StopOrder("alice", "smoke"),
+    ],
+)
+def test_any_other_stop_after_a_release_is_obeyed(order: StopOrder) -> None:
+    state = Supervision()
+    for event in (
+        StopOrdered(StopOrder("alice", "smoke", "1")),
+        StopOrdered(StopOrder("alice", "smoke")),
+        ReleaseOrdered("alice"),
+    ):
+        state, _ = supervise(state, event)
+    assert supervise(state, StopOrdered(order))[0].stop == order
+
+
+def test_a_flood_of_stops_takes_no_more_memory_than_the_last_of_them() -> None:
+    state = Supervision()
+    for number in range(2 * STOPS_REMEMBERED):
+        state, _ = supervise(state, StopOrdered(StopOrder("alice", "smoke", str(number))))
+    assert len(state.obeyed) == STOPS_REMEMBERED
+    state, _ = supervise(state, ReleaseOrdered("alice"))
+    forgotten, last = (StopOrder("alice", "smoke", str(n)) for n in (0, 2 * STOPS_REMEMBERED - 1))
+    assert supervise(state, StopOrdered(last))[0].stop is None
+    assert supervise(state, StopOrdered(forgotten))[0].stop == forgotten
 
 
 def test_a_motion_is_halted_by_stop_lost_owner_fault_or_bad_health_and_by_nothing_else() -> None:

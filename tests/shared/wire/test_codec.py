@@ -253,7 +253,7 @@ STRATEGIES: dict[type[Message], st.SearchStrategy[Message]] = {
         AcknowledgeRequest, sender=identifiers, epoch=epochs, goal_ids=goal_ids
     ),
     GoalResult: results(),
-    StopRequest: st.builds(StopRequest, sender=identifiers, reason=sentences),
+    StopRequest: st.builds(StopRequest, sender=identifiers, reason=sentences, order_id=identifiers),
     ReleaseRequest: st.builds(ReleaseRequest, sender=identifiers),
     Done: st.builds(Done),
     RobotState: st.builds(
@@ -692,8 +692,9 @@ def test_a_stop_written_without_pydantic_is_the_stop_that_encode_writes(
     sender: str, reason: str
 ) -> None:
     stop = StopRequest(sender=sender, reason=reason)
-    assert stop_frame(sender, reason) == encode(stop)
-    assert decode(stop_frame(sender, reason), StopRequest) == stop
+    frame = stop_frame(sender, reason, order_id=stop.order_id)
+    assert frame == encode(stop)
+    assert decode(frame, StopRequest) == stop
 
 
 def test_a_field_that_only_the_sender_knows_is_shown_without_its_control_characters() -> None:
