@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -196,6 +196,34 @@ class Robot(ABC):
             angles in rad.
         """
         return np.empty((len(self.spec.axes), 0))
+
+    def run_observed(
+        self, references: FloatArray, observed: Sequence[int]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Follow a whole reference signal, and observe the states before some of its samples.
+
+        Equivalent to `run` and `observe` in turn. A simulator that knows its states all along does
+        better to play the signal at once.
+
+        Args:
+            references: References, shape (samples, axes), in the axes' units.
+            observed: Indices of these samples, rising.
+
+        Returns:
+            The measured outputs, shape (samples, axes), and the states as `observe` measures them,
+            shape (observed, axes, states).
+        """
+        outputs = np.empty_like(references)
+        states = np.empty((len(observed), len(self.spec.axes), len(self.state_names)))
+        done = 0
+        for i, k in enumerate(observed):
+            if k > done:
+                outputs[done:k] = self.run(references[done:k])
+            states[i] = self.observe()
+            done = k
+        if done < len(references):
+            outputs[done:] = self.run(references[done:])
+        return outputs, states
 
     def record(self) -> Record | None:
         """Return the measurements of the frequency test just played, before `rest` is called.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -164,6 +165,12 @@ class DoubleIntegrator(Robot):
 
     def run(self, references: FloatArray) -> FloatArray:
         """Follow a whole reference signal; references and outputs have shape (samples, 1), in m."""
+        return self.run_observed(references, ())[0]
+
+    def run_observed(
+        self, references: FloatArray, observed: Sequence[int]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Follow a whole reference signal, and observe the states before some of its samples."""
         if self._state is None:
             raise RobotError("the simulated double integrator is not connected")
         if not np.isfinite(references).all():
@@ -175,18 +182,20 @@ class DoubleIntegrator(Robot):
         k_p, k_d = settings.k_p, settings.k_d / step_s
         position, speed, last_error = self._state
         noise = self._take_noise(len(references))
-        measured = []
+        measured, speeds = [], []
         # Python floats take about a microsecond per sample, a hundred times less than small arrays.
         for y_r, noise_m in zip(references[:, 0].tolist(), noise.tolist(), strict=True):
             y_a = position + noise_m
             measured.append(y_a)
+            speeds.append(speed)
             error = y_r - y_a
             u = k_p * error + k_d * (error - last_error)
             position += a_12 * speed + b_1 * u
             speed = a_22 * speed + b_2 * u
             last_error = error
         self._state = (position, speed, last_error)
-        return np.array(measured)[:, None]
+        states = np.array([[[measured[k], speeds[k]]] for k in observed])
+        return np.array(measured)[:, None], states.reshape(len(observed), 1, len(STATE_NAMES))
 
     def _draw_noise(self, samples: int) -> FloatArray:
         return self._settings.noise_std_m * self._rng.standard_normal(samples)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,8 +90,15 @@ class SimulatedRobot(Robot):
 
     def run(self, references: FloatArray) -> FloatArray:
         """Follow a whole reference signal; references and outputs have shape (samples, axes)."""
+        return self.run_observed(references, ())[0]
+
+    def run_observed(
+        self, references: FloatArray, observed: Sequence[int]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Follow a whole reference signal, and observe the states before some of its samples."""
         noise = self._noise.take(len(references))
-        return np.asarray(self._advance(references)[:, :, 0] + noise[:, :, 0])
+        states, seen = self._advance(references), list(observed)
+        return np.asarray(states[:, :, 0] + noise[:, :, 0]), states[seen] + noise[seen]
 
     def rest(self) -> None:
         """Return to the origin along a smooth path and wait there until nothing moves any more."""

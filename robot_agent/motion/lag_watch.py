@@ -45,23 +45,35 @@ class LagWatch:
         """Return whether a batch needs no closer look; if so, it is taken."""
         if math.isinf(self._reach):
             return True
-        moved = float(np.abs(outputs - self._rests_at).max())
-        if self._left == 0:
-            if moved > LAG_RATIO * self._moved:
+        away = np.abs(outputs - self._rests_at)
+        # From the first covered sample on, the output may stay at rest for `_left` samples.
+        covered = self._first_covered(references)
+        resting = min(len(away), covered + self._left) if self._left else 0
+        moved = max(self._moved, float(away[:resting].max(initial=0.0)))
+        if resting < len(away):
+            if away[resting:].max() > LAG_RATIO * moved:
                 return False
             self._late = 0
-        else:
-            low = min(self._low, float(references.min()))
-            high = max(self._high, float(references.max()))
-            covered = self._high - self._low >= self._reach
-            if covered != (high - low >= self._reach) or (covered and len(outputs) > self._left):
-                return False
-            self._low, self._high, self._moved = low, high, max(self._moved, moved)
-            self._left -= len(outputs) if covered else 0
-            if self._began < 0 and references.any():
-                self._began = self._sample + 1 + int(np.argmax(references != 0.0))
+        self._moved = moved
+        self._left -= max(0, resting - covered)
+        self._low = min(self._low, float(references.min()))
+        self._high = max(self._high, float(references.max()))
+        if self._began < 0 and references.any():
+            self._began = self._sample + 1 + int(np.argmax(references != 0.0))
         self._sample += len(outputs)
         return True
+
+    def _first_covered(self, references: FloatArray) -> int:
+        """Return by which sample of a batch its reference has covered enough; its length if none.
+
+        Enough is `LAG_SHARE` of its range.
+        """
+        if self._high - self._low >= self._reach:
+            return 0
+        highest = np.maximum(np.maximum.accumulate(references), self._high)
+        lowest = np.minimum(np.minimum.accumulate(references), self._low)
+        covered = highest - lowest >= self._reach
+        return int(np.argmax(covered)) if covered[-1] else len(references)
 
     def take(self, reference: float, output: float) -> int | None:
         """Take a sample; return by how many the output is late, once it is certain that it is."""

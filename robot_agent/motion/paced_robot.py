@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -19,6 +19,16 @@ def play(robot: Robot, references: FloatArray) -> FloatArray:
     if len(references) > 1:
         return robot.run(references)
     return robot.step(references[0])[np.newaxis]
+
+
+def play_observed(
+    robot: Robot, references: FloatArray, observed: Sequence[int]
+) -> tuple[FloatArray, FloatArray]:
+    """Play one batch as `play` does, and observe the states as `Robot.run_observed` does."""
+    if len(references) > 1:
+        return robot.run_observed(references, observed)
+    states = [robot.observe() for _ in observed]
+    return play(robot, references), np.array(states)
 
 
 class Halted(Exception):  # noqa: N818 - not an error: the end was requested

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
 
 from nufleet.robot_agent.motion.monitored_robot import begun
 from nufleet.robot_agent.motion.pace import HaltSwitch, Pace
-from nufleet.robot_agent.motion.paced_robot import Halted, play
+from nufleet.robot_agent.motion.paced_robot import Halted, play, play_observed
 from nufleet.robot_agent.motion.resampling import outputs_at_samples
 from nufleet.robot_agent.motion.steps import Steps, make
 from nufleet.robot_agent.robot import Robot
@@ -228,13 +227,12 @@ class AxisMotion:
         whole = np.zeros((len(self._reference), len(self._robot.spec.axes)))
         whole[:, columns] = self._reference.reshape(len(whole), len(columns))
         _, monitor = begun(self._robot, whole, flight=False)
-        for start, stop in self._batches():
+        for batch in self._pace.batches(len(self._reference)):
             if self._switch.order is not None:
                 return self._switch.order
-            references = whole[start:stop]
-            if self._states is not None and start % OBSERVE_SAMPLES < OBSERVE_RUN:
-                self._states[start] = self._robot.observe()[columns, :]
-            measured = play(self._robot, references)
+            start, stop = batch.start, batch.stop
+            references = whole[batch]
+            measured = self._played(references, start)
             failure = monitor.check(references, measured)
             good = stop - start if failure is None else failure.good
             played = measured[:good, columns]
@@ -247,14 +245,12 @@ class AxisMotion:
                 raise failure.error
         return Outcome.COMPLETED, ""
 
-    def _batches(self) -> Iterator[tuple[int, int]]:
-        """Yield start and stop of the next samples to play, from one observation to the next."""
-        observed = [] if self._states is None else _observed(len(self._reference))
-        for batch in self._pace.batches(len(self._reference)):
-            inside = [k for k in observed if batch.start < k < batch.stop]
-            yield from pairwise([batch.start, *inside, batch.stop])
-
-
-def _observed(samples: int) -> list[int]:
-    """Return the samples of a test at which the states are observed."""
-    return [k for k in range(samples) if k % OBSERVE_SAMPLES < OBSERVE_RUN]
+    def _played(self, references: FloatArray, start: int) -> FloatArray:
+        """Play one batch, whose first sample is `start`; return the outputs, (samples, axes)."""
+        every = range(start, start + len(references))
+        observed = [k for k in every if k % OBSERVE_SAMPLES < OBSERVE_RUN]
+        if self._states is None or not observed:
+            return play(self._robot, references)
+        outputs, states = play_observed(self._robot, references, [k - start for k in observed])
+        self._states[observed] = states[:, self._columns, :]
+        return outputs

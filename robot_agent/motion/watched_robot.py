@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -142,6 +142,14 @@ class WatchedRobot(RobotAround):
         lasts_s = len(references) * self._robot.spec.sample_time_s
         with self._calling("run", self._sample_max_s + lasts_s):
             return self._robot.run(references)
+
+    def run_observed(
+        self, references: FloatArray, observed: Sequence[int]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Follow a whole reference signal, and observe the states before some of its samples."""
+        lasts_s = len(references) * self._robot.spec.sample_time_s
+        with self._calling("run", self._sample_max_s + lasts_s):
+            return self._robot.run_observed(references, observed)
 
     def observe(self) -> FloatArray:
         """Measure the state now, shape (axes, states)."""

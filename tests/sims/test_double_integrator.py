@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.signal import dlsim
 
+from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
 from nufleet.sims.double_integrator import (
@@ -161,6 +162,16 @@ def test_observing_shows_the_output_that_the_next_step_returns_and_changes_nothi
     outputs = observed.run(rest)
     assert outputs[0, 0] == seen
     np.testing.assert_array_equal(outputs, left_alone.run(rest))
+
+
+def test_states_observed_on_the_way_are_those_observed_between_two_runs() -> None:
+    references, observed = random_reference(90), (0, 1, 2, 64, 89)
+    at_once, in_parts = robot_with(noise_std_m=0.01), robot_with(noise_std_m=0.01)
+    outputs, states = at_once.run_observed(references, observed)
+    expected = Robot.run_observed(in_parts, references, observed)
+    np.testing.assert_array_equal(outputs, expected[0])
+    np.testing.assert_array_equal(states, expected[1])
+    np.testing.assert_array_equal(at_once.observe(), in_parts.observe())
 
 
 def test_the_observed_speed_is_the_rate_of_the_position() -> None:

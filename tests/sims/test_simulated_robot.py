@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from nufleet.robot_agent.robot import Robot
 from nufleet.shared.arrays import FloatArray
 from nufleet.shared.errors import RobotError
 from nufleet.shared.robots.spec import AxisSpec, RobotSpec
@@ -141,6 +142,16 @@ def test_what_is_observed_is_what_the_next_step_returns() -> None:
         seen = cart.observe()
         np.testing.assert_array_equal(cart.observe(), seen)
         assert cart.step(np.array([0.1 * k])) == seen[:, 0]
+
+
+def test_states_observed_on_the_way_are_those_observed_between_two_runs() -> None:
+    references, observed = np.linspace(0.0, 1.0, 40)[:, np.newaxis], (0, 7, 39)
+    at_once, in_parts = connected(), connected()
+    outputs, states = at_once.run_observed(references, observed)
+    expected = Robot.run_observed(in_parts, references, observed)
+    np.testing.assert_array_equal(outputs, expected[0])
+    np.testing.assert_array_equal(states[:, :, 0], expected[1][:, :, 0])
+    assert states.shape == (3, 1, 2)
 
 
 def test_no_samples_give_no_outputs() -> None:

@@ -76,6 +76,16 @@ def test_samples_in_batches_are_late_by_as_much_as_one_by_one(
     assert late_by(reference, output, batch) == late_by(reference, output, 1)
 
 
+@pytest.mark.parametrize("batch", [13, 256])
+def test_no_batch_of_a_robot_that_follows_needs_a_closer_look(batch: int) -> None:
+    reference = tone(2.0, 1.0)
+    output = answer(reference, 0.7, 1.0)
+    output += 1e-3 * np.random.default_rng(0).standard_normal(len(output))
+    watch = LagWatch(0.0, float(np.ptp(reference)), SETTLING)
+    for start in range(0, len(reference), batch):
+        assert watch.none_in(reference[start : start + batch], output[start : start + batch])
+
+
 @pytest.mark.parametrize("ramp_s", RAMPS_S)
 @pytest.mark.parametrize("damping", [0.03, 0.5, 1.0])
 @pytest.mark.parametrize("settling_s", [1.0, 10.0])

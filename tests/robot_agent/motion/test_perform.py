@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
+from collections.abc import Sequence
 from types import SimpleNamespace
 
 import numpy as np
@@ -123,6 +124,30 @@ def test_a_simulation_plays_large_batches_and_a_real_robot_single_samples() -> N
     played(real)
     assert max(fast.batches) == CHUNK_SAMPLES
     assert set(real.batches) == {1}
+
+
+def test_a_simulation_is_not_called_more_often_because_its_states_are_observed() -> None:
+    calls: list[int] = []
+
+    class Counted(DoubleIntegrator):
+        def run_observed(
+            self, references: FloatArray, observed: Sequence[int]
+        ) -> tuple[FloatArray, FloatArray]:
+            calls.append(len(references))
+            return super().run_observed(references, observed)
+
+    robot = Counted(DoubleIntegratorSettings(alpha=0.85, beta=0.003), np.random.default_rng(5))
+    robot.connect()
+    motion = AxisMotion(
+        robot, ["x"], SINE, realtime=None, switch=HaltSwitch(), on_samples=lambda *_: None
+    )
+    assert motion.play() == (Outcome.COMPLETED, "")
+    assert calls == [CHUNK_SAMPLES] * 3 + [len(SINE) - 3 * CHUNK_SAMPLES]
+    states = motion.measured().states
+    assert states is not None
+    seen = np.isfinite(states).all(axis=(1, 2))
+    np.testing.assert_array_equal(seen, np.arange(len(SINE)) % 64 < 3)
+    np.testing.assert_array_equal(states[seen, 0, 0], motion.measured().response[seen])
 
 
 class Clock(HaltSwitch):
