@@ -95,12 +95,13 @@ class ErrorBasis:
             # Means of the reference over the lags from one node's next to the other. With g linear
             # between nodes, its differences are constant there, and summation by parts turns
             # Σ g(j) Δu(k − j) into a sum over these means, each times a change of g.
-            between = [
-                (total[start - a : end - a] - total[start - b : end - b]) / (b - a)
-                for a, b in pairwise(nodes)
-            ]
-            boxes = np.stack([known[start:end], *between, known[start - last : end - last]], axis=1)
-            yield np.concatenate([boxes[:, :-1] - boxes[:, 1:], boxes[:, -1:]], axis=1)
+            boxes = np.empty((self.size, end - start))
+            boxes[0], boxes[-1] = known[start:end], known[start - last : end - last]
+            for box, (a, b) in zip(boxes[1:-1], pairwise(nodes), strict=True):
+                np.subtract(total[start - a : end - a], total[start - b : end - b], out=box)
+                np.divide(box, b - a, out=box)
+            boxes[:-1] -= boxes[1:]
+            yield boxes.T
 
     def response(self, omega_rad_s: FloatArray) -> ComplexArray:
         """Return the matrix X of the error's frequency response X x; the loop's is z = 1 − X x.

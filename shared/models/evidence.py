@@ -174,22 +174,34 @@ def _held(basis: ErrorBasis, reference: FloatArray) -> FloatArray:
     Krasnosel'skii and Pokrovskii, Systems with Hysteresis, 1989). Neither this distance nor what
     the loop makes of it is known. Several distances, each with several lags, nearly span both.
     """
-    columns = []
-    for reach in float(np.std(reference)) * np.array(_HELD):
-        place, places = float(reference[0]), []
-        nearest = zip((reference - reach).tolist(), (reference + reach).tolist(), strict=True)
-        for low, high in nearest:
-            if place < low:
-                place = low
-            elif place > high:
-                place = high
-            places.append(place)
-        slack = reference - places
-        for late in _LATE:
-            lag = min(round(late * basis.settling_time_s / basis.sample_time_s), len(slack))
-            columns.append(np.pad(slack, (lag, 0))[: len(slack)])
-    held = np.stack(columns, axis=1)
-    return np.asarray(held - held.mean(axis=0))
+    reaches = float(np.std(reference)) * np.array(_HELD)[:, np.newaxis]
+    slacks = reference - _held_within(reference - reaches, reference + reaches)
+    held = np.zeros((len(_HELD), len(_LATE), len(reference)))
+    for columns, late in zip(held.swapaxes(0, 1), _LATE, strict=True):
+        lag = min(round(late * basis.settling_time_s / basis.sample_time_s), len(reference))
+        columns[:, lag:] = slacks[:, : len(reference) - lag]
+    held -= held.mean(axis=2, keepdims=True)
+    return held.reshape(-1, len(reference)).T
+
+
+def _held_within(lowest: FloatArray, highest: FloatArray) -> FloatArray:
+    """Return where something lies that bounds push before them, all of shape (rows, samples).
+
+    It begins within the first bounds, and moves only where it must. What the bounds of several
+    samples in a row do to any place is to bound it, too, so that doubling the number of samples
+    gives all places in a few steps.
+    """
+    low, high = lowest.copy(), highest.copy()
+    low[:, 0] = high[:, 0] = (lowest[:, 0] + highest[:, 0]) / 2
+    step = 1
+    while step < low.shape[1]:
+        before_low, before_high = low[:, :-step].copy(), high[:, :-step].copy()
+        after_low, after_high = low[:, step:], high[:, step:]
+        np.clip(before_low, after_low, after_high, out=before_low)
+        np.clip(before_high, after_low, after_high, out=before_high)
+        low[:, step:], high[:, step:] = before_low, before_high
+        step *= 2
+    return low
 
 
 def _beyond(
