@@ -137,6 +137,7 @@ class ForecastService:
     def _begun(self, key: str, request: ForecastRequest) -> _Job:
         planner, memory = self._planner, self._planner.memory
         refused = [self._refused(way, request) for way in request.ways]
+        records, priors = memory.exported()
         if not memory.flown_s:
             reason = "it knows nothing of itself yet: let it fly a path, or a rich flight, first"
             nothing = Foreseen(code="no-own-model", reason=reason)
@@ -146,7 +147,6 @@ class ForecastService:
             way for way, found in zip(request.ways, refused, strict=True) if found is None
         )
         if open_ways:
-            records, priors = memory.exported()
             task = RehearsalTask(
                 spec=planner.spec,
                 state_names=planner.state_names,

@@ -16,11 +16,10 @@ import numpy as np
 
 from nufleet.robot_agent.decisions import Assignment, Decisions
 from nufleet.robot_agent.flight.flights import performance_of
-from nufleet.robot_agent.flight.learning import learn
-from nufleet.robot_agent.flight.memory import Memory
+from nufleet.robot_agent.flight.memory import Memory, MemoryFolderError
 from nufleet.robot_agent.flight.mixture_learner import experts_of
 from nufleet.robot_agent.flight.online_gp import Correction
-from nufleet.robot_agent.flight.state_model import state_evidence
+from nufleet.robot_agent.flight.unread import unread_test
 from nufleet.robot_agent.motion.excitation import reference_of
 from nufleet.robot_agent.motion.perform import AxisMotion, Performance, Played, Samples, performed
 from nufleet.robot_agent.motion.sortie import Sortie
@@ -235,30 +234,27 @@ class MotionWorker:
             )
         telemetry.flush()
         if isinstance(assignment.plan, ExcitationPlan) and played.outcome is Outcome.COMPLETED:
-            self._learn_from_test(assignment.plan, played.samples)
+            self._keep_test(assignment.plan, played.samples)
         return played
 
-    def _learn_from_test(self, plan: ExcitationPlan, samples: Samples) -> None:
-        """Add a frequency test to the robot's model of itself."""
-        spec, names = self._robot.spec, [axis.name for axis in self._robot.spec.axes]
-        columns = [names.index(played.axis) for played in plan.played]
-        references, outputs = np.zeros((2, len(samples.reference), len(names)))
-        references[:, columns] = samples.reference.reshape(len(references), -1)
-        outputs[:, columns] = samples.response.reshape(len(outputs), -1)
-        states = {}
-        for place, (column, played) in enumerate(zip(columns, plan.played, strict=True)):
-            if samples.states is None:
-                continue
-            seen = state_evidence(
-                self._robot.state_names,
-                outputs[:, column],
-                samples.states[:, place],
-                spec.sample_time_s,
-                max(tone.omega_rad_s for tone in played.tones),
+    def _keep_test(self, plan: ExcitationPlan, samples: Samples) -> None:
+        """Keep a frequency test, which the robot learns from when it is asked about itself."""
+        if self._robot.spec.tracking is None:
+            return  # it flies no paths, and needs no model of itself
+        count, states = len(samples.reference), samples.states
+        try:
+            self._memory.keep_test(
+                unread_test(
+                    self._robot.spec,
+                    self._robot.state_names,
+                    {one.axis: max(t.omega_rad_s for t in one.tones) for one in plan.played},
+                    samples.reference.reshape(count, -1),
+                    samples.response.reshape(count, -1),
+                    states,
+                )
             )
-            if seen is not None:
-                states[played.axis] = seen
-        learn(self._memory, spec, references, outputs, states)
+        except MemoryFolderError as error:
+            _log.warning("a test taught nothing: %s", error)
 
     def _performance(self, assignment: Assignment, telemetry: TelemetryBatcher) -> Performance:
         def on_samples(first: int, reference: FloatArray, response: FloatArray) -> None:

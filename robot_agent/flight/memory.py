@@ -6,6 +6,7 @@ replaced as a whole and begins with the sha256 of its content, so that no damage
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,7 +23,8 @@ from nufleet.robot_agent.flight.own_model import (
     with_unexplained,
 )
 from nufleet.robot_agent.flight.state_model import StateEvidence, StateModel, state_model
-from nufleet.shared.errors import MalformedMessageError, NufleetError
+from nufleet.robot_agent.flight.unread import UnreadTest, UnreadTests
+from nufleet.shared.errors import InvalidInputError, MalformedMessageError, NufleetError
 from nufleet.shared.experience.file import (
     EXPERIENCE_BYTES_MAX,
     Experience,
@@ -46,6 +48,9 @@ _SHA256_BYTES = 32
 _OWN_BYTES_MAX = 64 * 2**20
 _ARCHITECTURES: tuple[Architecture, ...] = ("state", "preview")
 _RECORDS: TypeAdapter[dict[Name, AxisRecord]] = TypeAdapter(dict[Name, AxisRecord])
+_NOTHING = digest(b"")
+
+_log = logging.getLogger(__name__)
 
 
 class MemoryFolderError(NufleetError):
@@ -91,10 +96,18 @@ class Memory:
         self._kept: dict[str, Kept] = {}
         self._records: Mapping[str, AxisRecord] = {}
         self._settled: Settled | None = None
+        self._own_sha256 = _NOTHING
+        self._unread = UnreadTests(None, _NOTHING)
         if folder is not None:
             try:
                 make_private_folder(folder)
                 self._read(folder)
+                self._unread = UnreadTests(folder, self._own_sha256)
+            except MalformedMessageError as error:
+                raise MemoryFolderError(
+                    f"{folder}: tests cannot be read: {error}; remove `unread-*{_SUFFIX}` there, "
+                    "the robot relearns from its next motions"
+                ) from error
             except OSError as error:
                 raise MemoryFolderError(
                     f"{folder}: {error.strerror}; choose a writable folder with NUFLEET_STATE, or "
@@ -105,8 +118,12 @@ class Memory:
         """Return what another process needs to fly as this robot does: see `imported`.
 
         These are what is known of each axis, as JSON, and the files of all priors in their order.
+
+        Raises:
+            MemoryFolderError: What was found cannot be stored.
         """
         with self._lock:
+            self._read_tests()
             records = _RECORDS.dump_json(dict(self._records))
         return records, tuple(prior.payload for prior in self.priors)
 
@@ -147,10 +164,11 @@ class Memory:
     def flown_s(self) -> Mapping[str, float]:
         """Duration in s of the motions that involve each axis, by its name; empty before any."""
         with self._lock:
-            return {
-                axis: sum(e.flown_s for e in (record.settled, record.new) if e is not None)
-                for axis, record in self._records.items()
-            }
+            flown_s = dict(self._unread.flown_s)
+            for axis, record in self._records.items():
+                known = (e.flown_s for e in (record.settled, record.new) if e is not None)
+                flown_s[axis] = sum(known, flown_s.get(axis, 0.0))
+            return flown_s
 
     def own_model(self, spec: RobotSpec) -> Settled:
         """Return the robot's model of itself; the first call after a motion takes a while.
@@ -162,6 +180,7 @@ class Memory:
             MemoryFolderError: What was found cannot be stored.
         """
         with self._lock:
+            self._read_tests()
             if self._settled is None:
                 settled = settle(self._records, spec)
                 if dict(settled.records) != self._records:
@@ -273,12 +292,24 @@ class Memory:
             MemoryFolderError: It cannot be stored.
         """
         with self._lock:
-            records = dict(self._records)
-            for axis, new in evidence.items():
-                seen = (states or {}).get(axis)
-                across = (crosses or {}).get(axis)
-                records[axis] = records.get(axis, AxisRecord()).with_new(new, seen, across)
-            self._keep_records(records)
+            self._read_tests()
+            self._keep_records(_with_new(self._records, evidence, states or {}, crosses or {}))
+            self._settled = None
+
+    def keep_test(self, test: UnreadTest) -> None:
+        """Store a frequency test, from which the robot learns when it next looks at its model.
+
+        Raises:
+            MemoryFolderError: It cannot be stored.
+        """
+        with self._lock:
+            try:
+                if not self._unread.add(test):
+                    self._read_tests(test)
+            except OSError as error:
+                raise MemoryFolderError(
+                    f"{self._folder}: a test cannot be written: {error.strerror}"
+                ) from error
             self._settled = None
 
     def forget_own_model(self) -> None:
@@ -288,6 +319,7 @@ class Memory:
             MemoryFolderError: It cannot be removed.
         """
         with self._lock:
+            self._forget_tests(_NOTHING)
             self._keep_records({})
             self._settled = None
 
@@ -303,9 +335,33 @@ class Memory:
                 self._keep_records(settled.records)
                 self._settled = settled
 
+    def _read_tests(self, *more: UnreadTest) -> None:
+        """Learn from the tests that were kept, and from more; one that teaches nothing is named."""
+        if not (more or len(self._unread)):
+            return
+        records = self._records
+        for test in (*self._unread.tests(), *more):
+            try:
+                records = _with_new(records, *test.shown())
+            except InvalidInputError as error:
+                _log.warning("a test taught nothing: %s", error)
+        self._keep_records(records)
+        self._settled = None
+
     def _keep_records(self, records: Mapping[str, AxisRecord]) -> None:
-        self._write(_OWN, _RECORDS.dump_json(dict(records)))
-        self._records = dict(records)
+        """Store what is known of each axis, with what all tests have shown that were kept."""
+        data = _RECORDS.dump_json(dict(records))
+        self._write(_OWN, data)
+        self._records, self._own_sha256 = dict(records), digest(data)
+        self._forget_tests(self._own_sha256)
+
+    def _forget_tests(self, adds_to: str) -> None:
+        try:
+            self._unread.forget(adds_to)
+        except OSError as error:
+            raise MemoryFolderError(
+                f"{self._folder}: tests cannot be removed: {error.strerror}"
+            ) from error
 
     def _keep(self, name: str, kept: Kept) -> Kept:
         with self._lock:
@@ -337,6 +393,7 @@ class Memory:
         path = folder / f"{_OWN}{_SUFFIX}"
         records = _stored(path, _OWN_BYTES_MAX, "the robot relearns it from its next motions")
         if records is not None:
+            self._own_sha256 = digest(records)
             try:
                 self._records = _RECORDS.validate_json(records)
             except ValidationError as error:
@@ -344,6 +401,20 @@ class Memory:
                     f"{path} cannot be read: {describe_validation(error)}; remove it, the robot "
                     "relearns it from its next motions"
                 ) from error
+
+
+def _with_new(
+    records: Mapping[str, AxisRecord],
+    evidence: Mapping[str, Evidence],
+    states: Mapping[str, StateEvidence],
+    crosses: Mapping[str, Crosses],
+) -> dict[str, AxisRecord]:
+    """Return records after one more motion, with what it shows of each axis by the axis's name."""
+    found = dict(records)
+    for axis, new in evidence.items():
+        before = found.get(axis, AxisRecord())
+        found[axis] = before.with_new(new, states.get(axis), crosses.get(axis))
+    return found
 
 
 def _stored(path: Path, bytes_max: int, remedy: str) -> bytes | None:
