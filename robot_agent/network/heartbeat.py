@@ -1,9 +1,9 @@
 """Publishes the states of the robots of one session: at every change, and twice a second.
 
 A state that says something new is sent by itself and at once. In an open fleet, those that only say
-that their robots are still there share messages: most of what a heartbeat costs the agent, the
-router and each orchestrator is the message, not the state in it. One thread beats for all robots of
-a session, because what remains is mostly the waking up of threads.
+that their robots are still there, or how far they have come, share messages: most of what a
+heartbeat costs the agent, the router and each orchestrator is the message, not the state in it. One
+thread beats for all robots of a session, because what remains is mostly the waking up of threads.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class _Member:
     publisher: Publisher
     state: Callable[[], RobotState]
     heard: OnState
-    said: RobotState | None = None
+    said: dict[str, object] | None = None
     sent_s: float = 0.0
 
     def send(self, state: RobotState) -> None:
@@ -195,9 +195,9 @@ class _Change(threading.Event):
         self._mark()
 
 
-def _lasting(state: RobotState) -> RobotState:
+def _lasting(state: RobotState) -> dict[str, object]:
     """Return a state without what changes with time alone."""
-    return state.model_copy(update={"sequence": 0, "robot_time_s": 0.0})
+    return {**dict(state), "sequence": 0, "robot_time_s": 0.0, "progress": 0.0}
 
 
 def _unsent(error: NufleetError) -> None:

@@ -146,6 +146,24 @@ def test_robots_that_rest_share_a_message(wire: Wire, heartbeat: Heartbeat) -> N
     assert sorted(one.robot for one in wire.alone) == sorted(one.name for one in machines)
 
 
+def test_how_far_robots_have_come_is_said_in_common_messages(
+    wire: Wire, heartbeat: Heartbeat
+) -> None:
+    machines = [Machine(f"r{k}") for k in range(16)]
+    joined(heartbeat, *machines)
+    for progress in (0.2, 0.4):
+        for machine in machines:
+            machine.progress = progress
+        wait_until(
+            lambda: any(
+                len(many) == len(machines)
+                and all(one.progress == machines[0].progress for one in many.values())
+                for many in wire.together
+            )
+        )
+    assert len(wire.alone) == len(machines), "each said by itself that it is there, and no more"
+
+
 def test_what_is_longer_than_a_message_is_sent_in_several(
     wire: Wire, heartbeat: Heartbeat, monkeypatch: pytest.MonkeyPatch
 ) -> None:
