@@ -289,6 +289,7 @@ class MotionWorker:
                 realtime=self._realtime,
                 switch=assignment.switch,
                 on_samples=on_samples,
+                watched=lambda: telemetry.heard,
             )
         return performance_of(
             motion,

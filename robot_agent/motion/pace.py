@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from nufleet.shared.robots.spec import RobotSpec
 from nufleet.shared.wire.messages import Outcome
@@ -25,6 +25,10 @@ BATCH_S = 0.2
 """Time that a paced simulation plays at once, when its references are known ahead. A robot that
 wakes for every sample of 15 ms takes several times as much processor time; watched live, five
 pictures per second still look like a motion."""
+
+UNWATCHED_BATCH_S = 1.0
+"""The same while nobody watches. A stop does not wait for the end of a batch, since a batch is
+played when its last sample is due; what a stop finds unplayed is never played."""
 
 
 class HaltSwitch:
@@ -64,7 +68,13 @@ class Pace:
     robot paces itself; its samples are only checked for gaps.
     """
 
-    def __init__(self, spec: RobotSpec, realtime: float | None, switch: HaltSwitch) -> None:
+    def __init__(
+        self,
+        spec: RobotSpec,
+        realtime: float | None,
+        switch: HaltSwitch,
+        watched: Callable[[], bool] = lambda: True,
+    ) -> None:
         """Prepare for one motion.
 
         Args:
@@ -72,7 +82,9 @@ class Pace:
             realtime: Multiple of real time at which a simulated robot plays; None for as fast as
                 it can. Ignored for a real robot.
             switch: Switch of the motion; a gap between samples throws it.
+            watched: Function that returns whether anybody watches the samples.
         """
+        self._watched = watched
         self.free = realtime is None and spec.simulated
         self._waits = spec.simulated
         self._period_s = spec.sample_time_s / (realtime if realtime and spec.simulated else 1.0)
@@ -84,7 +96,7 @@ class Pace:
         """Yield the samples of a signal that is known ahead in batches, each when it is due.
 
         A simulation that runs as fast as it can plays many at once, and a paced one those that have
-        become due in the last `BATCH_S`. A real robot plays one by one.
+        become due in the last `BATCH_S`, or `UNWATCHED_BATCH_S`. A real robot plays one by one.
 
         Args:
             samples: Length of the signal.
@@ -112,11 +124,13 @@ class Pace:
         played = 1
         if self._waits:
             if self._samples:
-                played = max(1, min(most, round(BATCH_S / self._period_s)))
+                batch_s = BATCH_S if self._watched() else UNWATCHED_BATCH_S
+                played = max(1, min(most, round(batch_s / self._period_s)))
             last_due_s = self._due_s + (played - 1) * self._period_s
             self._switch.wait(max(0.0, last_due_s - time.monotonic()))
         now_s = time.monotonic()
-        if now_s - self._last_s > GAP_MAX_S + self._period_s:
+        waited_s = max(self._period_s, played * self._period_s - BATCH_S)
+        if now_s - self._last_s > GAP_MAX_S + waited_s:
             gap = f"nothing happened for {now_s - self._last_s:.1f} s before sample {self._samples}"
             self._switch.halt(Outcome.ABORTED, gap)
         due_s = max(self._due_s, now_s - CATCH_UP_MAX_S)

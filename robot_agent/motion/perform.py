@@ -183,6 +183,7 @@ class AxisMotion:
         realtime: float | None,
         switch: HaltSwitch,
         on_samples: OnSamples,
+        watched: Callable[[], bool] = lambda: True,
     ) -> None:
         """Prepare the motion.
 
@@ -196,12 +197,14 @@ class AxisMotion:
             switch: Switch that ends the motion early.
             on_samples: Callback that receives each batch: the index of its first sample, and its
                 references and outputs, both shaped like the reference.
+            watched: Function that returns whether anybody watches them; if not, a paced simulation
+                may play more of them at once.
         """
         self._robot, self._reference = robot, reference
         names = [known.name for known in robot.spec.axes]
         self._columns = tuple(names.index(axis) for axis in axes)
         self._switch, self._on_samples = switch, on_samples
-        self._pace = Pace(robot.spec, realtime, switch)
+        self._pace = Pace(robot.spec, realtime, switch, watched)
         self._response = np.empty_like(reference)
         states = len(robot.state_names)
         shape = (len(reference), len(axes), states)

@@ -19,7 +19,10 @@ _log = logging.getLogger(__name__)
 
 
 class TelemetryBatcher:
-    """Collects samples and publishes them at most every `PERIOD_S`; used from one thread."""
+    """Collects samples and publishes them at most every `PERIOD_S`; used from one thread.
+
+    `heard` says whether anybody listened when a batch was due last; until then, somebody may.
+    """
 
     def __init__(
         self,
@@ -42,6 +45,7 @@ class TelemetryBatcher:
         self._last_s = clock()
         self._first = 0
         self._parts: list[tuple[FloatArray, ...]] = []
+        self.heard = True
 
     def add(self, first: int, *signals: FloatArray) -> None:
         """Add samples that follow the previous ones, and publish the batch when it is due.
@@ -64,7 +68,8 @@ class TelemetryBatcher:
         self._last_s = self._clock()
         parts, self._parts = self._parts, []
         try:
-            if parts and self._publisher.heard:
+            self.heard = self._publisher.heard
+            if parts and self.heard:
                 signals = tuple(np.concatenate(signal) for signal in zip(*parts, strict=True))
                 self._publisher.put(encode(self._make(self._first, signals)))
         except TransportError as error:

@@ -37,6 +37,7 @@ def played(
     axis: str = "x",
     realtime: float | None = None,
     switch: HaltSwitch | None = None,
+    watched: bool = True,
 ) -> Played:
     """Play and check what holds for every motion; return it."""
     batches: list[tuple[int, FloatArray, FloatArray]] = []
@@ -48,7 +49,13 @@ def played(
 
     switch = HaltSwitch() if switch is None else switch
     motion = AxisMotion(
-        robot, [axis], reference, realtime=realtime, switch=switch, on_samples=on_samples
+        robot,
+        [axis],
+        reference,
+        realtime=realtime,
+        switch=switch,
+        on_samples=on_samples,
+        watched=lambda: watched,
     )
     result = perform(robot, motion, switch, on_resting=lambda: order.append("resting"))
     done = len(result.samples.reference)
@@ -200,19 +207,21 @@ def test_a_paced_simulation_that_was_late_goes_on_at_its_pace(clock: Clock) -> N
 
 @pytest.mark.parametrize("sample_time_s", [0.001, 0.015, 0.03, 0.06])
 @pytest.mark.parametrize("realtime", [1.0, 4.0])
+@pytest.mark.parametrize("watched", [True, False])
 def test_a_paced_simulation_plays_no_sample_before_its_time_and_none_long_after_it(
-    sample_time_s: float, realtime: float, clock: Clock
+    sample_time_s: float, realtime: float, watched: bool, clock: Clock
 ) -> None:
+    batch_s = pace.BATCH_S if watched else pace.UNWATCHED_BATCH_S
     times_s: list[float] = []
     robot = connected(PuppetRobot(puppet_spec(sample_time_s=sample_time_s)))
     robot.on_sample = lambda k: times_s.append(clock.now_s)
-    played(robot, SINE[:200], realtime=realtime, switch=clock)
+    played(robot, SINE[:200], realtime=realtime, switch=clock, watched=watched)
     late_s = np.array(times_s) - times_s[0] - np.arange(200) * sample_time_s / realtime
     assert late_s.min() > -1e-9
-    assert late_s.max() < pace.BATCH_S + 1e-9
-    # No more often than it must, save for the first sample, and where the states are observed.
+    assert late_s.max() < batch_s + 1e-9
+    # No more often than it must, save for the first sample.
     wakes = np.unique(times_s)
-    assert len(wakes) <= 2 + 200 / max(1, round(pace.BATCH_S * realtime / sample_time_s))
+    assert len(wakes) <= 2 + 200 / max(1, round(batch_s * realtime / sample_time_s))
 
 
 # What ends it early.
@@ -267,6 +276,25 @@ def test_of_many_halts_from_many_threads_one_is_kept() -> None:
         thread.join(PATIENCE_S)
     assert len(seen) == 8
     assert set(seen) == {switch.order}
+
+
+def test_a_stop_does_not_wait_for_a_batch_that_nobody_watches(clock: Clock) -> None:
+    robot = connected(PuppetRobot(puppet_spec(sample_time_s=0.01)))
+    waits_s: list[float] = []
+
+    def wait(timeout_s: float) -> None:
+        waits_s.append(timeout_s)
+        if len(waits_s) == 3:
+            clock.now_s += 0.3
+            clock.halt(Outcome.ABORTED, "stopped")
+        else:
+            clock.now_s += timeout_s
+
+    clock.wait = wait  # type: ignore[method-assign]
+    result = played(robot, realtime=1.0, switch=clock, watched=False)
+    assert (result.outcome, result.reason) == (Outcome.ABORTED, "stopped")
+    assert waits_s[2] == pytest.approx(pace.UNWATCHED_BATCH_S)
+    assert len(result.samples.reference) == 1 + round(pace.UNWATCHED_BATCH_S / 0.01)
 
 
 @pytest.mark.parametrize("simulated", [True, False])
