@@ -234,10 +234,15 @@ class Session:
         return self._kept(Publisher(declared))
 
     def telemetry_publisher(self, key: str) -> Publisher:
-        """Declare a publisher of measurements, some of which may be lost under load."""
+        """Declare a publisher of measurements, some of which may be lost under load.
+
+        They reach other sessions only. Whether anybody listens would otherwise be looked for among
+        all that this session itself subscribes to, which takes 60 µs for 250 robots, not 1.
+        """
         with declaring(key):
             declared = self._session.declare_publisher(
                 key,
+                allowed_destination=zenoh.Locality.REMOTE,
                 congestion_control=zenoh.CongestionControl.DROP,
                 priority=zenoh.Priority.DATA_LOW,
                 express=False,
