@@ -28,6 +28,7 @@ import numpy as np
 from nufleet.robot_agent.journal import ledger
 from nufleet.robot_agent.journal.ledger import JournalError, Ledger, LedgerGoal
 from nufleet.robot_agent.journal.log import LogFile, continue_log, read_log, replace_log
+from nufleet.robot_agent.journal.result_files import ResultFiles
 from nufleet.robot_agent.rules.goal_machine import Goal, Goals
 from nufleet.robot_agent.rules.supervisor import StopOrder
 from nufleet.shared.errors import MalformedMessageError, system_errors_as
@@ -90,7 +91,7 @@ class Journal:
             JournalError: The journal cannot be read or written, or a newer nufleet wrote it.
         """
         self._folder = folder
-        self._results = folder / "results"
+        results = folder / "results"
         self._incoming = folder / "incoming"
         self._mutex = threading.Lock()
         self._ledger = Ledger()
@@ -98,13 +99,17 @@ class Journal:
         with contextlib.ExitStack() as opened:
             advice = "; choose a writable folder with NUFLEET_STATE, or free or repair the disk"
             with system_errors_as(JournalError, str(folder), advice):
-                for made in (folder, self._results, self._incoming):
+                for made in (folder, results, self._incoming):
                     make_private_folder(made)
                 self._take_lock(opened)
                 self._log_file, damage = self._read()
                 opened.callback(self._close_log)
+                for path in self._incoming.iterdir():
+                    path.unlink()  # left by a crash between two steps
+                goals, kept = self._ledger.goals, self._ledger.kept
+                known = {goal_id: goals[goal_id].sha256 for goal_id in kept}
+                self._results = ResultFiles(results, {k: v for k, v in known.items() if v})
                 lost = self._end_what_ran()
-                self._sweep()
             self._closing = opened.pop_all()
         self.remembrance = Remembrance(
             goals=Goals(MappingProxyType({k: g.goal for k, g in self._ledger.goals.items()})),
@@ -223,7 +228,7 @@ class Journal:
         if known is None or known.sha256 is None:
             return None
         try:
-            data = (self._results / goal_id).read_bytes()
+            data = self._results.read(goal_id)
             if hashlib.sha256(data).hexdigest() == known.sha256:
                 return decode(data, GoalResult)
             problem = "its file was altered or cut off"
@@ -271,14 +276,6 @@ class Journal:
             self.ended(lost_result(known))
         return tuple(known.goal.goal_id for known in lost)
 
-    def _sweep(self) -> None:
-        """Remove files that belong to no goal, left by a crash between two steps."""
-        for path in self._incoming.iterdir():
-            path.unlink()
-        for path in self._results.iterdir():
-            if path.name not in self._ledger.kept:
-                path.unlink()
-
     # Writing.
 
     def _close_log(self) -> None:
@@ -296,10 +293,15 @@ class Journal:
 
     def _remove_result(self, goal_id: str) -> None:
         try:
-            (self._results / goal_id).unlink(missing_ok=True)
+            self._results.drop(goal_id)
         except OSError as error:
-            # The record already says that it is gone; the next process sweeps the file away.
-            _log.warning("%s/%s cannot be removed: %s", self._results, goal_id, error.strerror)
+            # The record already says that it is gone; the next process removes the file.
+            _log.warning(
+                "%s: the result of %s cannot be removed: %s",
+                self._folder,
+                goal_id,
+                error.strerror,
+            )
 
     def _compact(self) -> None:
         """Replace the log with a shorter one of the same content; a failure is only logged."""
@@ -325,8 +327,7 @@ class Journal:
 
     def _store_result(self, result: GoalResult) -> tuple[str, int]:
         data = encode(result)
-        part = self._incoming / f"{result.goal_id}.result"
-        os.close(replace_privately(self._results / result.goal_id, data, part))
+        self._results.store(result.goal_id, data)
         return hashlib.sha256(data).hexdigest(), len(data)
 
 
