@@ -175,7 +175,7 @@ def _held(basis: ErrorBasis, reference: FloatArray) -> FloatArray:
     the loop makes of it is known. Several distances, each with several lags, nearly span both.
     """
     reaches = float(np.std(reference)) * np.array(_HELD)[:, np.newaxis]
-    slacks = reference - _held_within(reference - reaches, reference + reaches)
+    slacks = reference - held_within(reference - reaches, reference + reaches)
     held = np.zeros((len(_HELD), len(_LATE), len(reference)))
     for columns, late in zip(held.swapaxes(0, 1), _LATE, strict=True):
         lag = min(round(late * basis.settling_time_s / basis.sample_time_s), len(reference))
@@ -184,7 +184,7 @@ def _held(basis: ErrorBasis, reference: FloatArray) -> FloatArray:
     return held.reshape(-1, len(reference)).T
 
 
-def _held_within(lowest: FloatArray, highest: FloatArray) -> FloatArray:
+def held_within(lowest: FloatArray, highest: FloatArray) -> FloatArray:
     """Return where something lies that bounds push before them, all of shape (rows, samples).
 
     It begins within the first bounds, and moves only where it must. What the bounds of several

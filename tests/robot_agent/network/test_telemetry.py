@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -103,6 +104,16 @@ def test_nothing_is_sent_before_the_period_is_over_or_when_there_is_nothing() ->
     telemetry.add(3, np.ones(2), np.ones(2))
     (message,) = received(wire)
     assert (message.first_sample, len(message.reference)) == (0, 5)
+
+
+@pytest.mark.parametrize("matching", [True, False])
+def test_whether_anybody_listens_is_known_from_the_first_batch_on(matching: bool) -> None:
+    wire, clock = Wire(matching=matching), Clock()
+    telemetry = batcher(wire, clock)
+    assert telemetry.heard
+    clock.now_s += 1.5 * PERIOD_S
+    telemetry.add(0, np.ones(3), np.ones(3))
+    assert telemetry.heard == matching
 
 
 def test_samples_that_nobody_listens_to_are_not_sent_later_either() -> None:
