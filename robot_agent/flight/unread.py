@@ -148,7 +148,7 @@ class UnreadTests:
         self._size_bytes = 0
         self._path = self._of(adds_to)
         for path in [] if folder is None else folder.glob(f"{_PREFIX}*{_SUFFIX}"):
-            if path != self._path:
+            if path != self._path or path.is_symlink():
                 path.unlink()
         for payload in self._payloads():
             self._count(decode(payload, UnreadTest), payload)

@@ -27,7 +27,7 @@ wakes for every sample of 15 ms takes several times as much processor time; watc
 pictures per second still look like a motion."""
 
 UNWATCHED_BATCH_S = 1.0
-"""The same while nobody watches. A stop does not wait for the end of a batch, since a batch is
+"""The same while no program watches. A stop does not wait for the end of a batch, since a batch is
 played when its last sample is due; what a stop finds unplayed is never played."""
 
 
@@ -82,7 +82,7 @@ class Pace:
             realtime: Multiple of real time at which a simulated robot plays; None for as fast as
                 it can. Ignored for a real robot.
             switch: Switch of the motion; a gap between samples throws it.
-            watched: Function that returns whether anybody watches the samples.
+            watched: Function that returns whether a program watches the samples.
         """
         self._watched = watched
         self.free = realtime is None and spec.simulated

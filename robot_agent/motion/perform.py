@@ -197,8 +197,8 @@ class AxisMotion:
             switch: Switch that ends the motion early.
             on_samples: Callback that receives each batch: the index of its first sample, and its
                 references and outputs, both shaped like the reference.
-            watched: Function that returns whether anybody watches them; if not, a paced simulation
-                may play more of them at once.
+            watched: Function that returns whether a program watches them; if none does, a paced
+                simulation may play more of them at once.
         """
         self._robot, self._reference = robot, reference
         names = [known.name for known in robot.spec.axes]

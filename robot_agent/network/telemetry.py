@@ -21,7 +21,7 @@ _log = logging.getLogger(__name__)
 class TelemetryBatcher:
     """Collects samples and publishes them at most every `PERIOD_S`; used from one thread.
 
-    `heard` says whether anybody listened when a batch was due last; until then, somebody may.
+    `heard` says whether a program listened when a batch was due last; before any was, it is true.
     """
 
     def __init__(

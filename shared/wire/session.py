@@ -236,8 +236,8 @@ class Session:
     def telemetry_publisher(self, key: str) -> Publisher:
         """Declare a publisher of measurements, some of which may be lost under load.
 
-        They reach other sessions only. Whether anybody listens would otherwise be looked for among
-        all that this session itself subscribes to, which takes 60 µs for 250 robots, not 1.
+        They reach other sessions only. A listener would otherwise be looked for among all that this
+        session itself subscribes to, which takes 60 µs for 250 robots, not 1.
         """
         with declaring(key):
             declared = self._session.declare_publisher(

@@ -114,6 +114,20 @@ def test_tests_that_a_crash_left_beside_a_newer_model_are_not_learned_from_again
     assert unread_in(tmp_path) == []
 
 
+def test_a_link_in_the_place_of_the_tests_is_removed_and_not_followed(tmp_path: Path) -> None:
+    folder, elsewhere = tmp_path / "learned", tmp_path / "elsewhere"
+    Memory(folder).keep_test(one())
+    (kept,) = unread_in(folder)
+    kept.rename(elsewhere)
+    elsewhere.write_bytes(elsewhere.read_bytes() + b"more")
+    data = elsewhere.read_bytes()
+    kept.symlink_to(elsewhere)
+    memory = Memory(folder)
+    assert dict(memory.flown_s) == {}
+    memory.keep_test(one(1))
+    assert elsewhere.read_bytes() == data
+
+
 def test_what_is_kept_has_a_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(unread, "UNREAD_BYTES_MAX", 40_000)
     memory = Memory(tmp_path)
