@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 from random_loops import BAND, SPEC, Loop, answers
@@ -12,6 +14,8 @@ from nufleet.orchestrator.study.adaptive_algorithm import AdaptiveStudy
 from nufleet.orchestrator.study.adaptive_settings import AdaptiveSettings
 from nufleet.orchestrator.study.interface import Report, StudyPlan
 from nufleet.orchestrator.study.screening import Screened
+from nufleet.orchestrator.study.selection_belief import SelectionBelief
+from nufleet.shared.arrays import ComplexArray, FloatArray
 from nufleet.shared.distance.chordal import chordal_distance
 
 GRID = np.linspace(*BAND, 256)
@@ -120,3 +124,31 @@ def test_sources_that_tones_cannot_tell_apart_are_all_compared() -> None:
     fleet = {"target": Loop(3.0)} | {f"s-{n}": Loop(3.0 + 0.02 * rng.random()) for n in range(20)}
     report, _ = ranked(fleet, compared=4, std=0.02)
     assert len(report.curves) == 20
+
+
+def test_the_samples_of_few_sources_are_held_at_once_though_tones_leave_many_a_chance() -> None:
+    fleet = loops(np.random.default_rng(10), 60)
+    held: list[int] = []
+    of = SelectionBelief.of
+
+    def counted(
+        omega: FloatArray, target: ComplexArray, sources: Mapping[str, ComplexArray]
+    ) -> SelectionBelief:
+        held.append(len(sources))
+        return of(omega, target, sources)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(SelectionBelief, "of", lambda o, t, s, spectrum: counted(o, t, s))
+        report, fitted = ranked(fleet, compared=4, std=0.05)
+    everything, _ = ranked(fleet, compared=1000, std=0.05)
+    assert fitted > 30, "tones alone do not tell the sources apart"
+    assert max(held) < 25
+    assert report.selected == everything.selected
+    assert len(report.ranking) == 60, "every source is in the table"
+    truth = {name: psi_star(fleet, name) for name in fleet if name != "target"}
+    compared = {curve.source for curve in report.curves}
+    for one in report.ranking:
+        if one.robot not in compared:
+            assert one.psi_low <= truth[one.robot]
+            assert report.eliminated[one.robot].startswith("its ")
+            assert truth[one.robot] > truth[report.selected]
