@@ -142,8 +142,10 @@ class Comparison:
         )
 
     def _forget_but(self, names: Collection[str]) -> None:
-        """Forget the samples of all other robots, which take a few megabytes of memory each."""
-        self._draws = {key: drawn for key, drawn in self._draws.items() if key[0] in names}
+        """Forget models and samples of all other robots, which take a few megabytes each."""
+        for name, axis in [key for key in self._draws if key[0] not in names]:
+            del self._draws[name, axis]
+            self._robots[name].axes[axis].forget_model()
 
     def _in_full(self, sources: Sequence[str]) -> Compared:
         draws = {name: self._draw(name) for name in (self._plan.target, *sources)}
